@@ -51,23 +51,22 @@ def normal(cells, span, along_u, along_s, size):
     up to the deadband have no part in it.
 
     Args:
-        cells: opening [V], weight and flow of each, shape (3, flows).
+        cells: opening [V], weight and flow of each.
         span: deadband and largest opening [V].
         along_u: breaks and pieces of the splines along the opening.
         along_s: (first spline, values) of each flow along the root of the drop, as `near` writes
             them.
         size: rows and columns of coefficients.
     """
-    (low, high), (breaks, pieces), (rows, columns) = span, along_u, size
-    column, of_s = along_s
+    (u, weight, y), (low, high), (breaks, pieces) = cells, span, along_u
+    (column, of_s), (rows, columns) = along_s, size
     band, right = np.zeros((rows * columns, 2 * columns + 4)), np.zeros(rows * columns)
     of_u = np.empty(pieces.shape[2])
-    for i in range(cells.shape[1]):
-        opening, weight, flow = cells[0, i], cells[1, i], cells[2, i]
-        if weight > 0.0 and opening > low:
-            x = min((opening - low) / (high - low), 1.0)
+    for i in range(u.size):
+        if weight[i] > 0.0 and u[i] > low:
+            x = min((u[i] - low) / (high - low), 1.0)
             at = _near_one(x, breaks, pieces, of_u) * columns + column[i]
-            _add_one(of_u, of_s[i], (weight, weight * flow, columns, at), band, right)
+            _add_one(of_u, of_s[i], (weight[i], weight[i] * y[i], columns, at), band, right)
     return band, right
 
 
@@ -189,6 +188,7 @@ def penalise(band, penalties, smoothing, out):
     """
     bent_u, mass_u, bent_s, mass_s = penalties
     rows, columns = bent_u.shape[0], bent_s.shape[0]
+    by_u, by_s = smoothing[0], smoothing[1]
     for j in range(band.shape[0]):
         for k in range(band.shape[1]):
             out[j, k] = band[j, k]
@@ -196,14 +196,12 @@ def penalise(band, penalties, smoothing, out):
         for after in range(row, min(row + 3, rows)):
             of_bent, of_mass = bent_u[row, after], mass_u[row, after]
             for column in range(columns):
+                low, apart = row * columns + column, (after - row) * columns - column
                 begin = column if after == row else max(column - 3, 0)
-                line = out[row * columns + column, (after - row) * columns + begin - column :]
-                along, across = mass_s[column, begin:], bent_s[column, begin:]
-                for i in range(min(column + 4, columns) - begin):
-                    bent = smoothing[0] * (of_bent * along[i]) + smoothing[1] * (
-                        of_mass * across[i]
-                    )
-                    line[i] += bent
+                for other in range(begin, min(column + 4, columns)):
+                    along, across = mass_s[column, other], bent_s[column, other]
+                    bent = by_u * (of_bent * along) + by_s * (of_mass * across)
+                    out[low, apart + other] += bent
 
 
 @allocating_kernel
@@ -290,6 +288,40 @@ def times(band, values):
             found[j + k] += band[j, k] * values[j]
         found[j] += own
     return found
+
+
+@allocating_kernel
+def explained(factor, band):
+    """Trace of a matrix's inverse times another matrix: of the one the band of its Cholesky factor
+    is given, of the other the band.
+
+    Within the band the inverse follows from the factor, from its last column on (Takahashi, Fagan,
+    Chen 1973); the whole inverse would take as many columns as it has to be solved for.
+    """
+    size, lines = factor.shape
+    inverse, own, found = np.zeros((size, size)), np.empty(lines), 0.0
+    for j in range(size - 1, -1, -1):
+        beside, per = min(lines, size - j), 1.0 / factor[j, 0]
+        own[:] = 0.0
+        for i in range(1, beside):
+            _take_row(factor[j, i], inverse[j + i, j + 1 : j + beside], own[1:beside])
+        for k in range(1, beside):
+            own[k] *= per
+            inverse[j, j + k] = inverse[j + k, j] = own[k]
+            found += 2.0 * own[k] * band[j, k]
+        inverse[j, j] = per
+        for k in range(1, beside):
+            inverse[j, j] -= factor[j, k] * own[k]
+        inverse[j, j] *= per
+        found += inverse[j, j] * band[j, 0]
+    return found
+
+
+@kernel
+def _take_row(share, row, after):
+    """Takes a share of a row off another."""
+    for i in range(row.size):
+        after[i] -= share * row[i]
 
 
 @allocating_kernel

@@ -61,10 +61,15 @@ class Cells:
         """The same cells, of which some have no weight."""
         return replace(self, weight=np.where(out, 0.0, self.weight)) if out.any() else self
 
-    @property
+    @cached_property
     def weighed(self) -> int:
         """How many cells have a weight."""
         return int(np.count_nonzero(self.weight))
+
+    @cached_property
+    def total(self) -> float:
+        """Weighted squares of the flows."""
+        return float(self.weight @ self.y**2)
 
 
 def first_noise(task: Task) -> Noise:

@@ -50,7 +50,7 @@ def let_fall(shape: Shape, cells: Cells) -> Shape:
     spline = replace(shape, rising=np.inf).spline()
     band, right = normal_equations(spline, cells)
     _, gain, determinant = spline.free(band, right, shape.smoothing, whole=False)
-    total = float(cells.weight @ cells.y**2)
+    total = cells.total
     least = deviance(max(total - gain, 1e-12), cells) + determinant
     risen = solve(replace(shape, rising=np.inf), spline, cells)[1]
     if risen - least < _FALL_GAIN:

@@ -212,7 +212,7 @@ class Spline:
         """
         span, along = (self.deadband, self.top), (self.along_u.breaks, self.along_u.pieces)
         size = self.rows, self.columns
-        return flow_band.normal(np.stack([u, weight, y]), span, along, self.along_s.near(s), size)
+        return flow_band.normal((u, weight, y), span, along, self.along_s.near(s), size)
 
     def penalised(self, band: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
         """The band of the penalised normal matrix."""
@@ -376,11 +376,6 @@ def eigenvalues(matrix: np.ndarray, mass: np.ndarray) -> np.ndarray:
     if info:
         raise np.linalg.LinAlgError(f"no eigenvalues of the penalty ({info})")
     return values
-
-
-def solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution for several right sides, by the band of a Cholesky factor."""
-    return _routines().dpbtrs(factor.T, right, lower=True)[0]
 
 
 def half_solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -17,9 +17,7 @@ from ehbench.identification.flow_spline import (
     Axis,
     Spline,
     cholesky,
-    full,
     half_solved,
-    solved,
 )
 
 # what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops,
@@ -190,7 +188,7 @@ def _score(
     the unit of penalties).
     """
     spline = shape.spline()
-    total, unit = float(cells.weight @ cells.y**2), float(cells.weight.sum())
+    total, unit = cells.total, float(cells.weight.sum())
     known, _ = _known(spline.asked, cells)
     made: list[Normal] = [] if normal is None else [normal]
 
@@ -247,7 +245,7 @@ def solve(shape: Shape, spline: KeptSpline, cells: Cells, near: np.ndarray | Non
         return known[point]
     band, right = normal_equations(spline, cells)
     c, determinant, tied = spline.solve(band, right, shape.smoothing, near)
-    misfit = float(cells.weight @ cells.y**2) + float(
+    misfit = cells.total + float(
         c @ (flow_band.times(spline.penalised(band, shape.smoothing), c) - 2 * right)
     )
     known[point] = c, deviance(max(misfit, 1e-12), cells) + determinant, tied
@@ -269,7 +267,7 @@ def judge(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> Solution:
     band, right = normal_equations(spline, used)
     factor = cholesky(spline.penalised(band, shape.smoothing))
     coefficients, *_ = spline.solve(band, right, shape.smoothing)
-    parameters = float(np.trace(solved(factor, full(band))))
+    parameters = flow_band.explained(factor, band)
     meant = spline.design(cells.u, cells.s) @ coefficients
 
     def lack(judged: Cells) -> float:

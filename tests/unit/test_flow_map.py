@@ -12,7 +12,8 @@ import pytest
 from scipy.interpolate import BSpline
 
 from ehbench.errors import InputError
-from ehbench.identification.flow_spline import Axis, OneColumn, Spline, full, pivoted
+from ehbench.identification import flow_band
+from ehbench.identification.flow_spline import Axis, OneColumn, Spline, cholesky, full, pivoted
 from ehbench.identification.readings import _fitted
 from ehbench.physics.flow_map import (
     FlowMap,
@@ -409,6 +410,8 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     np.testing.assert_allclose(
         full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
     )
+    parameters = flow_band.explained(cholesky(spline.penalised(band, smoothing)), band)
+    assert parameters == pytest.approx(np.trace(np.linalg.solve(whole, gram)), rel=1e-9)
     free, gain, determinant = spline.free(band, right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
     assert gain == pytest.approx(right @ free, rel=1e-9)
