@@ -164,6 +164,21 @@ def forward(factor, values):
             after[k] -= share * own[k]
 
 
+@allocating_kernel
+def half_squares(factor, rows):
+    """Of each row its squares once it is divided by a Cholesky factor, summed; shape (rows,)."""
+    found = np.zeros(rows.shape[0])
+    for i in range(rows.shape[0]):
+        begin = 0  # up to its first number a row stays zero
+        while begin < rows.shape[1] - 1 and rows[i, begin] == 0.0:
+            begin += 1
+        values = rows[i, begin:].copy()
+        forward(factor[begin:], values)
+        for value in values:
+            found[i] += value * value
+    return found
+
+
 @kernel
 def backward(factor, values):
     """Divides values by the transpose of a Cholesky factor, in place."""

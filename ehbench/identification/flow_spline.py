@@ -378,11 +378,6 @@ def eigenvalues(matrix: np.ndarray, mass: np.ndarray) -> np.ndarray:
     return values
 
 
-def half_solved(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Inverse of a Cholesky factor, of which the band is given, times several columns."""
-    return _routines().dtbtrs(factor.T, right, uplo="L")[0]
-
-
 def full(band: np.ndarray) -> np.ndarray:
     """The symmetric matrix of which the band is given."""
     size = len(band)

@@ -17,7 +17,6 @@ from ehbench.identification.flow_spline import (
     Axis,
     Spline,
     cholesky,
-    half_solved,
 )
 
 # what must be gained in −2 log likelihood for a curve over the drop that bends more at low drops,
@@ -29,7 +28,7 @@ _MOST_LONE = 0.05
 _REPEATS = 12
 _COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
 # splines that are kept, and those of which what was found is kept: about what one turn asks for
-_SPLINES, _LIKELIHOODS = 64, 512
+_SPLINES, _LIKELIHOODS = 256, 512
 
 Normal = tuple[np.ndarray, np.ndarray]
 Point = tuple[float, float]
@@ -107,7 +106,7 @@ class Solution:
 
     def variance(self, design: np.ndarray) -> np.ndarray:
         """Variance of the scaled flow at rows of a design, from the noise alone."""
-        return np.sum(half_solved(self.factor, design.T) ** 2, axis=0)
+        return flow_band.half_squares(self.factor, design)
 
 
 def normal_equations(spline: Spline, cells: Cells) -> Normal:

@@ -410,8 +410,11 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     np.testing.assert_allclose(
         full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
     )
-    parameters = flow_band.explained(cholesky(spline.penalised(band, smoothing)), band)
+    factor = cholesky(spline.penalised(band, smoothing))
+    parameters = flow_band.explained(factor, band)
     assert parameters == pytest.approx(np.trace(np.linalg.solve(whole, gram)), rel=1e-9)
+    spread = np.sum(np.linalg.solve(np.linalg.cholesky(whole), design.T) ** 2, axis=0)
+    np.testing.assert_allclose(flow_band.half_squares(factor, design), spread, rtol=1e-9)
     free, gain, determinant = spline.free(band, right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
     assert gain == pytest.approx(right @ free, rel=1e-9)
