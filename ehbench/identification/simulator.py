@@ -16,7 +16,7 @@ from ehbench.errors import EhbenchError, InputError, InsufficientData
 from ehbench.identification.means import Decimate, means_of
 from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
 from ehbench.parts.edge import edge_onset
-from ehbench.plant.build import Maps
+from ehbench.plant.build import Kept, Maps
 from ehbench.plant.lanes.many import LEAST, has_lanes, replays_meshed
 from ehbench.plant.lanes.steps import run_meshed
 from ehbench.plant.lanes.vectors import LANES
@@ -391,6 +391,7 @@ class Simulator:
         self.workers = workers or cores()
         self.pool = ThreadPoolExecutor(self.workers)
         self.evaluations = 0
+        self._kept = Kept()
 
     def models(self, values: Sequence[float]) -> dict[str | None, Model]:
         """The model at these values by payload.
@@ -400,7 +401,8 @@ class Simulator:
         """
         changed = self.rig.with_values(self._by_name(values, False), self.known)
         return {
-            load: Model.of(changed, self.maps, load) for load in {log.payload for log in self.logs}
+            load: Model.of(changed, self.maps, load, self._kept)
+            for load in {log.payload for log in self.logs}
         }
 
     def _by_name(self, values: Sequence[float], shared: bool) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
 from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide
 
+_KEPT = 256  # things that plants have in common
 Maps = Mapping[str, ValveMaps]
 # as `linkage` takes them
 PinNumbers = tuple[int, float, float, float, float, float]
@@ -92,7 +93,29 @@ class Plant(NamedTuple):
         return self._replace(supply=line[0], nodes=nodes)
 
 
-def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
+class Kept:
+    """What plants of one layout and one set of maps have in common: each thing is made once of the
+    very same parts of a rig, such as all that no parameter of a fit changes. Such plants must not
+    be written to.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[Any, ...], tuple[Any, Any]] = {}
+
+    def of(self, make: Callable[..., Any], parts: Iterable[Any], *arguments: Any) -> Any:
+        """``make(*arguments)``, which hangs on these ``parts`` of a rig."""
+        held = tuple(parts)
+        key = (make, *map(id, held))
+        found = self._made.get(key)
+        if found is None:
+            if len(self._made) >= _KEPT:
+                self._made.clear()
+            # with the parts, so that no other comes to have the number of one that is gone
+            found = self._made[key] = (held, make(*arguments))
+        return found[1]
+
+
+def build(rig: Rig, names: Layout, maps: Maps | None = None, kept: Kept | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
@@ -100,27 +123,31 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None) -> Plant:
         names: its layout.
         maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the
             edge's analytic law.
+        kept: of other plants of this layout and these maps.
 
     Raises:
         InputError: an edge asks for a map that is not given.
     """
-    kind, links, up = _mechanism(rig)
-    edge_rows, data = _edges(rig, names, maps or {})
-    valve_rows, elements = _valves(rig, names)
+    kept = kept or Kept()
+    valve_parts = [valve for _, valve in rig.valves()]
+    fixed = [edge for _, edge in rig.fixed_edges()]
+    kind, links, up = kept.of(_mechanism, [rig.mechanism], rig)
+    edge_rows, data = kept.of(_edges, [*valve_parts, *fixed], rig, names, maps or {})
+    valve_rows, elements = kept.of(_valves, [*valve_parts, *rig.dynamics.values()], rig, names)
     return Plant(
         kind=kind,
         gravity=float(rig.gravity) * np.array(up),
         links=links,
         cylinders=_cylinders(rig, names, kind, links),
-        nodes=_nodes(rig, names),
+        nodes=kept.of(_nodes, [rig.supply], rig, names),
         valves=valve_rows,
         elements=elements,
         edges=edge_rows,
         maps=data,
-        supply=_supply(rig),
-        forces=_forces(rig, names),
+        supply=kept.of(_supply, [rig.supply, rig.oil], rig),
+        forces=kept.of(_forces, [force for c in rig.cylinder for force in c.force], rig, names),
         lines=_lines(rig, names),
-        at=names.offsets(),
+        at=kept.of(Layout.offsets, [], names),
     )
 
 
@@ -178,7 +205,8 @@ def _links(chain: Chain) -> np.recarray:
 
 
 def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.recarray:
-    rows = []
+    rows, bodies = [], links.copy()
+    bodies["damping"] = 0.0  # which is no part of how heavy they are
     for index, item in enumerate(rig.cylinder):
         head, rod = item.areas()
         relief, pins = item.relief_pressure, pins_of(item)
@@ -196,7 +224,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
-                "mobility": _mobility(kind, links.tobytes(), pins, joint, own["stroke"]),
+                "mobility": _mobility(kind, bodies.tobytes(), pins, joint, own["stroke"]),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
@@ -243,7 +271,7 @@ def _mobility(kind: int, packed: bytes, pins: PinNumbers, joint: int, stroke: fl
     at zero and free.
 
     Args:
-        packed: bytes of the links. Fits make many plants of one mechanism.
+        packed: bytes of the links, without damping. Fits make many plants of one mechanism.
     """
     links = np.frombuffer(packed, arm.LINK).copy().view(np.recarray)
     n = links.shape[0]

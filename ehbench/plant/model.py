@@ -15,7 +15,7 @@ from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics.arm import SLIDE
 from ehbench.plant import trim as starts
-from ehbench.plant.build import Maps, Plant, build, links_of
+from ehbench.plant.build import Kept, Maps, Plant, build, links_of
 from ehbench.plant.gauges import gauged
 from ehbench.plant.integrate import STEP, run
 from ehbench.plant.layout import SIDES, Layout, layout
@@ -87,15 +87,24 @@ class Model:
     bare: Rig
 
     @classmethod
-    def of(cls, rig: Rig, maps: Maps | None = None, payload: str | None = None) -> Model:
-        """The model of a rig carrying ``payload``, its edges on measured ``maps`` where given.
+    def of(
+        cls,
+        rig: Rig,
+        maps: Maps | None = None,
+        payload: str | None = None,
+        kept: Kept | None = None,
+    ) -> Model:
+        """The model of a rig carrying ``payload``, its edges on measured ``maps`` where given; what
+        it has in common with others of the same rig, but for its numbers, may be ``kept``.
 
         Raises:
             InputError: no such payload, or an edge without its map.
         """
-        loaded = rig.with_payload(payload)
-        names = layout(loaded)
-        return cls(loaded, build(loaded, names, maps), names, rig)
+        kept = kept or Kept()
+        body = kept.of(Rig.loaded, [rig.mechanism, rig.payload, payload], rig, payload)
+        loaded = rig if payload is None else rig.model_copy(update={"mechanism": body})
+        names = kept.of(layout, [], loaded)
+        return cls(loaded, build(loaded, names, maps, kept), names, rig)
 
     def asked_at_start(self, moves: bool) -> Hashable:
         """All that its start along a recording hangs on, which begins at rest or ``moves`` at

@@ -11,18 +11,19 @@ import numpy as np
 from ehbench.errors import InputError, SimulationError
 from ehbench.fields import read_value
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
-from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
+from ehbench.parts.cylinder import CYLINDER, joint_of, joint_range_of, linkage_of
 from ehbench.parts.edge import EDGE
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.line import LINE
-from ehbench.parts.load import force_on
+from ehbench.parts.load import FORCE, force_on
 from ehbench.parts.mount import mount_settle
+from ehbench.parts.nodes import NODE
 from ehbench.parts.oil import OIL_COLUMNS
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.parts.supply import sensed
 from ehbench.parts.sway import sway_settle
-from ehbench.parts.valve import ELEMENT, valve_settle
-from ehbench.physics.arm import SLIDE, gravity_torque, work_size
+from ehbench.parts.valve import ELEMENT, VALVE, valve_settle
+from ehbench.physics.arm import LINK, SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
 from ehbench.plant.rest import carrying, open_at_rest, resting
@@ -46,6 +47,10 @@ _IDLE = {
     "supply": tuple(name for name, *_ in (*OIL_COLUMNS, *ACCUMULATOR)),
 }
 _FRICTION = tuple(name for name, *_ in FRICTION)
+_TABLES = {
+    **{"links": LINK, "cylinders": CYLINDER, "nodes": NODE, "valves": VALVE, "elements": ELEMENT},
+    **{"edges": EDGE, "forces": FORCE, "lines": LINE, "supply": SUPPLY_LINE},
+}
 _MOVING = {
     "valves": ("delay",),
     "elements": tuple(set(ELEMENT.names or ()) - {"law", "state", "states"}),
@@ -163,31 +168,46 @@ def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
     """All of a plant that its start along a given recording hangs on, which begins at rest or
     ``moves`` at first: of plants alike in it, the start of one is that of all.
     """
-    still = plant.cylinders["mount_state"].max(initial=-1) < 0
+    asked = _asked(moves, mounted(plant), bool(open_at_rest(plant).any()))
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
-    for name in ("links", "cylinders", "nodes", "valves", "elements", "edges", "forces", "lines"):
-        idle = _IDLE.get(name, ()) if moves else (*_IDLE.get(name, ()), *_MOVING.get(name, ()))
-        idle = () if name == "edges" and open_at_rest(plant).any() else idle
-        idle = (*idle, *_FRICTION) if name == "cylinders" and still else idle
-        rows = getattr(plant, name)
-        parts.append(rows.tobytes() if not idle else _without(rows.tobytes(), rows.dtype, idle))
-    parts.append(_without(plant.supply.tobytes(), SUPPLY_LINE, _IDLE["supply"]))
+    parts += [_of_spans(getattr(plant, name), spans) for name, spans in asked]
     return tuple(parts)
 
 
-def _without(packed: bytes, layout: np.dtype, idle: tuple[str, ...]) -> bytes:
-    """The bytes of some rows of a layout but for those of some fields."""
-    rows = np.frombuffer(packed, np.uint8).reshape(-1, layout.itemsize)
-    return rows[:, _bytes_of(layout, idle)].tobytes()
-
-
 @cache
-def _bytes_of(layout: np.dtype, idle: tuple[str, ...]) -> np.ndarray:
-    """Which bytes of a row belong to other fields than some, shape (bytes,)."""
-    own = np.zeros(layout.itemsize, dtype=bool)
+def _asked(
+    moves: bool, mounts: bool, opens: bool
+) -> tuple[tuple[str, tuple[tuple[int, int], ...]], ...]:
+    """(table of a plant, the bytes of its rows that `asked_at_start` asks for, as spans)."""
+    found = []
+    for name, layout in _TABLES.items():
+        idle = {*_IDLE.get(name, ()), *(() if moves else _MOVING.get(name, ()))}
+        idle = set() if name == "edges" and opens else idle
+        idle |= set(_FRICTION) if name == "cylinders" and not mounts else set()
+        found.append((name, _spans(layout, idle)))
+    return tuple(found)
+
+
+def _spans(layout: np.dtype, idle: set[str]) -> tuple[tuple[int, int], ...]:
+    """Where the bytes of other fields than some stand in a row: (from, to) of each run of them."""
+    own = np.zeros(layout.itemsize + 1, dtype=np.int8)
     for name, (kind, first, *_) in (layout.fields or {}).items():
         own[first : first + kind.itemsize] = name not in idle
-    return np.flatnonzero(own)
+    ends = np.flatnonzero(np.diff(own, prepend=0)).tolist()
+    return tuple(zip(ends[::2], ends[1::2], strict=True))
+
+
+def _of_spans(rows: Any, spans: tuple[tuple[int, int], ...]) -> bytes:
+    """Some bytes of each row of a table, or of one row."""
+    packed, size = rows.tobytes(), rows.dtype.itemsize
+    return b"".join(
+        [packed[at + a : at + b] for at in range(0, len(packed), size) for a, b in spans]
+    )
+
+
+def mounted(plant: Plant) -> bool:
+    """Whether the mount of a cylinder gives way."""
+    return plant.cylinders["mount_state"].max(initial=-1) >= 0
 
 
 def settle_parts(plant: Plant, y: np.ndarray) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -280,6 +281,16 @@ class Rig(FileModel):
         """
         if load is None:
             return self
+        return self.model_copy(update={"mechanism": self.loaded(load)})
+
+    def loaded(self, load: str | None) -> Chain | Slide:
+        """Its mechanism carrying the named payload.
+
+        Raises:
+            InputError: as `with_payload`.
+        """
+        if load is None:
+            return self.mechanism
         if load not in self.payload:
             raise InputError(
                 f"rig '{self.name}' has no payload '{load}'",
@@ -287,7 +298,7 @@ class Rig(FileModel):
             )
         changes = self.payload[load]
 
-        def loaded(body: Any) -> Any:
+        def changed(body: Any) -> Any:
             change = changes.get(body.name)
             if change is None:
                 return body
@@ -301,11 +312,9 @@ class Rig(FileModel):
             )
 
         if isinstance(self.mechanism, Slide):
-            return self.model_copy(update={"mechanism": loaded(self.mechanism)})
-        joints = tuple(loaded(joint) for joint in self.mechanism.joint)
-        return self.model_copy(
-            update={"mechanism": self.mechanism.model_copy(update={"joint": joints})}
-        )
+            return changed(self.mechanism)
+        joints = tuple(changed(joint) for joint in self.mechanism.joint)
+        return self.mechanism.model_copy(update={"joint": joints})
 
     def with_supply(
         self, load_sensing: LoadSensing | None = None, low_rail: LowRail | None = None
@@ -385,16 +394,15 @@ class Rig(FileModel):
         mechanism = (
             own(f"{self.mechanism.name}.", self.mechanism)
             if isinstance(self.mechanism, Slide)
-            else self.mechanism.model_copy(
-                update={"joint": tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)}
+            else _renewed(
+                self.mechanism, joint=tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)
             )
         )
         tables = {key: own("supply.", part) for key, part in self.supply.tables().items()}
-        supply = own("supply.", self.supply).model_copy(update=tables)
         return own("", self).model_copy(
             update={
                 "oil": own("", self.oil),
-                "supply": supply,
+                "supply": _renewed(own("supply.", self.supply), **tables),
                 "mechanism": mechanism,
                 "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
                 "dynamics": {
@@ -450,8 +458,21 @@ class Rig(FileModel):
 
 def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
     """A part with those of its own fields replaced that ``new`` names with ``prefix``."""
-    update = {key: new[prefix + key] for key in type(model).model_fields if prefix + key in new}
+    fields, own = type(model).model_fields, _below(prefix, new)
+    update = {key: value for key, value in own.items() if key in fields}
     return model.model_copy(update=update) if update else model
+
+
+def _renewed(model: Any, **parts: Any) -> Any:
+    """A part with other parts of its own; itself where they are what it has: what a plant keeps of
+    parts (`plant.build.Kept`) is found by them.
+    """
+    for key, part in parts.items():
+        old = getattr(model, key)
+        many = isinstance(part, tuple)
+        if part is not old and not (many and all(map(operator.is_, part, old))):
+            return model.model_copy(update=parts)
+    return model
 
 
 def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
@@ -461,26 +482,25 @@ def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
 
 def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
     """A cylinder with new values of its own, of its tables and its edges."""
-    prefix = f"{model.name}."
+    own = _below(f"{model.name}.", new)
+    if not own:
+        return model
     valves = []
     for valve in model.valve:
-        edges = (_replaced(e, f"{prefix}{valve.edge_name(e)}.", new) for e in valve.edge)
-        whole = _replaced(valve, f"{prefix}{valve.name}.", new)
-        valves.append(whole.model_copy(update={"edge": tuple(edges)}))
-    tables = {
-        key: _replaced(part, prefix + prefix_of(key), new) for key, part in tables_of(model).items()
-    }
+        edges = (_replaced(e, f"{valve.edge_name(e)}.", own) for e in valve.edge)
+        whole = _replaced(valve, f"{valve.name}.", own)
+        valves.append(_renewed(whole, edge=tuple(edges)))
+    tables = {key: _replaced(part, prefix_of(key), own) for key, part in tables_of(model).items()}
     named: dict[str, tuple[Any, ...]] = {
         "force": model.force,
         "edge": model.edge,
         "line": model.line,
     }
     lists = {
-        key: tuple(_replaced(part, f"{prefix}{part.name}.", new) for part in parts)
+        key: tuple(_replaced(part, f"{part.name}.", own) for part in parts)
         for key, parts in named.items()
     }
-    whole = _replaced(model, prefix, new)
-    return whole.model_copy(update=tables | {"valve": tuple(valves)} | lists)
+    return _renewed(_replaced(model, "", own), **tables, valve=tuple(valves), **lists)
 
 
 def parameter_row(name: str) -> Quantity:
