@@ -85,6 +85,14 @@ class Record:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
 
+    @cached_property
+    def even(self) -> bool:
+        """Whether it has samples at one rate, three at least."""
+        if self.t.size < 3:
+            return False
+        tick = self.sample_time
+        return not np.abs(np.diff(self.t) - tick).max() > 0.01 * tick
+
     def at(self, samples: Sequence[int] | np.ndarray | slice) -> Record:
         """These samples alone, by number, by a mask or from one to another."""
         channels = {name: values[samples] for name, values in self.channels.items()}

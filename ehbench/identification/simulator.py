@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -47,6 +47,12 @@ MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
 Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
 Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`plant.paced`)
+Where = tuple[Sequence[float], int, np.ndarray]  # parameters, a log by index, shifts of its start
+Simulated = tuple[np.ndarray, np.ndarray]  # channels, shape (samples, channels), and steps taken
+REMEMBERED = 2**25  # bytes of simulations
+ENTRY = 2**10  # bytes of one beside its numbers
+Asked = TypeVar("Asked")
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -365,6 +371,48 @@ class _Task:
         return own.moved_from(first, model, self.shifts)
 
 
+class _Same:
+    """A thing itself as a key, whatever it is equal to; it stays as long as the key does."""
+
+    def __init__(self, thing: object) -> None:
+        self._thing = thing
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self._thing is other._thing
+
+    def __hash__(self) -> int:
+        return id(self._thing)
+
+
+class _Latest:
+    """Simulations of late, by all that they hang on: a search comes back to where it was, and so
+    does what is asked of its end.
+    """
+
+    def __init__(self) -> None:
+        self._found: dict[Hashable, Simulated | None] = {}
+        self._size = 0
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._found
+
+    def of(self, key: Hashable) -> Simulated | None:
+        """What is known, which becomes the latest."""
+        found = self._found[key] = self._found.pop(key)
+        return found
+
+    def keep(self, key: Hashable, found: Simulated | None) -> None:
+        """Remember a simulation, and forget the oldest beyond so many bytes."""
+        self._found[key] = found
+        self._size += _bytes(found)
+        while self._size > REMEMBERED:
+            self._size -= _bytes(self._found.pop(next(iter(self._found))))
+
+
+def _bytes(found: Simulated | None) -> int:
+    return ENTRY + (0 if found is None else sum(one.nbytes for one in found))
+
+
 class Simulator:
     """All logs, simulated at any parameter values, several at a time.
 
@@ -391,7 +439,7 @@ class Simulator:
         self.workers = workers or cores()
         self.pool = ThreadPoolExecutor(self.workers)
         self.evaluations = 0
-        self._kept = Kept()
+        self._kept, self._latest = Kept(), _Latest()
 
     def models(self, values: Sequence[float]) -> dict[str | None, Model]:
         """The model at these values by payload.
@@ -444,7 +492,7 @@ class Simulator:
 
     def each(
         self,
-        points: Sequence[tuple[Sequence[float], int, np.ndarray]],
+        points: Sequence[Where],
         meshes: Meshes | None = None,
     ) -> list[np.ndarray | None]:
         """Simulated channels, shape (samples, channels), of each (values, log by index, shifts of
@@ -467,12 +515,35 @@ class Simulator:
         return channels, [FREE if one is None else one[1] for one in done]
 
     def _meshed(
-        self,
-        points: Sequence[tuple[Sequence[float], int, np.ndarray]],
-        meshes: Meshes | None = None,
-        rough: bool = False,
-    ) -> list[tuple[np.ndarray, np.ndarray] | None]:
-        """(simulated channels, steps taken) of each point."""
+        self, points: Sequence[Where], meshes: Meshes | None = None, rough: bool = False
+    ) -> list[Simulated | None]:
+        """(simulated channels, steps taken) of each point; what is known of late is not simulated
+        again.
+        """
+        self.evaluations += len(points)
+        found: dict[Hashable, Simulated | None] = {}
+        asked: dict[Hashable, Where] = {}
+        keys = []
+        for point in points:
+            values, k, shifts = point
+            log, mesh = self.logs[k], None if meshes is None else meshes[k]
+            own = np.array(values, dtype=float).tobytes(), shifts.tobytes(), rough
+            key = (*own, _Same(log), None if mesh is None else _Same(mesh))
+            keys.append(key)
+            if key in self._latest:
+                found[key] = self._latest.of(key)
+            else:
+                asked[key] = point
+        fresh = self._simulated(list(asked.values()), meshes, rough)
+        for key, one in zip(asked, fresh, strict=True):
+            found[key] = one
+            self._latest.keep(key, one)
+        return [found[key] for key in keys]
+
+    def _simulated(
+        self, points: Sequence[Where], meshes: Meshes | None, rough: bool
+    ) -> list[Simulated | None]:
+        """`_meshed`, all of them simulated."""
         made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         firsts: dict[tuple[object, ...], _First] = {}
         tasks = []
@@ -486,16 +557,36 @@ class Simulator:
             first = firsts.setdefault(own, _First())
             mesh = FREE if meshes is None else meshes[k]
             tasks.append(_Task(model, log, shifts, shared, first, mesh, rough))
-        self.evaluations += len(tasks)
         if meshes is None or self.step != AUTO or not has_lanes(run_meshed):
-            return list(self.pool.map(self._one, tasks))
+            return self._all(self._one, tasks)
         sets = self._sets([k for _, k, _ in points])
-        done: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(tasks)
-        several = self.pool.map(self._several, ([tasks[i] for i in own] for own in sets))
+        done: list[Simulated | None] = [None] * len(tasks)
+        several = self._all(self._several, [[tasks[i] for i in own] for own in sets])
         for own, found in zip(sets, several, strict=True):
             for i, one in zip(own, found, strict=True):
                 done[i] = one
         return done
+
+    def _all(self, do: Callable[[Asked], Made], tasks: Sequence[Asked]) -> list[Made]:
+        """What is done of each task, by this thread and those of the pool: each takes the next one
+        that is left, for to hand them over one by one takes long beside a short simulation.
+        """
+        found: dict[int, Made] = {}
+        ahead = iter(range(len(tasks)))
+
+        def work() -> None:
+            for i in ahead:
+                found[i] = do(tasks[i])
+
+        beside = [self.pool.submit(work) for _ in range(min(self.workers, len(tasks)) - 1)]
+        try:
+            work()
+        finally:
+            for _ in ahead:  # nothing more is begun where this was stopped
+                pass
+        for other in beside:
+            other.result()
+        return [found[i] for i in range(len(tasks))]
 
     @staticmethod
     def _sets(logs: Sequence[int]) -> list[list[int]]:
@@ -513,7 +604,7 @@ class Simulator:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.doubts)) for log in self.logs]
 
-    def _one(self, task: _Task) -> tuple[np.ndarray, np.ndarray] | None:
+    def _one(self, task: _Task) -> Simulated | None:
         model, log, shifts, shared = task.model, task.log, task.shifts, task.shared
         if model is None:
             return None
@@ -528,12 +619,12 @@ class Simulator:
         except (EhbenchError, ArithmeticError):
             return None
 
-    def _several(self, tasks: Sequence[_Task]) -> list[tuple[np.ndarray, np.ndarray] | None]:
+    def _several(self, tasks: Sequence[_Task]) -> list[Simulated | None]:
         """`_one` of tasks along one log, side by side where that pays."""
         log, mesh = tasks[0].log, tasks[0].mesh
         if len(tasks) < LEAST or _needs_flows(log) or not mesh.size:
             return [self._one(task) for task in tasks]
-        found: list[tuple[np.ndarray, np.ndarray] | None] = [None] * len(tasks)
+        found: list[Simulated | None] = [None] * len(tasks)
         runs = {}
         for i, task in enumerate(tasks):
             try:
@@ -574,7 +665,7 @@ class Simulator:
         starts = [
             log.start.numbers(log.start.at(model, own, shared)) for model, log, own, _ in tasks
         ]
-        return starts, list(self.pool.map(self._replay, tasks))
+        return starts, self._all(self._replay, tasks)
 
 
 def columns_of(log: Log, record: Record) -> np.ndarray:

@@ -412,8 +412,7 @@ class Model:
         Raises:
             LogError: uneven time.
         """
-        tick = record.sample_time
-        if record.t.size < 3 or np.abs(np.diff(record.t) - tick).max() > 0.01 * tick:
+        if not record.even:
             raise LogError(
                 "the recording is not evenly sampled, so it cannot be replayed",
                 hint="resample it to one rate",
