@@ -22,7 +22,8 @@ from typer.core import TyperGroup
 
 from ehbench.commands import COMMANDS, Command
 from ehbench.cores import cores
-from ehbench.errors import EhbenchError, Terminated
+from ehbench.errors import EhbenchError
+from ehbench.interrupts import Terminated, listen
 from ehbench.text import folded, shortened_path
 
 if TYPE_CHECKING:
@@ -580,17 +581,11 @@ _OUTSIDE = (
 )
 
 
-def _terminated(number: int, _: object) -> None:
-    raise Terminated(128 + number)
-
-
 def main() -> None:
     """Entry point: errors of ours become one sentence on stderr and their exit code, and nothing
     half-written stays.
     """
-    signal.signal(signal.SIGTERM, _terminated)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _terminated)  # the command line's library says nothing of it
+    listen()
     try:
         app()
     except OSError as error:

@@ -24,6 +24,7 @@ from numba.core.compiler import Compiler
 from numba.core.runtime.nrt import rtsys
 from numba.extending import overload
 
+from ehbench.interrupts import unbroken
 from ehbench.sources import sources
 
 PACKAGE = Path(__file__).resolve().parent
@@ -102,7 +103,7 @@ class _Compiler(Compiler):
 
     def compile_extra(self, func: Callable) -> Any:
         """Compile a function and, on the way, all that it calls."""
-        with _uncollected():
+        with unbroken(), _uncollected():
             return super().compile_extra(func)
 
     def define_pipelines(self) -> list[Any]:
@@ -237,8 +238,8 @@ def _load_alone(cache: Any) -> None:
     """
 
     def load(signature: Any, target: Any) -> Any:
-        rtsys.initialize(target)
-        with cache._guard_against_spurious_io_errors():
+        with unbroken(), cache._guard_against_spurious_io_errors():
+            rtsys.initialize(target)
             return cache._load_overload(signature, target)
 
     cache.load_overload = load

@@ -79,7 +79,3 @@ class SimulationError(EhbenchError):
     """A simulation left the range in which its numbers mean anything (exit 5)."""
 
     exit_code = 5
-
-
-class Terminated(SystemExit):
-    """The process was asked to end by a signal: what is under way is cleared, nothing blamed."""

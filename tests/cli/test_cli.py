@@ -245,6 +245,32 @@ def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
     assert not (tmp_path / "run").exists() and not list(tmp_path.rglob("*.part"))
 
 
+def test_a_signal_while_kernels_are_loaded_ends_the_run_once_they_are(workspace, tmp_path):
+    """The compiler's library reads code by calling back, and takes a null where that raises."""
+    asked_within = (
+        "import os, signal, sys\n"
+        "from numba.core.codegen import JITCodeLibrary\n"
+        "reading = JITCodeLibrary._object_getbuffer_hook.__func__\n"
+        "def asked(*of):\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    return reading(*of)\n"
+        "JITCodeLibrary._object_getbuffer_hook = classmethod(asked)\n"
+        "from ehbench import cli\n"
+        "cli.main()\n"
+    )
+    words = ["identify", str(workspace / "recipes" / "identify.toml"), "--out", "run"]
+    done = subprocess.run(
+        [sys.executable, "-c", asked_within, *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 143, done.stderr
+    assert not (tmp_path / "run").exists() and not list(tmp_path.rglob("*.part"))
+
+
 @pytest.mark.slow
 def test_same_recipe_same_bytes(workspace, inside, tmp_path):
     """In this process and in one of its own."""

@@ -11,7 +11,7 @@ import pytest
 PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
-    {"sources", "cores"},
+    {"sources", "cores", "interrupts"},
     {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms"}
     | {"text", "usual_units"},
     {"units", "disk", "memory"},
