@@ -23,7 +23,7 @@ from ehbench.cores import cores
 from ehbench.fields import Value
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
-from ehbench.plant.lanes.many import Job, follow_together, run_together
+from ehbench.plant.lanes.many import Job, pace_together, run_together
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
@@ -183,7 +183,7 @@ def lanes(rig: Rig, repeats: int = 5) -> Iterator[Row]:
     ]
     jobs = [Job(model, model.trim(model.posture(None)), table) for model in models]
     _, mesh = jobs[0].model.paced(jobs[0].start, table, flows=False)
-    steps = round(1e-3 / STEP)
+    steps, given = round(1e-3 / STEP), [job._replace(mesh=mesh) for job in jobs]
     for what, alone, together in (
         (
             "500 µs steps",
@@ -193,7 +193,12 @@ def lanes(rig: Rig, repeats: int = 5) -> Iterator[Row]:
         (
             "given steps",
             lambda: [job.model.paced(job.start, table, 1e-3, mesh, False) for job in jobs],
-            lambda: follow_together(jobs, 1e-3, mesh),
+            lambda: pace_together(given, 1e-3),
+        ),
+        (
+            "chosen steps",
+            lambda: [job.model.paced(job.start, table, flows=False) for job in jobs],
+            lambda: pace_together(jobs, 1e-3),
         ),
     ):
         share = _best(together, repeats) / _best(alone, repeats)

@@ -535,12 +535,12 @@ class _Follow:
 
     def left(self, shifts: np.ndarray) -> np.ndarray:
         """Simulated minus recorded [SI], shape (samples, channels)."""
-        model, true, start = self.run_of(shifts)
-        return self.left_by(model.replay(true, self.step_time, start=start), shifts)
+        run = self.run_of(shifts)
+        return self.left_by(run.model.replay(run.record, self.step_time, start=run.start), shifts)
 
     def run_of(self, shifts: np.ndarray) -> Run:
         """What is replayed, and from where."""
-        return self.model, self.start.true(shifts), self.start.at(self.model, shifts)
+        return Run(self.model, self.start.true(shifts), self.start.at(self.model, shifts))
 
     def left_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
         """`left` of a replay."""

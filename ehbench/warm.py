@@ -98,10 +98,10 @@ def together(what: str) -> str:
 
 
 def lanes(what: str) -> str:
-    """Compile what takes models side by side, for open-loop trials and along a mesh of steps; gives
-    back what it is called.
+    """Compile what takes models side by side, for open-loop trials and in steps that each chooses;
+    gives back what it is called.
     """
-    from ehbench.plant.lanes.many import LEAST, Job, follow_together
+    from ehbench.plant.lanes.many import LEAST, Job, pace_together
     from ehbench.trial import run
     from ehbench.trial.ahead import foresee
 
@@ -111,7 +111,7 @@ def lanes(what: str) -> str:
     model = run(trials[0]).model
     assert model is not None  # it ran on one
     job = Job(model, model.trim(model.posture(None)), model.rest_commands(3))
-    follow_together([job], 1e-3, np.ones(1, np.int64))
+    pace_together([job], 1e-3)
     return what
 
 

@@ -17,8 +17,8 @@ from ehbench.identification.means import Decimate, means_of
 from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Kept, Maps
-from ehbench.plant.lanes.many import LEAST, has_lanes, replays_meshed
-from ehbench.plant.lanes.steps import run_meshed
+from ehbench.plant.lanes.many import LEAST, Run, has_lanes, replays_paced
+from ehbench.plant.lanes.paced import run_apart
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
@@ -334,6 +334,12 @@ def _simulated_means(log: Log) -> Means | None:
     return None if any(one.endswith(BENT) for one in log.channels) else log.means
 
 
+def _tempo(log: Log) -> tuple[float, int]:
+    """(time between samples [s], samples of which the simulation is to be the means)."""
+    means = _simulated_means(log)
+    return log.record.sample_time, 1 if means is None else means.each
+
+
 def _worth_it(part: list[int]) -> list[list[int]]:
     """A set, or its members one by one where they are too few to go side by side."""
     return [part] if len(part) >= LEAST else [[one] for one in part]
@@ -557,9 +563,9 @@ class Simulator:
             first = firsts.setdefault(own, _First())
             mesh = FREE if meshes is None else meshes[k]
             tasks.append(_Task(model, log, shifts, shared, first, mesh, rough))
-        if meshes is None or self.step != AUTO or not has_lanes(run_meshed):
+        if self.step != AUTO or not has_lanes(run_apart):
             return self._all(self._one, tasks)
-        sets = self._sets([k for _, k, _ in points])
+        sets = self._sets(tasks)
         done: list[Simulated | None] = [None] * len(tasks)
         several = self._all(self._several, [[tasks[i] for i in own] for own in sets])
         for own, found in zip(sets, several, strict=True):
@@ -589,16 +595,16 @@ class Simulator:
         return [found[i] for i in range(len(tasks))]
 
     @staticmethod
-    def _sets(logs: Sequence[int]) -> list[list[int]]:
-        """Points, by the log of each, in sets that may go side by side: full ones, for a call in
-        lanes takes as long with a few of them.
+    def _sets(tasks: Sequence[_Task]) -> list[list[int]]:
+        """Tasks in sets that may go side by side: full ones, for a call in lanes takes as long with
+        a few of them.
         """
-        sets = []
-        for k in dict.fromkeys(logs):
-            own = [i for i, log in enumerate(logs) if log == k]
-            parts = [own[i : i + LANES] for i in range(0, len(own), LANES)]
-            sets += [one for part in parts for one in _worth_it(part)]
-        return sets
+        beside: dict[Hashable, list[int]] = {}
+        for i, task in enumerate(tasks):
+            alone = i if _needs_flows(task.log) else None
+            beside.setdefault((alone, *_tempo(task.log)), []).append(i)
+        parts = [own[i : i + LANES] for own in beside.values() for i in range(0, len(own), LANES)]
+        return [one for part in parts for one in _worth_it(part)]
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
@@ -620,25 +626,25 @@ class Simulator:
             return None
 
     def _several(self, tasks: Sequence[_Task]) -> list[Simulated | None]:
-        """`_one` of tasks along one log, side by side where that pays."""
-        log, mesh = tasks[0].log, tasks[0].mesh
-        if len(tasks) < LEAST or _needs_flows(log) or not mesh.size:
+        """`_one` of tasks of one tempo, side by side where that pays."""
+        if len(tasks) < LEAST:
             return [self._one(task) for task in tasks]
-        found: list[Simulated | None] = [None] * len(tasks)
-        runs = {}
+        runs: dict[int, Run] = {}
         for i, task in enumerate(tasks):
             try:
                 if task.model is not None:
-                    true = log.start.true(task.shifts, task.shared)
-                    runs[i] = task.model, true, task.start(task.model)
+                    true = task.log.start.true(task.shifts, task.shared)
+                    along = task.mesh, task.rough, _simulated_means(task.log)
+                    runs[i] = Run(task.model, true, task.start(task.model), *along)
             except (EhbenchError, ArithmeticError):
                 continue
-        made_of = replays_meshed(list(runs.values()), mesh, _simulated_means(log))
-        for i, made in zip(runs, made_of, strict=True):
+        found: list[Simulated | None] = [None] * len(tasks)
+        for i, made in zip(runs, replays_paced(list(runs.values())), strict=True):
+            log, task = tasks[i].log, tasks[i]
             try:
                 if made is not None:
-                    seen = log.start.seen(made, tasks[i].shifts, tasks[i].shared)
-                    found[i] = channels_of(log, seen), mesh
+                    seen = log.start.seen(made[0], task.shifts, task.shared)
+                    found[i] = channels_of(log, seen), made[1]
             except (EhbenchError, ArithmeticError):
                 continue
         return found

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import starmap
 
 import numpy as np
 
@@ -53,7 +54,7 @@ def run_many(
     held = max(2, AHEAD * workers // 2) if together else AHEAD * workers
     waiting: deque[Future[list[np.ndarray]]] = deque()
     with ThreadPoolExecutor(workers) as pool:
-        for some in _sets(map(Job._make, jobs), LANES if together else 1):
+        for some in _sets(starmap(Job, jobs), LANES if together else 1):
             waiting.append(pool.submit(_runs, some, tick, step))
             if len(waiting) >= held:
                 yield from (finite(log, tick) for log in waiting.popleft().result())
@@ -75,5 +76,5 @@ def _sets(jobs: Iterable[Job], most: int) -> Iterator[list[Job]]:
 
 def _runs(jobs: Sequence[Job], tick: float, step: Step) -> list[np.ndarray]:
     if step == AUTO or len(jobs) < LEAST:
-        return [model.run(start, commands, tick, step) for model, start, commands in jobs]
+        return [job.model.run(job.start, job.commands, tick, step) for job in jobs]
     return run_together(jobs, tick, max(1, round(tick / step)))

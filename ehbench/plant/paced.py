@@ -125,7 +125,7 @@ def reach(way, command, d):
 
 
 @part_kernel
-def _attempt(way, command, d):
+def attempt(way, command, d):
     """(error as a share of what it may be, fastest rate [1/s] at its end) of a step (`reach`)."""
     y, k = way.y, way.k
     rate, worst = reach(way, command, d), 0.0
@@ -137,7 +137,7 @@ def _attempt(way, command, d):
 
 
 @part_kernel
-def _halved(step, units):
+def halved(step, units):
     """Half a step, in units; of whole ticks where it was of several."""
     half = step // 2
     return half if half < units else half // units * units
@@ -163,10 +163,10 @@ def _step(way, command, part, room, step, rate, given):
             line_felt(line, command, way.plant, part * unit, step * unit)
             rate = derivatives(way.y, line.held, way.plant, way.k[0], way.work)
         if given or step == 1 or rate * step * unit <= STABLE:
-            error, after = _attempt(way, line.held, step * unit)
+            error, after = attempt(way, line.held, step * unit)
             if given or step == 1 or error <= 1.0:
                 return step, 2 * step if error < 1.0 / 16.0 else step, after
-        step = _halved(step, units)
+        step = halved(step, units)
 
 
 @part_kernel

@@ -49,17 +49,17 @@ class Case:
         """What a model does on a record, the case's own or a corrected one: from rest, or from what
         the first samples say where the log begins in motion; as its sensors show it.
         """
-        model, true, start = self.run_of(model, record)
-        return self.seen(model.replay(true, start=start))
+        run = self.run_of(model, record)
+        return self.seen(run.model.replay(run.record, start=run.start))
 
     def run_of(self, model: Model, record: Record) -> Run:
         """(a model, a record as sound sensors would have it, the start) of `simulated`."""
         true = corrected(record, self.terms, self.excess)
         if not self.begins_in_motion:
             own = true is self.record
-            return model, true, self._starts.of(model) if own else model.rest_start(true)
+            return Run(model, true, self._starts.of(model) if own else model.rest_start(true))
         begun = start_of_log(model, true, self.cylinders, self.channels)
-        return model, true, begun.at(model, np.zeros(len(begun.doubts)))
+        return Run(model, true, begun.at(model, np.zeros(len(begun.doubts))))
 
     def seen(self, replayed: Record) -> Record:
         """A simulation as the log's sensors show it."""

@@ -18,7 +18,7 @@ from ehbench.identification.hydraulics import (
     run_fit,
 )
 from ehbench.mapping import draft
-from ehbench.plant.lanes.many import replays_meshed
+from ehbench.plant.lanes.many import Run, replays_paced
 from ehbench.plant.model import Model, simulate
 from ehbench.quantities import GAUGES
 from ehbench.recipe import Thresholds, load_rig
@@ -90,13 +90,14 @@ def test_rigs_side_by_side_have_the_gauges_of_each_alone():
     rig = slide()
     made = simulate(rig, {"press.servo": stepped(2.0)}, 1.6)
     asked = bare(made, "rod_force", "load_pressure")
-    models = [Model.of(rig.with_values({"bulk_modulus": b})) for b in (7e8, 9e8)]
+    models = [Model.of(rig.with_values({"bulk_modulus": b})) for b in (7e8, 8e8, 9e8)]
     start = models[0].rest_start(asked)
     _, mesh = models[0].replay_paced(asked, start)
-    several = replays_meshed([(model, asked, start) for model in models], mesh)
-    for model, record in zip(models, several, strict=True):
+    several = replays_paced([Run(model, asked, start, mesh) for model in models])
+    for model, found in zip(models, several, strict=True):
         alone, _ = model.replay_paced(asked, start, mesh)
-        assert record is not None
+        assert found is not None
+        record, _ = found
         assert record.channels.keys() == alone.channels.keys()
         for word in ("rod_force", "load_pressure"):
             assert np.array_equal(record[f"press.{word}"], alone[f"press.{word}"])

@@ -20,8 +20,10 @@ from ehbench.plant.lanes.convert import Unconverted, converted, of
 from ehbench.plant.lanes.many import (
     LEAST,
     Job,
-    follow_together,
+    Run,
     go_together,
+    pace_alike,
+    pace_together,
     replays_fixed,
     run_together,
 )
@@ -176,13 +178,26 @@ def test_lanes_equal_single_runs_to_the_bit(name):
     assert not np.array_equal(alone[0], alone[1])
 
 
+def paced(job: Job, each: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """A job done alone in steps that it chooses, or of its mesh."""
+    model, start, commands, mesh, rough = job
+    return model.paced(start, commands, TICK, mesh, False, rough, each)
+
+
+@pytest.mark.parametrize("each", [1, 4], ids=["samples", "means"])
 @pytest.mark.parametrize("name", [*SHIPPED, *ODD])
-def test_lanes_equal_single_runs_along_a_mesh_to_the_bit(name):
-    jobs = jobs_of(rig_of(name), 300, 1, same=True)
-    _, mesh = jobs[0].model.paced(jobs[0].start, jobs[0].commands, TICK, flows=False)
-    alone = [job.model.paced(job.start, job.commands, TICK, mesh, flows=False)[0] for job in jobs]
-    for log, one in zip(follow_together(jobs, TICK, mesh), alone, strict=True):
-        assert np.array_equal(log, one)
+def test_lanes_at_times_of_their_own_equal_single_runs_to_the_bit(name, each):
+    """Of other lengths and commands, along meshes of their own and in steps that they choose."""
+    jobs = jobs_of(rig_of(name), 300, 1)
+    for i in (1, 4):
+        jobs[i] = jobs[i]._replace(mesh=paced(jobs[0])[1])
+    for i in (2, 4, 5):
+        jobs[i] = jobs[i]._replace(rough=True, commands=jobs[i].commands[: 300 - 37 * i])
+    assert all(pace_alike(jobs[0], job) for job in jobs)
+    some = jobs if each == 1 else jobs[:5]
+    for job, (log, mesh) in zip(some, pace_together(some, TICK, each), strict=True):
+        one, chosen = paced(job, each)
+        assert np.array_equal(log, one) and np.array_equal(mesh, chosen)
 
 
 def some_maps(rng: np.random.Generator) -> dict[str, ValveMaps]:
@@ -224,17 +239,21 @@ def test_measured_maps_go_in_lanes_each_its_own():
 @pytest.mark.parametrize("along", [False, True], ids=["fixed", "mesh"])
 def test_a_lane_that_fails_harms_no_other(along):
     jobs = jobs_of(rig_of("slide_servo"), 200, 3, same=True)
-    _, mesh = jobs[0].model.paced(jobs[0].start, jobs[0].commands, TICK, flows=False)
+    mesh = paced(jobs[0])[1]
+    jobs = [job._replace(mesh=mesh) for job in jobs[:-1]] + jobs[-1:]
     jobs[2].start[jobs[2].model.layout.state("p_head")] = math.nan
     jobs[5].start[jobs[5].model.layout.state("qd")] = 1e200
-    made = follow_together(jobs, TICK, mesh) if along else run_together(jobs, TICK, STEPS)
+    if along:
+        made = [log for log, _ in pace_together(jobs, TICK)]
+    else:
+        made = run_together(jobs, TICK, STEPS)
     failed = []
-    for i, (log, (model, start, table)) in enumerate(zip(made, jobs, strict=True)):
+    for i, (log, job) in enumerate(zip(made, jobs, strict=True)):
         try:
             if along:
-                one, _ = model.paced(start, table, TICK, mesh, flows=False)
+                one, _ = paced(job)
             else:
-                one = model.run(start, table, TICK, TICK / STEPS)
+                one = job.model.run(job.start, job.commands, TICK, TICK / STEPS)
         except SimulationError:
             failed.append(i)
             assert not np.isfinite(log[-1]).all()
@@ -309,7 +328,7 @@ def test_a_fit_is_the_same_in_lanes_and_alone(monkeypatch):
     ]
     start = {name: 1.3 * float(rig.parameters()[name]) for name in names}
     calls, fits, asked = [], [], []
-    monkeypatch.setattr(many, "follow_together", lambda *a: calls.append(a) or follow_together(*a))
+    monkeypatch.setattr(many, "pace_together", lambda *a: calls.append(a) or pace_together(*a))
     for kept in (True, False):
         monkeypatch.setattr(Kernel, "is_kept", kept)
         fits.append(identify_hydraulics(rig, logs, names, FitOptions(start=start)))
@@ -333,8 +352,8 @@ def test_starts_and_residuals_say_the_same_in_lanes_and_alone(monkeypatch):
         asked.append(len(calls))
     assert asked[0] == asked[1] > 1
     assert found[0] == found[1] and "Finding(" in found[0][1]
-    runs = [(model, log, start._replace(y=start.y.copy())) for _ in range(LEAST)]
-    runs[1][2].y[model.layout.state("p_head")] = math.nan
+    runs = [Run(model, log, start._replace(y=start.y.copy())) for _ in range(LEAST)]
+    runs[1].start.y[model.layout.state("p_head")] = math.nan
     monkeypatch.setattr(Kernel, "is_kept", True)
     ends = replays_fixed(runs, TICK / STEPS)
     assert ends[1] is None and len(calls) == asked[1] + 1

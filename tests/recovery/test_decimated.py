@@ -18,7 +18,7 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, p
 from ehbench.identification.means import SHARE, fastest
 from ehbench.identification.simulator import seen_as
 from ehbench.identification.suggestions import _windows
-from ehbench.plant.lanes.many import LEAST, replays_meshed
+from ehbench.plant.lanes.many import LEAST, Run, replays_paced
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.recipe import load_recipe, load_rig
@@ -134,7 +134,7 @@ def test_means_of_a_simulation_are_means_of_its_samples():
     whole, mesh = model.replay_paced(made, start)
     wanted = Means.of(whole, 10).record
     alone, _ = model.replay_paced(made, start, mesh, means=means)
-    several = replays_meshed([(model, made, start)] * LEAST, mesh, means)
+    several = replays_paced([Run(model, made, start, mesh, means=means)] * LEAST)
     assert alone.t.size == 700 and np.array_equal(alone.t, means.record.t)
     assert not any(name.endswith(("command", "opening")) for name in alone.channels)
     for name, y in alone.channels.items():
@@ -142,7 +142,7 @@ def test_means_of_a_simulation_are_means_of_its_samples():
         span = max(float(np.ptp(wanted[name])), 1e-9 * float(np.abs(wanted[name]).max()), 1e-300)
         assert np.abs(y - wanted[name]).max() < close * span, name
         for one in several:
-            assert one is not None and np.array_equal(one[name], y), name
+            assert one is not None and np.array_equal(one[0][name], y), name
     chosen, steps = model.replay_paced(made, start, means=means)
     assert steps.size < mesh.size  # over several means at once, where nothing moves
     assert np.abs(chosen["boom.p_head"] - wanted["boom.p_head"]).max() < 1e-5 * np.ptp(

@@ -58,6 +58,15 @@ def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
 
 
 @part_kernel
+def late_between(late, soon, since, first, h, tick):
+    """What is felt over ``h`` [s] from ``since`` [s] on, by which the delay puts it: ``late`` in
+    its tick, the ``first``, ``soon`` in the next.
+    """
+    share = min(max((since + h - (first + 1) * tick) / h, 0.0), 1.0)
+    return late + share * (soon - late)
+
+
+@part_kernel
 def line_felt(line, command, plant, start, h):
     """Write what the valves feel over ``h`` [s] from ``start`` [s] of the present tick on into
     ``line.held``, under its ``command`` [V].
@@ -71,10 +80,9 @@ def line_felt(line, command, plant, start, h):
         since = start - plant.valves[i].delay
         if plant.valves[i].delay > 0.0:
             first = int(math.floor(since / line.tick))
-            share = min(max((since + h - (first + 1) * line.tick) / h, 0.0), 1.0)
             late = command[i] if first >= 0 else line.past[(line.count[0] + first) % depth, i]
             soon = command[i] if first >= -1 else line.past[(line.count[0] + first + 1) % depth, i]
-            line.held[i] = late + share * (soon - late)
+            line.held[i] = late_between(late, soon, since, first, h, line.tick)
 
 
 @part_kernel

@@ -5,27 +5,35 @@ and of `Model.paced`, so that nobody can tell which were.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ehbench.errors import EhbenchError
+from ehbench.parts.valve.delay import Line
 from ehbench.plant.lanes.pack import alike, filled, in_lanes, line_in_lanes, side_by_side
-from ehbench.plant.lanes.steps import Held, run_lanes, run_meshed
+from ehbench.plant.lanes.paced import Track, run_apart
+from ehbench.plant.lanes.steps import run_lanes
 from ehbench.plant.lanes.vectors import LANES
-from ehbench.plant.model import Model, Start, finite
+from ehbench.plant.model import FREE, ROUGH, Model, Start, finite
 from ehbench.plant.paced import pace_of
 from ehbench.record import Means, Record
 
 LEAST = 3  # runs that are worth a call in lanes, which takes as long as some two and a half alone
 
+Asked, Made = TypeVar("Asked"), TypeVar("Made")
+
 
 class Job(NamedTuple):
-    """A run to make: a model, its state at the first sample, commands as `Model.run` takes them."""
+    """A run to make: a model, its state at the first sample, commands as `Model.run` takes them;
+    where steps are chosen, a ``mesh`` of them to take again, or whether they may be ``rough``.
+    """
 
     model: Model
     start: np.ndarray
     commands: np.ndarray
+    mesh: np.ndarray = FREE
+    rough: bool = False
 
 
 def has_lanes(kernel: object) -> bool:
@@ -61,119 +69,173 @@ def _packed(jobs: Sequence[Job], tick: float):
     return in_lanes(plants), side_by_side([job.start for job in full]), commands, line
 
 
-def _changes(commands: np.ndarray) -> np.ndarray:
-    return np.any(np.diff(commands, axis=0) != 0.0, axis=1)
+def _track(jobs: Sequence[Job]) -> Track:
+    """What runs follow, as many as lanes."""
+    valves = jobs[0].model.plant.valves
+    late, begins = bool(valves["delay"].any()), []
+    for job in jobs:
+        count = len(job.commands)
+        if late:
+            begins.append(np.arange(count + 1))
+        else:
+            changes = np.any(np.diff(job.commands, axis=0) != 0.0, axis=1)
+            begins.append(np.array([0, *np.flatnonzero(changes) + 1, count]))
+    rows = [job.commands[own[:-1]] for job, own in zip(jobs, begins, strict=True)]
+    known = [job.model.plant.valves[: valves.size if late else 0] for job in jobs]
+    return Track(
+        _padded(rows),
+        _padded(begins),
+        _padded([job.mesh for job in jobs]),
+        np.array([job.mesh.size for job in jobs]),
+        side_by_side([own["delay"] for own in known]),
+        side_by_side([own["before"] for own in known]),
+    )
 
 
-def _follow_together(first: Job, other: Job) -> bool:
-    """Whether two runs may go side by side along one mesh: their commands change together."""
-    if not go_together(first, other):
-        return False
-    if first.commands is other.commands or np.array_equal(first.commands, other.commands):
-        return True
-    return np.array_equal(_changes(first.commands), _changes(other.commands))
-
-
-def follow_together(
-    jobs: Sequence[Job], tick: float, mesh: np.ndarray, each: int = 1
-) -> list[np.ndarray]:
-    """The log tables of `Model.paced` along a mesh, without flows, means of ``each`` samples, which
-    are not looked at whether they are finite.
+def _padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays of one shape but for their length, with a last axis of lanes; the last row of shorter
+    ones again.
     """
-    first = jobs[0]
-    count, changes = len(first.commands), np.flatnonzero(_changes(first.commands)) + 1
-    begins = np.array([0, *changes, count], dtype=np.int64)
-    changing = [job._replace(commands=job.commands[begins[:-1]]) for job in jobs]
-    plant, y, commands, line = _packed(changing, tick)
-    log = np.zeros((LANES, count // each, y.shape[0]))
-    pace = pace_of(first.model.plant, first.model.layout, tick)
-    run_meshed(y, Held(commands, begins), plant, line, pace, mesh, each, log)
-    return list(log[: len(jobs)])
+    longest = max(1, *(len(own) for own in arrays))
+    made = np.zeros((longest, *arrays[0].shape[1:], LANES), arrays[0].dtype)
+    for lane, own in enumerate(arrays):
+        made[: len(own), ..., lane] = own
+        if len(own):
+            made[len(own) :, ..., lane] = own[-1]
+    return made
 
 
-Run = tuple[Model, Record, Start]
+def pace_together(
+    jobs: Sequence[Job], tick: float, each: int = 1
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """(the log table of `Model.paced`, the steps that were taken) of at most LANES runs whose
+    plants are `alike`, without flows, means of ``each`` samples; they are not looked at whether
+    they are finite.
+    """
+    full = filled([job._replace(commands=np.asarray(job.commands, float)) for job in jobs])
+    track, plants = _track(full), [job.model.plant for job in full]
+    y = side_by_side([job.start for job in full])
+    line = Line(
+        float(tick),
+        np.zeros((1, 0, LANES)),
+        np.zeros(1, np.int64),
+        np.zeros((track.commands.shape[1], LANES)),
+    )
+    log = np.zeros((LANES, max(len(job.commands) for job in full) // each, y.shape[0]))
+    paces = [pace_of(job.model.plant, job.model.layout, tick) for job in full]
+    weights = [
+        ROUGH * pace.weights if job.rough else pace.weights
+        for job, pace in zip(full, paces, strict=True)
+    ]
+    pace = paces[0]._replace(weights=side_by_side(weights))
+    steps, count = run_apart(y, track, in_lanes(plants), line, pace, each, log)
+    return [
+        (log[lane, : len(job.commands) // each], steps[lane, : count[lane]].copy())
+        for lane, job in enumerate(jobs)
+    ]
 
 
-def replays_meshed(
-    runs: Sequence[Run], mesh: np.ndarray, means: Means | None = None
-) -> list[Record | None]:
-    """`Model.replay_paced` of several runs along one mesh; None for those that fail.
+def pace_alike(first: Job, other: Job) -> bool:
+    """Whether two runs in steps that each chooses, or of its own mesh, may go side by side."""
+    same = first.commands.shape[1] == other.commands.shape[1]
+    return same and alike(first.model.plant, other.model.plant)
+
+
+class Run(NamedTuple):
+    """A replay of a recording from a start. Where steps are chosen, a ``mesh`` of them to take
+    again, or whether they may be ``rough``; of ``means`` of the recording such means of the replay.
+    """
+
+    model: Model
+    record: Record
+    start: Start
+    mesh: np.ndarray = FREE
+    rough: bool = False
+    means: Means | None = None
+
+    @property
+    def each(self) -> int:
+        """Samples of which a row of the replay is the mean."""
+        return 1 if self.means is None else self.means.each
+
+    def job(self) -> Job:
+        """It as a run of its model."""
+        model, table, start = self.model.along(self.record, self.start)
+        return Job(model, start, table, self.mesh, self.rough)
+
+
+Logs = list[tuple[np.ndarray, np.ndarray]]
+Replayed = tuple[Record, np.ndarray]
+
+
+def replays_paced(runs: Sequence[Run]) -> list[Replayed | None]:
+    """`Model.replay_paced` of several runs; None for those that fail.
 
     Args:
-        runs: (model, recording, start); at most LANES, of one sample time.
-        means: of the recording, as which replays are wanted.
+        runs: at most LANES, of one sample time and of means of as many samples.
     """
-    each = 1 if means is None else means.each
 
-    def alone(run: Run) -> Record:
-        model, record, start = run
-        return model.replay_paced(record, start, mesh, means=means)[0]
+    def alone(run: Run) -> Replayed:
+        return run.model.replay_paced(run.record, run.start, run.mesh, run.rough, run.means)
 
-    def together(jobs: Sequence[Job], tick: float) -> list[np.ndarray]:
-        return follow_together(jobs, tick, mesh, each)
+    def together(jobs: Sequence[Job], tick: float) -> Logs:
+        return pace_together(jobs, tick, runs[0].each)
 
-    return _replays(runs, _follow_together, together, alone, means)
+    return _replays(runs, run_apart, pace_alike, together, alone)
 
 
 def replays_fixed(runs: Sequence[Run], step: float) -> list[Record | None]:
     """`Model.replay` of several runs in fixed steps [s]; None for those that fail.
 
     Args:
-        runs: (model, recording, start); at most LANES, of one sample time.
+        runs: at most LANES, of one sample time.
     """
 
-    def alone(run: Run) -> Record:
-        model, record, start = run
-        return model.replay(record, step, start=start)
+    def alone(run: Run) -> Replayed:
+        return run.model.replay(run.record, step, start=run.start), FREE
 
-    def together(jobs: Sequence[Job], tick: float) -> list[np.ndarray]:
-        return run_together(jobs, tick, max(1, round(tick / step)))
+    def together(jobs: Sequence[Job], tick: float) -> Logs:
+        return [(log, FREE) for log in run_together(jobs, tick, max(1, round(tick / step)))]
 
-    if len(runs) < LEAST or not has_lanes(run_lanes):
-        return [_tried(alone, run) for run in runs]
-    return _replays(runs, go_together, together, alone)
+    found = _replays(runs, run_lanes, go_together, together, alone)
+    return [None if one is None else one[0] for one in found]
 
 
 def _replays(
     runs: Sequence[Run],
+    kernel: object,
     may: Callable[[Job, Job], bool],
-    run_all: Callable[[Sequence[Job], float], list[np.ndarray]],
-    alone: Callable[[Run], Record],
-    means: Means | None = None,
-) -> list[Record | None]:
-    """Replays of which those that may go beside the first are run at once, where they are enough,
-    and the others alone.
+    run_all: Callable[[Sequence[Job], float], Logs],
+    alone: Callable[[Run], Replayed],
+) -> list[Replayed | None]:
+    """(replays, steps taken) of which those that may go beside the first are run at once, where
+    they are enough and there is a kernel for it, and the others alone.
     """
-    ready: dict[int, Job] = {}
-    for i, (model, record, start) in enumerate(runs):
-        try:
-            own, table, y = model.along(record, start)
-            ready[i] = Job(own, y, table)
-        except (EhbenchError, ArithmeticError):
-            continue
-    found: list[Record | None] = [None] * len(runs)
+    if len(runs) < LEAST or not has_lanes(kernel):
+        return [_tried(alone, run) for run in runs]
+    jobs = [_tried(Run.job, run) for run in runs]
+    ready = {i: job for i, job in enumerate(jobs) if job is not None}
+    found: list[Replayed | None] = [None] * len(runs)
     together = [i for i in ready if may(ready[min(ready)], ready[i])]
-    if len(together) >= LEAST:
-        tick = runs[together[0]][1].sample_time
-        logs = run_all([ready[i] for i in together], tick)
-        for i, log in zip(together, logs, strict=True):
-            found[i] = _record(runs[i], ready[i], log, tick, means)
-    for i in ready.keys() - set(together if len(together) >= LEAST else ()):
+    together = together if len(together) >= LEAST else []
+    if together:
+        tick = runs[together[0]].record.sample_time
+        made = run_all([ready[i] for i in together], tick)
+        for i, (log, steps) in zip(together, made, strict=True):
+            found[i] = _tried(_replayed, (runs[i], ready[i], log, steps, tick))
+    for i in ready.keys() - set(together):
         found[i] = _tried(alone, runs[i])
     return found
 
 
-def _record(run: Run, job: Job, log: np.ndarray, tick: float, means: Means | None) -> Record | None:
-    model, record, start = run
-    try:
-        log = finite(log, tick)
-    except EhbenchError:
-        return None
-    return model.replayed(record, job.commands, log, start, means)
+def _replayed(made: tuple[Run, Job, np.ndarray, np.ndarray, float]) -> Replayed:
+    run, job, log, steps, tick = made
+    log = finite(log, run.each * tick)
+    return run.model.replayed(run.record, job.commands, log, run.start, run.means), steps
 
 
-def _tried(alone: Callable[[Run], Record], run: Run) -> Record | None:
+def _tried(do: Callable[[Asked], Made], asked: Asked) -> Made | None:
     try:
-        return alone(run)
+        return do(asked)
     except (EhbenchError, ArithmeticError):
         return None
