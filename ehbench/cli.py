@@ -600,7 +600,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except Terminated as error:
-        if error.code == 128 + signal.SIGINT:
+        if error.number == signal.SIGINT:
             print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
         for note in getattr(error, "__notes__", []):
             print(note, file=sys.stderr)

@@ -169,6 +169,7 @@ class Kernel:
         self._function, self._options = function, options
         self._folder = str(_FOLDER) if kept else ""
         self._outer: Any = None
+        self._found = False
 
     @cached_property
     def _inner(self) -> Any:
@@ -210,9 +211,11 @@ class Kernel:
 
     @property
     def is_kept(self) -> bool:
-        """Whether a cache has code of it that Python can call."""
-        files = self.outer._cache._cache_file
-        return Path(files._index_path).exists()
+        """Whether a cache has code of it that Python can call; asked until it has."""
+        if not self._found:
+            files = self.outer._cache._cache_file
+            self._found = Path(files._index_path).exists()
+        return self._found
 
     @property
     def made_of(self) -> tuple[Callable, Mapping[str, Any]]:

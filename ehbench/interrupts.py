@@ -16,7 +16,13 @@ AGAIN = 0.02  # [s] until an end that got lost is asked for again
 
 
 class Terminated(SystemExit):
-    """The process was asked to end by a signal: what is under way is cleared, nothing blamed."""
+    """The process was asked to end by a signal, by ``number``: what is under way is cleared,
+    nothing blamed.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(128 + number)
 
 
 class _Held:
@@ -39,8 +45,7 @@ def listen() -> None:
         if not isinstance(found.exc_value, Terminated):
             before(found)
             return
-        number = found.exc_value.code - 128
-        again = threading.Timer(AGAIN, os.kill, (os.getpid(), number))
+        again = threading.Timer(AGAIN, os.kill, (os.getpid(), found.exc_value.number))
         again.daemon = True
         again.start()
 
@@ -51,7 +56,7 @@ def _end(number: int, _: object) -> None:
     if _Held.depth:
         _Held.waiting = number
     else:
-        raise Terminated(128 + number)
+        raise Terminated(number)
 
 
 @contextmanager
@@ -74,4 +79,4 @@ def unbroken() -> Iterator[None]:
         _Held.depth -= 1
         if _Held.waiting and not _Held.depth:
             number, _Held.waiting = _Held.waiting, 0
-            raise Terminated(128 + number)
+            raise Terminated(number)

@@ -183,19 +183,17 @@ class Model:
         return np.tile([*rest, *(0.0 for _ in self.layout.played)], (samples, 1))
 
     def commands_of(self, record: Record) -> np.ndarray:
-        """A recording's commands [V] and forces to play [N], shape (samples, valves + played);
-        valves that it lacks stay at rest.
+        """A recording's commands [V] and forces to play [N], shape (samples, valves + played), not
+        to be changed; valves that it lacks stay at rest.
 
         Raises:
             LogError: it lacks a force.
         """
-        table = self.rest_commands(record.t.size)
-        for index, valve in enumerate(self.layout.valves):
-            if f"{valve}.command" in record:
-                table[:, index] = record[f"{valve}.command"]
-        for index, channel in enumerate(self.layout.played, len(self.layout.valves)):
-            table[:, index] = record[channel]
-        return table
+        rest = [
+            (f"{name}.command", float(valve.rest))
+            for name, (_, valve) in zip(self.layout.valves, self.rig.valves(), strict=True)
+        ]
+        return record.table((*rest, *((channel, None) for channel in self.layout.played)))
 
     def rest_samples(self, commands: np.ndarray) -> int:
         """How many samples pass before a valve's command [V], shape (samples, valves or more),

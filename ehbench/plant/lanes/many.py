@@ -4,14 +4,14 @@ and of `Model.paced`, so that nobody can tell which were.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from ehbench.errors import EhbenchError
 from ehbench.parts.valve.delay import Line
-from ehbench.plant.lanes.pack import alike, filled, in_lanes, line_in_lanes, side_by_side
+from ehbench.plant.lanes.pack import filled, in_lanes, layout_of, line_in_lanes, side_by_side
 from ehbench.plant.lanes.paced import Track, run_apart
 from ehbench.plant.lanes.steps import run_lanes
 from ehbench.plant.lanes.vectors import LANES
@@ -21,7 +21,8 @@ from ehbench.record import Means, Record
 
 LEAST = 3  # runs that are worth a call in lanes, which takes as long as some two and a half alone
 
-Asked, Made = TypeVar("Asked"), TypeVar("Made")
+Asked = TypeVar("Asked")
+Made = TypeVar("Made")
 
 
 class Job(NamedTuple):
@@ -43,10 +44,19 @@ def has_lanes(kernel: object) -> bool:
     return getattr(kernel, "is_kept", False)
 
 
+def tempo(job: Job) -> Hashable:
+    """What runs in steps that each chooses, or of its own mesh, must share to go side by side."""
+    return job.commands.shape[1], layout_of(job.model.plant)
+
+
+def beat(job: Job) -> Hashable:
+    """What runs in fixed steps must share to go side by side."""
+    return job.commands.shape, layout_of(job.model.plant)
+
+
 def go_together(first: Job, other: Job) -> bool:
     """Whether two runs may go side by side in fixed steps."""
-    same = first.commands.shape == other.commands.shape
-    return same and alike(first.model.plant, other.model.plant)
+    return beat(first) == beat(other)
 
 
 def run_together(jobs: Sequence[Job], tick: float, steps: int) -> list[np.ndarray]:
@@ -109,7 +119,7 @@ def pace_together(
     jobs: Sequence[Job], tick: float, each: int = 1
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """(the log table of `Model.paced`, the steps that were taken) of at most LANES runs whose
-    plants are `alike`, without flows, means of ``each`` samples; they are not looked at whether
+    `tempo` is the same, without flows, means of ``each`` samples; they are not looked at whether
     they are finite.
     """
     full = filled([job._replace(commands=np.asarray(job.commands, float)) for job in jobs])
@@ -133,12 +143,6 @@ def pace_together(
         (log[lane, : len(job.commands) // each], steps[lane, : count[lane]].copy())
         for lane, job in enumerate(jobs)
     ]
-
-
-def pace_alike(first: Job, other: Job) -> bool:
-    """Whether two runs in steps that each chooses, or of its own mesh, may go side by side."""
-    same = first.commands.shape[1] == other.commands.shape[1]
-    return same and alike(first.model.plant, other.model.plant)
 
 
 class Run(NamedTuple):
@@ -181,7 +185,7 @@ def replays_paced(runs: Sequence[Run]) -> list[Replayed | None]:
     def together(jobs: Sequence[Job], tick: float) -> Logs:
         return pace_together(jobs, tick, runs[0].each)
 
-    return _replays(runs, run_apart, pace_alike, together, alone)
+    return _replays(runs, run_apart, tempo, together, alone)
 
 
 def replays_fixed(runs: Sequence[Run], step: float) -> list[Record | None]:
@@ -197,26 +201,27 @@ def replays_fixed(runs: Sequence[Run], step: float) -> list[Record | None]:
     def together(jobs: Sequence[Job], tick: float) -> Logs:
         return [(log, FREE) for log in run_together(jobs, tick, max(1, round(tick / step)))]
 
-    found = _replays(runs, run_lanes, go_together, together, alone)
+    found = _replays(runs, run_lanes, beat, together, alone)
     return [None if one is None else one[0] for one in found]
 
 
 def _replays(
     runs: Sequence[Run],
     kernel: object,
-    may: Callable[[Job, Job], bool],
+    shared: Callable[[Job], Hashable],
     run_all: Callable[[Sequence[Job], float], Logs],
     alone: Callable[[Run], Replayed],
 ) -> list[Replayed | None]:
-    """(replays, steps taken) of which those that may go beside the first are run at once, where
-    they are enough and there is a kernel for it, and the others alone.
+    """(replays, steps taken) of which those that have what must be ``shared`` as the first has it
+    are run at once, where they are enough and there is a kernel for it, and the others alone.
     """
     if len(runs) < LEAST or not has_lanes(kernel):
         return [_tried(alone, run) for run in runs]
     jobs = [_tried(Run.job, run) for run in runs]
     ready = {i: job for i, job in enumerate(jobs) if job is not None}
     found: list[Replayed | None] = [None] * len(runs)
-    together = [i for i in ready if may(ready[min(ready)], ready[i])]
+    kinds = {i: shared(job) for i, job in ready.items()}
+    together = [i for i, kind in kinds.items() if kind == kinds[min(kinds)]]
     together = together if len(together) >= LEAST else []
     if together:
         tick = runs[together[0]].record.sample_time

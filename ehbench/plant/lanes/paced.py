@@ -7,7 +7,7 @@ step first, pass it by with a step of no length."""
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,9 @@ from ehbench.compiled import allocating_kernel, part_kernel
 from ehbench.parts.valve.delay import late_between
 from ehbench.plant.derivatives import any_derivatives
 from ehbench.plant.integrate import STABLE
+from ehbench.plant.lanes import vectors
 from ehbench.plant.lanes.convert import of
-from ehbench.plant.lanes.vectors import LANES, put, taken
+from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.paced import (
     LATE,
     MOST_TICKS,
@@ -31,6 +32,8 @@ from ehbench.plant.paced import (
 
 _derivatives, _attempt = of(any_derivatives), of(attempt)
 _between, _arrive = of(between), of(arrive)
+_taken: Any = vectors.taken
+_put: Any = vectors.put
 
 
 class Track(NamedTuple):
@@ -194,8 +197,8 @@ def _write(way, clocks, now, log, each, row):
         for lane in range(LANES):
             within = now.chosen[0, lane] > 0.0 and ahead * units < clocks.trial[lane]
             now.share[0, lane] = ahead * units / clocks.trial[lane] if within else 1.0
-        share = taken(True, now.share, 0)
-        _between(share < 1.0, way, way.line.held, share, taken(True, now.d, 0), row)
+        share = _taken(True, now.share, 0)
+        _between(share < 1.0, way, way.line.held, share, _taken(True, now.d, 0), row)
         for lane in range(LANES):
             if now.share[0, lane] < 1.0:
                 for i in range(way.y.shape[0]):
@@ -260,9 +263,9 @@ def _anew(track, clocks, now, way):
     for lane in range(LANES):
         if now.chosen[0, lane] > 0.0:
             _hold(lane, track, clocks, way.line)
-    mask = taken(True, now.chosen, 0) > 0.0
+    mask = _taken(True, now.chosen, 0) > 0.0
     rate = _derivatives(mask, way.y, way.line.held, way.plant, way.k[0], way.work)
-    put(mask, now.rate, 0, rate)
+    _put(mask, now.rate, 0, rate)
 
 
 @part_kernel
@@ -271,11 +274,11 @@ def _step(track, clocks, now, way):
     held, units = way.line.held, way.pace.units
     if track.delays.shape[0] > 0:
         rate = _derivatives(True, way.y, held, way.plant, way.k[0], way.work)
-        put(True, now.rate, 0, rate)
+        _put(True, now.rate, 0, rate)
     _lengths(track, clocks, now, way.line.tick / units, units)
-    error, after = _attempt(True, way, held, taken(True, now.d, 0))
-    put(True, now.error, 0, error)
-    put(True, now.after, 0, after)
+    error, after = _attempt(True, way, held, _taken(True, now.d, 0))
+    _put(True, now.error, 0, error)
+    _put(True, now.after, 0, after)
     _judge(track, clocks, now, units)
 
 
@@ -313,7 +316,7 @@ def run_apart(y, track, plant, line, pace, each, log):
             steps = more
         _step(track, clocks, now, way)
         _write(way, clocks, now, log, each, row)
-        _arrive(taken(True, now.chosen, 0) > 0.0, way)
+        _arrive(_taken(True, now.chosen, 0) > 0.0, way)
         if _go_on(track, way, clocks, now, log, each, steps) and track.delays.shape[0] == 0:
             _anew(track, clocks, now, way)
     return steps, clocks.count

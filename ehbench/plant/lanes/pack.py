@@ -70,11 +70,6 @@ def layout_of(plant: Plant) -> tuple[Any, ...]:
     return tuple(parts)
 
 
-def alike(first: Plant, other: Plant) -> bool:
-    """Whether two plants can go side by side."""
-    return layout_of(first) == layout_of(other)
-
-
 def filled(items: Sequence[Any]) -> list[Any]:
     """As many items as there are lanes, the last one again where there are fewer."""
     return [*items, *([items[-1]] * (LANES - len(items)))]
@@ -86,7 +81,7 @@ def side_by_side(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def in_lanes(plants: Sequence[Plant]) -> Plant:
-    """Plants that are `alike`, as many as lanes, as one with lanes for each of its floats."""
+    """Plants of one `layout_of`, as many as lanes, as one with lanes for each of its floats."""
     packed, first = [_tables(plant) for plant in plants], plants[0]
     made: dict[str, Any] = {}
     for name, rows in packed[0].items():
@@ -104,7 +99,7 @@ def in_lanes(plants: Sequence[Plant]) -> Plant:
 
 
 def line_in_lanes(plants: Sequence[Plant], tick: float, columns: int) -> Line:
-    """The lines of past commands of plants that are `alike` (`line_of`), as deep as the deepest."""
+    """The lines of past commands of plants of one layout (`line_of`), as deep as the deepest."""
     lines = [line_of(plant, tick, columns) for plant in plants]
     depth = max(line.past.shape[0] for line in lines)
     past = [np.resize(line.past, (depth, line.past.shape[1])) for line in lines]
