@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -23,7 +23,7 @@ from typer.core import TyperGroup
 from ehbench.commands import COMMANDS, Command
 from ehbench.cores import cores
 from ehbench.errors import EhbenchError
-from ehbench.interrupts import Terminated, listen
+from ehbench.interrupts import Terminated, ended, listen
 from ehbench.text import folded, shortened_path
 
 if TYPE_CHECKING:
@@ -588,23 +588,30 @@ def main() -> None:
     listen()
     try:
         app()
-    except OSError as error:
-        if error.errno not in _OUTSIDE:
-            raise
+    except BaseException as error:
+        _end_by(error, ended())
+
+
+def _end_by(error: BaseException, asked: int) -> NoReturn:
+    """End the process by what came out of a command; ``asked`` is the signal that it was asked to
+    end by, which libraries may have turned into errors of theirs.
+    """
+    if asked and isinstance(error, (Terminated, Exception)):
+        if asked == signal.SIGINT:
+            print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
+        for note in getattr(error, "__notes__", []):
+            print(note, file=sys.stderr)
+        sys.exit(128 + asked)
+    if isinstance(error, EhbenchError):
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    if isinstance(error, OSError) and error.errno in _OUTSIDE:
         where = f"{shortened_path(error.filename)}: " if error.filename else ""
         print(f"error: {where}{error.strerror}", file=sys.stderr)
         with suppress(OSError):
             sys.stdout.close()
         sys.exit(2)
-    except EhbenchError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except Terminated as error:
-        if error.number == signal.SIGINT:
-            print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
-        for note in getattr(error, "__notes__", []):
-            print(note, file=sys.stderr)
-        sys.exit(error.code)
+    raise error
 
 
 if __name__ == "__main__":

@@ -4,15 +4,12 @@ while it does what an exception must not leave half done.
 
 from __future__ import annotations
 
-import os
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
-AGAIN = 0.02  # [s] until an end that got lost is asked for again
+AGAIN = 2.0  # [s] of work after which an end that has not come is asked for again
 
 
 class Terminated(SystemExit):
@@ -25,38 +22,48 @@ class Terminated(SystemExit):
         super().__init__(128 + number)
 
 
-class _Held:
-    """How many blocks are at work that nothing may break, and the signal that waits for them."""
+class _State:
+    """How many blocks are at work that nothing may break, the signal that waits for them, and the
+    one that the process is ending by.
+    """
 
     depth = 0
     waiting = 0
+    asked = 0
 
 
 def listen() -> None:
-    """Let SIGTERM, and the keyboard where Python's own handler has it, raise `Terminated`; also
-    where that was lost at first, as in a finaliser, from which no exception comes out.
+    """Let SIGTERM, and the keyboard where Python's own handler has it, raise `Terminated`; again
+    and again until `ended`, for libraries turn it into errors of theirs, or swallow it, and no
+    exception comes out of a finaliser.
     """
     signal.signal(signal.SIGTERM, _end)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)  # the command line's library says nothing of it
-    before = sys.unraisablehook
-
-    def lost(found: Any) -> None:
-        if not isinstance(found.exc_value, Terminated):
-            before(found)
-            return
-        again = threading.Timer(AGAIN, os.kill, (os.getpid(), found.exc_value.number))
-        again.daemon = True
-        again.start()
-
-    sys.unraisablehook = lost
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGVTALRM, lambda *_: _end(_State.asked))
 
 
-def _end(number: int, _: object) -> None:
-    if _Held.depth:
-        _Held.waiting = number
-    else:
-        raise Terminated(number)
+def ended() -> int:
+    """The signal by which the process was asked to end, 0 if by none; it is not asked again."""
+    number, _State.asked = _State.asked, 0
+    _ask_after(0.0)
+    return number
+
+
+def _ask_after(time: float) -> None:
+    # by a clock of the system's: to start a thread waits for a lock that may be taken here
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_VIRTUAL, time)
+
+
+def _end(number: int, _: object = None) -> None:
+    if _State.depth:
+        _State.waiting = number
+        return
+    _State.asked = number
+    _ask_after(AGAIN)
+    raise Terminated(number)
 
 
 @contextmanager
@@ -72,11 +79,11 @@ def unbroken() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # handlers run in the main thread alone
         return
-    _Held.depth += 1
+    _State.depth += 1
     try:
         yield
     finally:
-        _Held.depth -= 1
-        if _Held.waiting and not _Held.depth:
-            number, _Held.waiting = _Held.waiting, 0
-            raise Terminated(number)
+        _State.depth -= 1
+        if _State.waiting and not _State.depth:
+            number, _State.waiting = _State.waiting, 0
+            _end(number)

@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 
 from ehbench.disk import DATA, impossible, read_bytes
 from ehbench.errors import EhbenchError, InputError
+from ehbench.interrupts import unbroken
 from ehbench.sources import sources
 from ehbench.text import shortened_path
 
@@ -243,7 +244,8 @@ def open_run(
             raise
         raise type(error)(error.message, file=final, hint=error.hint) from None
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
+        with unbroken():
+            shutil.rmtree(scratch, ignore_errors=True)
         if hold is not None:
             os.close(hold)
 

@@ -137,8 +137,7 @@ def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedPr
 
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
-    for hook in ("excepthook", "unraisablehook"):  # the door sets them, and the signal
-        monkeypatch.setattr(sys, hook, getattr(sys, hook))
+    monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # the door sets it, and the signal
     before = signal.getsignal(signal.SIGTERM)
 
     def run(*words: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess:

@@ -6,19 +6,20 @@ import os
 import signal
 import sys
 import threading
-import time
 
 import pytest
 
-from ehbench.interrupts import Terminated, listen, unbroken
+from ehbench import cli, interrupts
+from ehbench.interrupts import Terminated, ended, listen, unbroken
 
 
 @pytest.fixture(autouse=True)
-def listening(monkeypatch):
-    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+def listening():
+    used = (signal.SIGTERM, signal.SIGINT, signal.SIGVTALRM)
+    before = {number: signal.getsignal(number) for number in used}
     listen()
     yield
+    ended()
     for number, handler in before.items():
         signal.signal(number, handler)
 
@@ -74,27 +75,54 @@ def test_a_block_of_another_thread_holds_nothing():
         thread.join()
 
 
-def test_an_end_that_a_finaliser_swallowed_is_asked_for_again():
-    class Last:
-        def __del__(self) -> None:
-            ask()
-            time.sleep(0.0)
-
-    with pytest.raises(Terminated):
-        one = Last()
-        del one
-        time.sleep(60.0)
+def swallow() -> None:
+    try:
+        ask()
+    except BaseException:
+        pass
 
 
-def test_what_else_a_finaliser_raises_goes_where_it_went(monkeypatch):
-    told = []
-    monkeypatch.setattr(sys, "unraisablehook", lambda found: told.append(found.exc_type))
-    listen()
+def test_an_end_that_was_swallowed_is_asked_for_again_and_again(monkeypatch):
+    monkeypatch.setattr(interrupts, "AGAIN", 0.01)
+    told = 0
+    swallow()
+    while told < 2:
+        with pytest.raises(Terminated) as again:
+            while True:
+                pass
+        assert again.value.number == signal.SIGTERM
+        told += 1
+    assert ended() == signal.SIGTERM and ended() == 0
+    assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
 
-    class Last:
-        def __del__(self) -> None:
-            raise KeyError
 
-    one = Last()
-    del one
-    assert told == [KeyError]
+def test_an_end_that_a_library_turned_into_an_error_is_the_end(monkeypatch, capsys):
+    def turned() -> None:
+        swallow()
+        raise RuntimeError("a function that was called raised Terminated")
+
+    monkeypatch.setattr(cli, "app", turned)
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert left.value.code == 143 and not capsys.readouterr().err
+
+
+def test_a_command_that_was_done_by_then_is_done(monkeypatch):
+    def done() -> None:
+        swallow()
+        sys.exit(0)
+
+    monkeypatch.setattr(cli, "app", done)
+    with pytest.raises(SystemExit) as left:
+        cli.main()
+    assert left.value.code == 0
+    assert ended() == 0
+
+
+def test_a_bug_is_told_as_one(monkeypatch):
+    def wrong() -> None:
+        raise RuntimeError("wrong")
+
+    monkeypatch.setattr(cli, "app", wrong)
+    with pytest.raises(RuntimeError, match="wrong"):
+        cli.main()
