@@ -78,19 +78,24 @@ def chunk_of(body: bytes, size: int | None = None) -> bytes:
     return pack(Chunk("zstd", packed, 1, 0, crc32(body), size or len(body)))
 
 
+def hollow(size: int) -> bytes:
+    """One record of a kind that readers pass over, of so many bytes."""
+    return struct.pack("<BQ", 0x80, size - 9) + bytes(size - 9)
+
+
 def test_a_bomb_is_not_unpacked(tmp_path):
     """A file of some kilobytes that would unpack to gigabytes: said, with what is sound read."""
     good, bad = tmp_path / "good.mcap", tmp_path / "bad.mcap"
     write_log(good, Record(np.arange(100) / 1e3, {"press.x": np.full(100, 0.1)}))
     data = good.read_bytes()
-    bomb = chunk_of(bytes(100 * 2**20))
+    bomb = chunk_of(hollow(100 * 2**20))
     end = data.index(struct.pack("<BQ", 0x0F, 4))
     bad.write_bytes(data[:end] + bomb + data[end:])
     begun = time.monotonic()
     record = read_record(bad)
     assert record.t.size == 100 and any("would unpack to more" in loss for loss in record.losses)
     assert time.monotonic() - begun < 5.0
-    many = data[:end] + 30 * chunk_of(bytes(4 * 2**20)) + data[end:]
+    many = data[:end] + 30 * chunk_of(hollow(4 * 2**20)) + data[end:]
     bad.write_bytes(many)
     assert any("would unpack" in loss for loss in read_record(bad).losses)
 

@@ -21,8 +21,8 @@ RECIPE = f"""
 stage = "identify"
 what = "hydraulics"
 rig = "{ROOT}/recipes/rigs/slide_servo.toml"
-data = [{{ path = "{ROOT}/datasets/slide_servo/steps/press_no_load.mcap", stop = "1 s" }}]
-parameters = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+data = [{{ path = "{ROOT}/datasets/slide_servo/steps/press_no_load.mcap", stop = "0.6 s" }}]
+parameters = ["bulk_modulus", "carriage.damping"]
 """
 
 
