@@ -17,6 +17,7 @@ import pytest
 from ehbench import inspection, workflow
 from ehbench.errors import InputError
 from ehbench.logs import read_record
+from ehbench.report import style
 from ehbench.rundir import read_json
 from ehbench.sampling.cluster import Bundle, Cluster
 from ehbench.sampling.pools import Processes, Threads
@@ -187,6 +188,14 @@ measures = [
 measure = "speed"
 at_most = "150 mm/s"
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def blank():
+    """No figure is painted: nobody looks at one, and the same numbers paint the same picture."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "_painted", lambda page: "")
+        yield
 
 
 @pytest.fixture(scope="module")
