@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("MPLBACKEND", "agg")
@@ -151,14 +152,27 @@ def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedPr
     signal.signal(signal.SIGTERM, before)
 
 
+@pytest.fixture
+def kept(monkeypatch) -> None:
+    """The package's functions leave a run alone that stands with the very same inputs, as campaigns
+    do: many examples run one recipe, each to show another word.
+    """
+    import ehbench
+
+    made = ehbench._session
+    monkeypatch.setattr(ehbench, "_session", lambda *of, **by: replace(made(*of, **by), keep=True))
+
+
 @pytest.fixture(scope="session")
-def workspace(tmp_path_factory) -> Path:
+def workspace(tmp_path_factory, slide_runs) -> Path:
     """Where the examples of docs and docstrings run: beside the repository's recipes and datasets,
-    a new workspace ``my_rig``, and a run ``reports/flow_maps`` of one valve's readings.
+    a new workspace ``my_rig``, the runs of the slide's campaign, and a run ``reports/flow_maps`` of
+    one valve's readings.
     """
     from ehbench import starter, workflow
 
     folder = tmp_path_factory.mktemp("docs")
+    shutil.copytree(slide_runs, folder / "reports")
     for name in ("recipes", "datasets"):
         (folder / name).symlink_to(ROOT / name)
     starter.init(folder / "my_rig")

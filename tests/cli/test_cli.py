@@ -92,7 +92,7 @@ def test_init_leaves_a_full_folder_alone(inside, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_new_workspace_runs_as_it_stands(workspace, inside):
+def test_a_new_workspace_runs_as_it_stands(workspace, inside, unpainted):
     """The commands of the workspace's own README, in order."""
     commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
     assert len(commands) == 5

@@ -235,7 +235,7 @@ def test_the_recipes_of_the_reference_check(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [name for name in PAGES if blocks(name, "python")])
-def test_every_snippet_runs(page, workspace, undrawn, monkeypatch):
+def test_every_snippet_runs(page, workspace, kept, undrawn, monkeypatch):
     """In the order of the page, whose CSV is the ``step.csv`` that it reads."""
     monkeypatch.chdir(workspace)
     for text in blocks(page, "csv"):

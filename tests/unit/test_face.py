@@ -52,7 +52,7 @@ def test_the_face_is_whole_and_documented():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ehbench.__all__)
-def test_every_function_has_an_example_that_runs(name, workspace, undrawn, monkeypatch):
+def test_every_function_has_an_example_that_runs(name, workspace, kept, undrawn, monkeypatch):
     monkeypatch.chdir(workspace)
     code = textwrap.dedent(inspect.cleandoc(EXAMPLES[name]))
     assert f"ehbench.{name}(" in code
