@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from ehbench.fields import Value
-from ehbench.identification.hydraulics import prepare_fit
+from ehbench.identification.hydraulics import PreparedFit, prepare_fit
 from ehbench.identification.suggestions import ROUNDS, Suggestions, suggest
 from ehbench.recipe import load_rig
 from ehbench.record import Record
@@ -32,6 +32,23 @@ OPTIONS = ("rounds=", "seeds=")
 ENOUGH = 600.0  # [s] of the clock, so that a machine with other work ends no sooner
 
 
+def recipe_of(
+    name: str, rig: Rig, fault: Fault, seed: int, kinds: Sequence[str], length: float
+) -> tuple[PreparedFit, list[tuple[str, Record]]]:
+    """A recipe of bulk modulus and damping, and logs of a faulty machine, each of a ``length``
+    [s].
+    """
+    who = next(iter(DRIVES[name][0])).split(".")[0]
+    joint = next(one.joint for one in rig.cylinder if one.name == who)
+    wanted = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
+    parameters = [one for one in wanted if one in rig.parameters()]
+    logs = [
+        (f"log{i}", without_joints(log_of(name, fault, kind, seed + i, length)))
+        for i, kind in enumerate(kinds)
+    ]
+    return prepare_fit(rig, logs, parameters), logs
+
+
 def suggested(
     name: str,
     rig: Rig,
@@ -42,18 +59,9 @@ def suggested(
     rounds: int = ROUNDS,
     length: float = LONG,
 ) -> Suggestions:
-    """What is suggested for a recipe of bulk modulus and damping on logs of a faulty machine, each
-    of a ``length`` [s].
-    """
-    who = next(iter(DRIVES[name][0])).split(".")[0]
-    joint = next(one.joint for one in rig.cylinder if one.name == who)
-    wanted = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
-    parameters = [one for one in wanted if one in rig.parameters()]
-    logs = [
-        (f"log{i}", without_joints(log_of(name, fault, kind, seed + i, length)))
-        for i, kind in enumerate(kinds)
-    ]
-    return suggest(prepare_fit(rig, logs, parameters), logs, seconds=seconds, rounds=rounds)
+    """What is suggested for `recipe_of` these."""
+    prepared, logs = recipe_of(name, rig, fault, seed, kinds, length)
+    return suggest(prepared, logs, seconds=seconds, rounds=rounds)
 
 
 def without_joints(log: Record) -> Record:

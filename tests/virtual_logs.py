@@ -74,6 +74,21 @@ def noisy(made: Record, seed: int, payload: str | None = None, factor: float = 1
     return Record(made.t, channels, {"payload": payload or "none"})
 
 
+def clean_log(
+    name: str,
+    rig: Rig,
+    kind: str,
+    duration: float = 4.0,
+    share: float = 1.0,
+    commands: Mapping[str, np.ndarray] | None = None,
+) -> Record:
+    """What ``rig``, of the shipped file ``name``, does under a command of ``kind``."""
+    duration = max(duration, 6.0) if kind == "ramps" else duration
+    t = np.arange(round(duration * 1000.0) + 1) * 1e-3
+    given = commands_of(name, kind, t, share) if commands is None else commands
+    return simulate(rig, given, duration, posture=DRIVES[name][2])
+
+
 def virtual_log(
     name: str,
     rig: Rig,
@@ -84,7 +99,4 @@ def virtual_log(
     commands: Mapping[str, np.ndarray] | None = None,
 ) -> Record:
     """A log of ``kind`` that ``rig``, of the shipped file ``name``, records of itself."""
-    duration = max(duration, 6.0) if kind == "ramps" else duration
-    t = np.arange(round(duration * 1000.0) + 1) * 1e-3
-    given = commands_of(name, kind, t, share) if commands is None else commands
-    return noisy(simulate(rig, given, duration, posture=DRIVES[name][2]), seed)
+    return noisy(clean_log(name, rig, kind, duration, share, commands), seed)

@@ -103,12 +103,10 @@ THESIS = {
 }
 
 
-def slide_logs(seed=0, pole=0.0, count=2):
+def slide_logs(seed=0, pole=0.0, count=2, samples=801):
     loads = [None, "100 kg"]
-    return [
-        (f"log {i}", noisy(clean("slide_servo", loads[i % 2], SERVO), 100 * seed + i, pole))
-        for i in range(count)
-    ]
+    made = [clean("slide_servo", loads[i % 2], SERVO, samples) for i in range(count)]
+    return [(f"log {i}", noisy(one, 100 * seed + i, pole)) for i, one in enumerate(made)]
 
 
 def covers(fit, truth):
@@ -265,7 +263,7 @@ def test_what_a_closed_valve_hides_is_not_excited():
 def test_a_bound_that_holds_is_told():
     fit = identify(
         rig("slide_servo"),
-        slide_logs(6),
+        slide_logs(6, samples=601),
         SLIDE,
         start={"bulk_modulus": 5e8},
         upper={"bulk_modulus": "700 MPa"},

@@ -19,7 +19,7 @@ from ehbench.validation.checks import beyond_noise
 from ehbench.observations import noise_of
 from ehbench.validation.residuals import pair_of
 from ehbench.validation.transients import doubt, stands
-from tests.virtual_logs import DRIVES, RIGS, commands_of, virtual_log
+from tests.virtual_logs import DRIVES, RIGS, clean_log, commands_of, noisy, virtual_log
 
 CHANNELS = {"slide_servo": ("x", "v", "p_head", "p_rod"), "pump_cylinder": ("x", "v", "p_head")}
 # far narrower than the defaults: what a wrong model must not reach
@@ -49,8 +49,9 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
 def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
     rig = load_rig(RIGS / f"{name}.toml")
+    made = clean_log(name, rig, kind)
     for seed in (1, 2):
-        verdict = judged(name, rig, virtual_log(name, rig, kind, seed), STRICT)
+        verdict = judged(name, rig, noisy(made, seed), STRICT)
         assert verdict.accepted, verdict.reasons
 
 
