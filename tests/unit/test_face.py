@@ -59,24 +59,13 @@ def test_every_function_has_an_example_that_runs(name, workspace, kept, undrawn,
     exec(compile(code, f"example of ehbench.{name}", "exec"), {"ehbench": ehbench})
 
 
-def test_functions_stay_functions_whatever_was_imported():
-    python(
-        "import ehbench, ehbench.workflow, ehbench.plant.model, ehbench.validation\n"
-        "import ehbench.identification.hydraulics, ehbench.tune.gains, ehbench.report\n"
-        "from ehbench.tune.gains import tune_pressure_feedback\n"
-        "from ehbench.report import build\n"
-        "rig = ehbench.load_rig('recipes/rigs/slide_servo.toml')\n"
-        "[ehbench.simulate(rig, {'press.servo': 2.0}, duration=0.1) for _ in range(2)]\n"
-        "import types\n"
-        "for name in ehbench.__all__: assert isinstance(getattr(ehbench, name), types.FunctionType)"
-    )
-
-
-@pytest.mark.slow
-def test_importing_changes_nothing_in_the_process():
-    """Nor does any module of the package; what others do when imported is theirs."""
+@pytest.fixture(scope="module")
+def imported() -> dict:
+    """What a new process says that imports every module of the package and then simulates: its
+    state (before, after), and what the names of the face are then.
+    """
     code = """
-import json, locale, logging, os, pkgutil, signal, sys, threading, warnings
+import json, locale, logging, os, pkgutil, signal, sys, threading, types, warnings
 import control, jinja2, matplotlib, mcap, numba, numpy, pandas, pint, pydantic, rich, scipy.optimize
 import scipy.signal, typer
 import matplotlib.figure, mcap.writer, mcap.reader, rich.console, threadpoolctl
@@ -87,7 +76,7 @@ def state():
         "numba": {k: repr(v) for k, v in vars(numba.config).items() if k.isupper()},
         "warnings": repr(warnings.filters),
         "locale": locale.setlocale(locale.LC_ALL),
-        "backend": matplotlib.rcParams["backend"] if %s else "",
+        "backend": matplotlib.rcParams["backend"],
         "rc": repr({k: v for k, v in matplotlib.rcParams.items() if k != "backend"}),
         "numpy": [repr(numpy.geterr()), repr(numpy.get_printoptions())],
         "pandas": repr(pandas.options.display.precision),
@@ -104,9 +93,23 @@ import ehbench
 for module in pkgutil.walk_packages(ehbench.__path__, "ehbench."):
     __import__(module.name)
 after = state()
-print(json.dumps({name: [before[name], after[name]] for name in before}))
+from ehbench.tune.gains import tune_pressure_feedback
+from ehbench.report import build
+rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+[ehbench.simulate(rig, {"press.servo": 2.0}, duration=0.1) for _ in range(2)]
+kinds = {name: isinstance(getattr(ehbench, name), types.FunctionType) for name in ehbench.__all__}
+print(json.dumps({"state": {name: [before[name], after[name]] for name in before}, "face": kinds}))
 """
-    found = json.loads(python(code % "True"))
+    return json.loads(python(code))
+
+
+def test_functions_stay_functions_whatever_was_imported(imported):
+    assert set(imported["face"]) == set(ehbench.__all__) and all(imported["face"].values())
+
+
+def test_importing_changes_nothing_in_the_process(imported):
+    """Nor does any module of the package; what others do when imported is theirs."""
+    found = imported["state"]
     assert set(found) >= {"environ", "numba", "warnings", "locale", "backend", "blas"}
     for name, (before, after) in found.items():
         assert before == after, name
