@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -57,13 +58,18 @@ main()
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs SIGKILL")
 
 
+def filled(folder):
+    """A folder with two recipes and a class that is slow."""
+    for name, text in (("slow.toml", TRIAL), ("open.toml", OPEN)):
+        (folder / name).write_text(text.replace("RIG", str(RIGS / "slide_servo.toml")))
+    (folder / "slow.py").write_text(SLOW)
+    return folder
+
+
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, text in (("slow.toml", TRIAL), ("open.toml", OPEN)):
-        Path(name).write_text(text.replace("RIG", str(RIGS / "slide_servo.toml")))
-    Path("slow.py").write_text(SLOW)
-    return tmp_path
+    return filled(tmp_path)
 
 
 @pytest.fixture
@@ -74,29 +80,69 @@ def gone():
     return process.pid
 
 
-def started(*arguments):
-    return subprocess.Popen([sys.executable, "-c", RUN, *arguments], stderr=subprocess.DEVNULL)
+def started(folder, *arguments):
+    line = [sys.executable, "-c", RUN, *arguments]
+    return subprocess.Popen(line, cwd=folder, stderr=subprocess.DEVNULL)
 
 
-def killed(ticks):
-    """A trial killed once its class has made so many ticks; (process, ticks made a second
-    before).
-    """
-    process, made = started("run-trial", "slow.toml", "--allow-code", "-q"), []
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and (not made or made[-1][1] < ticks):
+def until(true, seconds=120):
+    deadline = time.monotonic() + seconds
+    while not true() and time.monotonic() < deadline:
         time.sleep(0.05)
-        assert process.poll() is None
-        text = Path("ticks").read_text() if Path("ticks").exists() else ""
-        made.append((time.monotonic(), int(text or (made[-1][1] if made else 0))))
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    end = made[-1][0]
-    return process, max(n for t, n in made if t <= end - 1.0)
 
 
-def test_a_killed_trial_keeps_all_but_its_last_second(place, undrawn):
-    process, before = killed(600)
+class Lived(NamedTuple):
+    """A trial beside which two runs of one recipe were made, and which was then killed: its folder,
+    its process; exit codes of the two, what they left, whether that is whole, what lay beside it;
+    ticks that its class had made a second before it was killed.
+    """
+
+    folder: Path
+    process: subprocess.Popen
+    codes: list[int]
+    made: list[Path]
+    whole: bool
+    beside: list[Path]
+    before: int
+
+
+@pytest.fixture(scope="module")
+def lived(tmp_path_factory):
+    folder = filled(tmp_path_factory.mktemp("lived"))
+    reports, ticks, seen = folder / "reports", folder / "ticks", []
+    slow = started(folder, "run-trial", "slow.toml", "--allow-code", "-q")
+
+    def long():
+        assert slow.poll() is None
+        text = ticks.read_text() if ticks.exists() else ""
+        seen.append((time.monotonic(), int(text or (seen[-1][1] if seen else 0))))
+        return seen[-1][1] >= 600 and seen[-1][0] > seen[0][0] + 1.0
+
+    try:
+        until(lambda: list(reports.glob(".slow_*.part")), 60)
+        two = [started(folder, "run-trial", "open.toml", "-q") for _ in range(2)]
+        codes = [each.wait(timeout=120) for each in two]
+        assert slow.poll() is None
+        made, beside = list(reports.glob("open_*")), list(reports.glob(".*.part"))
+        whole = all(map(rundir.is_whole, made))
+        until(long)
+    finally:
+        slow.kill()
+        slow.wait()
+    before = max(n for t, n in seen if t <= seen[-1][0] - 1.0)
+    return Lived(folder, slow, codes, made, whole, beside, before)
+
+
+def test_a_living_run_is_left_alone_and_two_of_one_recipe_do_not_disturb_each_other(lived):
+    assert lived.codes == [0, 0]
+    assert len(lived.made) == 1 and lived.whole
+    (left,) = lived.beside
+    assert left.name.startswith(".slow_")
+
+
+def test_a_killed_trial_keeps_all_but_its_last_second(lived, undrawn, monkeypatch):
+    monkeypatch.chdir(lived.folder)
+    process, before = lived.process, lived.before
     (left,) = Path("reports").glob(".slow_*.part")
     assert left.name.endswith(f".{process.pid}.part")
     assert before > 200
@@ -165,24 +211,6 @@ def test_a_folder_that_a_process_holds_stays(tmp_path, gone):
     os.close(hold)
     rundir.clear_left(tmp_path)
     assert not left.exists()
-
-
-@pytest.mark.slow
-def test_a_living_run_is_left_alone_and_two_of_one_recipe_do_not_disturb_each_other(place):
-    slow = started("run-trial", "slow.toml", "--allow-code", "-q")
-    try:
-        deadline = time.monotonic() + 60
-        while not list(Path("reports").glob(".slow_*.part")) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        two = [started("run-trial", "open.toml", "-q") for _ in range(2)]
-        assert [each.wait(timeout=120) for each in two] == [0, 0]
-        (whole,) = Path("reports").glob("open_*")
-        assert rundir.is_whole(whole) and slow.poll() is None
-        (left,) = Path("reports").glob(".*.part")
-        assert left.name.startswith(".slow_")
-    finally:
-        slow.kill()
-        slow.wait()
 
 
 def test_an_error_leaves_nothing(place):

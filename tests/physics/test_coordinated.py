@@ -290,7 +290,23 @@ kind = "arc"
 """
 
 
-def test_a_run_tells_and_draws_the_tip(tmp_path):
+@pytest.fixture
+def tip_alone(monkeypatch):
+    """Of the figures of a run that of the tip alone is painted."""
+    from matplotlib.text import Text
+
+    from ehbench.report import style
+
+    paint = style._painted
+
+    def painted(page):
+        words = [text.get_text() for text in page.figure.findobj(Text)]
+        return paint(page) if any("From above" in word for word in words) else ""
+
+    monkeypatch.setattr(style, "_painted", painted)
+
+
+def test_a_run_tells_and_draws_the_tip(tmp_path, tip_alone):
     """From the recipe to figure, caption and table, all by saved files."""
     file = tmp_path / "short.toml"
     file.write_text(RECIPE.format(rig=RECIPES / "rigs" / "thesis_arm.toml"))
