@@ -52,7 +52,7 @@ def fitted(late: int, parameters=tuple(TRUE), **options):
 
 
 @pytest.mark.slow
-def test_stiffness_and_valve_come_from_the_response(tmp_path):
+def test_stiffness_and_valve_come_from_the_response(tmp_path, unpainted):
     write_log(tmp_path / "sweep.mcap", swept())
     recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIG), "data": ["sweep.mcap"]}
     recipe |= {"parameters": list(TRUE), "channels": list(CHANNELS)}

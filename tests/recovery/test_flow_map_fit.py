@@ -118,7 +118,7 @@ def compare(found, law, least=1.8, scale=1.0):
 @pytest.mark.parametrize("law, deadband", [(poppet, 1.6), (compensated, 1.62)])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_recovers_flow_and_deadband_within_the_intervals(law, deadband, seed):
-    found = fit(readings(law, seed))
+    found = fitted(law, seed)
     held, rms, worst = compare(found, law)
     assert held >= 0.9
     # readings scatter by 1 %; three trials and neighbours bring the map well under that, the bend
@@ -264,8 +264,8 @@ def test_deadband_below_the_lowest_command_is_called_an_extrapolation():
 
 @pytest.mark.slow
 def test_lack_of_fit_and_trials_that_differ_widen_the_intervals():
-    data = readings(compensated, 12)
-    plain = fit(data)
+    data = readings(compensated, 5)
+    plain = fitted(compensated, 5)
     rng = np.random.default_rng(12)
     cell = np.arange(data["flow"].size) // 3
     shaken = fit(
@@ -653,7 +653,7 @@ def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
 def test_up_and_down_readings_of_a_valve_without_hysteresis_say_so():
     found = fit(swept(poppet, 3, 0.0))
     assert found.hysteresis is not None and found.hysteresis_interval[1] < 0.01
-    assert not found.warnings and fit(readings(poppet, 3)).hysteresis is None
+    assert not found.warnings and fitted(poppet, 1).hysteresis is None
     assert found.map.hysteresis == 0.0 and "hysteresis" not in found.map.to_dict()
 
 
@@ -717,8 +717,8 @@ def test_a_speed_map_goes_by_the_command_alone():
 
 def test_what_all_readings_share_is_in_the_intervals():
     """A drop and a command that all are off by, as much as the flow changes with them."""
-    data = readings(poppet, 9)
-    bare, wide = fit(data), fit(data, drop_std=4e4, command_std=0.02)
+    bare = fitted(poppet, 1)
+    wide = fit(readings(poppet, 1), drop_std=4e4, command_std=0.02)
     drop, command, h = 3e6, 6.0, 1e-3
     np.testing.assert_array_equal(wide.map.increments, bare.map.increments)
     along = (bare.map.flow(drop + 1e3, command) - bare.map.flow(drop - 1e3, command)) / 2e3

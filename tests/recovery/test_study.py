@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from ehbench import study
+
+fitted = cache(study.fitted)  # two tests look at the first cases
 
 
 @pytest.mark.slow
@@ -17,7 +21,7 @@ def test_intervals_of_random_rigs_hold_the_truth(logs, noise, gain, rigs):
     """With a true coverage of 92 % fewer than 80 % of 34 intervals hold once in a hundred
     studies; the seeds are fixed.
     """
-    found = [study.fitted(study.Case(seed, logs, noise, gain)) for seed in range(rigs)]
+    found = [fitted(study.Case(seed, logs, noise, gain)) for seed in range(rigs)]
     assert not any(one.failure for one in found)
     assert {one.kind for one in found} == {kind.file for kind in study.KINDS}
     holds = [hold for one in found for hold in one.holds.values()]
@@ -30,7 +34,7 @@ def test_intervals_of_random_rigs_hold_the_truth(logs, noise, gain, rigs):
 def test_a_study_does_not_hang_on_its_order_and_prints_a_row_a_group():
     some = study.cases(1)
     assert len({(one.seed, one.logs) for one in some}) == len(some) == 7
-    one, again = study.fitted(some[0]), study.fitted(some[0])
+    one, again = fitted(some[0]), study.fitted(some[0])
     assert (one.holds, one.width, one.evaluations) == (again.holds, again.width, again.evaluations)
-    lines = study.table([one, study.fitted(some[1])]).splitlines()
+    lines = study.table([one, fitted(some[1])]).splitlines()
     assert lines[2].startswith("| 2 | white | 1 |") and lines[3].startswith("| 2 | ar1 | 1 |")
