@@ -19,7 +19,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import product
 from typing import Any
 
@@ -307,6 +307,15 @@ def swinging(file: str, wave: np.ndarray) -> dict[str, np.ndarray]:
     )
 
 
+@lru_cache(maxsize=4)
+def logs_of(name: str, **values: float) -> list[Record]:
+    """What the rig of a bed does, with some values in place of its own; starts from below and above
+    go by the same logs.
+    """
+    one = bed(name)
+    return one.logs(one.rig.with_values(values))
+
+
 # --- what is tried
 
 
@@ -329,7 +338,7 @@ class Scale:
 def scale(name: str) -> Scale:
     """Of a bed."""
     one = bed(name)
-    made = one.logs(one.rig)
+    made = logs_of(name)
 
     def most(word: str) -> float:
         found = [log[c] for log in made for c in log.channels if c.rpartition(".")[2] == word]
@@ -396,7 +405,7 @@ def tried(name: str, trial: Trial, seed: int = 7) -> Outcome:
     """A fit of one parameter, judged."""
     one, truth = bed(name), trial.truth
     rig = one.rig.with_values({trial.name: truth})
-    made = one.logs(rig)
+    made = logs_of(name, **{trial.name: truth})
     logs = [(f"log {i}", told_apart(noisy(log, seed + i), trial)) for i, log in enumerate(made)]
     upper = {} if trial.upper is None else {trial.name: trial.upper}
     given = FitOptions(start={trial.name: trial.start}, upper=upper, workers=1)

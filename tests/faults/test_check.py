@@ -27,8 +27,11 @@ BOOM = '"../../datasets/thesis_arm/steps/boom_50lb.mcap"'
 
 @pytest.fixture
 def recipes(tmp_path, monkeypatch) -> Path:
-    """A copy of the shipped recipes beside the datasets, in a folder without runs."""
-    shutil.copytree(ROOT / "recipes", tmp_path / "recipes")
+    """A copy of the shipped recipes that are named here, beside the datasets, in a folder without
+    runs.
+    """
+    for name in ("bench", "rigs", "slide_servo", "thesis", "trials"):
+        shutil.copytree(ROOT / "recipes" / name, tmp_path / "recipes" / name)
     (tmp_path / "datasets").symlink_to(ROOT / "datasets")
     monkeypatch.chdir(tmp_path)
     return tmp_path / "recipes"

@@ -22,7 +22,7 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.logs import write_log
 from ehbench.plant.model import Model
 from ehbench.rig import Rig
-from tests.recovery_study import BEDS, Trial, bed, offered, tried
+from tests.recovery_study import BEDS, Trial, bed, logs_of, offered, tried
 from tests.virtual_logs import RIGS, noisy
 
 # numbers of a rig file that no fit offers, and why
@@ -109,7 +109,7 @@ def test_from_far_off(name, trial, kind):
 
 def test_a_pressure_that_each_log_has_is_not_asked_of_it():
     one = bed("slide_servo")
-    logs = [(f"log {i}", noisy(log, i)) for i, log in enumerate(one.logs(one.rig)[:1])]
+    logs = [(f"log {i}", noisy(log, i)) for i, log in enumerate(logs_of("slide_servo")[:1])]
     with pytest.raises(InsufficientData, match="goes by its own p_supply") as refused:
         identify_hydraulics(one.rig, logs, ["supply.pressure"], FitOptions(workers=1))
     assert "read it there" in str(refused.value)
@@ -135,7 +135,7 @@ def test_sensitivities_of_a_wide_line_are_those_of_the_line():
 def test_starts_that_are_estimated_cost_less_than_as_much_again(monkeypatch):
     """Simulations of a fit, with and without what is not known of where the logs start."""
     one = bed("slide_servo")
-    logs = [(f"log {i}", noisy(log, i)) for i, log in enumerate(one.logs(one.rig))]
+    logs = [(f"log {i}", noisy(log, i)) for i, log in enumerate(logs_of("slide_servo"))]
     asked = ["bulk_modulus", "carriage.damping", "press.leakage_internal"]
     start = {"bulk_modulus": 5e8, "carriage.damping": 1500.0}
     options = FitOptions(start=start, upper={"press.leakage_internal": 1e-11}, workers=1)
@@ -148,8 +148,7 @@ def test_starts_that_are_estimated_cost_less_than_as_much_again(monkeypatch):
 
 @pytest.mark.parametrize("stage", ["identify", "validate"])
 def test_a_check_says_where_stroke_angle_and_pins_disagree(stage, tmp_path):
-    one = bed("crane_proportional")
-    log = noisy(one.logs(one.rig)[0], 3)
+    log = noisy(logs_of("crane_proportional")[0], 3)
     away = replace(log, channels=log.channels | {"lift.x": log["lift.x"] + 0.0118})
     recipe: dict[str, Any] = {"stage": stage, "rig": str(RIGS / "crane_proportional.toml")}
     fits = {"what": "hydraulics", "parameters": ["bulk_modulus"]}
