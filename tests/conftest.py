@@ -93,6 +93,20 @@ def slide_runs(made_once) -> Path:
     return made_once("slide", lambda root: workflow.run(recipe, workflow.Session(root=root)))
 
 
+@pytest.fixture(scope="session")
+def boom_maps(made_once) -> Path:
+    """The run of the boom's flow maps, its figures not painted."""
+    from ehbench import workflow
+
+    def fill(root: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            _blank(patch)
+            recipe = ROOT / "recipes" / "boom_four_valve" / "flow_maps.toml"
+            workflow.run(recipe, workflow.Session(root=root))
+
+    return made_once("boom_maps", fill)
+
+
 @pytest.fixture
 def undrawn(monkeypatch) -> None:
     """Runs leave an empty index in place of figures, for tests that look at none: to draw takes
@@ -164,15 +178,16 @@ def kept(monkeypatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def workspace(tmp_path_factory, slide_runs) -> Path:
+def workspace(tmp_path_factory, slide_runs, boom_maps) -> Path:
     """Where the examples of docs and docstrings run: beside the repository's recipes and datasets,
-    a new workspace ``my_rig``, the runs of the slide's campaign, and a run ``reports/flow_maps`` of
-    one valve's readings.
+    a new workspace ``my_rig``, the runs of the slide's campaign and of the boom's flow maps, and a
+    run ``reports/flow_maps`` of one valve's readings.
     """
     from ehbench import starter, workflow
 
     folder = tmp_path_factory.mktemp("docs")
-    shutil.copytree(slide_runs, folder / "reports")
+    for runs in (slide_runs, boom_maps):
+        shutil.copytree(runs, folder / "reports", dirs_exist_ok=True)
     for name in ("recipes", "datasets"):
         (folder / name).symlink_to(ROOT / name)
     starter.init(folder / "my_rig")
