@@ -80,6 +80,7 @@ def canvas(
 def _painted(page: FigureCanvasSVG) -> str:
     """The figure of a page as SVG: laid out and drawn, most of what a figure takes."""
     _let_formulas(page.figure)
+    _keep_titles(page.figure)
     text = StringIO()
     # savefig would draw twice where a layout engine is on: once for the layout alone
     page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
@@ -104,6 +105,16 @@ def _let_formulas(figure: Figure) -> None:
         for text in axis.findobj(Text):
             text.set_parse_math(text is not axis.label)
     matplotlib.rcParams["text.parse_math"] = True  # of labels to come; the canvas puts it back
+
+
+def _keep_titles(figure: Figure) -> None:
+    """Titles stay where they are, but where an axis may have a factor of its numbers, such as 1e6,
+    at its top: to look for one, matplotlib measures all labels for each title. Those beside another
+    one, which have a distance of their own, it may look after.
+    """
+    for ax in figure.axes:
+        if 1e-2 <= np.abs(ax.get_ylim()).max() < 1e5 and not ax.get_title("right"):
+            ax.set_title("", loc="center", y=1.0)
 
 
 def shades(count: int) -> list:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 from xml.etree import ElementTree
 
 # drawn for the first; Verdana is as wide, most others are narrower
@@ -185,6 +186,7 @@ def _grouped(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
     return groups
 
 
+@lru_cache(1 << 16)  # a figure's points lie close to each other: the same steps, over and over
 def _decimal(value: int, places: int) -> str:
     """An integer count of ``10**-places`` as the shortest decimal number."""
     text = f"{value / 10**places:.{places}f}".rstrip("0").rstrip(".")
