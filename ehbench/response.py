@@ -316,23 +316,22 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     """(frequency [Hz], G_xx, G_yy, G_xy) averaged over all segments of all logs, without the mean
     and what lies above the largest frequency.
     """
-    from scipy.signal import csd
+    from scipy.signal import ShortTimeFFT
 
-    given = {
-        "fs": signals.rate,
-        "window": signals.choice.window,
-        "nperseg": signals.size,
-        "noverlap": signals.overlap,
-        "detrend": "constant",
-    }
-    frequency, total = np.zeros(0), np.zeros((3, 0))
-    for (x, y), count in zip(signals.pairs, signals.segments, strict=True):
+    size = signals.size
+    taper = _taper(signals.choice.window, size)
+    how: Any = {"fs": signals.rate, "scale_to": "psd", "phase_shift": None}
+    transform: Any = ShortTimeFFT(taper, size - signals.overlap, **how)
+    # from where the first segment begins, as SciPy's `csd`, which transforms both signals each time
+    where: Any = {"detr": "constant", "p0": 0, "k_offset": size // 2}
+    total = np.zeros((3, transform.f_pts), complex)
+    for pair, count in zip(signals.pairs, signals.segments, strict=True):
         if count:
-            parts = []
-            for one, other in ((x, x), (y, y), (x, y)):
-                frequency, density = csd(one, other, **given)
-                parts.append(count * density)
-            total = np.array(parts) if total.size == 0 else total + np.array(parts)
+            x, y = (transform.stft_detrend(one, p1=count, **where) for one in pair)
+            for i, density in enumerate((_power(x), _power(y), y * np.conj(x))):
+                total[i] += count * np.mean(density, axis=-1)
+    total[:, 1 : -1 if size % 2 == 0 else None] *= 2.0
+    frequency = transform.f
     kept = (frequency > 0.0) & (frequency <= signals.choice.frequency)
     if not kept.any():
         raise InsufficientData(
@@ -342,6 +341,10 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
         )
     gxx, gyy, gxy = total[:, kept] / sum(signals.segments)
     return frequency[kept], gxx.real, gyy.real, gxy
+
+
+def _power(transformed: np.ndarray) -> np.ndarray:
+    return np.real(transformed) ** 2 + np.imag(transformed) ** 2
 
 
 def _relative_error(coherence: np.ndarray, averages: float) -> np.ndarray:
