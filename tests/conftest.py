@@ -22,6 +22,13 @@ from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
 
+from ehbench import cores  # noqa: E402
+
+# parallel workers share the processors: threads of each on all of them only wait for one another
+if beside := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
+    _there = cores.cores()
+    cores.cores = lambda: max(1, _there // beside)
+
 # modules of the package are loaded by what needs them: of the processes of a parallel run the first
 # runs no tests, and the others wait for it
 ROOT = Path(__file__).parents[1]
