@@ -72,33 +72,40 @@ def run_together(jobs: Sequence[Job], tick: float, steps: int) -> list[np.ndarra
 
 def _packed(jobs: Sequence[Job], tick: float):
     """(plant, states, commands, lines of past commands), all in lanes."""
-    full = filled(jobs)
-    plants = [job.model.plant for job in full]
-    commands = side_by_side([np.asarray(job.commands, float) for job in full])
+    plants = [job.model.plant for job in jobs]
+    commands = side_by_side([np.asarray(job.commands, float) for job in jobs])
     line = line_in_lanes(plants, tick, commands.shape[1])
-    return in_lanes(plants), side_by_side([job.start for job in full]), commands, line
+    return in_lanes(plants), side_by_side([job.start for job in jobs]), commands, line
+
+
+def _begins(commands: np.ndarray, late: bool) -> np.ndarray:
+    """The samples from which commands act, each until another comes, one a sample where they are
+    late; then the number of samples.
+    """
+    count = len(commands)
+    if late:
+        return np.arange(count + 1)
+    changes = np.any(np.diff(commands, axis=0) != 0.0, axis=1)
+    return np.array([0, *np.flatnonzero(changes) + 1, count])
 
 
 def _track(jobs: Sequence[Job]) -> Track:
-    """What runs follow, as many as lanes."""
+    """What runs follow."""
     valves = jobs[0].model.plant.valves
-    late, begins = bool(valves["delay"].any()), []
-    for job in jobs:
-        count = len(job.commands)
-        if late:
-            begins.append(np.arange(count + 1))
-        else:
-            changes = np.any(np.diff(job.commands, axis=0) != 0.0, axis=1)
-            begins.append(np.array([0, *np.flatnonzero(changes) + 1, count]))
-    rows = [job.commands[own[:-1]] for job, own in zip(jobs, begins, strict=True)]
-    known = [job.model.plant.valves[: valves.size if late else 0] for job in jobs]
+    late, known = bool(valves["delay"].any()), {}
+    for job in jobs:  # several may be of one log
+        if id(job.commands) not in known:
+            own = _begins(job.commands, late)
+            known[id(job.commands)] = job.commands[own[:-1]], own
+    rows, begins = zip(*(known[id(job.commands)] for job in jobs), strict=True)
+    some = [job.model.plant.valves[: valves.size if late else 0] for job in jobs]
     return Track(
         _padded(rows),
         _padded(begins),
         _padded([job.mesh for job in jobs]),
-        np.array([job.mesh.size for job in jobs]),
-        side_by_side([own["delay"] for own in known]),
-        side_by_side([own["before"] for own in known]),
+        np.array(filled([job.mesh.size for job in jobs])),
+        side_by_side([own["delay"] for own in some]),
+        side_by_side([own["before"] for own in some]),
     )
 
 
@@ -108,7 +115,7 @@ def _padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """
     longest = max(1, *(len(own) for own in arrays))
     made = np.zeros((longest, *arrays[0].shape[1:], LANES), arrays[0].dtype)
-    for lane, own in enumerate(arrays):
+    for lane, own in enumerate(filled(arrays)):
         made[: len(own), ..., lane] = own
         if len(own):
             made[len(own) :, ..., lane] = own[-1]
@@ -122,20 +129,19 @@ def pace_together(
     `tempo` is the same, without flows, means of ``each`` samples; they are not looked at whether
     they are finite.
     """
-    full = filled([job._replace(commands=np.asarray(job.commands, float)) for job in jobs])
-    track, plants = _track(full), [job.model.plant for job in full]
-    y = side_by_side([job.start for job in full])
+    track, plants = _track(jobs), [job.model.plant for job in jobs]
+    y = side_by_side([job.start for job in jobs])
     line = Line(
         float(tick),
         np.zeros((1, 0, LANES)),
         np.zeros(1, np.int64),
         np.zeros((track.commands.shape[1], LANES)),
     )
-    log = np.zeros((LANES, max(len(job.commands) for job in full) // each, y.shape[0]))
-    paces = [pace_of(job.model.plant, job.model.layout, tick) for job in full]
+    log = np.zeros((LANES, max(len(job.commands) for job in jobs) // each, y.shape[0]))
+    paces = [pace_of(job.model.plant, job.model.layout, tick) for job in jobs]
     weights = [
         ROUGH * pace.weights if job.rough else pace.weights
-        for job, pace in zip(full, paces, strict=True)
+        for job, pace in zip(jobs, paces, strict=True)
     ]
     pace = paces[0]._replace(weights=side_by_side(weights))
     steps, count = run_apart(y, track, in_lanes(plants), line, pace, each, log)

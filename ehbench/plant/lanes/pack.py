@@ -76,19 +76,21 @@ def filled(items: Sequence[Any]) -> list[Any]:
 
 
 def side_by_side(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrays of one shape, as many as lanes, with a last axis of lanes."""
-    return np.stack(arrays, axis=-1)
+    """Arrays of one shape, at most as many as lanes, with a last axis of lanes."""
+    return np.stack(filled(arrays), axis=-1)
 
 
 def in_lanes(plants: Sequence[Plant]) -> Plant:
-    """Plants of one `layout_of`, as many as lanes, as one with lanes for each of its floats."""
+    """Plants of one `layout_of`, at most as many as lanes, as one with lanes for each of its
+    floats.
+    """
     packed, first = [_tables(plant) for plant in plants], plants[0]
     made: dict[str, Any] = {}
     for name, rows in packed[0].items():
         made[name] = wide = table(len(rows), _wide(rows.dtype))
         if rows.size:
             floats, to = _floats(rows.dtype)
-            each = np.stack([_words(one[name])[:, floats] for one in packed], axis=-1)
+            each = side_by_side([_words(one[name])[:, floats] for one in packed])
             words, whole = _words(wide.view(np.ndarray)), _whole(rows.dtype)
             words[:, to] = each
             words[:, _whole(wide.dtype)] = _words(rows)[:, whole]
