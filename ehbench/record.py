@@ -80,12 +80,8 @@ class Record:
     def __contains__(self, name: str) -> bool:
         return name == "t" or name in self.channels
 
-    @cached_property
-    def _tables(self) -> dict[tuple[tuple[str, float | None], ...], np.ndarray]:
-        return {}
-
-    def table(self, columns: tuple[tuple[str, float | None], ...]) -> np.ndarray:
-        """Channels side by side, shape (samples, columns), made once: it is not to be changed.
+    def table(self, columns: Sequence[tuple[str, float | None]]) -> np.ndarray:
+        """Channels side by side, shape (samples, columns).
 
         Args:
             columns: channels, each with the value [SI] of one that there is not.
@@ -93,13 +89,10 @@ class Record:
         Raises:
             LogError: no such channel, where there is no value for it.
         """
-        known = self._tables.get(columns)
-        if known is None:
-            known = np.empty((self.t.size, len(columns)))
-            for i, (name, value) in enumerate(columns):
-                known[:, i] = self[name] if value is None or name in self else value
-            self._tables[columns] = known
-        return known
+        made = np.empty((self.t.size, len(columns)))
+        for i, (name, value) in enumerate(columns):
+            made[:, i] = self[name] if value is None or name in self else value
+        return made
 
     @cached_property
     def sample_time(self) -> float:

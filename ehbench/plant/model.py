@@ -183,8 +183,8 @@ class Model:
         return np.tile([*rest, *(0.0 for _ in self.layout.played)], (samples, 1))
 
     def commands_of(self, record: Record) -> np.ndarray:
-        """A recording's commands [V] and forces to play [N], shape (samples, valves + played), not
-        to be changed; valves that it lacks stay at rest.
+        """A recording's commands [V] and forces to play [N], shape (samples, valves + played);
+        valves that it lacks stay at rest.
 
         Raises:
             LogError: it lacks a force.

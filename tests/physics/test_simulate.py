@@ -5,6 +5,7 @@ errors, determinism.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -319,3 +320,14 @@ def test_flows_and_speeds_of_a_record_agree(metered):
                 )
                 judged += 1
     assert judged
+
+
+def test_commands_that_are_changed_in_a_log_are_those_that_a_replay_takes():
+    rig = load_rig(next(path for path in RIGS if path.stem == "slide_servo"))
+    model = Model.of(rig)
+    log = simulate(rig, {"press.servo": np.zeros(51)}, 0.05)
+    log = replace(log, channels={name: y.copy() for name, y in log.channels.items()})
+    still = model.replay(log)["press.x"]
+    log["press.servo.command"][10:] = 3.0
+    moved = model.replay(log)["press.x"]
+    assert np.ptp(still) < 1e-6 < 1e-4 < np.ptp(moved)
