@@ -4,6 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+
+@cache
+def _libraries() -> Any:
+    """The linear algebra of numpy and scipy, found once: to look through what is loaded takes
+    longer than a short run.
+    """
+    import scipy.linalg  # noqa: F401 - scipy's comes with it
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 @contextmanager
@@ -11,9 +24,5 @@ def one_thread() -> Iterator[None]:
     """Sums of one BLAS thread have one order, so the same input gives the same bytes; small systems
     are quicker that way too. The process has its own number of threads back at the end.
     """
-    # a library that is loaded later would keep its threads
-    import scipy.linalg  # noqa: F401
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1, user_api="blas"):
+    with _libraries().limit(limits=1, user_api="blas"):
         yield

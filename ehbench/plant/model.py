@@ -33,7 +33,7 @@ PLACES = ("q", "x")
 TELLS = (*PLACES, "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
 # of a rough simulation: what a step may miss the state by is divided by this
-ROUGH = 1.0e-2
+ROUGH = 1.0e-3
 
 
 class Start(NamedTuple):
@@ -244,7 +244,7 @@ class Model:
             mesh: the steps of another run, to be taken again, so that no choice of steps is in what
                 the two differ by.
             flows: whether the table has edge and pump flows; the states alone take less time.
-            rough: in longer steps, good to some 1e-4 of a channel's range.
+            rough: in longer steps, good to some 1e-3 of a channel's range.
             each: samples of which a row is the mean, without flows if more than one; those at the
                 end that fill no row are left out. Of valves with an error, which are taken for a
                 cubic within a step.

@@ -19,6 +19,7 @@ from ehbench.errors import InputError
 from ehbench.logs import read_record
 from ehbench.report import style
 from ehbench.rundir import read_json
+from ehbench.sampling import pools
 from ehbench.sampling.cluster import Bundle, Cluster
 from ehbench.sampling.pools import Processes, Threads
 
@@ -85,7 +86,8 @@ def samples(pool, count=40):
     return sorted(one._replace(seconds=0.0) for one in came), [one.index for one in came]
 
 
-def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path):
+def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path, monkeypatch):
+    monkeypatch.setattr(pools, "GRACE", 0.3)
     how = {"dies": (5,), "hangs": (16,), "takes": 0.01}
     pool = Processes(partial(makers, how, tmp_path), 2, 2, limit=0.3)
     made, _ = samples(pool)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ehbench.recipe import load_rig
-from ehbench.tune.arc_loop import Sensing
+from ehbench.tune.arc_loop import Sampled, Sensing
 
 sys.path.append(str(Path(__file__).parent))
 from delayed_loop import Bench  # noqa: E402
@@ -49,6 +49,32 @@ def test_the_delay_margin_is_where_the_model_begins_to_swing(name, cylinder, gai
     margins, worst = min(told, key=lambda one: one[0].delay)
     assert margins.delay > 0.0
     assert rig.onset(worst, packed) == pytest.approx(margins.delay, rel=0.2), worst.point.name
+
+
+def test_a_response_is_that_of_the_equations_solved_at_each_frequency():
+    """Also of states whose units are ten powers apart, one lightly damped, and of one state."""
+    rng = np.random.default_rng(3)
+    for states in (9, 1):
+        units = 10.0 ** np.linspace(-5.0, 7.0, states)
+        a = 0.3 * rng.standard_normal((states, states))
+        a *= 0.999 / np.abs(np.linalg.eigvals(a)).max()
+        plain = Sampled(
+            a, rng.standard_normal((states, 2)), rng.standard_normal((3, states)), np.ones((3, 2))
+        )
+        z = np.exp(1j * np.linspace(0.01, 3.1, 50))
+        wanted = [
+            plain.c @ np.linalg.solve(one * np.eye(states) - a, plain.b) + plain.d for one in z
+        ]
+        scaled = Sampled(
+            a * np.divide.outer(units, units),
+            plain.b * units[:, None],
+            plain.c / units,
+            plain.d,
+        )
+        for sampled in (plain, scaled):
+            found = sampled.response(z)
+            assert found.shape == (50, 3, 2)
+            assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()
 
 
 def test_margins_are_those_of_the_closed_loop():

@@ -215,12 +215,12 @@ def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path,
 
 def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkeypatch):
     """Not a thousand ticks later."""
-    monkeypatch.setattr(session, "WAIT", 0.03)
+    monkeypatch.setattr(session, "WAIT", 0.01)
     monkeypatch.setattr(session, "SYNC", 0.0)
     short = MOTION | {"waypoints": ["150 mm", "170 mm"], "hold": "0.1 s"}
     prepared, seen = trial("class", tmp_path, motion=short), []
     slow = CODE.replace(
-        "        return [", "        import time; time.sleep(2e-3)\n        return ["
+        "        return [", "        import time; time.sleep(5e-4)\n        return ["
     )
     (tmp_path / "mine.py").write_text(slow)
 
