@@ -34,6 +34,7 @@ STANDS = 0.03  # share by which scales may still change when a fit stands
 DAMPING, LEAST_DAMPING, MOST_DAMPING, EASIER, HARDER = 1e-3, 1e-9, 1e9, 0.1, 8.0
 FARTHEST = 1.0e6  # spreads that a simulation counts as off at most: squares stay finite
 FAITHFUL = 0.25  # share of what a step should gain that may be missed before all is linearised anew
+COARSE_SLACK = 100.0  # of the integration's steps while the search is coarse (`Model.paced`)
 # steps of the integration are taken again while no parameter is further off, in its units, and no
 # start in its standard deviations: costs are compared to a millionth, and chosen steps shift them
 SAME_STEPS, SAME_STARTS = 0.02, 1.0
@@ -41,17 +42,17 @@ SAME_STEPS, SAME_STARTS = 0.02, 1.0
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Where the integration's steps were chosen, and those steps by log; ``rough`` are longer."""
+    """Where the integration's steps were chosen, and those steps by log, of some ``slack``."""
 
     theta: np.ndarray
     shifts: Shifts
     logs: Sequence[Log]
     meshes: Meshes
-    rough: bool
+    slack: float
 
-    def of(self, logs: Sequence[Log], rough: bool) -> bool:
+    def of(self, logs: Sequence[Log], slack: float) -> bool:
         """Whether its steps are those of some logs, and as long as is asked."""
-        return logs is self.logs and rough == self.rough
+        return logs is self.logs and slack == self.slack
 
     def serves(self, theta: np.ndarray, shifts: Shifts) -> bool:
         """Whether a point is so near that its simulations may take the same steps."""
@@ -167,13 +168,13 @@ class Descent:
         self,
         thetas: Sequence[np.ndarray],
         chosen: Sequence[int] | None = None,
-        rough: bool = False,
+        slack: float = 1.0,
     ) -> list[list[np.ndarray] | None]:
         """Residuals simulated − recorded [SI] by vector and log, from the present starts; None
-        where a log could not be simulated. ``rough`` ones are good for a look.
+        where a log could not be simulated; with the ``slack`` of steps that a look may have.
         """
         values = [self.values(x) for x in thetas]
-        rows = self.simulator.simulate(values, chosen, self.shifts, rough)
+        rows = self.simulator.simulate(values, chosen, self.shifts, slack)
         logs = self.simulator.chosen(chosen)
         return [
             None
@@ -181,6 +182,11 @@ class Descent:
             else [self.left_of(*pair) for pair in zip(logs, row, strict=True)]
             for row in rows
         ]
+
+    @property
+    def slack(self) -> float:
+        """Of the integration's steps where the search stands."""
+        return COARSE_SLACK if self.coarse else 1.0
 
     def values(self, theta: np.ndarray) -> list[float]:
         """Values [SI] of the parameters at search coordinates."""
@@ -202,14 +208,14 @@ class Descent:
         the last one is remembered.
         """
         logs, values, last, grid = self.simulator.logs, self.values(theta), self.last, self.grid
-        grid = grid if grid is not None and grid.of(logs, self.coarse) else None
+        grid = grid if grid is not None and grid.of(logs, self.slack) else None
         if last is not None and grid is not None and last.grid is grid:
             same = zip([last.theta, *last.shifts], [theta, *shifts], strict=True)
             if all(np.array_equal(*pair) for pair in same):
                 return last
         if grid is None or not grid.serves(theta, shifts):
-            row, meshes = self.simulator.begin(values, shifts, self.coarse)
-            grid = self.grid = _Grid(theta, shifts, logs, meshes, self.coarse)
+            row, meshes = self.simulator.begin(values, shifts, self.slack)
+            grid = self.grid = _Grid(theta, shifts, logs, meshes, self.slack)
         else:
             points = [(values, k, own) for k, own in enumerate(shifts)]
             row = self.simulator.each(points, grid.meshes)
@@ -290,7 +296,7 @@ class Descent:
             sizes,
             self.weight,
             self.coarse,
-            grid is not None and grid.of(logs, self.coarse),
+            grid is not None and grid.of(logs, self.slack),
             [log.counts.shape for log in logs],
         )
         chosen = () if grid is None else (grid.theta, *grid.shifts)
@@ -372,9 +378,9 @@ class Descent:
         """Choose the integration's steps where the journal says they were."""
         theta, shifts = _placed(kept)
         logs, count = self.simulator.logs, self.simulator.evaluations
-        _, meshes = self.simulator.begin(self.values(theta), shifts, self.coarse)
+        _, meshes = self.simulator.begin(self.values(theta), shifts, self.slack)
         self.simulator.evaluations = count
-        self.grid = _Grid(theta, shifts, logs, meshes, self.coarse)
+        self.grid = _Grid(theta, shifts, logs, meshes, self.slack)
 
     def _keep(self, way: _Way, here: Point) -> None:
         """Write a step of a descent into the journal."""

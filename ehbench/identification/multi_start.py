@@ -17,6 +17,7 @@ SCAN = math.log(10.0)  # how far the first look goes either way, in units of a p
 COARSE, FINER = 11, 97
 # of other basins that the look meets: how much worse than the best one may be to be tried, how many
 RIVAL, RIVALS = 3.0, 3
+LOOK_SLACK = 1000.0  # of the integration's steps in the look, whose points are some per cent apart
 MUCH = 0.01  # squares of what is left, as a share of the channels' spread, that ask for more starts
 
 
@@ -83,7 +84,7 @@ class MultiStart(Descent):
             math.inf
             if parts is None
             else sum(float(np.sum(part**2)) for part in self.scaled(parts, chosen))
-            for parts in self.residuals(vectors, chosen, rough=True)
+            for parts in self.residuals(vectors, chosen, LOOK_SLACK)
         ]
         best = vectors[int(np.argmin(costs))]
         self.journal.keep(self._standing(best), costs=costs, evaluations=self.simulator.evaluations)

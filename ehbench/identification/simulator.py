@@ -355,7 +355,7 @@ class _First:
 @dataclass(frozen=True, eq=False)
 class _Task:
     """One simulation of a log: its model, None where there is none, the shifts of its start, what
-    is wrong with all logs' sensors, where it starts unmoved, the steps to take, whether roughly."""
+    is wrong with all logs' sensors, where it starts unmoved, the steps to take, or their slack."""
 
     model: Model | None
     log: Log
@@ -363,7 +363,7 @@ class _Task:
     shared: dict[str, float]
     first: _First
     mesh: np.ndarray
-    rough: bool
+    slack: float
 
     def start(self, model: Model) -> Start:
         """Where it starts.
@@ -480,7 +480,7 @@ class Simulator:
         vectors: Sequence[Sequence[float]],
         chosen: Sequence[int] | None = None,
         shifts: Shifts | None = None,
-        rough: bool = False,
+        slack: float = 1.0,
     ) -> list[list[np.ndarray | None]]:
         """Simulated channels by vector and log, shape (samples, channels); None where the
         simulation failed.
@@ -488,12 +488,12 @@ class Simulator:
         Args:
             chosen: logs by index, all by default.
             shifts: of all logs' starts, by default none.
-            rough: in longer steps, where they are chosen.
+            slack: of the steps that are chosen (`Model.paced`).
         """
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
         points = [(values, k, shifts[k]) for values in vectors for k in which]
-        done = [None if one is None else one[0] for one in self._meshed(points, rough=rough)]
+        done = [None if one is None else one[0] for one in self._meshed(points, slack=slack)]
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
     def each(
@@ -511,17 +511,17 @@ class Simulator:
         return [None if one is None else one[0] for one in done]
 
     def begin(
-        self, values: Sequence[float], shifts: Shifts, rough: bool = False
+        self, values: Sequence[float], shifts: Shifts, slack: float = 1.0
     ) -> tuple[list[np.ndarray | None], Meshes]:
         """(simulated channels of every log, None where the simulation failed; the steps that were
-        chosen, longer ones if they may be ``rough``, none where it did).
+        chosen with some ``slack``, none where it did).
         """
-        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)], rough=rough)
+        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)], slack=slack)
         channels = [None if one is None else one[0] for one in done]
         return channels, [FREE if one is None else one[1] for one in done]
 
     def _meshed(
-        self, points: Sequence[Where], meshes: Meshes | None = None, rough: bool = False
+        self, points: Sequence[Where], meshes: Meshes | None = None, slack: float = 1.0
     ) -> list[Simulated | None]:
         """(simulated channels, steps taken) of each point; what is known of late is not simulated
         again.
@@ -533,21 +533,21 @@ class Simulator:
         for point in points:
             values, k, shifts = point
             log, mesh = self.logs[k], None if meshes is None else meshes[k]
-            own = np.array(values, dtype=float).tobytes(), shifts.tobytes(), rough
+            own = np.array(values, dtype=float).tobytes(), shifts.tobytes(), slack
             key = (*own, _Same(log), None if mesh is None else _Same(mesh))
             keys.append(key)
             if key in self._latest:
                 found[key] = self._latest.of(key)
             else:
                 asked[key] = point
-        fresh = self._simulated(list(asked.values()), meshes, rough)
+        fresh = self._simulated(list(asked.values()), meshes, slack)
         for key, one in zip(asked, fresh, strict=True):
             found[key] = one
             self._latest.keep(key, one)
         return [found[key] for key in keys]
 
     def _simulated(
-        self, points: Sequence[Where], meshes: Meshes | None, rough: bool
+        self, points: Sequence[Where], meshes: Meshes | None, slack: float
     ) -> list[Simulated | None]:
         """`_meshed`, all of them simulated."""
         made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
@@ -562,7 +562,7 @@ class Simulator:
             own = (key, k, *shared.values()) if log.start.alike else (len(tasks),)
             first = firsts.setdefault(own, _First())
             mesh = FREE if meshes is None else meshes[k]
-            tasks.append(_Task(model, log, shifts, shared, first, mesh, rough))
+            tasks.append(_Task(model, log, shifts, shared, first, mesh, slack))
         if self.step != AUTO or not has_lanes(run_apart):
             return self._all(self._one, tasks)
         sets = self._sets(tasks)
@@ -617,7 +617,7 @@ class Simulator:
         try:
             start, true = task.start(model), log.start.true(shifts, shared)
             if self.step == AUTO and not _needs_flows(log):
-                given = task.mesh, task.rough, _simulated_means(log)
+                given = task.mesh, task.slack, _simulated_means(log)
                 made, mesh = model.replay_paced(true, start, *given)
             else:
                 made, mesh = model.replay(true, self.step, start=start), FREE
@@ -634,7 +634,7 @@ class Simulator:
             try:
                 if task.model is not None:
                     true = task.log.start.true(task.shifts, task.shared)
-                    along = task.mesh, task.rough, _simulated_means(task.log)
+                    along = task.mesh, task.slack, _simulated_means(task.log)
                     runs[i] = Run(task.model, true, task.start(task.model), *along)
             except (EhbenchError, ArithmeticError):
                 continue

@@ -32,8 +32,6 @@ FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
 PLACES = ("q", "x")
 TELLS = (*PLACES, "p_supply", *(f"p{line}_{side}" for line in ("", "_line") for side in SIDES))
 MOVED = 0.005  # share of a driver's range by which a command must change to be more than noise
-# of a rough simulation: what a step may miss the state by is divided by this
-ROUGH = 1.0e-3
 
 
 class Start(NamedTuple):
@@ -235,7 +233,7 @@ class Model:
         tick: float = 1e-3,
         mesh: np.ndarray = FREE,
         flows: bool = True,
-        rough: bool = False,
+        slack: float = 1.0,
         each: int = 1,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(the log table of `run` with ``step = "auto"``, the steps that were chosen).
@@ -244,7 +242,8 @@ class Model:
             mesh: the steps of another run, to be taken again, so that no choice of steps is in what
                 the two differ by.
             flows: whether the table has edge and pump flows; the states alone take less time.
-            rough: in longer steps, good to some 1e-3 of a channel's range.
+            slack: how many times as much as by default a step may miss the state by; 100 is good to
+                some 1e-4 of a channel's range, 1000 to 1e-3.
             each: samples of which a row is the mean, without flows if more than one; those at the
                 end that fill no row are left out. Of valves with an error, which are taken for a
                 cubic within a step.
@@ -257,7 +256,7 @@ class Model:
         table = np.ascontiguousarray(commands, dtype=float)
         line = line_of(self.plant, tick, table.shape[1])
         pace = pace_of(self.plant, self.layout, tick)
-        pace = pace._replace(weights=ROUGH * pace.weights) if rough else pace
+        pace = pace._replace(weights=1.0 / slack * pace.weights)
         steps, count = run_paced(y.copy(), table, self.plant, line, pace, mesh, each, log)
         return finite(log, each * tick), steps[:count].copy()
 
@@ -372,11 +371,11 @@ class Model:
         record: Record,
         start: Start,
         mesh: np.ndarray = FREE,
-        rough: bool = False,
+        slack: float = 1.0,
         means: Means | None = None,
     ) -> tuple[Record, np.ndarray]:
         """(`replay` with ``step = "auto"`` from a start, without flows; the steps that were
-        chosen), ``mesh`` and ``rough`` as `paced` takes them; where ``means`` of the recording are
+        chosen), ``mesh`` and ``slack`` as `paced` takes them; where ``means`` of the recording are
         given, such means of the replay, but for commands and openings.
 
         Raises:
@@ -384,7 +383,7 @@ class Model:
         """
         model, table, y = self.along(record, start)
         each = 1 if means is None else means.each
-        log, mesh = model.paced(y, table, record.sample_time, mesh, False, rough, each)
+        log, mesh = model.paced(y, table, record.sample_time, mesh, False, slack, each)
         return self.replayed(record, table, log, start, means), mesh
 
     def replayed(

@@ -86,8 +86,10 @@ class Sampled(NamedTuple):
         Pa and of m are balanced before, or rounding of the one would drown the other."""
         from scipy.linalg import matrix_balance, schur  # a quarter of a second to import
 
-        balanced, (scale, _) = matrix_balance(self.a, permute=False, separate=True)
-        triangle, turn = schur(balanced, output="complex")
+        balancing: Any = matrix_balance(self.a, permute=False, separate=True)
+        balanced, (scale, _) = balancing
+        found: Any = schur(balanced, output="complex")
+        triangle, turn = found
         inflow = turn.conj().T @ (self.b / scale[:, None])
         state = np.empty((len(triangle), z.size, self.b.shape[1]), complex)
         for i in reversed(range(len(triangle))):

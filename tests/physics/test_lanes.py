@@ -180,8 +180,8 @@ def test_lanes_equal_single_runs_to_the_bit(name):
 
 def paced(job: Job, each: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """A job done alone in steps that it chooses, or of its mesh."""
-    model, start, commands, mesh, rough = job
-    return model.paced(start, commands, TICK, mesh, False, rough, each)
+    model, start, commands, mesh, slack = job
+    return model.paced(start, commands, TICK, mesh, False, slack, each)
 
 
 @pytest.mark.parametrize("each", [1, 4], ids=["samples", "means"])
@@ -192,7 +192,7 @@ def test_lanes_at_times_of_their_own_equal_single_runs_to_the_bit(name, each):
     for i in (1, 4):
         jobs[i] = jobs[i]._replace(mesh=paced(jobs[0])[1])
     for i in (2, 4, 5):
-        jobs[i] = jobs[i]._replace(rough=True, commands=jobs[i].commands[: 300 - 37 * i])
+        jobs[i] = jobs[i]._replace(slack=100.0, commands=jobs[i].commands[: 300 - 37 * i])
     assert len({tempo(job) for job in jobs}) == 1
     some = jobs if each == 1 else jobs[:5]
     for job, (log, mesh) in zip(some, pace_together(some, TICK, each), strict=True):

@@ -87,7 +87,7 @@ def test_means_tell_what_samples_tell(time):
     error, intervals alike within what their own estimate varies by (2 % by 10 draws of the noise
     for the bulk modulus, some more for the damping).
     """
-    whole, means = identify(logs(3, time), decimate=1), identify(logs(3, time))
+    whole, means = identify(logs(1, time), decimate=1), identify(logs(1, time))
     for name, truth in TRUTH.items():
         low, high = means[name].interval
         assert low <= truth <= high

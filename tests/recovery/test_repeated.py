@@ -80,7 +80,7 @@ def test_a_point_is_simulated_once(fitted, monkeypatch):
     moved, _ = fitted.begin(values, shifted)
     assert made[-1] == 1 and not np.array_equal(moved[0], first[0]) and moved[1] is first[1]
     fitted.begin([8e8, 2.1e3], still)
-    fitted.begin(values, still, rough=True)
+    fitted.begin(values, still, slack=100.0)
     fitted.each([(values, k, still[k]) for k in (0, 1)], meshes)
     fitted.each([(values, k, still[k]) for k in (0, 1, 0)], [meshes[0].copy(), meshes[1]])
     assert made[3:] == [2, 2, 2, 1]

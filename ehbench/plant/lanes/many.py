@@ -15,7 +15,7 @@ from ehbench.plant.lanes.pack import filled, in_lanes, layout_of, line_in_lanes,
 from ehbench.plant.lanes.paced import Track, run_apart
 from ehbench.plant.lanes.steps import run_lanes
 from ehbench.plant.lanes.vectors import LANES
-from ehbench.plant.model import FREE, ROUGH, Model, Start, finite
+from ehbench.plant.model import FREE, Model, Start, finite
 from ehbench.plant.paced import pace_of
 from ehbench.record import Means, Record
 
@@ -27,14 +27,15 @@ Made = TypeVar("Made")
 
 class Job(NamedTuple):
     """A run to make: a model, its state at the first sample, commands as `Model.run` takes them;
-    where steps are chosen, a ``mesh`` of them to take again, or whether they may be ``rough``.
+    where steps are chosen, a ``mesh`` of them to take again, or the ``slack`` that they have, as
+    `Model.paced` takes it.
     """
 
     model: Model
     start: np.ndarray
     commands: np.ndarray
     mesh: np.ndarray = FREE
-    rough: bool = False
+    slack: float = 1.0
 
 
 def has_lanes(kernel: object) -> bool:
@@ -139,10 +140,7 @@ def pace_together(
     )
     log = np.zeros((LANES, max(len(job.commands) for job in jobs) // each, y.shape[0]))
     paces = [pace_of(job.model.plant, job.model.layout, tick) for job in jobs]
-    weights = [
-        ROUGH * pace.weights if job.rough else pace.weights
-        for job, pace in zip(jobs, paces, strict=True)
-    ]
+    weights = [1.0 / job.slack * pace.weights for job, pace in zip(jobs, paces, strict=True)]
     pace = paces[0]._replace(weights=side_by_side(weights))
     steps, count = run_apart(y, track, in_lanes(plants), line, pace, each, log)
     return [
@@ -153,14 +151,14 @@ def pace_together(
 
 class Run(NamedTuple):
     """A replay of a recording from a start. Where steps are chosen, a ``mesh`` of them to take
-    again, or whether they may be ``rough``; of ``means`` of the recording such means of the replay.
+    again, or the ``slack`` that they have; of ``means`` of the recording such means of the replay.
     """
 
     model: Model
     record: Record
     start: Start
     mesh: np.ndarray = FREE
-    rough: bool = False
+    slack: float = 1.0
     means: Means | None = None
 
     @property
@@ -171,7 +169,7 @@ class Run(NamedTuple):
     def job(self) -> Job:
         """It as a run of its model."""
         model, table, start = self.model.along(self.record, self.start)
-        return Job(model, start, table, self.mesh, self.rough)
+        return Job(model, start, table, self.mesh, self.slack)
 
 
 Logs = list[tuple[np.ndarray, np.ndarray]]
@@ -186,7 +184,7 @@ def replays_paced(runs: Sequence[Run]) -> list[Replayed | None]:
     """
 
     def alone(run: Run) -> Replayed:
-        return run.model.replay_paced(run.record, run.start, run.mesh, run.rough, run.means)
+        return run.model.replay_paced(run.record, run.start, run.mesh, run.slack, run.means)
 
     def together(jobs: Sequence[Job], tick: float) -> Logs:
         return pace_together(jobs, tick, runs[0].each)
