@@ -29,7 +29,7 @@ from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, RACK, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Rig, Slide
+from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Joint, Rig, Slide
 
 _KEPT = 256  # things that plants have in common
 Maps = Mapping[str, ValveMaps]
@@ -131,7 +131,7 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None, kept: Kept | None =
     kept = kept or Kept()
     valve_parts = [valve for _, valve in rig.valves()]
     fixed = [edge for _, edge in rig.fixed_edges()]
-    kind, links, up = kept.of(_mechanism, [rig.mechanism], rig)
+    kind, links, up = kept.of(_mechanism, [rig.mechanism], rig, kept)
     edge_rows, data = kept.of(_edges, [*valve_parts, *fixed], rig, names, maps or {})
     valve_rows, elements = kept.of(_valves, [*valve_parts, *rig.dynamics.values()], rig, names)
     return Plant(
@@ -153,55 +153,54 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None, kept: Kept | None =
 
 def links_of(rig: Rig) -> np.recarray:
     """The links of a rig with its payload, or its slide."""
-    return _mechanism(rig)[1]
+    return _mechanism(rig, Kept())[1]
 
 
 def load_of(rig: Rig, cylinder: int) -> float:
     """The least mass [kg] that a cylinder, by its number, moves over its stroke, other joints
     free; it asks for no flow map.
     """
-    kind, links, _ = _mechanism(rig)
+    kind, links, _ = _mechanism(rig, Kept())
     return 1.0 / float(_cylinders(rig, layout(rig), kind, links)[cylinder].mobility)
 
 
-def _mechanism(rig: Rig) -> tuple[int, np.recarray, tuple[float, float, float]]:
+def _mechanism(rig: Rig, kept: Kept) -> tuple[int, np.recarray, tuple[float, float, float]]:
     """(kind, links, the base-frame direction that points up)."""
     body = rig.mechanism
     if isinstance(body, Slide):
         link = arm.pack_slide(float(body.mass), float(body.damping), float(body.incline))
         return arm.SLIDE, table_of([link], arm.LINK), (0.0, 0.0, 1.0)
-    return arm.CHAIN, _links(body), _up(body)
+    return arm.CHAIN, _links(body, kept), _up(body)
 
 
 def _up(chain: Chain) -> tuple[float, float, float]:
     return (0.0, 0.0, 1.0) if chain.first_axis == "vertical" else (0.0, 1.0, 0.0)
 
 
-def _links(chain: Chain) -> np.recarray:
-    links = []
-    for joint in chain.joint:
-        moments: Any = joint.inertia.value
-        xx, yy, zz, xy, xz, yz = moments
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        if np.linalg.eigvalsh(inertia).min() < 0 or float(joint.mass) < 0:
-            raise InputError(
-                f"the inertia of link '{joint.name}' is that of no body: it has a negative "
-                "principal moment"
-            )
-        com: Any = joint.com.value
-        links.append(
-            arm.pack_link(
-                float(joint.dh_a),
-                float(joint.dh_d),
-                float(joint.dh_alpha),
-                float(joint.dh_theta),
-                float(joint.mass),
-                com,
-                inertia,
-                float(joint.joint_damping),
-            )
+def _links(chain: Chain, kept: Kept) -> np.recarray:
+    return table_of([kept.of(_link, [joint], joint) for joint in chain.joint], arm.LINK)
+
+
+def _link(joint: Joint) -> dict[str, Any]:
+    moments: Any = joint.inertia.value
+    xx, yy, zz, xy, xz, yz = moments
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if np.linalg.eigvalsh(inertia).min() < 0 or float(joint.mass) < 0:
+        raise InputError(
+            f"the inertia of link '{joint.name}' is that of no body: it has a negative "
+            "principal moment"
         )
-    return table_of(links, arm.LINK)
+    com: Any = joint.com.value
+    return arm.pack_link(
+        float(joint.dh_a),
+        float(joint.dh_d),
+        float(joint.dh_alpha),
+        float(joint.dh_theta),
+        float(joint.mass),
+        com,
+        inertia,
+        float(joint.joint_damping),
+    )
 
 
 def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.recarray:

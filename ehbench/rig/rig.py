@@ -458,7 +458,10 @@ class Rig(FileModel):
 
 def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
     """A part with those of its own fields replaced that ``new`` names with ``prefix``."""
-    fields, own = type(model).model_fields, _below(prefix, new)
+    own = _below(prefix, new)
+    if not own:
+        return model
+    fields = type(model).model_fields
     update = {key: value for key, value in own.items() if key in fields}
     return model.model_copy(update=update) if update else model
 
@@ -483,14 +486,15 @@ def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
 def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
     """A cylinder with new values of its own, of its tables and its edges."""
     own = _below(f"{model.name}.", new)
-    if not own:
-        return model
+    tables = {key: _replaced(part, prefix_of(key), own) for key, part in tables_of(model).items()}
+    changed = _renewed(_replaced(model, "", own), **tables)
+    if not any("." in name for name in own):
+        return changed
     valves = []
     for valve in model.valve:
         edges = (_replaced(e, f"{valve.edge_name(e)}.", own) for e in valve.edge)
         whole = _replaced(valve, f"{valve.name}.", own)
         valves.append(_renewed(whole, edge=tuple(edges)))
-    tables = {key: _replaced(part, prefix_of(key), own) for key, part in tables_of(model).items()}
     named: dict[str, tuple[Any, ...]] = {
         "force": model.force,
         "edge": model.edge,
@@ -500,7 +504,7 @@ def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
         key: tuple(_replaced(part, f"{part.name}.", own) for part in parts)
         for key, parts in named.items()
     }
-    return _renewed(_replaced(model, "", own), **tables, valve=tuple(valves), **lists)
+    return _renewed(changed, valve=tuple(valves), **lists)
 
 
 def parameter_row(name: str) -> Quantity:
