@@ -174,7 +174,9 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
     if scale == 0.0:
         return np.zeros(2 * lags + 1)
     size = 1 << (2 * n - 1).bit_length()
-    full = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+    one = np.fft.rfft(a, size)
+    other = one if u is x else np.fft.rfft(b, size)
+    full = np.fft.irfft(one * np.conj(other), size)
     reach = min(lags, n - 1)
     result = np.zeros(2 * lags + 1)
     result[lags - reach : lags + reach + 1] = (

@@ -15,7 +15,7 @@ import numpy as np
 
 from ehbench.errors import InputError
 from ehbench.machines.rows import Controls, Rows
-from ehbench.parts.edge import edge_flow
+from ehbench.parts.edge import edge_flows
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
 
@@ -189,9 +189,10 @@ def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
     layout, plant = truth.model.layout, truth.model.plant
 
     def flow(edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
-        row = plant.edges[layout.edges.index(edge)]
-        pairs = zip(drop.tolist(), command.tolist(), strict=True)
-        return np.array([edge_flow(one, opening, row, plant.maps) for one, opening in pairs])
+        row, flows = plant.edges[layout.edges.index(edge)], np.empty(drop.size)
+        drops, openings = (np.ascontiguousarray(one, dtype=float) for one in (drop, command))
+        edge_flows(drops, openings, row, plant.maps, flows)
+        return flows
 
     return flow
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.compiled import kernel, part_kernel
 from ehbench.parts.edge import CHECK, PUMP, edge_flow
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.supply import sensed
@@ -44,9 +45,10 @@ def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
         row: of the cylinder.
         force: what the piston has to push with, out positive.
     """
-    if not open_at_rest(plant).any():
+    opens = open_at_rest(plant)
+    if not opens.any():
         return carrying(row, force, plant.supply.pressure * LOW_SIDE)
-    edges, chambers = _open_edges(plant, row), (row.node_head, row.node_rod)
+    edges, chambers = _edges_at(plant, row, opens), (row.node_head, row.node_rod)
     checks = edges[(edges.law == CHECK) & (edges.from_node == SUPPLY)]
     fed = [bool(np.any(checks.to_node == node)) for node in chambers]
     low = plant.supply.pressure * (1.0 if all(fed) else LOW_SIDE)
@@ -64,15 +66,16 @@ def creep(plant: Plant, row: np.record, head: float, rod: float) -> float:
     """Speed [m/s], out positive, at which a cylinder goes on at rest at the pressures [Pa] of
     `resting`: ``Q_head/A1``.
     """
-    return _inflow(plant, _open_edges(plant, row), row, head, rod, 0) / row.area_head
+    edges = _edges_at(plant, row, open_at_rest(plant))
+    return _inflow(plant, edges, row, head, rod, 0) / row.area_head
 
 
-def _open_edges(plant: Plant, row: np.record) -> Any:
-    """Rows of what `open_at_rest` names at a cylinder's chambers."""
+def _edges_at(plant: Plant, row: np.record, opens: np.ndarray) -> Any:
+    """Rows of the edges that are open, as `open_at_rest` has them, at a cylinder's chambers."""
     shown: Any = plant.edges_at_chambers
     chambers = (row.node_head, row.node_rod)
     own = np.isin(shown.from_node, chambers) | np.isin(shown.to_node, chambers)
-    return shown[own & open_at_rest(plant)]
+    return shown[own & opens]
 
 
 def carrying(row: np.record, force: float, low: float) -> tuple[float, float]:
@@ -113,20 +116,32 @@ def _settled(
     return head_at(far), far
 
 
-def _inflow(
-    plant: Plant, edges: np.ndarray, row: np.record, head: float, rod: float, side: int
-) -> float:
+@part_kernel
+def _pressure_at(node, plant, row, head, rod):
+    """Pressure [Pa] at a node beside a cylinder at rest; 0 at any that is none of these."""
+    if node == row.node_head:
+        return head
+    if node == row.node_rod:
+        return rod
+    tank = plant.nodes[TANK].pressure
+    if node == TANK:
+        return tank
+    return sensed(tank, plant.supply) if node == SUPPLY else 0.0
+
+
+@kernel
+def _inflow(plant, edges, row, head, rod, side):
     """Flow [m³/s] into a chamber, 0 head and 1 rod, along ``edges`` at rest."""
-    held = sensed(plant.tank_pressure, plant.supply)
-    pressure = {SUPPLY: held, TANK: plant.tank_pressure, row.node_head: head, row.node_rod: rod}
-    node, total = (row.node_head, row.node_rod)[side], 0.0
-    for edge in edges:
+    node, total = row.node_head if side == 0 else row.node_rod, 0.0
+    for e in range(edges.shape[0]):
+        edge = edges[e]
         way = int(edge.to_node == node) - int(edge.from_node == node)
         if way == 0:
             continue
-        first, last = pressure[edge.from_node], pressure[edge.to_node]
+        first = _pressure_at(edge.from_node, plant, row, head, rod)
+        last = _pressure_at(edge.to_node, plant, row, head, rod)
         opening = limited(0.0, plant.valves[edge.valve]) if edge.valve >= 0 else 0.0
         if edge.law == CHECK and edge.pilot >= 0:
-            opening = max(pressure.get(edge.pilot, 0.0) - first, 0.0)
+            opening = max(_pressure_at(edge.pilot, plant, row, head, rod) - first, 0.0)
         total += way * edge_flow(first - last, opening, edge, plant.maps)
     return total

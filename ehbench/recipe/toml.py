@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -36,16 +37,24 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
     the first one below it, or its nearest parent.
     """
-    flat: dict[tuple[Any, ...], int] = {}
-    for known, number in lines_of(text).items():
-        flat.setdefault(_pieces(known), number)
-    wanted = _pieces(location)
+    flat, wanted = _flat_lines(text), _pieces(location)
     for size in range(len(wanted), 0, -1):
         head = wanted[:size]
         below = (number for known, number in flat.items() if known[:size] == head)
         if (number := flat.get(head) or next(below, None)) is not None:
             return number
     return None
+
+
+@lru_cache(maxsize=32)
+def _flat_lines(text: str) -> dict[tuple[Any, ...], int]:
+    """`lines_of`, dotted names taken apart; a check asks for the places of all keys that it reads,
+    whether it has to name them or not.
+    """
+    flat: dict[tuple[Any, ...], int] = {}
+    for known, number in lines_of(text).items():
+        flat.setdefault(_pieces(known), number)
+    return flat
 
 
 def lines_of(text: str) -> dict[tuple[Any, ...], int]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.machines.protocol import Machine, static_flow_of
-from ehbench.parts.edge import edge_flow, edge_onset
+from ehbench.parts.edge import edge_flows, edge_onset
 from ehbench.record import Record
 from ehbench.trial.controllers import Design
 
@@ -78,7 +78,9 @@ def _against(
 
     def mapped(shift: float) -> np.ndarray:
         moved = use.commands - row.sign * shift
-        return np.array([edge_flow(use.drop, one, row, maps) for one in moved.tolist()])
+        flows = np.empty(moved.size)
+        edge_flows(np.full(moved.size, use.drop), moved, row, maps, flows)
+        return flows
 
     tried = []
     for shift in SHIFTS.tolist():

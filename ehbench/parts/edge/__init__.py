@@ -99,6 +99,13 @@ def edge_flow(drop, opening, edge, maps):
     return _flow(edge.law, drop, reach, edge, maps)
 
 
+@kernel
+def edge_flows(drops, openings, edge, maps, flows):
+    """Write `edge_flow` at each of some drops [Pa] and openings [V] into ``flows`` [m³/s]."""
+    for i in range(drops.shape[0]):
+        flows[i] = edge_flow(drops[i], openings[i], edge, maps)
+
+
 @part_kernel
 def edge_leaks(edge, maps):
     """Whether an edge passes oil when its valve is at rest: by its map's leak, or an underlap."""

@@ -94,11 +94,12 @@ def _track(jobs: Sequence[Job]) -> Track:
     """What runs follow."""
     valves = jobs[0].model.plant.valves
     late, known = bool(valves["delay"].any()), {}
-    for job in jobs:  # several may be of one log
-        if id(job.commands) not in known:
-            own = _begins(job.commands, late)
-            known[id(job.commands)] = job.commands[own[:-1]], own
-    rows, begins = zip(*(known[id(job.commands)] for job in jobs), strict=True)
+    tables = [job.commands.tobytes() for job in jobs]
+    for job, own in zip(jobs, tables, strict=True):  # several may be of one log
+        if own not in known:
+            begins = _begins(job.commands, late)
+            known[own] = job.commands[begins[:-1]], begins
+    rows, begins = zip(*(known[own] for own in tables), strict=True)
     some = [job.model.plant.valves[: valves.size if late else 0] for job in jobs]
     return Track(
         _padded(rows),
