@@ -18,6 +18,8 @@ from dataclasses import replace
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("MPLBACKEND", "agg")
 
+gc.disable()  # until all tests are known: what is loaded until then stays
+
 from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
@@ -42,6 +44,7 @@ def pytest_collection_finish() -> None:
     """
     gc.collect()
     gc.freeze()
+    gc.enable()
     gc.set_threshold(50_000, 50, 100)  # in place of 700, 10, 10: what tests make is soon let go
 
 

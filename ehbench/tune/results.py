@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -173,7 +173,7 @@ class Tuning:
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers, texts and lists, for `rundir.write_json`; numbers to DIGITS digits."""
-        return _rounded(asdict(self))
+        return _rounded(self)
 
     def controller(self) -> dict[str, Any]:
         """Keywords for `ehbench.control.pressure_feedback.pack_pressure_feedback`."""
@@ -188,6 +188,8 @@ class Tuning:
 
 
 def _rounded(value: Any) -> Any:
+    if is_dataclass(value):
+        return {field.name: _rounded(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
