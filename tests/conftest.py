@@ -163,7 +163,7 @@ def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedPr
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # the door sets it, and the signal
-    before = signal.getsignal(signal.SIGTERM)
+    before, collects = signal.getsignal(signal.SIGTERM), gc.get_threshold()
 
     def run(*words: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess:
         monkeypatch.setattr(sys, "argv", ["ehbench", *map(str, words)])
@@ -174,6 +174,7 @@ def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedPr
 
     yield run
     signal.signal(signal.SIGTERM, before)
+    gc.set_threshold(*collects)
 
 
 @pytest.fixture
