@@ -48,6 +48,12 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(50_000, 50, 100)  # in place of 700, 10, 10: what tests make is soon let go
 
 
+def pytest_sessionfinish() -> None:
+    """Let the collector pass over what the tests left once more; pytest does it five times."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_deselected(items: list[pytest.Item]) -> None:
     """Count what is left out; a worker hands its count to the process that prints."""
     config = items[0].config
