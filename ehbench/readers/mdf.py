@@ -12,6 +12,8 @@ from ehbench.errors import LogError
 from ehbench.memory import refuse_beyond
 from ehbench.readers.table import Column, Dialect, Source, Table, numbered
 
+DEPTH = 9  # of conversions that refer to conversions; a file with more is damaged
+
 # kinds of channel by version: the group's time, written or counted; samples of different lengths
 _CLOCKS, _VARYING = {3: (1,), 4: (2, 3)}, {3: (), 4: (1,)}
 
@@ -57,13 +59,39 @@ def _refuse_outside(file) -> None:
                 raise LogError(f"the channel '{channel.name}' lies outside its group's records")
 
 
+def _has_formula(conversion, depth: int = DEPTH) -> bool:
+    """Whether a conversion is a formula, or refers to one.
+
+    asammdf hands a formula to numexpr, which evaluates it as Python code, and returns the raw
+    readings where that fails.
+    """
+    if conversion is None:
+        return False
+    if depth == 0 or getattr(conversion, "formula", None):
+        return True
+    references = getattr(conversion, "referenced_blocks", None) or {}
+    blocks = [block for block in references.values() if hasattr(block, "conversion_type")]
+    return any(_has_formula(block, depth - 1) for block in blocks)
+
+
 def _group(file, index: int, name: str, began: float | None) -> tuple[Table, list[str]]:
-    """(a channel group, the channels in it that hold no numbers)."""
+    """(a channel group, the channels in it that are not read, and why).
+
+    Raises:
+        LogError: the time of the group is converted by a formula.
+    """
     group, master = file.groups[index], file.masters_db.get(index)
     columns, names, unread, wanted, t = [], [], [], [], None
+    if master is not None and _has_formula(group.channels[master].conversion):
+        raise LogError(
+            f"the time of '{name}' is converted by a formula, which is not evaluated",
+            hint="export the file with a linear conversion of its time",
+        )
     for at, channel in enumerate(group.channels):
         if channel.channel_type in _VARYING[_version(channel)]:
             unread.append(f"{name}/{channel.name}")  # texts, which a damaged file crashes over
+        elif _has_formula(channel.conversion):
+            unread.append(f"{name}/{channel.name} (a formula converts it, and is not evaluated)")
         elif at != master:
             wanted.append((None, index, at))
     for signal in file.select(wanted, copy_master=False) if wanted else ():

@@ -105,6 +105,56 @@ def test_mdf_comes_with_its_time_and_a_channel_outside_its_records_is_a_sentence
         open_source(path, Dialect())
 
 
+def _formula(kind: str, text: str) -> dict:
+    """A conversion for asammdf: a formula by itself, or one that a table of ranges refers to."""
+    if kind == "formula":
+        return {"formula": text}
+    return {"lower_0": 0.0, "upper_0": 2e9, "text_0": {"formula": text}}
+
+
+@pytest.mark.parametrize(
+    ("version", "kind"), [("3.30", "formula"), ("4.10", "formula"), ("4.10", "table")]
+)
+@pytest.mark.parametrize("text", ["X1*2", "('X1', open({marker!r}, 'w'), 'X1')[0]", "X1^2"])
+def test_a_formula_in_an_mdf_file_is_never_evaluated(version, kind, text, tmp_path):
+    """The library would run it as Python code, or give the raw readings as if converted."""
+    asammdf = pytest.importorskip("asammdf")
+    from asammdf.blocks.conversion_utils import from_dict
+
+    marker, path, t = tmp_path / "ran", tmp_path / "a.mdf", np.linspace(0.0, 1.0, 40)
+    text = text.format(marker=str(marker))
+    with asammdf.MDF(version=version) as file:
+        file.append(
+            [
+                asammdf.Signal(t, t, unit="bar", name="Supply"),
+                asammdf.Signal(
+                    t, t, unit="bar", name="Head", conversion=from_dict(_formula(kind, text))
+                ),
+            ]
+        )
+        path = Path(file.save(path, overwrite=True))
+    source = open_source(path, Dialect())
+    (table,) = source.tables
+    assert [column.name for column in table.columns] == ["Supply"]
+    assert any("Head" in loss and "formula" in loss for loss in source.losses)
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_a_time_that_a_formula_converts_refuses_the_file(version, tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    from asammdf.blocks.conversion_utils import conversion_transfer, from_dict
+
+    path, t = tmp_path / "a.mdf", np.linspace(0.0, 1.0, 40)
+    with asammdf.MDF(version=version) as file:
+        file.append([asammdf.Signal(t, t, unit="bar", name="Supply")])
+        conversion = conversion_transfer(from_dict({"formula": "X1*2"}), int(version[0]))
+        file.groups[0].channels[0].conversion = conversion
+        path = Path(file.save(path, overwrite=True))
+    with pytest.raises(LogError, match="the time of .* is converted by a formula"):
+        open_source(path, Dialect())
+
+
 def test_several_rates_are_said(files, tmp_path):
     (tmp_path / "m.toml").write_text(foreign.map_of("a.mf4"))
     record = read_record(files["a.mf4"], columns=tmp_path / "m.toml")
