@@ -45,7 +45,7 @@ SENSED = 0.01  # … of a sensor's, which nothing makes uneven
 SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's range
 LINE = math.sqrt(12.0)  # standard error of what a line rises by, in those of its mean
 LEAST_LEFT = 0.2  # share of noise that a line through few independent samples leaves
-ROUNDS, CONVERGED = 4, 1.0e-3  # of an estimate: most rounds, and the gain that is not worth another
+ROUNDS, CONVERGED = 20, 1.0e-3  # of an estimate: maximum of rounds, and the gain that ends them
 NOTHING: Mapping[str, float] = {}  # wrong with the sensors of all logs
 _KEPT = 64  # starts along one recording
 FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
@@ -502,11 +502,22 @@ def follow(
     """
     terms = tuple(replace(term, per_log=True) for term in terms)
     start = start_of_log(model, record, live, channels, terms)
+    shifts = best_shifts(model, start, channels, step)
+    return Followed(start.at(model, shifts), start.true(shifts), start.excess(shifts), terms)
+
+
+def best_shifts(
+    model: Model, start: LogStart, channels: Sequence[str], step: float = STEP
+) -> np.ndarray:
+    """The shifts [prior standard deviations] of a start from which the model follows its recording
+    best, as `follow` has it.
+
+    Raises:
+        InputError, SimulationError: as `follow`.
+    """
     search = _Follow(model, start, channels, step)
     shifts = np.zeros(len(start.doubts))
-    if search.recorded.size and shifts.size:
-        shifts = search.best(shifts)
-    return Followed(start.at(model, shifts), start.true(shifts), start.excess(shifts), terms)
+    return search.best(shifts) if search.recorded.size and shifts.size else shifts
 
 
 class _Follow:

@@ -26,7 +26,7 @@ _LOOKS = {
     "stopped": "bad",
     "undecided": "warn",
     "not_measured": "warn",
-    "accepted_with_reserve": "warn",
+    "accepted_with_reservation": "warn",
     "estimated, doubtful": "warn",
     "at_bound": "warn",
     "not_excited": "warn",

@@ -128,7 +128,7 @@ def _verdict(
         look = "good"
         reserved = [run.title for run, content in judged if content.status != "accepted"]
         if reserved:
-            text, look = f"{text[:-1]}, with reserve: {', '.join(reserved)}.", "warn"
+            text, look = f"{text[:-1]}, with reservation: {', '.join(reserved)}.", "warn"
     doubts, told = [], set()
     for run, findings in zip(runs, found, strict=True):
         # what a fit leans on is a reserve of the validations behind it too

@@ -181,9 +181,11 @@ def _validation(run: Saved) -> Findings:
 
 def left_over(table: Table) -> list[str]:
     """What the likeliest fault is that the residuals of a validation show, in a sentence with its
-    cure; none where they show none.
+    cure; none where they show none, or a reservation gives it.
     """
-    found = (table.get("structure") or {}).get("findings", [])
+    reservations = " ".join(table.get("reserves", []))
+    findings = (table.get("structure") or {}).get("findings", [])
+    found = [finding for finding in findings if finding["sentence"] not in reservations]
     return [
         f"{percent(one['explains'])} of what is left over has one likely cause: {one['sentence']}; "
         f"{one['cure']}"

@@ -116,12 +116,13 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         if prepared.recipe.structure:
             if progress is not None:
                 progress("asking the residuals what they follow", 0.5)
-            verdict = replace(verdict, structure=ask(prepared.taken.cases(verdict.logs)))
+            verdict = verdict.with_structure(ask(prepared.taken.cases(verdict.logs)))
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
             leans = rundir.read_json(intervals).get("leans", [])
-            verdict = replace(verdict, reserves=tuple(one["sentence"] for one in leans))
+            sentences = tuple(one["sentence"] for one in leans)
+            verdict = replace(verdict, reserves=(*sentences, *verdict.reserves))
         write_rig(folder, state.rig, state.flow_maps)
         others = [one.as_json() for one in prepared.recipe.reference]
         beside = {"references": others} if others else {}

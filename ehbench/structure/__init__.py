@@ -37,6 +37,7 @@ HALVINGS = 5  # of the steps in which it is
 QUIET = 1.3  # mean square of residuals, in those of noise, up to which only slopes are asked
 OF_A_KIND = 2  # findings of one kind that are told
 MOST = 4  # findings told of a cylinder
+DOMINANT = 0.5  # share of the residuals' squares from which a cause speaks against the model
 
 Point = tuple[Cure, float]  # a cure and its size
 Best = tuple[float, float, list[np.ndarray]]  # a size, sum of squares, what is left of each case
@@ -47,7 +48,8 @@ class Finding:
     """One thing that the residuals say: its ``kind`` (``gain``, ``deadband``, ``lag``, …), what it
     is ``about`` (a part or a channel), a ``sentence``, the ``cure`` as a line of the recipe or the
     rig file, and the share of the residuals' squares that it ``explains``; ``size`` is the cure's
-    own measure, such as a share of a gain."""
+    own measure, such as a share of a gain. ``above_noise`` says whether the residuals exceed what
+    the sensors' noise makes."""
 
     kind: str
     about: str
@@ -55,6 +57,12 @@ class Finding:
     cure: str
     explains: float
     size: float
+    above_noise: bool = False
+
+    @property
+    def dominant(self) -> bool:
+        """Whether it explains most of a residual that is above the noise."""
+        return self.above_noise and self.explains > DOMINANT
 
 
 @dataclass(frozen=True)
@@ -112,7 +120,7 @@ class _Search:
         slopes = self._slopes(self._cures())
         promises = {cure: self._promise(cure, slope) for cure, slope in slopes.items()}
         ranked = sorted(slopes, key=lambda cure: -promises[cure])
-        quiet = self.now < QUIET * sum(left.size for left in self.left)
+        quiet = not self._above_noise
         tried = [cure for cure in ranked[:TRIED] if promises[cure] > 0.0]
         if quiet and not any(self._counts(promises[cure], self.now) for cure in tried):
             return []
@@ -133,7 +141,7 @@ class _Search:
                 else (1, 0, -gains[cure])
             ),
         )
-        found = [_finding(cure, reached[cure][0], gains[cure] / self.now) for cure in shown]
+        found = [self._finding(cure, reached[cure][0], gains[cure]) for cure in shown]
         beside = self._beside(shown, reached[shown[0]][2], slopes)
         kinds = [one.kind for one in found]
         few = [one for i, one in enumerate(found) if kinds[:i].count(one.kind) < OF_A_KIND]
@@ -281,9 +289,13 @@ class _Search:
         gain, cure, delta = best
         if cure is None or gain < BESIDE * now or not self._counts(gain, now):
             return []
-        return [_finding(cure, delta, gain / self.now)]
+        return [self._finding(cure, delta, gain)]
 
+    @property
+    def _above_noise(self) -> bool:
+        return self.now >= QUIET * sum(left.size for left in self.left)
 
-def _finding(cure: Cure, delta: float, explains: float) -> Finding:
-    says, line = cure.says(delta), cure.line(delta)
-    return Finding(cure.kind, cure.about, says, line, float(explains), float(delta))
+    def _finding(self, cure: Cure, delta: float, gain: float) -> Finding:
+        says, line = cure.says(delta), cure.line(delta)
+        explains, above = float(gain / self.now), self._above_noise
+        return Finding(cure.kind, cure.about, says, line, explains, float(delta), above)

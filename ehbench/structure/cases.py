@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from ehbench.record import Record
 from ehbench.rig import Rig
 from ehbench.sensors import Term, corrected, sensed
 from ehbench.signals import correlation_time, white_noise
-from ehbench.starts import Starts, start_of_log
+from ehbench.starts import LogStart, best_shifts, start_of_log
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
 FINE = 0.005  # share of a channel's spread below which an error does not matter, whatever the noise
@@ -46,8 +46,8 @@ class Case:
         return Model.of(rig, self.maps)
 
     def simulated(self, model: Model, record: Record) -> Record:
-        """What a model does on a record, the case's own or a corrected one: from rest, or from what
-        the first samples say where the log begins in motion; as its sensors show it.
+        """What a model does on a record, the case's own or a corrected one, from the estimated
+        initial state; as its sensors show it.
         """
         run = self.run_of(model, record)
         return self.seen(run.model.replay(run.record, start=run.start))
@@ -55,25 +55,25 @@ class Case:
     def run_of(self, model: Model, record: Record) -> Run:
         """(a model, a record as sound sensors would have it, the start) of `simulated`."""
         true = corrected(record, self.terms, self.excess)
-        if not self.begins_in_motion:
-            own = true is self.record
-            return Run(model, true, self._starts.of(model) if own else model.rest_start(true))
-        begun = start_of_log(model, true, self.cylinders, self.channels)
-        return Run(model, true, begun.at(model, np.zeros(len(begun.doubts))))
+        start = self._start if true is self._start.record else replace(self._start, record=true)
+        return Run(model, true, start.at(model, self._shifts))
 
     def seen(self, replayed: Record) -> Record:
         """A simulation as the log's sensors show it."""
         return sensed(replayed, self.terms, self.excess)
 
     @cached_property
-    def _starts(self) -> Starts:
-        """What models begin with along the log as it is, from rest."""
-        return Starts(lambda model: model.rest_start(self.record), False)
+    def _start(self) -> LogStart:
+        """Where the log starts, with the uncertainty of each number of its initial state."""
+        true = corrected(self.record, self.terms, self.excess)
+        return start_of_log(self.model, true, self.cylinders, self.channels)
 
     @cached_property
-    def begins_in_motion(self) -> bool:
-        """Whether the log does."""
-        return start_of_log(self.model, self.record, self.cylinders, self.channels).moves
+    def _shifts(self) -> np.ndarray:
+        """The initial state from which the model follows the log best: the mean of a standstill is
+        not the state of a chamber that leaks.
+        """
+        return best_shifts(self.model, self._start, self.channels)
 
     @cached_property
     def channels(self) -> tuple[str, ...]:

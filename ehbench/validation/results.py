@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -215,10 +215,23 @@ class Validation:
 
     @property
     def verdict(self) -> str:
-        """``accepted``, ``accepted with reserve`` or ``rejected``."""
+        """``accepted``, ``accepted with reservation`` or ``rejected``."""
         if not self.accepted:
             return "rejected"
-        return "accepted with reserve" if self.reserves else "accepted"
+        return "accepted with reservation" if self.reserves else "accepted"
+
+    def with_structure(self, structure: Structure) -> Validation:
+        """With what the residuals say; a cause of most of a residual above the noise is a reserve.
+
+        The sentences give the share of the residual's squares, and what to do.
+        """
+        causes = tuple(
+            f"{100.0 * cause.explains:.0f} % of the residual has one likely cause: "
+            f"{cause.sentence}; {cause.cure}"
+            for cause in structure.findings
+            if cause.dominant
+        )
+        return replace(self, structure=structure, reserves=(*self.reserves, *causes[:1]))
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for ``validation.json``; `read_validation` is the way back."""

@@ -260,17 +260,17 @@ def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):
     assert "doubtful" not in row
 
 
-def test_a_model_is_accepted_with_reserve_where_its_fit_leans_on_a_held_number(folders, tmp_path):
+def test_a_sensitive_fit_gives_a_reservation(folders, tmp_path):
     folder = tmp_path / "judged"
     shutil.copytree(folders[1], folder)
     table = json.loads((folder / "validation.json").read_text())
     reserves = {"accepted": True, "reasons": [], "reserves": [LEAN["sentence"]]}
     write_json(folder / "validation.json", table | reserves)
     told = lines(folder, 200)
-    assert told[0].startswith("ACCEPTED WITH RESERVE on ") and f"- {LEAN['sentence']}" in told
+    assert told[0].startswith("ACCEPTED WITH RESERVATION on ") and f"- {LEAN['sentence']}" in told
     assert findings_of(Saved(folder)).against[0] == LEAN["sentence"]
     glance = words_of(section(build([folder]), "glance"))
-    assert "that it was not fitted to, with reserve: " in glance
+    assert "that it was not fitted to, with reservation: " in glance
     fit = tmp_path / "fit"  # in a report with the fit behind it, told of that alone
     shutil.copytree(folders[0], fit)
     fitted = json.loads((fit / "parameters.json").read_text())

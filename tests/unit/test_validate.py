@@ -352,7 +352,7 @@ def test_json_there_and_back(accepted, rejected, arm, boom, tmp_path):
     far = Record(boom.t, boom.channels | {"boom.q": boom["boom.q"] + 2.0}, boom.meta)
     failed = validate_rig(arm, [("far", far)], thresholds=Thresholds(max_error={"q": "2 deg"}))
     reserved = replace(accepted, reserves=("it leans on a held number",))
-    assert reserved.verdict == "accepted with reserve"
+    assert reserved.verdict == "accepted with reservation"
     for one in (accepted, rejected, failed, reserved):
         write_json(tmp_path / "validation.json", one.as_json())
         assert read_validation(tmp_path) == one

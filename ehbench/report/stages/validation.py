@@ -70,7 +70,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     table = run.json("validation.json")
     status = "accepted" if table["accepted"] else "rejected"
     if table["accepted"] and table.get("reserves"):
-        status = "accepted_with_reserve"
+        status = "accepted_with_reservation"
     parts = [
         Part("Verdict", _verdict(table, status)),
         *_beside_others(run.rig, table),
@@ -104,7 +104,7 @@ def _verdict(table: Table, status: str) -> list[Block]:
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
     if reserves := table.get("reserves", []):
-        blocks.append(Text("The fit behind it leans on a number that it holds:"))
+        blocks.append(Text("Reservations:"))
         blocks.append(Bullets(reserves, "warn"))
     if table["accepted"] and (left := left_over(table)):
         blocks.append(Bullets(left, "warn"))
