@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 CORES  ?= $(shell nproc 2>/dev/null || echo 2)
-CODE    = ehbench tests
+CODE    = ehbench tests tools
 INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url \
           --no-annotate -q
@@ -39,10 +39,10 @@ types: $(VENV)/.dev        ## types of the package
 	$(BIN)/basedpyright
 
 docs: $(VENV)/.dev         ## whether the key tables in docs/ are those of the models
-	$(BIN)/python -m ehbench.reference --check
+	$(BIN)/python -m tools.reference --check
 
 reference: setup         ## write these tables anew
-	$(BIN)/python -m ehbench.reference
+	$(BIN)/python -m tools.reference
 
 site: dev                ## docs as pages to browse, offline, in site/
 	$(BIN)/mkdocs build --quiet --strict
@@ -52,16 +52,16 @@ example: setup           ## the one report that is in git, made again
 	cp build/example/campaign_*/report.html reports/example/report.html
 
 bench: setup             ## measure speed and accuracy, print the table
-	$(BIN)/python -m ehbench.benchmark
+	$(BIN)/python -m tools.benchmark
 
 study: setup             ## whether 95 % intervals hold the truth, over random rigs; some 20 minutes
-	CORES=$(CORES) $(BIN)/python -m ehbench.study
+	CORES=$(CORES) $(BIN)/python -m tools.coverage_study
 
 datasets: setup          ## let the virtual bench record datasets/ again, byte for byte
-	$(BIN)/python -m ehbench.datasets
+	$(BIN)/python -m tools.datasets
 
 warm: setup              ## compile the kernels again after a change to them
-	$(BIN)/python -m ehbench.warm
+	$(BIN)/python -m ehbench.app.warm
 
 setup: $(VENV)/.ready
 
@@ -72,7 +72,7 @@ $(VENV)/.installed: requirements.txt pyproject.toml
 	touch $@
 
 $(VENV)/.ready: $(VENV)/.installed
-	$(BIN)/python -m ehbench.warm
+	$(BIN)/python -m ehbench.app.warm
 	touch $@
 
 dev: $(VENV)/.ready $(VENV)/.dev  ## what the gates need beside what a run needs

@@ -6,7 +6,8 @@
     run = ehbench.identify("recipes/slide_servo/hydraulics.toml")
     run.parameters
 
-Everything is SI inside; `ehbench.quantities` names each quantity with its unit. What a command of
+Everything is SI inside; `ehbench.vocabulary.quantities` names each quantity with its unit. What a
+command of
 the command line does, the function of its name does: `check`, `identify`, `validate`, `tune`,
 `run_trial`, `report`; `run` takes a recipe of any stage. Importing the package changes nothing else
 in the process.
@@ -21,11 +22,11 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ehbench.inspection import Inspection
-    from ehbench.logs import read_log as read_log
+    from ehbench.app.inspection import Inspection
+    from ehbench.config.recipe import load_rig as load_rig
+    from ehbench.data.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
     from ehbench.plant.model import simulate as simulate
-    from ehbench.recipe import load_rig as load_rig
     from ehbench.workflow import Outcome, Progress, Session
 
 __all__ = [
@@ -45,8 +46,8 @@ __all__ = [
 # imported when first used, so that `import ehbench` and `ehbench --help` are quick
 _HOME = {
     "load_flow_maps": "ehbench.physics.flow_map",
-    "load_rig": "ehbench.recipe",
-    "read_log": "ehbench.logs",
+    "load_rig": "ehbench.config.recipe",
+    "read_log": "ehbench.data.logs",
     "simulate": "ehbench.plant.model",
 }
 
@@ -93,7 +94,7 @@ def check(file: str | Path) -> Inspection:
     Raises:
         InputError: the file cannot be taken for what it is.
     """
-    from ehbench import inspection
+    from ehbench.app import inspection
 
     return inspection.check(Path(file))
 

@@ -1,6 +1,6 @@
 """``python -m ehbench`` is the command ``ehbench``."""
 
-from ehbench.cli import main
+from ehbench.app.cli import main
 
 if __name__ == "__main__":
     main()

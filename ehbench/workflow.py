@@ -17,18 +17,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehbench import stages
-from ehbench.blas import one_thread
-from ehbench.errors import InputError
-from ehbench.recipe import HydraulicsRecipe, Recipe, load_recipe
+from ehbench.config.recipe import HydraulicsRecipe, Recipe, load_recipe
+from ehbench.runtime.blas import one_thread
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Outcome, Progress, Stage
 from ehbench.stages.campaign import write_report
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.look import Circle
 from ehbench.stages.study import Where
+from ehbench.vocabulary.errors import InputError
 
 if TYPE_CHECKING:
-    from ehbench.identification.suggestions import Suggestions
+    from ehbench.guidance.suggestions import Suggestions
     from ehbench.stages.planning import NextTest
 
 __all__ = [
@@ -166,7 +166,7 @@ def suggest(
     Raises:
         EhbenchError: as `run`, or a recipe of another kind.
     """
-    from ehbench.identification.suggestions import SECONDS
+    from ehbench.guidance.suggestions import SECONDS
     from ehbench.stages.hydraulics import HydraulicsStage, suggested, write_suggested
 
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
@@ -218,7 +218,7 @@ def sample(study: Path, index: int, session: Session | None = None) -> Recipe:
     Raises:
         EhbenchError: no such study or sample, a recipe that has changed since its run.
     """
-    from ehbench.stages.kept import again
+    from ehbench.stages.single_sample import again
 
     session = session or Session()
     return again(study, index, session)

@@ -24,7 +24,7 @@ from pathlib import Path  # noqa: E402
 
 import pytest  # noqa: E402
 
-from ehbench import cores  # noqa: E402
+from ehbench.runtime import cores  # noqa: E402
 
 # parallel workers share the processors: threads of each on all of them only wait for one another
 if beside := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
@@ -164,7 +164,7 @@ def unlocused(monkeypatch) -> None:
 @pytest.fixture
 def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
     """Runs the command by its entry point without a process of its own, which costs seconds."""
-    from ehbench import cli
+    from ehbench.app import cli
 
     for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
         monkeypatch.setenv(name, value)
@@ -200,7 +200,8 @@ def workspace(tmp_path_factory, slide_runs, boom_maps) -> Path:
     a new workspace ``my_rig``, the runs of the slide's campaign and of the boom's flow maps, and a
     run ``reports/flow_maps`` of one valve's readings.
     """
-    from ehbench import starter, workflow
+    from ehbench import workflow
+    from ehbench.app import starter
 
     folder = tmp_path_factory.mktemp("docs")
     for runs in (slide_runs, boom_maps):

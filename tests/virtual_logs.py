@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.plant.model import simulate
-from ehbench.record import Record
-from ehbench.rig import Rig
 
 RIGS = Path(__file__).parents[1] / "recipes" / "rigs"
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 5e-5, "v": 1e-3, "p_head": 1.5e4, "p_rod": 1.5e4}

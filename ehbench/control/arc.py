@@ -14,22 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import (
-    AGAINST,
-    DISTURBANCE,
-    ESTIMATES,
-    EXTEND_RESISTIVE_REGENERATION,
-    FREE,
-    FROZEN,
-    HOLD,
-    INVERSE_BULK,
-    INVERSE_INERTIA,
-    PAYLOAD_SHARE,
-    REVERSED,
-    SATURATED,
-    WEIGHED,
-)
-from ehbench.compiled import kernel, record
 from ehbench.control.arc_gains import GAIN_NAMES, GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
 from ehbench.control.coupling import loads_among
@@ -86,6 +70,22 @@ from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.sample import OF, entry
 from ehbench.parts.supply import beside_change
 from ehbench.physics.arm import work_size
+from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary.codes import (
+    AGAINST,
+    DISTURBANCE,
+    ESTIMATES,
+    EXTEND_RESISTIVE_REGENERATION,
+    FREE,
+    FROZEN,
+    HOLD,
+    INVERSE_BULK,
+    INVERSE_INERTIA,
+    PAYLOAD_SHARE,
+    REVERSED,
+    SATURATED,
+    WEIGHED,
+)
 
 LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
 AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates

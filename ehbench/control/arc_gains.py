@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
-from ehbench.compiled import record
 from ehbench.control.axis import Axis, Load, hydraulic_frequency, reference_load
 from ehbench.control.functions import RULES
 from ehbench.control.law import Packed, Site
 from ehbench.control.records import blank, numbers, reals
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import joint_of
-from ehbench.quantities import VOCABULARY
+from ehbench.runtime.compiled import record
+from ehbench.vocabulary.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
 
 GAIN_NAMES = (
     "tick",

@@ -7,10 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS, HOLD
-from ehbench.compiled import kernel, table
 from ehbench.control.functions import Circuit, coupled
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, linkage_of
 from ehbench.parts.edge import edge_onset
 from ehbench.physics.arm import (
@@ -23,6 +20,9 @@ from ehbench.physics.arm import (
     weigh_turned,
     work_size,
 )
+from ehbench.runtime.compiled import kernel, table
+from ehbench.vocabulary.codes import FUNCTIONS, HOLD
+from ehbench.vocabulary.errors import InputError
 
 # what must be known of the cylinder
 NEEDED = (

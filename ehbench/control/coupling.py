@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
 from ehbench.control.axis import Load
 from ehbench.control.trajectory import ORDERS, A, J, V
 from ehbench.parts.cylinder import linkage_arrays, linkage_of
 from ehbench.physics.arm import bias_turned, mass_matrix_turned, turn
+from ehbench.runtime.compiled import kernel
 
 
 class Joints(NamedTuple):

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.codes import HOLD
-from ehbench.compiled import kernel
 from ehbench.control.axis import Axis, Mechanism
 from ehbench.control.functions import select, supply_draw
 from ehbench.control.measured import Pressures
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.physics.arm import bias_turned, mass_matrix_turned, turn, work_size
+from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary.codes import HOLD
 
 
 @kernel

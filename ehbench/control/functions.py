@@ -15,7 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.codes import (
+from ehbench.control.measured import Pressures
+from ehbench.control.records import blank, numbers, reals, rows_of
+from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
+from ehbench.parts.edge.preload import preload
+from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, offered
+from ehbench.physics.flow_map import ValveMaps
+from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary.codes import (
     EXTEND_RESISTIVE_REGENERATION,
     FUNCTIONS,
     HOLD,
@@ -23,14 +30,7 @@ from ehbench.codes import (
     STALLED,
     UNABLE,
 )
-from ehbench.compiled import kernel, record
-from ehbench.control.measured import Pressures
-from ehbench.control.records import blank, numbers, reals, rows_of
-from ehbench.errors import InputError
-from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
-from ehbench.parts.edge.preload import preload
-from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, offered
-from ehbench.physics.flow_map import ValveMaps
+from ehbench.vocabulary.errors import InputError
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
 SUPPLY_HEAD, HEAD_TANK, SUPPLY_ROD, ROD_TANK, HEAD_ROD, ROD_HEAD = range(6)

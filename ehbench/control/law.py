@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.control.axis import Axis
-from ehbench.quantities import Quantity
+from ehbench.vocabulary.quantities import Quantity
 
 
 @dataclass(frozen=True)

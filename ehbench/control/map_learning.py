@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import AGAINST, FAINT, REVERSED, SATURATED
-from ehbench.compiled import kernel
 from ehbench.control.functions import (
     HEAD_ROD,
     HEAD_TANK,
@@ -22,6 +20,8 @@ from ehbench.control.functions import (
     Circuit,
 )
 from ehbench.control.measured import Pressures
+from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary.codes import AGAINST, FAINT, REVERSED, SATURATED
 
 GAIN, SHIFT = 0, 1
 # columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind

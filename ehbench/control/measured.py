@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ehbench.compiled import kernel
 from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry
+from ehbench.runtime.compiled import kernel
 
 
 class Pressures(NamedTuple):

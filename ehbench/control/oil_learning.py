@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import kernel, record
+from ehbench.runtime.compiled import kernel, record
 
 # what is found: θ4 − 1, lateness [s], shares of the flow that lack, extending and retracting
 SOFTER, LATER, MORE, BACK = range(4)

@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import HOLD, SATURATED
-from ehbench.compiled import kernel, record
 from ehbench.control import pressure_feedback
 from ehbench.control.axis import Axis, hydraulic_frequency, reference_load
 from ehbench.control.law import Law, Packed, Site
@@ -21,9 +19,11 @@ from ehbench.control.measured import pressures, write
 from ehbench.control.pressure_feedback import move
 from ehbench.control.records import blank, numbers, reals
 from ehbench.control.trajectory import reference_of
-from ehbench.errors import InputError
 from ehbench.parts.sample import OF, entry
-from ehbench.quantities import VOCABULARY
+from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary.codes import HOLD, SATURATED
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
 
 LAG_BUDGET = 0.2  # [rad]: what the lag of valves and sampling may take of the loop's phase at k_1
 LEAST_DAMPING = 0.02  # damping ratio of a cylinder on its oil that seals and valves always make

@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
-from ehbench.compiled import kernel, record
 from ehbench.control.axis import Axis
 from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select, steady_reference
 from ehbench.control.law import Law, Packed, Required, Site
@@ -29,9 +27,11 @@ from ehbench.control.trajectory import (
     shape_speed,
 )
 from ehbench.control.valve_level import Flows, allocate, rest
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil
-from ehbench.quantities import VOCABULARY
+from ehbench.runtime.compiled import kernel, record
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
 
 OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
 SCALARS = (

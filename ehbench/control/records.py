@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ehbench.compiled import table
+from ehbench.runtime.compiled import table
 
 
 def reals(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Fields of one real number each, for `ehbench.compiled.record`."""
+    """Fields of one real number each, for `ehbench.runtime.compiled.record`."""
     return [(name, "f8") for name in names]
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import numba
 from numba.extending import overload
 
-from ehbench.compiled import WITHIN, kernel
 from ehbench.control import LAW_NAMES
 from ehbench.control.law import Law
+from ehbench.runtime.compiled import WITHIN, kernel
 
 LAWS: dict[str, Law] = {name: import_module(f"{__package__}.{name}").LAW for name in LAW_NAMES}
 _STEPS: dict[Any, Callable[..., None]] = {

@@ -12,10 +12,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel, record
 from ehbench.control.records import blank, reals
-from ehbench.errors import InputError
-from ehbench.memory import rows_of
+from ehbench.runtime.compiled import kernel, record
+from ehbench.runtime.memory import rows_of
+from ehbench.vocabulary.errors import InputError
 
 
 class Reference(NamedTuple):

@@ -2,7 +2,7 @@
 measured drops (thesis 3).
 
 What a valve cannot do is flagged for each edge, never hidden: a sum of the bits of
-`ehbench.codes.LIMITS`.
+`ehbench.vocabulary.codes.LIMITS`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ehbench.codes import AGAINST, FAINT, OUTSIDE, REVERSED, SATURATED
-from ehbench.compiled import kernel
 from ehbench.control.functions import (
     DIRECTION,
     METERING,
@@ -26,6 +24,8 @@ from ehbench.control.functions import (
 from ehbench.control.measured import Pressures
 from ehbench.parts.edge import MAP, edge_command, edge_flow
 from ehbench.parts.edge.preload import preload
+from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary.codes import AGAINST, FAINT, OUTSIDE, REVERSED, SATURATED
 
 
 class Flows(NamedTuple):

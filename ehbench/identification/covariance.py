@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.identification.search import LEVEL
-from ehbench.signals import correlation_time
+from ehbench.signals.series import correlation_time
 
 # logs disagree where noise alone would make them do so less often than this
 DISAGREE = 0.01

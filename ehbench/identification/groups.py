@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.terms import Z95
+from ehbench.vocabulary.terms import Z95
 
 # a product is one of a group where it is known to this share of what its parameters are known to
 _MUCH_BETTER = 0.25

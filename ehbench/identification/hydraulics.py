@@ -20,10 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError, InsufficientData
-from ehbench.identification.band import on_response
+from ehbench.config.recipe.sensor import Sensor
+from ehbench.config.rig import Cylinder, Rig
+from ehbench.data.record import Record
+from ehbench.frequency_response.response import Averaging
+from ehbench.identification.frequency_domain import on_response
 from ehbench.identification.journal import Journal
-from ehbench.identification.leans import watched
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import Decimate, refuse_few
 from ehbench.identification.output_error import OutputError
@@ -35,21 +37,19 @@ from ehbench.identification.results import (
     Progress,
 )
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
+from ehbench.identification.sensitivity import watched
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
-from ehbench.observations import payload_of
 from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
-from ehbench.quantities import VOCABULARY, meant
-from ehbench.recipe.sensor import Sensor
-from ehbench.record import Record
-from ehbench.response import Averaging
-from ehbench.rig import Cylinder, Rig
-from ehbench.sensors import Term, known_taken_out, terms_of
-from ehbench.signals import correlation_time
-from ehbench.terms import Z95
+from ehbench.preprocessing.observations import payload_of
+from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
+from ehbench.signals.series import correlation_time
+from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.quantities import VOCABULARY, meant
+from ehbench.vocabulary.terms import Z95
 
 __all__ = [
     "FitOptions",

@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ehbench import rundir
-from ehbench.errors import EhbenchError, InputError
+from ehbench.runs import rundir
+from ehbench.vocabulary.errors import EhbenchError, InputError
 
 EVERY = 0.5  # [s] between writings: what a killed search loses at most
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.errors import InputError, InsufficientData
 from ehbench.identification.results import (
     Estimate,
     HydraulicsFit,
@@ -21,8 +20,9 @@ from ehbench.identification.results import (
 )
 from ehbench.identification.search import LEVEL, VAGUE, Coordinate
 from ehbench.identification.simulator import Log, Simulator
-from ehbench.observations import TOGETHER, least_change, rings_clearly
-from ehbench.signals import Ringing, ringing, ringing_like, rms, transients
+from ehbench.preprocessing.observations import TOGETHER, least_change, rings_clearly
+from ehbench.signals.series import Ringing, ringing, ringing_like, rms, transients
+from ehbench.vocabulary.errors import InputError, InsufficientData
 
 # rounds before the matching asks whether a parameter is told at all; of these so many may damp a
 # silent simulation less, and after so many the slopes are kept, so that it can come to rest

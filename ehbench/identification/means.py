@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from ehbench.errors import InputError
+from ehbench.data.record import Means, Record
 from ehbench.identification.search import Where
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.plant.paced import CLOSE, pace_of
-from ehbench.record import Means, Record
+from ehbench.vocabulary.errors import InputError
 
 Decimate = int | Literal["auto"]
 # A mean over T keeps sinc²(fT) of what white noise leaves known at a frequency f, so that of a

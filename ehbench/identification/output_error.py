@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehbench.errors import InsufficientData
 from ehbench.identification.descent import FAINT, Point
-from ehbench.identification.leans import doubts_of
 from ehbench.identification.multi_start import MultiStart
 from ehbench.identification.results import HydraulicsFit, read_off
+from ehbench.identification.sensitivity import doubts_of
 from ehbench.identification.uncertainty import Error, errors_of, result_of
+from ehbench.vocabulary.errors import InsufficientData
 
 NOTHING = 1.0e-3  # share of its largest effect below which a parameter does not touch a log
 NEAR = 5.0e-3  # share of its reach within which a parameter is tried at its bound

@@ -10,22 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InsufficientData
-from ehbench.fields import Value
-from ehbench.identification.band import ResponseFit, followed, late_responses
+from ehbench.config.recipe.sensor import reading_row
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.identification.fixed_numbers import counts_on
+from ehbench.identification.frequency_domain import ResponseFit, followed, late_responses
 from ehbench.identification.groups import Group
 from ehbench.identification.means import said
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of, seen_as
-from ehbench.identification.held import counts_on
-from ehbench.observations import noise_of, supply_off
 from ehbench.plant.ties import tied_words
-from ehbench.quantities import GAUGES, quantity
-from ehbench.recipe.sensor import reading_row
-from ehbench.record import Record
-from ehbench.rig import Rig
-from ehbench.sensors import Term
-from ehbench.signals import Ringing, correlation_time, fit_percent, lowpass, rms
+from ehbench.preprocessing.observations import noise_of, supply_off
+from ehbench.preprocessing.sensors import Term
+from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
+from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.quantities import GAUGES, quantity
 
 LITTLE = 0.1  # share of a channel's spread up to which what is left of it is not spoken of
 STRUCTURE = 3.0  # times a channel's noise from which what is left of it is more than noise

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
 
-from ehbench import units
-from ehbench.errors import InputError
-from ehbench.fields import Value
-from ehbench.quantities import Quantity
-from ehbench.recipe.sensor import reading_row
-from ehbench.rig import Rig, parameter_row
-from ehbench.sensors import Term
+from ehbench.config.recipe.sensor import reading_row
+from ehbench.config.rig import Rig, parameter_row
+from ehbench.preprocessing.sensors import Term
+from ehbench.vocabulary import units
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.quantities import Quantity
 
 LEVEL = 0.95
 # a standard error of more than this many units of a parameter says nothing: 95 % then span a factor

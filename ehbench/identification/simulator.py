@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from ehbench.cores import cores
-from ehbench.errors import EhbenchError, InputError, InsufficientData
+from ehbench.config.rig import Cylinder, Rig
+from ehbench.data.record import Means, Record, block_means
 from ehbench.identification.means import Decimate, means_of
-from ehbench.observations import alternatives, channels_asked, column, least_change, payload_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Kept, Maps
 from ehbench.plant.lanes.many import LEAST, Run, has_lanes, replays_paced
@@ -23,13 +22,20 @@ from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing import LIMITED, at_limit, preprocess
-from ehbench.quantities import like_channel, quantity
-from ehbench.record import Means, Record, block_means
-from ehbench.rig import Cylinder, Rig
-from ehbench.sensors import Term
-from ehbench.signals import transients, white_noise
-from ehbench.starts import LogStart, start_of_log
+from ehbench.preprocessing.initial_states import LogStart, start_of_log
+from ehbench.preprocessing.observations import (
+    alternatives,
+    channels_asked,
+    column,
+    least_change,
+    payload_of,
+)
+from ehbench.preprocessing.preparation import LIMITED, at_limit, preprocess
+from ehbench.preprocessing.sensors import Term
+from ehbench.runtime.cores import cores
+from ehbench.signals.series import transients, white_noise
+from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
+from ehbench.vocabulary.quantities import like_channel, quantity
 
 if TYPE_CHECKING:
     from ehbench.identification.band import Band

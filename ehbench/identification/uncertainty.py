@@ -20,7 +20,7 @@ from ehbench.identification.results import (
     not_excited,
 )
 from ehbench.identification.search import VAGUE, Coordinate
-from ehbench.terms import CORRELATED, Z95
+from ehbench.vocabulary.terms import CORRELATED, Z95
 
 
 @dataclass(frozen=True)

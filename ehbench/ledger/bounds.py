@@ -7,15 +7,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.errors import InsufficientData
+from ehbench.config.rig import Cylinder, Rig
+from ehbench.data.record import Record
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import function_of
 from ehbench.parts.oil import bulk
 from ehbench.physics.cylinder import linkage
 from ehbench.plant.build import oil_fields, pins_of
-from ehbench.record import Record
-from ehbench.rig import Cylinder, Rig
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.vocabulary.errors import InsufficientData
 
 SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
 CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ

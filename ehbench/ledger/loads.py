@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ehbench.data.record import Record, payloads_of
 from ehbench.ledger.quadrature import stores_at
 from ehbench.plant.build import Plant
 from ehbench.plant.model import Model
-from ehbench.record import Record, payloads_of
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.fields import scalars
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.ledger.loads import Loads
 from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
 from ehbench.ledger.quadrature import flows_at, powers_at
@@ -21,8 +22,7 @@ from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
-from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.vocabulary.fields import scalars
 
 
 class Found(NamedTuple):

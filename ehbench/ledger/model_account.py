@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehbench.errors import InputError, LogError
+from ehbench.data.record import Record
 from ehbench.ledger.loads import Loads
 from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at
 from ehbench.ledger.rows import Ledger
@@ -17,7 +17,7 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.plant.valves import felt_commands, follow_valves
-from ehbench.record import Record
+from ehbench.vocabulary.errors import InputError, LogError
 
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
 ROUNDING = 1.0e-12  # smaller than any reading

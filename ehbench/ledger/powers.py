@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ehbench.compiled import kernel
 from ehbench.parts.accumulator import gas_energy
 from ehbench.parts.cylinder import (
     chamber_inflow,
@@ -29,6 +28,7 @@ from ehbench.parts.mount import mount_held, mount_loss, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_held, node_pressure
 from ehbench.parts.sway import sway_held, sway_loss
 from ehbench.physics import arm
+from ehbench.runtime.compiled import kernel
 
 
 class CylinderPowers(NamedTuple):

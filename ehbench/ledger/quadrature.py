@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel
 from ehbench.ledger.powers import powers, stores
 from ehbench.parts.nodes import TANK
 from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.physics import arm
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, STIFF, advance, put
+from ehbench.runtime.compiled import allocating_kernel
 
 
 class Integrated(NamedTuple):

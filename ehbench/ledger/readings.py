@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import LogError
+from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.physics.cylinder import DIRECT
 from ehbench.plant.model import Model
 from ehbench.plant.valves import felt_commands
-from ehbench.record import Record
+from ehbench.vocabulary.errors import LogError
 
 CUT_MEAN = 0.7561  # mean of |z|, z standard normal, what exceeds its 90 % quantile cut to it
 ROUNDING = 1.0e-12  # smaller than any reading

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError
+from ehbench.vocabulary.errors import InputError
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS
-from ehbench.errors import LogError
+from ehbench.data.record import Record, payloads_of
 from ehbench.ledger.powers import CylinderPowers, CylinderStores
 from ehbench.ledger.rows import GROUPS, Ledger, Row
 from ehbench.parts.nodes import SUPPLY
 from ehbench.plant.model import Model
-from ehbench.record import Record, payloads_of
-from ehbench.terms import Z95
+from ehbench.vocabulary.codes import FUNCTIONS
+from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.terms import Z95
 
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
 Part = tuple[str, str, str | None, Sequence[str], Sequence[str]]  # name, where, cylinder, +, −

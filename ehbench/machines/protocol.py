@@ -13,11 +13,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from ehbench.errors import InputError
 from ehbench.machines.rows import Controls, Rows
 from ehbench.parts.edge import edge_flows
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
+from ehbench.vocabulary.errors import InputError
 
 Posture = Mapping[str, str | float] | None
 Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ehbench.errors import InputError
+from ehbench.config.recipe import TrialRecipe
+from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Machine
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.variation import varied
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.build import Maps
-from ehbench.recipe import TrialRecipe
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import InputError
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
     "model": SimulatedMachine.of,

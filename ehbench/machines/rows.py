@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ehbench.compiled import WITHIN, kernel
+from ehbench.config.recipe import Limits
 from ehbench.control.law import Controller
 from ehbench.control.registry import tick
 from ehbench.parts.sample import OF, entry
-from ehbench.recipe import Limits
+from ehbench.runtime.compiled import WITHIN, kernel
 
 LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
 NO_LIMITS = (math.inf, -math.inf, -math.inf, math.inf, math.inf)

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import bound, kernel
-from ehbench.errors import SimulationError
+from ehbench.config.recipe import TrialRecipe
+from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.cylinder import linkage_of
@@ -20,8 +20,8 @@ from ehbench.plant.integrate import STEP, advance, rk4
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, LATE, SCRATCH, Step, Way, over_tick, pace_of
 from ehbench.plant.trim import LowSide
-from ehbench.recipe import TrialRecipe
-from ehbench.rig import Rig
+from ehbench.runtime.compiled import bound, kernel
+from ehbench.vocabulary.errors import SimulationError
 
 NAME = "model"
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from ehbench.errors import InputError
-from ehbench.fields import Value, read_value
+from ehbench.config.recipe import BenchRecipe, MachineChange, TrialRecipe, load_recipe
+from ehbench.config.rig import Rig
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.plant import RAW
@@ -17,9 +17,9 @@ from ehbench.parts.sample import OF
 from ehbench.physics.flow_map import FlowMap, FlowMaps, collect
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import BenchRecipe, MachineChange, TrialRecipe, load_recipe
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value, read_value
+from ehbench.vocabulary.quantities import VOCABULARY
 
 FRICTION = ("friction_coulomb", "friction_static", "friction_viscous")
 FLOW = ("flow_gain", "compensated_gain", "map_factor")

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import part_kernel
 from ehbench.physics.cylinder import ATMOSPHERE
+from ehbench.runtime.compiled import part_kernel
 
 # ``gas_volume`` [m³], 0 for no accumulator; ``precharge`` [Pa], gauge; ``polytropic_exponent``
 COLUMNS = (("gas_volume", "f8"), ("precharge", "f8"), ("polytropic_exponent", "f8"))

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import part_kernel, record
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.nodes import node_pressure
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
@@ -21,6 +20,7 @@ from ehbench.physics.cylinder import (
     makeup_flow,
     relief_flow,
 )
+from ehbench.runtime.compiled import part_kernel, record
 
 RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 

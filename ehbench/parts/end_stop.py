@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import part_kernel
 from ehbench.physics.cylinder import end_stop
+from ehbench.runtime.compiled import part_kernel
 
 STOP_DEPTH = 1.0e-3  # [m]: how deep full supply pressure sinks a piston into its end stop
 STOP_DISSIPATION = 5.0  # [s/m]

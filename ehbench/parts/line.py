@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from ehbench.compiled import part_kernel, record
-from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.cylinder import chamber_pressure_rate, chamber_slope
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.nodes import node_pressure
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
+from ehbench.runtime.compiled import part_kernel, record
+from ehbench.vocabulary.fields import FileModel, Q, Value
 
 
 class Line(FileModel):

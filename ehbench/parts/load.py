@@ -7,8 +7,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ehbench.compiled import part_kernel, record
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.runtime.compiled import part_kernel, record
 
 # A force on a rod, positive where it pushes it out. The number of its ``cylinder``; ``extending``
 # and ``retracting`` [N] while the rod moves so; ``stiffness`` [N/m] of a spring that gives no force

@@ -16,11 +16,11 @@ from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from ehbench.compiled import Generic, kernel, part_kernel
-from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.cylinder import chamber_of
 from ehbench.parts.end_stop import stop_force
 from ehbench.parts.nodes import node_pressure
+from ehbench.runtime.compiled import Generic, kernel, part_kernel
+from ehbench.vocabulary.fields import FileModel, Q, Value
 
 YIELDING = 1.0e-3  # [s]: damping over stiffness where none is given
 QUICKEST = 2.0e-5  # [s]: the least that a rig file may have

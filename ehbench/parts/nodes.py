@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ehbench.compiled import part_kernel, record
 from ehbench.parts.oil import held
 from ehbench.parts.supply import from_rail
+from ehbench.runtime.compiled import part_kernel, record
 
 SUPPLY, TANK = 0, 1
 

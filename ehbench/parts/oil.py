@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import part_kernel
 from ehbench.physics.cylinder import ATMOSPHERE
+from ehbench.runtime.compiled import part_kernel
 
 LEAST = 500.0  # [Pa], absolute: below it the air grows no further
 EXPONENT = 1.4  # of air that is compressed without heat

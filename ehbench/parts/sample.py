@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ehbench.compiled import part_kernel
+from ehbench.runtime.compiled import part_kernel
 
 
 class CylinderEntries(NamedTuple):

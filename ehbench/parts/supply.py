@@ -5,10 +5,10 @@ which an edge takes where that is enough (two rails)."""
 
 from __future__ import annotations
 
-from ehbench.compiled import part_kernel, record
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.accumulator import gas_capacity
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
+from ehbench.runtime.compiled import part_kernel, record
 
 RECOVERY_TIME = 0.02  # [s]
 # share of its margin that a load-sensing pump is counted on to bring while it stands below

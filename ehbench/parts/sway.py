@@ -14,8 +14,8 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from ehbench.compiled import part_kernel
-from ehbench.fields import FileModel, Q, Value
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import FileModel, Q, Value
 
 
 class Sway(FileModel):

@@ -3,7 +3,7 @@ found."""
 
 from __future__ import annotations
 
-from ehbench.compiled import part_kernel
+from ehbench.runtime.compiled import part_kernel
 
 
 @part_kernel

@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import kernel, part_kernel, record
+from ehbench.runtime.compiled import kernel, part_kernel, record
 
 CHAIN, SLIDE = 0, 1
 

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import kernel
-from ehbench.errors import InputError
+from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary.errors import InputError
 
 PINS, DIRECT, RACK = 0, 1, 2
 

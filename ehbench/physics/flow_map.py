@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, kernel
-from ehbench.disk import DATA, read_bytes
-from ehbench.errors import InputError
-from ehbench.text import quoted
+from ehbench.runtime.compiled import allocating_kernel, kernel
+from ehbench.runtime.disk import DATA, read_bytes
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.text import quoted
 
 FORMAT, VERSION = "ehbench flow maps", 1
 FILE_NAME = "flow_maps.json"
@@ -645,8 +645,8 @@ def table(
     (1 or 0); the openings are the measured ones, zero or positive, the drops run from 0 to the
     largest measured one. ``signs`` (−1 or 1 by valve and direction) adds ``driver_command [V]``,
     what to send for the opening: sign·opening."""
-    from ehbench.quantities import VOCABULARY
-    from ehbench.units import from_si
+    from ehbench.vocabulary.quantities import VOCABULARY
+    from ehbench.vocabulary.units import from_si
 
     lines = [
         "valve,direction,opening [V],"

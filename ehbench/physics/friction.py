@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel
+from ehbench.runtime.compiled import kernel
 
 
 @kernel

@@ -9,9 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import table, table_of
-from ehbench.errors import InputError
-from ehbench.fields import Value
+from ehbench.config.rig import Chain, Cylinder, Edge, FixedEdge, Joint, Rig, Slide
 from ehbench.parts import edge as edges
 from ehbench.parts import friction
 from ehbench.parts import valve as valves
@@ -29,7 +27,9 @@ from ehbench.physics import arm
 from ehbench.physics.cylinder import DIRECT, PINS, RACK, joint_angle, linkage
 from ehbench.physics.flow_map import FlowMap, ValveMaps, pack
 from ehbench.plant.layout import SIDES, Layout, Offsets, layout
-from ehbench.rig import Chain, Cylinder, Edge, FixedEdge, Joint, Rig, Slide
+from ehbench.runtime.compiled import table, table_of
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
 
 _KEPT = 256  # things that plants have in common
 Maps = Mapping[str, ValveMaps]

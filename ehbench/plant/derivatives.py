@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ehbench.compiled import Generic, kernel, part_kernel
 from ehbench.parts.cylinder import (
     chamber_inflow,
     chamber_of,
@@ -27,6 +26,7 @@ from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.physics.cylinder import chamber_rate
 from ehbench.plant.build import Plant
+from ehbench.runtime.compiled import Generic, kernel, part_kernel
 
 # [1/s] least flow of an edge that a load-sensing pump feels, in what brings its line up by its
 # margin: what would take a day for that is none

@@ -6,13 +6,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel
 from ehbench.parts.cylinder import chamber_of, linkage_of
 from ehbench.parts.friction import friction_force
 from ehbench.parts.mount import piston_of
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
-from ehbench.quantities import GAUGES
+from ehbench.runtime.compiled import allocating_kernel
+from ehbench.vocabulary.quantities import GAUGES
 
 
 @allocating_kernel

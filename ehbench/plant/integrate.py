@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, part_kernel
 from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.plant.derivatives import any_derivatives, any_finish
+from ehbench.runtime.compiled import allocating_kernel, part_kernel
 
 STEP = 5.0e-4  # [s]
 STIFF = 1.0  # substeps are taken so that rate·step stays below this

@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.parts import friction, valve
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.sway import SWAY
 from ehbench.physics.arm import work_size
-from ehbench.rig import Cylinder, Rig, Valve
 
 SIDES = ("head", "rod")
 

@@ -11,13 +11,13 @@ from itertools import starmap
 
 import numpy as np
 
-from ehbench.cores import cores
 from ehbench.plant.integrate import STEP
 from ehbench.plant.lanes.many import LEAST, Job, go_together, has_lanes, run_together
 from ehbench.plant.lanes.steps import run_lanes
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import Model, finite
 from ehbench.plant.paced import AUTO, Step
+from ehbench.runtime.cores import cores
 
 AHEAD = 4  # simulations a core that may wait to be taken; in lanes, sets of them for two cores
 
@@ -44,7 +44,7 @@ def run_many(
         step: of the integration [s], or ``"auto"``.
         workers: threads; by default one a core.
         lanes: let neighbours of one layout go side by side, in fixed steps, where the kernel for it
-            is compiled (`ehbench.warm`).
+            is compiled (`ehbench.app.warm`).
 
     Raises:
         SimulationError: a state stopped being finite.

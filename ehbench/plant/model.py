@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.errors import InputError, LogError, SimulationError
+from ehbench.config.rig import Rig
+from ehbench.data.record import Means, Record
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
@@ -23,9 +24,8 @@ from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
 from ehbench.plant.rest import CREEPS, creep
 from ehbench.plant.ties import supplied, tied_words, ties_of
 from ehbench.plant.valves import felt_commands
-from ehbench.record import Means, Record
-from ehbench.rig import Rig
-from ehbench.signals import first_of
+from ehbench.signals.series import first_of
+from ehbench.vocabulary.errors import InputError, LogError, SimulationError
 
 FREE = np.zeros(0, dtype=np.int64)  # no mesh: steps are chosen
 # what of a recording tells where it starts

@@ -15,7 +15,6 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, kernel, part_kernel
 from ehbench.parts.cylinder import joint_range_of
 from ehbench.parts.valve import limited, valve_advance
 from ehbench.parts.valve.delay import Line, line_felt, line_push
@@ -23,6 +22,7 @@ from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STABLE, put, stages
 from ehbench.plant.layout import SIDES, Layout
+from ehbench.runtime.compiled import allocating_kernel, kernel, part_kernel
 
 AUTO: Literal["auto"] = "auto"
 CLOSE = 2.0e-8  # share of a state's scale by which one step may miss it

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import kernel, part_kernel
 from ehbench.parts.edge import CHECK, PUMP, edge_flow
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.supply import sensed
 from ehbench.parts.valve import limited
 from ehbench.plant.build import Plant
+from ehbench.runtime.compiled import kernel, part_kernel
 
 LOW_SIDE = 0.1  # share of the supply pressure at which a chamber that carries nothing stands
 CREEPS = 1.0e-5  # [m/s]: a cylinder that goes on slower at rest stands

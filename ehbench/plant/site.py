@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ehbench.config.rig import Cylinder, Rig
 from ehbench.control.axis import Axis, Mechanism, axis_of, inertias
 from ehbench.control.functions import Circuit
 from ehbench.control.law import Site
@@ -14,7 +15,6 @@ from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.valve import valve_lag
 from ehbench.physics.arm import work_size
 from ehbench.plant.model import Model
-from ehbench.rig import Cylinder, Rig
 
 
 def site_of(

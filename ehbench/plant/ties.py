@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
-from ehbench.record import Record
-from ehbench.signals import lowpass, white_noise
+from ehbench.signals.series import lowpass, white_noise
 
 SUPPLY, RECORDED = "supply", "recorded"  # the fact that the supply's pressure is the recording's
 TIED = "tied"  # the fact of a record that says what of it is tied: a key of WORDS

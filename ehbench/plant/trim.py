@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError, SimulationError
-from ehbench.fields import read_value
+from ehbench.config.rig import Rig
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.cylinder import CYLINDER, joint_of, joint_range_of, linkage_of
 from ehbench.parts.edge import EDGE
@@ -27,8 +26,9 @@ from ehbench.physics.arm import LINK, SLIDE, gravity_torque, work_size
 from ehbench.plant.build import Plant
 from ehbench.plant.layout import Layout
 from ehbench.plant.rest import carrying, open_at_rest, resting
-from ehbench.quantities import VOCABULARY
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.quantities import VOCABULARY
 
 # pressure [Pa] of the chambers that no load presses on: of all cylinders, or by name of some
 LowSide = float | Mapping[str, float] | None

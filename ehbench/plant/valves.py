@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, kernel
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.friction import friction_advance
 from ehbench.parts.mount import mount_settle
@@ -16,6 +15,7 @@ from ehbench.parts.valve.delay import line_felt, line_of, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, put
+from ehbench.runtime.compiled import allocating_kernel, kernel
 
 
 @allocating_kernel

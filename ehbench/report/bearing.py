@@ -10,10 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ehbench import rundir
-from ehbench.errors import EhbenchError
 from ehbench.report.saved import Saved
-from ehbench.rundir import read_json, sha256
+from ehbench.runs import rundir
+from ehbench.runs.rundir import read_json, sha256
+from ehbench.vocabulary.errors import EhbenchError
 
 
 @dataclass(frozen=True)

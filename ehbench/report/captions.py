@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from ehbench.config.rig import Rig
 from ehbench.report.saved import Table
 from ehbench.report.words import (
     estimate,
@@ -18,7 +19,6 @@ from ehbench.report.words import (
     unit_of,
     with_error,
 )
-from ehbench.rig import Rig
 
 MODEL = "model"  # what a trial runs on that is no machine
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.fields import Value
-from ehbench.record import Record
+from ehbench.config.rig import Rig, Slide
+from ehbench.data.record import Record
 from ehbench.report.captions import load_name
 from ehbench.report.saved import Saved, Table
-from ehbench.rig import Rig, Slide
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.fields import Value
 
 SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared
 
@@ -32,7 +32,7 @@ class Case:
 
     def record(self) -> Record:
         """Its log."""
-        from ehbench.logs import read_record
+        from ehbench.data.logs import read_record
 
         return read_record(self.log)
 

@@ -10,10 +10,10 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from ehbench.errors import InputError
-from ehbench.quantities import VOCABULARY
 from ehbench.report.saved import Saved
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
 
 # run facts and what only pictures need
 _SKIPPED = {"run.json", "volatile.json", "flow_maps.json"}

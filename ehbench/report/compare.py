@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ehbench.errors import InputError
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.captions import plus, range_of
 from ehbench.report.content import num
@@ -19,9 +19,9 @@ from ehbench.report.headlines import findings_of
 from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import found, table
 from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
-from ehbench.rundir import read_json
-from ehbench.terms import Z95
+from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.terms import Z95
 
 _RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.captions import capital, percent, plus
 from ehbench.report.content import num
@@ -16,8 +17,7 @@ from ehbench.report.figures.comparison import comparison
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Series, Table
 from ehbench.report.words import interval, number, pretty, unit_of, words
-from ehbench.rig import Rig
-from ehbench.terms import Z95
+from ehbench.vocabulary.terms import Z95
 
 OFF = 0.1  # share of a channel's range that is far off
 LONG = 0.2  # share of a log that is long

@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Part, Picture
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.words import count, number, shown, words
-from ehbench.rig import Rig
 
 Pictures = Callable[[FigureKey], list[Picture]]  # the run's figures that answer a question
 _LOOKS = {

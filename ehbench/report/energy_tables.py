@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Text
 from ehbench.report.captions import capital, load_name, percent, span
 from ehbench.report.cases import Case
@@ -28,7 +29,6 @@ from ehbench.report.words import (
     with_error,
     words,
 )
-from ehbench.rig import Rig
 
 _BOUNDS = {
     "standard": "a four-way valve",

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Grid
 from ehbench.report.captions import capital
 from ehbench.report.content import num
@@ -14,7 +14,7 @@ from ehbench.report.figures.circuit import circuit, flow_words
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Table
 from ehbench.report.words import axis, number, shown, words
-from ehbench.rig import Rig
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 
 _SEVENTH = FUNCTIONS[EXTEND_RESISTIVE_REGENERATION]
 

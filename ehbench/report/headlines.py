@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ehbench.config.rig import Rig
 from ehbench.report.captions import (
     MODEL,
     as_fitted,
@@ -23,8 +24,7 @@ from ehbench.report.figures.channels import title_of
 from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
-from ehbench.terms import BEYOND
+from ehbench.vocabulary.terms import BEYOND
 
 DOUBTFUL = "estimated, doubtful"  # as it leans on a held number that the logs deny
 ON_MACHINE = "run the same trials on the machine"

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from ehbench.rundir import write_json
+from ehbench.runs.rundir import write_json
 
 INDEX = "index.json"
 

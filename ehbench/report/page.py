@@ -15,10 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ehbench import rundir
-from ehbench.disk import DATA, read_bytes
-from ehbench.errors import EhbenchError, InputError
-from ehbench.recipe import Campaign
+from ehbench.config.recipe import Campaign
 from ehbench.report.bearing import no_longer_bears
 from ehbench.report.blocks import (
     Block,
@@ -44,6 +41,9 @@ from ehbench.report.stages import place_of, report_of
 from ehbench.report.stages.campaign import Titles, campaign_sections, heading
 from ehbench.report.svg import sound
 from ehbench.report.words import count, words
+from ehbench.runs import rundir
+from ehbench.runtime.disk import DATA, read_bytes
+from ehbench.vocabulary.errors import EhbenchError, InputError
 
 if TYPE_CHECKING:
     from jinja2 import Template

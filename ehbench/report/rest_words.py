@@ -9,11 +9,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.captions import measure, span
 from ehbench.report.cases import Case
 from ehbench.report.words import pretty, shown, unit_of, words
-from ehbench.rig import Rig
 
 Known: TypeAlias = Sequence[tuple[Case, Record]]
 SEEN = 0.1  # share of the speed asked from which a swing after a stop is told

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ehbench.fields import Value
+from ehbench.config.rig import Rig, Slide
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
 from ehbench.report.captions import as_fitted, plus
 from ehbench.report.content import num
 from ehbench.report.saved import Table
 from ehbench.report.words import number, pretty, row_of, shown, unit_of
-from ehbench.rig import Rig, Slide
-from ehbench.terms import Z95
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.terms import Z95
 
 
 def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:

@@ -17,13 +17,13 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from ehbench.errors import InputError
-from ehbench.quantities import VOCABULARY, quantity
-from ehbench.recipe import load_rig
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
 from ehbench.report.index import INDEX
-from ehbench.rig import Rig
-from ehbench.rundir import read_json
-from ehbench.units import to_si
+from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY, quantity
+from ehbench.vocabulary.units import to_si
 
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _SIDE = re.compile(r"^(?:(recorded|simulated)\.)?(.*?)(?:[ .](recorded|simulated))?$")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Text
 from ehbench.report.captions import capital, span
 from ehbench.report.cases import Case
@@ -11,7 +12,6 @@ from ehbench.report.content import num, quantity_cell
 from ehbench.report.energy_tables import four_way
 from ehbench.report.trial_tables import WHO, rail_cell, who
 from ehbench.report.words import DASH, axis, number
-from ehbench.rig import Rig
 
 ONE_PRESSURE = "constant pressure"
 

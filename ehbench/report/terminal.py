@@ -15,7 +15,7 @@ from ehbench.report.content import SectionContent
 from ehbench.report.saved import Saved
 from ehbench.report.stages import report_of
 from ehbench.report.words import words
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
 
 GAP = "  "
 QUIET = ("done", "partly_estimated")  # statuses that are no verdict

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ehbench import codes
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.captions import (
     capital,
     error_of,
@@ -22,7 +22,7 @@ from ehbench.report.cases import SLOW, Case, damping, payloads_carried
 from ehbench.report.saved import Table
 from ehbench.report.trial_tables import limits_of
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
+from ehbench.vocabulary import codes
 
 # channels of what an adaptive law has learnt, in the order of the figure: the payload, not its
 # share

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ehbench.codes import LIMITS_MEAN, STATUS_MEANS
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
 from ehbench.report.captions import (
     capital,
@@ -33,7 +33,7 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.rig import Rig
+from ehbench.vocabulary.codes import LIMITS_MEAN, STATUS_MEANS
 
 MEANS = 10.0  # times the errors seen: a guaranteed bound beyond that says nothing
 STANDS = 1e-3  # share of the speed asked that counts as standing still

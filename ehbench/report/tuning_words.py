@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Text
 from ehbench.report.captions import capital, load_name, measure, span
 from ehbench.report.saved import Table
 from ehbench.report.words import count, number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
 
 
 def function_names(tuning: Table) -> list[str]:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ehbench.errors import EhbenchError, InputError
-from ehbench.recipe.toml import line_of, read_toml
+from ehbench.config.recipe.toml import line_of, read_toml
+from ehbench.config.rig import Rig
 from ehbench.report.bearing import Made, Source
 from ehbench.report.claims import Claim, claim_of
 from ehbench.report.saved import Saved
@@ -24,8 +24,8 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.rig import Rig
-from ehbench.rundir import SHIPPED
+from ehbench.runs.rundir import SHIPPED
+from ehbench.vocabulary.errors import EhbenchError, InputError
 
 # how each kind of run comes to its numbers, and the page of the docs that says it in full
 _METHODS = {

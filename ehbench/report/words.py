@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 
-from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.rig import Rig
-from ehbench.units import from_si
+from ehbench.config.rig import Rig
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary.units import from_si
 
 DASH = "–"
 SKEW = 0.1  # share of its half width by which a value may stand off an interval's middle for ±

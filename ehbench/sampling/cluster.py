@@ -17,11 +17,11 @@ from queue import Empty, SimpleQueue
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ehbench import rundir
-from ehbench.blas import one_thread
-from ehbench.errors import InputError
+from ehbench.runs import rundir
+from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import DEATHS, GRACE, WARMING, Chunks
 from ehbench.sampling.sample import Make, Sample, Task, samples_of
+from ehbench.vocabulary.errors import InputError
 
 if TYPE_CHECKING:
     from distributed import Future

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError, UnitError
-from ehbench.recipe import Span, Spread, StudyRecipe
-from ehbench.text import shortened
-from ehbench.units import split_number
+from ehbench.config.recipe import Span, Spread, StudyRecipe
+from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary.units import split_number
 
 CASE, RECIPE = "case", "recipe"  # columns that no key has
 LEAST = 2.0**-53  # of a share: a normal draw stays finite

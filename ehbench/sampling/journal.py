@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError
-from ehbench.rundir import FULL
+from ehbench.runs.rundir import FULL
 from ehbench.sampling.sample import Sample
+from ehbench.vocabulary.errors import InputError
 
 SYNC = 1.0  # [s] between two syncs
 

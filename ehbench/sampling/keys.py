@@ -15,12 +15,12 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ehbench.errors import InputError, UnitError
-from ehbench.fields import Value, read_value
-from ehbench.recipe import BenchRecipe, validated
-from ehbench.rig import Rig, parameter_row
+from ehbench.config.recipe import BenchRecipe, validated
+from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
-from ehbench.units import split_number
+from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.fields import Value, read_value
+from ehbench.vocabulary.units import split_number
 
 RIG, RECIPE, BENCH = "rig", "recipe", "bench"
 

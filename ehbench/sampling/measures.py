@@ -11,10 +11,10 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ehbench.errors import InputError
-from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.recipe import Measure
-from ehbench.record import Record
+from ehbench.config.recipe import Measure
+from ehbench.data.record import Record
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 
 # words of results that are quantities under another name
 _SPOKEN = {

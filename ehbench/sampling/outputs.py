@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.quantities import Quantity
-from ehbench.recipe import Measure
-from ehbench.rig import Rig
+from ehbench.config.recipe import Measure
+from ehbench.config.rig import Rig
 from ehbench.sampling.design import Design
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.measures import row_of
 from ehbench.sampling.sample import Sample
 from ehbench.sampling.tables import Parquet
-from ehbench.text import quoted
-from ehbench.units import from_si
+from ehbench.vocabulary.quantities import Quantity
+from ehbench.vocabulary.text import quoted
+from ehbench.vocabulary.units import from_si
 
 STRETCH = 4096  # rows at a time
 

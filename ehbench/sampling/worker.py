@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
-from ehbench.blas import one_thread
+from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import serve
 
 

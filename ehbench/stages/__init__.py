@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from ehbench.recipe import Recipe
-from ehbench.stages.base import Checked, Stage
+from ehbench.stages.base import REGISTRY, Checked, Stage, stage_of
 from ehbench.stages.bench import BenchFile, Dataset
 from ehbench.stages.campaign import CampaignStage
 from ehbench.stages.flow_map import FlowMapStage
@@ -18,10 +15,9 @@ from ehbench.stages.tuning import ArcTuningStage, TuningStage
 from ehbench.stages.validation import ValidationStage
 
 __all__ = ["REGISTRY", "Checked", "Stage", "stage_of"]
-# in the order of the data
-REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {
-    stage.recipe.kind(): stage
-    for stage in (
+REGISTRY.update(
+    (stage.recipe.kind(), stage)
+    for stage in (  # in the order of the data
         FlowMapStage(),
         HydraulicsStage(),
         ResponseStage(),
@@ -35,9 +31,4 @@ REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {
         BenchFile(),
         Dataset(),
     )
-}
-
-
-def stage_of(recipe: Recipe) -> Checked[Any]:
-    """The stage of a recipe."""
-    return REGISTRY[recipe.kind()]
+)

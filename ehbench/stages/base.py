@@ -12,18 +12,18 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.notebook import label, plural, shown, table
-from ehbench.recipe import Recipe, load_rig
+from ehbench.config.recipe import Recipe, load_rig
+from ehbench.runs import rundir
 from ehbench.stages.inputs import Inputs, NamedFiles, maps_in
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.notebook import label, plural, shown, table
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from ehbench.config.rig import Rig
+    from ehbench.data.record import Record
     from ehbench.physics.flow_map import FlowMaps
-    from ehbench.record import Record
-    from ehbench.rig import Rig
 
 DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
 Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
@@ -166,6 +166,15 @@ class Checked(ABC, Generic[R]):
         Raises:
             EhbenchError: what the run would refuse before it begins.
         """
+
+
+# by kind of recipe; `ehbench.stages` enters every stage
+REGISTRY: dict[tuple[str, str | None], Checked[Any]] = {}
+
+
+def stage_of(recipe: Recipe) -> Checked[Any]:
+    """The stage of a recipe."""
+    return REGISTRY[recipe.kind()]
 
 
 class Stage(Checked[R], Generic[R, P]):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ehbench.fields import Value
-from ehbench.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
+from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
 from ehbench.stages.base import Checked, Prepared
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary.fields import Value
 
 
 class BenchFile(Checked[BenchRecipe]):
@@ -25,7 +25,7 @@ class BenchFile(Checked[BenchRecipe]):
 
 
 class Dataset(Checked[DatasetRecipe]):
-    """`DatasetRecipe`, which ``python -m ehbench.datasets`` records."""
+    """`DatasetRecipe`, which ``python -m tools.datasets`` records."""
 
     recipe = DatasetRecipe
 

@@ -8,12 +8,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.recipe import Campaign, load_recipe
-from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Progress, Stage, Work
+from ehbench.config.recipe import Campaign, load_recipe
+from ehbench.runs import rundir
+from ehbench.stages.base import (
+    DONE,
+    INCOMPLETE,
+    Host,
+    Outcome,
+    Prepared,
+    Progress,
+    Stage,
+    Work,
+    stage_of,
+)
 from ehbench.stages.findings import STANDS, counted
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -33,8 +43,6 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
     writes = "one report.html over all runs, each of which has a folder of its own"
 
     def prepare(self, recipe: Campaign, inputs: Inputs) -> PreparedCampaign:
-        from ehbench.stages import stage_of
-
         findings, files = inputs.findings, []
         texts_of: dict[str, dict[str, list[str]]] = {"notes": {}, "open": {}}
         for index, name in enumerate(recipe.recipes):

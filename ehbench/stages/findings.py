@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ehbench.errors import EhbenchError
-from ehbench.recipe import Recipe
+from ehbench.config.recipe import Recipe
+from ehbench.vocabulary.errors import EhbenchError
 
 STANDS = "which stands"
 

@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ehbench import rundir
-from ehbench.recipe.sensor import ESTIMATE, WORDS, Sensor, reading_row
-from ehbench.rig import Rig
-from ehbench.sensors import ATMOSPHERE
-from ehbench.terms import Z95
-from ehbench.units import from_si
+from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor, reading_row
+from ehbench.config.rig import Rig
+from ehbench.preprocessing.sensors import ATMOSPHERE
+from ehbench.runs import rundir
+from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.units import from_si
 
 FILE, TABLES = "parameters.json", "sensor_tables"
 

@@ -9,17 +9,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ehbench import rundir
-from ehbench.errors import InsufficientData
-from ehbench.recipe import FlowMapRecipe
-from ehbench.recipe.columns import LEAVE_OUT
+from ehbench.config.recipe import FlowMapRecipe
+from ehbench.config.recipe.columns import LEAVE_OUT
+from ehbench.runs import rundir
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
+from ehbench.vocabulary.errors import InsufficientData
 
 if TYPE_CHECKING:
-    from ehbench.identification.readings import EdgeFit, PreparedReadings
-    from ehbench.rig import Rig
+    from ehbench.config.rig import Rig
+    from ehbench.flow_maps.tables import EdgeFit, PreparedReadings
 
 # share of the supply's pressure by which the zero of a sensor of that range is off (standard error)
 SENSOR_ERROR = 1e-3
@@ -46,9 +46,9 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     writes = "flow_maps.json, flow_maps.csv, summary.json, points.csv, rig.toml, figures"
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
-        from ehbench.identification.readings import prepare_readings
-        from ehbench.logs.readings import mapped_readings
-        from ehbench.readers import read_flowmeter
+        from ehbench.data.logs.readings import mapped_readings
+        from ehbench.data.readers import read_flowmeter
+        from ehbench.flow_maps.tables import prepare_readings
 
         findings = inputs.findings
         state = inputs.rig_state(recipe.rig)
@@ -85,7 +85,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         )
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.identification import readings
+        from ehbench.flow_maps import tables as readings
         from ehbench.physics.flow_map import collect, save_flow_maps, table
 
         recipe, rig = prepared.recipe, prepared.state.rig
@@ -150,7 +150,7 @@ def _of_some(
     Raises:
         InsufficientData: no edge has a map.
     """
-    from ehbench.identification.readings import run_readings
+    from ehbench.flow_maps.tables import run_readings
 
     fits, without = [], []
     for one in prepared.edges:
@@ -166,10 +166,10 @@ def _of_some(
 
 def _from_logs(recipe: FlowMapRecipe, inputs: Inputs, state: RigState) -> PreparedMaps:
     """Readings that step logs give."""
-    from ehbench.identification.readings import prepare_readings
-    from ehbench.identification.step_readings import step_readings
+    from ehbench.config.recipe.base import DataFile
+    from ehbench.flow_maps.step_readings import step_readings
+    from ehbench.flow_maps.tables import prepare_readings
     from ehbench.plant.model import Model
-    from ehbench.recipe.base import DataFile
 
     findings = inputs.findings
     logs = inputs.logs([DataFile(path=name) for name in recipe.data])

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.recipe import HydraulicsRecipe, read_toml
-from ehbench.recipe.base import data_file
+from ehbench.config.recipe import HydraulicsRecipe, read_toml
+from ehbench.config.recipe.base import data_file
+from ehbench.runs import rundir
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -31,13 +30,14 @@ from ehbench.stages.base import (
 from ehbench.stages.findings import counted
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
+from ehbench.vocabulary.errors import InputError
 
 if TYPE_CHECKING:
+    from ehbench.config.recipe.sensor import Sensor
+    from ehbench.config.rig import Rig
+    from ehbench.guidance.suggestions import Suggestions
     from ehbench.identification.hydraulics import HydraulicsFit, PreparedFit
     from ehbench.identification.journal import Journal
-    from ehbench.identification.suggestions import Suggestions
-    from ehbench.recipe.sensor import Sensor
-    from ehbench.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def suggested(
     prepared: PreparedHydraulics, progress: Progress | None, seconds: float
 ) -> Suggestions:
     """What would better a recipe's fit."""
-    from ehbench.identification.suggestions import suggest
+    from ehbench.guidance.suggestions import suggest
 
     assert prepared.fit is not None  # a run has all its logs
     return suggest(prepared.fit, prepared.logs.records, progress, seconds)
@@ -144,7 +144,7 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     """
     import tomli_w
 
-    from ehbench.rig import parameter_row
+    from ehbench.config.rig import parameter_row
 
     if folder.exists() and any(folder.iterdir()):
         raise InputError("exists and is not empty; nothing was written", file=folder)
@@ -195,8 +195,8 @@ def _from(folder: Path, recipe: HydraulicsRecipe, name: str) -> str:
 def _prepared_fit(
     recipe: HydraulicsRecipe, state: RigState, logs: Logs, rig: Rig, sensors: Sequence[Sensor]
 ) -> PreparedFit:
+    from ehbench.frequency_response.response import Averaging
     from ehbench.identification.hydraulics import FitOptions, prepare_fit
-    from ehbench.response import Averaging
 
     response, given = None, recipe.response
     if given is not None:

@@ -13,10 +13,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.fields import Value
-from ehbench.recipe import (
+from ehbench.config.recipe import (
     ColumnMap,
     DataFile,
     FlowMapRecipe,
@@ -27,13 +24,16 @@ from ehbench.recipe import (
     load_rig,
     whole_map,
 )
-from ehbench.rig import Edge, Rig, Valve
+from ehbench.config.rig import Edge, Rig, Valve
+from ehbench.runs import rundir
 from ehbench.stages.findings import Findings
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
 
 if TYPE_CHECKING:
-    from ehbench.logs.beside import Beside
+    from ehbench.data.logs.beside import Beside
+    from ehbench.data.record import Record
     from ehbench.physics.flow_map import FlowMaps
-    from ehbench.record import Record
 
 NamedFiles = tuple[tuple[str, Path], ...]  # (role, file or run folder) of each input, in order
 
@@ -213,10 +213,10 @@ class Inputs:
         """
         import numpy as np
 
-        from ehbench.gaps import parts_of
-        from ehbench.logs import read_record
-        from ehbench.logs.beside import with_beside
-        from ehbench.preprocessing import distinct_names
+        from ehbench.data.logs import read_record
+        from ehbench.data.logs.beside import with_beside
+        from ehbench.preprocessing.gaps import parts_of
+        from ehbench.preprocessing.preparation import distinct_names
 
         items, places, entries = [], [], []
         for index, item in enumerate(data):
@@ -260,7 +260,7 @@ class Inputs:
 
     def _beside(self, item: DataFile, index: int) -> list[Beside]:
         """The files beside a log, each with its map of columns."""
-        from ehbench.logs.beside import Beside
+        from ehbench.data.logs.beside import Beside
 
         found = []
         for at, other in enumerate(item.beside):

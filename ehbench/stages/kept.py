@@ -10,16 +10,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
-from ehbench.errors import EhbenchError, InputError
-from ehbench.recipe import Recipe, TrialRecipe, load_recipe, read_toml
+from ehbench.config.recipe import Recipe, TrialRecipe, load_recipe, read_toml
 from ehbench.sampling.design import Design, label_of
 from ehbench.sampling.keys import Changes, changed_bench, changed_table
-from ehbench.stages.base import Host, Outcome, Progress, Stage
+from ehbench.stages.base import Outcome, Progress, Stage, stage_of
 from ehbench.stages.findings import Findings
-from ehbench.stages.inputs import Inputs, Runs
+from ehbench.stages.inputs import Inputs
 from ehbench.stages.samples import Plan, Sampler, _Base
+from ehbench.vocabulary.errors import EhbenchError
 
 # keys of a recipe that name files
 _FILES = ("rig", "flow_maps", "bench", "file", "path", "from", "gains", "columns")
@@ -72,8 +72,6 @@ def run_sample(plan: Plan, path: Path, out: Path) -> Outcome:
     Raises:
         EhbenchError: as the run.
     """
-    from ehbench.stages import stage_of
-
     recipe = load_recipe(path)
     stage = stage_of(recipe)
     assert isinstance(stage, Stage)  # a study is of such ones only
@@ -218,45 +216,3 @@ def _code_of(base: _Base, plan: Plan) -> tuple[Path, ...]:
         return ()
     beside = [code for code in trial.code_files(base.model) if code.parent == base.path.parent]
     return tuple(beside)
-
-
-class Asking(Host, Runs, Protocol):
-    """The session that asks for a sample."""
-
-    @property
-    def allow_code(self) -> bool: ...
-
-    @property
-    def unvalidated(self) -> bool: ...
-
-
-def again(study: Path, index: int, host: Asking) -> Recipe:
-    """`ehbench.workflow.sample`."""
-    from ehbench.report.bearing import Made
-    from ehbench.stages import stage_of
-    from ehbench.stages.study import PreparedStudy
-
-    path = study
-    if study.is_dir():
-        made = Made(study)
-        if made.recipe.place is None or not made.recipe.is_same:
-            raise InputError(
-                "its recipe is not found, or has changed since",
-                file=study,
-                hint="name the study's recipe to take the sample as it is now",
-            )
-        path = made.recipe.place
-    recipe = load_recipe(path)
-    stage = stage_of(recipe)
-    if recipe.stage_name != "study" or not isinstance(stage, Stage):
-        raise InputError("is no study", file=path, hint="write STUDY#417, a study's run or recipe")
-    allowed = {"allow_code": host.allow_code, "unvalidated": host.unvalidated}
-    prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), host, **allowed))
-    assert isinstance(prepared, PreparedStudy)
-    if not 0 <= index < prepared.design.size:
-        raise InputError(
-            f"has no sample {index}", file=study, hint=f"it has 0 to {prepared.design.size - 1}"
-        )
-    folder = host.root / f"{recipe.name}_{prepared.key[:8]}_{index}"
-    folder.mkdir(parents=True, exist_ok=True)
-    return load_recipe(write_sample(prepared.plan, prepared.design, index, folder))

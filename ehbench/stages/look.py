@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.recipe import Recipe, load_recipe
-from ehbench.stages import stage_of
-from ehbench.stages.base import Prepared, Stage
+from ehbench.config.recipe import Recipe, load_recipe
+from ehbench.runs import rundir
+from ehbench.stages.base import Prepared, Stage, stage_of
 from ehbench.stages.findings import STANDS, Findings
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary.errors import InputError
 
 
 class Circle(InputError):

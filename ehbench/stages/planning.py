@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.identification.next_test import Known, Proposal, must_be_fitted, propose, widest
-from ehbench.recipe import HydraulicsRecipe, load_recipe
+from ehbench.config.recipe import HydraulicsRecipe, load_recipe
+from ehbench.config.rig import Rig
+from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose, widest
 from ehbench.report.bearing import Made
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.terminal import table
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
-from ehbench.rig import Rig
+from ehbench.runs import rundir
 from ehbench.stages.base import DONE, Host, Outcome, Progress, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.inputs import Inputs
+from ehbench.vocabulary.errors import InputError
 
 _SHOWN = 8
 
@@ -132,7 +132,7 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     Raises:
         InputError: another kind of recipe, a parameter that it does not fit.
     """
-    from ehbench.identification.profile import profile
+    from ehbench.guidance.profile import profile
     from ehbench.report import draw
 
     recipe = inputs.recipe

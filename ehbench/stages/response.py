@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from ehbench import rundir
-from ehbench.fields import Q, Value
-from ehbench.quantities import quantity
-from ehbench.recipe import AnyColumns, DataFiles, Recipe
+from ehbench.config.recipe import AnyColumns, DataFiles, Recipe
+from ehbench.runs import rundir
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -24,9 +22,11 @@ from ehbench.stages.base import (
 )
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, Logs, RigState
+from ehbench.vocabulary.fields import Q, Value
+from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
-    from ehbench.response import Signals
+    from ehbench.frequency_response.response import Signals
 
 
 class ResponseRecipe(Recipe):
@@ -83,7 +83,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
     writes = "response.json, response.csv, rig.toml, figures"
 
     def prepare(self, recipe: ResponseRecipe, inputs: Inputs) -> PreparedResponse:
-        from ehbench.response import Averaging, prepare_signals
+        from ehbench.frequency_response.response import Averaging, prepare_signals
 
         state, logs = inputs.rig_state(recipe.rig), inputs.logs(recipe.data)
         choice = Averaging(window=recipe.window, coherence=recipe.coherence_min)
@@ -102,8 +102,8 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         )
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.response import estimate
-        from ehbench.transfer import transfers
+        from ehbench.frequency_response.response import estimate
+        from ehbench.frequency_response.transfer import transfers
 
         recipe, losses = prepared.recipe, prepared.logs.losses
         assert prepared.signals is not None  # a run stops where a check has none

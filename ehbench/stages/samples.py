@@ -15,10 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 from weakref import finalize
 
-from ehbench import rundir
-from ehbench.disk import impossible
-from ehbench.errors import EhbenchError, InputError
-from ehbench.recipe import (
+from ehbench.config.recipe import (
     Measure,
     Recipe,
     StudyRecipe,
@@ -28,15 +25,18 @@ from ehbench.recipe import (
     read_toml,
     validated,
 )
+from ehbench.runs import rundir
+from ehbench.runtime.disk import impossible
 from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
 from ehbench.sampling.measures import lookup, of_channels, refuse_unknown, value_of
 from ehbench.sampling.sample import LATE, STATUS, Make, Sample, Task
-from ehbench.stages.base import Prepared, Stage
+from ehbench.stages.base import Prepared, Stage, stage_of
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, Runs
 from ehbench.stages.trial import PreparedOne
+from ehbench.vocabulary.errors import EhbenchError, InputError
 
 
 def open_sampler(plan: Plan) -> Make:
@@ -190,8 +190,6 @@ class Sampler:
         Raises:
             EhbenchError: as the stage.
         """
-        from ehbench.stages import stage_of
-
         base, changes = self.changes(settings)
         recipe = base.changed(changes[""], folder)
         stage = stage_of(recipe)
@@ -205,8 +203,6 @@ class Sampler:
         Raises:
             EhbenchError: with the nearest key, or as the trial's stage.
         """
-        from ehbench.stages import stage_of
-
         base, changes = self.changes(settings)
         for stem, own in changes.items():
             here = base if not stem else _Base.of(base.behind[stem])
@@ -330,8 +326,8 @@ class Sampler:
 
 def si_of(raw: Any, one: Measure) -> float:
     """A number of a study in SI, by the words of the key that it is of."""
-    from ehbench.rig import parameter_row
-    from ehbench.units import parse
+    from ehbench.config.rig import parameter_row
+    from ehbench.vocabulary.units import parse
 
     return parse(raw, parameter_row(one.inside or "")) if isinstance(raw, str) else float(raw)
 
@@ -490,8 +486,6 @@ class SampleRuns:
         """As `Runs.findings`: nothing, in a run."""
 
     def _run(self, path: Path) -> Path:
-        from ehbench.stages import stage_of
-
         behind = _Base.of(path)
         folder = self._folder / f"behind_{path.stem}"
         folder.mkdir()
@@ -596,9 +590,9 @@ def promised(prepared: Prepared, stage: Stage) -> list[Any]:
 
 @lru_cache(maxsize=1)
 def _trial_measures() -> dict[str, Any]:
-    from ehbench.codes import LIMITS
     from ehbench.trial.measures import StepMeasures
     from ehbench.trial.swing import LimitCycle
+    from ehbench.vocabulary.codes import LIMITS
 
     return {
         "steps": tuple[StepMeasures, ...],

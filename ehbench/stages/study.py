@@ -16,11 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from ehbench import rundir
-from ehbench.cores import cores
-from ehbench.errors import EhbenchError, InputError
-from ehbench.memory import refuse_beyond
-from ehbench.recipe import StudyRecipe, load_recipe
+from ehbench.config.recipe import StudyRecipe, load_recipe
+from ehbench.runs import rundir
+from ehbench.runtime.cores import cores
+from ehbench.runtime.memory import refuse_beyond
 from ehbench.sampling import statistics
 from ehbench.sampling.cluster import Cluster
 from ehbench.sampling.design import CASE, RECIPE, Design, Factor, Fitted, label_of
@@ -28,7 +27,17 @@ from ehbench.sampling.journal import Journal
 from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
 from ehbench.sampling.pools import Pool, Processes, Threads
 from ehbench.sampling.sample import STATUS, WHOLE, Task
-from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Progress, Stage, Work
+from ehbench.stages.base import (
+    DONE,
+    INCOMPLETE,
+    Host,
+    Outcome,
+    Prepared,
+    Progress,
+    Stage,
+    Work,
+    stage_of,
+)
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.kept import keep
@@ -41,8 +50,9 @@ from ehbench.stages.samples import (
     recipes_behind,
     refuse_measures,
 )
-from ehbench.text import shortened
-from ehbench.units import parse
+from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary.units import parse
 
 CELLS = 4  # of memory for each number of the table: it, its point in the design, two at work
 OUTER = (0.02, 0.98)  # shares of a draw: what lies beyond is too rare to say
@@ -141,8 +151,6 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
     @staticmethod
     def _inner(path: Path, at: int, inputs: Inputs, runs: RecordedRuns) -> tuple[Stage, Prepared]:
         """(stage, prepared) of a recipe that the study runs."""
-        from ehbench.stages import stage_of
-
         inner = load_recipe(path)
         stage = stage_of(inner)
         if not isinstance(stage, Stage) or stage.name in ("campaign", "study"):

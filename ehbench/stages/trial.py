@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ehbench import rundir
-from ehbench.errors import InputError
-from ehbench.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
+from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
+from ehbench.runs import rundir
 from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
+from ehbench.vocabulary.errors import InputError
 
 if TYPE_CHECKING:
-    from ehbench.rig import Rig
+    from ehbench.config.rig import Rig
     from ehbench.trial import Case
     from ehbench.trial.preparation import Prepared as Ready
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ehbench import rundir
-from ehbench.recipe import TrialSetRecipe
+from ehbench.config.recipe import TrialSetRecipe
+from ehbench.runs import rundir
 from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
@@ -21,7 +21,7 @@ from ehbench.stages.trial import (
 )
 
 if TYPE_CHECKING:
-    from ehbench.rig import Rig
+    from ehbench.config.rig import Rig
     from ehbench.trial import Case
     from ehbench.trial.preparation import Prepared as Ready
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from ehbench import rundir
-from ehbench.errors import InsufficientData, ModelRejected
-from ehbench.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
+from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
+from ehbench.runs import rundir
 from ehbench.stages.base import Prepared, Progress, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, ValidatedRig
+from ehbench.vocabulary.errors import InsufficientData, ModelRejected
 
 if TYPE_CHECKING:
     from ehbench.tune.study import Study

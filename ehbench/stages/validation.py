@@ -12,9 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ehbench import rundir
-from ehbench.quantities import quantity
-from ehbench.recipe import (
+from ehbench.config.recipe import (
     DataFile,
     HydraulicsRecipe,
     JudgedFile,
@@ -23,6 +21,7 @@ from ehbench.recipe import (
     kind_of,
     load_recipe,
 )
+from ehbench.runs import rundir
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -38,10 +37,11 @@ from ehbench.stages.base import (
 from ehbench.stages.findings import counted
 from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
-from ehbench.units import from_si
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
-    from ehbench.rig import Rig
+    from ehbench.config.rig import Rig
     from ehbench.validation import PreparedValidation
     from ehbench.validation.held_out import Rows
 
@@ -66,7 +66,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
     writes = "validation.json, rig.toml, a series for each log, figures"
 
     def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
-        from ehbench.observations import payload_of
+        from ehbench.preprocessing.observations import payload_of
         from ehbench.validation import PreparedValidation, models_of, taken_log
         from ehbench.validation.held_out import overlaps
 
@@ -108,7 +108,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         )
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.structure import ask
+        from ehbench.diagnosis import ask
         from ehbench.validation import run_validation
 
         state, losses = prepared.state, prepared.logs.losses

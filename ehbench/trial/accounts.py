@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from ehbench.errors import EhbenchError, InsufficientData
 from ehbench.ledger import Accuracy, Ledger, bounds, ledger_of_log, ledger_of_model
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.running import Facts, Result
+from ehbench.vocabulary.errors import EhbenchError, InsufficientData
 
 MODEL = "edge flows of the model"
 LOG = "estimated: measured pressures and commands through the design model's maps"

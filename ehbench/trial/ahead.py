@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ehbench.errors import EhbenchError
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.plant.lanes.many import LEAST, Job, go_together, has_lanes, run_together
 from ehbench.plant.lanes.steps import run_lanes
 from ehbench.trial.preparation import Prepared
+from ehbench.vocabulary.errors import EhbenchError
 
 MOST = 2.0e7  # numbers that the logs of one look may have
 

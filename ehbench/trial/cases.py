@@ -9,18 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ehbench.cores import cores
-from ehbench.errors import SimulationError
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import TrialRecipe
-from ehbench.record import Record
-from ehbench.rig import Rig
-from ehbench.text import quoted
+from ehbench.config.recipe import TrialRecipe
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.runtime.cores import cores
 from ehbench.trial.accounts import Account, account
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, run
 from ehbench.trial.spread import middle_of, over_runs
-from ehbench.units import from_si
+from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.text import quoted
+from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

@@ -7,11 +7,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ehbench.errors import InputError
-from ehbench.fields import Value
-from ehbench.recipe import Command, TrialRecipe
-from ehbench.record import Record
-from ehbench.rig import Rig, Valve
+from ehbench.config.recipe import Command, TrialRecipe
+from ehbench.config.rig import Rig, Valve
+from ehbench.data.record import Record
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
 
 
 def _si(value: Value | None) -> float:
@@ -108,7 +108,7 @@ def _check_entry(recipe: TrialRecipe, index: int, rig: Rig, taken: Collection[st
 
 def _played(recipe: TrialRecipe, entry: Command) -> Record:
     """The log that an entry plays."""
-    from ehbench.logs import read_record
+    from ehbench.data.logs import read_record
 
     assert entry.file is not None
     path = recipe.file(entry.file)

@@ -16,26 +16,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ehbench.config.recipe import TrialRecipe
+from ehbench.config.recipe.trial import Controller as ChosenController
+from ehbench.config.rig import Rig
 from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, pack_rules
 from ehbench.control.law import Controller, Law, Site
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
-from ehbench.errors import InputError
-from ehbench.fields import read_value
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import sample_size
 from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
-from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.recipe import TrialRecipe
-from ehbench.recipe.trial import Controller as ChosenController
-from ehbench.rig import Rig
-from ehbench.rundir import read_json
-from ehbench.text import shortened
+from ehbench.runs.rundir import read_json
 from ehbench.trial.imports import files_of, source_of
-from ehbench.units import from_si
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary.text import shortened
+from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

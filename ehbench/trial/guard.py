@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ehbench.interrupts import Terminated
+from ehbench.runtime.interrupts import Terminated
 
 LONGEST = 60.0  # [s] of wall time that one step may take
 LONGEST_START = 600.0  # [s] that loading and starting a class may take; it may compile

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ehbench.data.record import Record
 from ehbench.machines.protocol import Machine, static_flow_of
 from ehbench.parts.edge import edge_flows, edge_onset
-from ehbench.record import Record
 from ehbench.trial.controllers import Design
 
 USED = 0.05  # of the largest flow of an edge: what is more counts as use

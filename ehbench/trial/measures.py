@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.codes import STALLED, UNABLE
-from ehbench.signals import ringing, rms
+from ehbench.signals.series import ringing, rms
+from ehbench.vocabulary.codes import STALLED, UNABLE
 
 BAND = 0.05  # a step has settled once it stays this near to its steady speed
 STEADY = 1.0 / 3.0  # the steady speed is the windowed mean over this last part of a step

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS
+from ehbench.config.recipe import CylinderMotion, Motion, TrialRecipe
 from ehbench.control.functions import (
     CROSS,
     DIRECTION,
@@ -25,12 +25,12 @@ from ehbench.control.functions import (
 from ehbench.control.measured import Pressures
 from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
-from ehbench.errors import InputError
-from ehbench.fields import read_value
-from ehbench.memory import rows_of
-from ehbench.quantities import VOCABULARY, Quantity
-from ehbench.recipe import CylinderMotion, Motion, TrialRecipe
+from ehbench.runtime.memory import rows_of
 from ehbench.trial.controllers import Design, located
+from ehbench.vocabulary.codes import FUNCTIONS
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 
 REST = 0.5  # [s] before the first step of speed and after each
 SPEED_UP = 0.2  # [s] in which a move without stated limits reaches its speed
@@ -260,7 +260,7 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
     """
     from scipy.interpolate import make_interp_spline
 
-    from ehbench.logs import read_record
+    from ehbench.data.logs import read_record
 
     assert motion.file is not None  # the recipe's model sees to it
     path = recipe.file(motion.file)

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.config.recipe import Motion, TrialRecipe
 from ehbench.control.trajectory import A, J, V, X, point_to_point
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import joint_range_of, linkage_arrays
 from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
-from ehbench.quantities import quantity
-from ehbench.recipe import Motion, TrialRecipe
 from ehbench.trial.motion import limits_of
-from ehbench.units import from_si
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline

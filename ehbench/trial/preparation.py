@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ehbench.config.recipe import TrialRecipe
+from ehbench.config.rig import Rig
 from ehbench.control.functions import RULES, pack_rules
 from ehbench.control.records import blank
-from ehbench.errors import InputError
 from ehbench.machines.protocol import Machine, carry_of, hidden_of, plays_of, seeded_of, truth_of
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
-from ehbench.memory import MOST_STEPS, refuse_beyond, rows_of
 from ehbench.plant.model import Model
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import TrialRecipe
-from ehbench.rig import Rig
+from ehbench.runtime.memory import MOST_STEPS, refuse_beyond, rows_of
 from ehbench.trial import controllers
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design, Laws
@@ -29,7 +27,9 @@ from ehbench.trial.motion import References, lasting, references
 from ehbench.trial.path import along_path, route
 from ehbench.trial.together import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.user_code import UserCode
-from ehbench.units import from_si
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

@@ -11,15 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import LIMITS as LIMIT_BITS
-from ehbench.codes import SATURATED, STATUS_MEANS
-from ehbench.errors import InputError, SimulationError
-from ehbench.logs import check_record
+from ehbench.config.recipe import TrialRecipe
+from ehbench.config.rig import Rig
+from ehbench.data.logs import check_record
+from ehbench.data.record import Record, payloads_of, payloads_text
 from ehbench.machines.protocol import Machine, truth_of
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import TrialRecipe
-from ehbench.record import Record, payloads_of, payloads_text
-from ehbench.rig import Rig
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.learnt import learnt_maps
 from ehbench.trial.measures import (
@@ -33,7 +29,11 @@ from ehbench.trial.session import LiveLog, Session
 from ehbench.trial.swing import limit_cycle
 from ehbench.trial.together import Driven
 from ehbench.trial.user_code import UserCode
-from ehbench.units import from_si
+from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS
+from ehbench.vocabulary.codes import SATURATED, STATUS_MEANS
+from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps

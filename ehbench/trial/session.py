@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ehbench.codes import HOLD
-from ehbench.errors import InputError, SimulationError
+from ehbench.data.record import Record
 from ehbench.machines.protocol import Machine, advance_of, carry_of, hidden_of, truth_of
 from ehbench.machines.rows import NO_LIMITS, Controls, LawRows, Rows, control, violated
-from ehbench.record import Record
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
+from ehbench.vocabulary.codes import HOLD
+from ehbench.vocabulary.errors import InputError, SimulationError
 
 if TYPE_CHECKING:
-    from ehbench.logs import LogWriter
+    from ehbench.data.logs import LogWriter
 
 LOOK = 0.1  # [s] a machine that was so long below STILL stands
 STILL = 5e-3  # [m/s]
@@ -253,7 +253,7 @@ class LiveLog:
     def __init__(
         self, path: Path, channels: list[str], meta: dict[str, str], attachments: dict[str, bytes]
     ) -> None:
-        from ehbench.logs import LogWriter
+        from ehbench.data.logs import LogWriter
 
         self.path, self.meta, self.attachments = path, meta, attachments
         self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SYNC)
@@ -266,7 +266,7 @@ class LiveLog:
         """Close the log of a trial that came to its end. Its bytes hang on ``record`` alone: a log
         that a sync cut into chunks, or whose facts have changed since, is written once more.
         """
-        from ehbench.logs import write_log
+        from ehbench.data.logs import write_log
 
         self.writer.close()
         if self.writer.cut or dict(record.meta) != self.meta:

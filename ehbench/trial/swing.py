@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import kernel
+from ehbench.runtime.compiled import kernel
 
 CYCLES = 5  # in a row, of like period and like amplitude, make a limit cycle
 PERIODS_ALIKE = 0.35  # share by which periods in a row may differ from their median

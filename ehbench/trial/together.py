@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.config.recipe import TrialRecipe
 from ehbench.control.axis import Mechanism, axis_of
 from ehbench.control.coupling import among_others, joint_motion
 from ehbench.control.demand import Moving, drawn, torques
 from ehbench.control.measured import Pressures
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import ORDERS, V, X, with_preview
+from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of
 from ehbench.physics.arm import SLIDE
 from ehbench.physics.tip import Chain, tip_of
-from ehbench.recipe import TrialRecipe
-from ehbench.record import Record
-from ehbench.signals import rms
+from ehbench.signals.series import rms
 from ehbench.trial.controllers import Design, controller_of
 from ehbench.trial.measures import FINAL
 from ehbench.trial.motion import References

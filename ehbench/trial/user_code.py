@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import bound
+from ehbench.config.recipe import TrialRecipe
 from ehbench.control.trajectory import Reference
-from ehbench.errors import InputError
 from ehbench.machines.rows import within
-from ehbench.quantities import VOCABULARY, Quantity, quantity
-from ehbench.recipe import TrialRecipe
-from ehbench.text import shortened
+from ehbench.runtime.compiled import bound
 from ehbench.trial.controllers import Design, code_file, controller_of, quantities
 from ehbench.trial.guard import LONGEST, Exit, Guard, Overdue, is_users
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
+from ehbench.vocabulary.text import shortened
 
 NOTE = "note."  # what the channel of a note begins with: no machine measures such a one
 _NOTE_NAME = re.compile(r"(?:\w[\w-]{0,99}\.){0,9}\w{1,99}")

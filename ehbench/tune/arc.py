@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.config.recipe import ArcTuneRecipe
 from ehbench.control.arc_gains import (
     BUDGET,
     Adaptation,
@@ -20,13 +21,12 @@ from ehbench.control.arc_gains import (
 )
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Site
-from ehbench.errors import InsufficientData
 from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
-from ehbench.recipe import ArcTuneRecipe
 from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Sensing
 from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
+from ehbench.vocabulary.errors import InsufficientData
 
 Progress = Callable[[str, float], None]
 BUDGETS = tuple(np.geomspace(0.08, 1.2, 12).tolist())  # [rad] over the valves' lag and a tick
@@ -71,7 +71,7 @@ class ArcCandidate:
 @dataclass(frozen=True)
 class ArcTuning:
     """Gains of the adaptive robust controller, SI, and what they rest on; ``supply`` by
-    `ehbench.rig.Supply.facts`.
+    `ehbench.config.rig.Supply.facts`.
 
     ``constraints`` are demanded, ``gain_margin``, ``phase_margin`` [rad] and ``delay_margin`` [s],
     stated, reached at the worst points. ``locus`` of the worst point by delay: the characteristic

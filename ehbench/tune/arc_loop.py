@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import DISTURBANCE, FREE, FUNCTIONS, INVERSE_INERTIA, PAYLOAD_SHARE
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at
 from ehbench.control.functions import METERED, SUPPLY_HEAD, SUPPLY_ROD
@@ -27,6 +26,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
 from ehbench.tune.operating_point import OperatingPoint, state_of
+from ehbench.vocabulary.codes import DISTURBANCE, FREE, FUNCTIONS, INVERSE_INERTIA, PAYLOAD_SHARE
 
 # what of the controller's memory is a state in motion, and its steps for differences; those of the
 # estimates are a share of their bounds

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS
+from ehbench.config.rig import Rig
 from ehbench.control.functions import (
     CROSS,
     DIRECTION,
@@ -18,7 +18,7 @@ from ehbench.control.functions import (
     Circuit,
     supply_draw,
 )
-from ehbench.rig import Rig
+from ehbench.vocabulary.codes import FUNCTIONS
 
 
 @dataclass(frozen=True)

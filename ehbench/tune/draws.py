@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS
+from ehbench.config.recipe import TuneRecipe
+from ehbench.config.rig import Rig
 from ehbench.control.functions import Circuit
-from ehbench.errors import InputError
 from ehbench.plant.model import Model
-from ehbench.recipe import TuneRecipe
-from ehbench.rig import Rig
 from ehbench.tune.linear import development_model
 from ehbench.tune.loop import Law, close
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent
 from ehbench.tune.results import PointResult, Robustness
 from ehbench.tune.study import Site, Study, model_under
+from ehbench.vocabulary.codes import FUNCTIONS
+from ehbench.vocabulary.errors import InputError
 
 WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones
 Correlation = tuple[Sequence[str], Any]  # (names, matrix) of the identified parameters

@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS
+from ehbench.config.recipe import TuneRecipe
 from ehbench.control.functions import HEAD, METERED
-from ehbench.recipe import TuneRecipe
 from ehbench.tune.circuits import functions_of
 from ehbench.tune.draws import Correlation, robustness, uncertain
 from ehbench.tune.loci import locus, step_response, worst_of_each
@@ -24,6 +23,7 @@ from ehbench.tune.operating_point import OperatingPoint
 from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, pairs
 from ehbench.tune.search import GAIN_POINTS, GAIN_SPAN, LawSearch, choose_gain, natural_gain
 from ehbench.tune.study import Machine, Site, Study, prepare_tuning
+from ehbench.vocabulary.codes import FUNCTIONS
 
 Progress = Callable[[str, float], None]
 

@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import HEAD, METERED, PATH_FLOWS, Circuit, coupled
 from ehbench.tune.linear import LinearModel, are_rates, first_valve
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 DELAY_ORDER = 2  # of the Padé form of the delay; its phase is exact to 1e-4 rad up to ω·delay = 0.8

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.control.functions import (
     DIRECTION,
     HEAD,
@@ -29,7 +28,6 @@ from ehbench.control.functions import (
 )
 from ehbench.control.measured import Pressures
 from ehbench.control.valve_level import top_speed
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import chamber_oil, joint_of, linkage_of
 from ehbench.parts.edge import edge_command, edge_flow
 from ehbench.parts.friction import friction_settle, friction_slope, friction_steady
@@ -44,6 +42,8 @@ from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.vocabulary.errors import InputError
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this

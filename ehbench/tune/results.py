@@ -135,7 +135,8 @@ class Tuning:
 
     ``feedback_gain`` K_p [m³/(s·Pa)] by working function, ``washout`` ω_w and ``ramp_washout`` ω_r
     [rad/s] (0 for none), ``off_gain`` [m³/(s·Pa)], ``low_pressure`` and ``cross_drop`` [Pa],
-    ``tick`` and ``delay`` [s], ``supply`` by `ehbench.rig.Supply.facts`. ``damping_ratio`` the
+    ``tick`` and ``delay`` [s], ``supply`` by `ehbench.config.rig.Supply.facts`. ``damping_ratio``
+    the
     least over the operating points that count, ``damping_ratio_open`` and ``_open_most`` the range
     without any feedback, ``_held`` and ``_held_most`` with the off-side's alone. ``met``: target
     and constraints hold at each of them. ``gains`` the abscissa of the curves; ``functions`` what

@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS
+from ehbench.config.recipe import TuneRecipe
 from ehbench.control.functions import HEAD, METERED
 from ehbench.parts.oil import bulk_of
-from ehbench.recipe import TuneRecipe
 from ehbench.tune.linear import faster
 from ehbench.tune.loop import Law, Loop
 from ehbench.tune.margins import margins, violations
 from ehbench.tune.results import Alternative
 from ehbench.tune.study import Site
+from ehbench.vocabulary.codes import FUNCTIONS
 
 # gains looked at: this factor below and above the one that makes a chamber as fast as its load
 # swings

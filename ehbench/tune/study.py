@@ -9,16 +9,12 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from ehbench.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.config.recipe import AnyTuning
+from ehbench.config.rig import Rig
 from ehbench.control.functions import Circuit
-from ehbench.errors import InputError, InsufficientData, ModelRejected
-from ehbench.fields import read_value
 from ehbench.plant.build import Maps
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import AnyTuning
-from ehbench.rig import Rig
 from ehbench.tune.linear import LinearModel, development_model
 from ehbench.tune.loop import Law, Loop, close
 from ehbench.tune.operating_point import (
@@ -32,6 +28,10 @@ from ehbench.tune.operating_point import (
     operating_point,
 )
 from ehbench.tune.results import Curves
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
+from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.quantities import VOCABULARY
 
 NONE = "none"  # the payload's name where there is none
 POSTURES = 41  # of the curves of equivalent mass and gravity

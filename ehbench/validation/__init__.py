@@ -14,9 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.cores import cores
-from ehbench.errors import EhbenchError, InputError, LogError
-from ehbench.observations import (
+from ehbench.config.recipe import Thresholds
+from ehbench.config.recipe.sensor import Sensor
+from ehbench.config.rig import Rig, Valve
+from ehbench.data.record import Record
+from ehbench.diagnosis import Case
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
+from ehbench.plant.ties import tied_words
+from ehbench.preprocessing.initial_states import Followed, follow
+from ehbench.preprocessing.observations import (
     OF_VALVES,
     alternatives,
     channels_asked,
@@ -26,18 +33,9 @@ from ehbench.observations import (
     stood_for,
     supply_off,
 )
-from ehbench.plant.build import Maps
-from ehbench.plant.model import Model
-from ehbench.plant.ties import tied_words
-from ehbench.preprocessing import numbered, preprocess
-from ehbench.quantities import GAUGES
-from ehbench.recipe import Thresholds
-from ehbench.recipe.sensor import Sensor
-from ehbench.record import Record
-from ehbench.rig import Rig, Valve
-from ehbench.sensors import Term, known_taken_out, terms_of
-from ehbench.starts import Followed, follow
-from ehbench.structure import Case
+from ehbench.preprocessing.preparation import numbered, preprocess
+from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
+from ehbench.runtime.cores import cores
 from ehbench.validation.checks import checks_of, unasked
 from ehbench.validation.residuals import Pair, compare, pair_of
 from ehbench.validation.results import (
@@ -53,6 +51,8 @@ from ehbench.validation.results import (
 )
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
+from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
+from ehbench.vocabulary.quantities import GAUGES
 
 __all__ = [
     "ChannelResult",
@@ -140,7 +140,7 @@ class PreparedValidation:
     flow_maps: Maps | None = None
 
     def cases(self, results: Sequence[LogResult] = ()) -> list[Case]:
-        """The logs as `ehbench.structure.ask` takes them, sensors as the results have them."""
+        """The logs as `ehbench.diagnosis.ask` takes them, sensors as the results have them."""
         sensors = {one.name: one.sensors for one in results}
         return [
             Case(

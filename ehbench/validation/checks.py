@@ -7,13 +7,13 @@ import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from ehbench.observations import stood_for
-from ehbench.quantities import quantity
-from ehbench.recipe import Thresholds
-from ehbench.record import Record
-from ehbench.rig import Rig
-from ehbench.units import from_si
+from ehbench.config.recipe import Thresholds
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.preprocessing.observations import stood_for
 from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Sweep, Transient
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.units import from_si
 
 POOR = 80.0  # percent of fit below which a position is told of although nobody asks
 # a level is off by more than this share of the channel's spread, and by more than this share of the

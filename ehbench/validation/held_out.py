@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.record import Record
+from ehbench.data.record import Record
 from ehbench.validation.results import Overlap
 
 SAME = 1.0e-6  # share of a channel's size by which two readings of one sample may differ

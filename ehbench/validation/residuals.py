@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench import signals
-from ehbench.observations import column, noise_of
+from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.preprocessing import LIMITED, at_limit
-from ehbench.quantities import quantity
-from ehbench.record import Record
+from ehbench.preprocessing.observations import column, noise_of
+from ehbench.preprocessing.preparation import LIMITED, at_limit
+from ehbench.signals import series
 from ehbench.validation.results import ChannelResult, Correlation
+from ehbench.vocabulary.quantities import quantity
 
 # von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel shows noise
 NOISE = 0.5
@@ -57,7 +57,7 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
         fit_percent=None,
         max_error=float(error[np.argmax(np.abs(error))]),
         bias=float(np.mean(error)),
-        rms_error=signals.rms(error),
+        rms_error=series.rms(error),
         derived=pair.derived,
     )
     variance = float(np.var(recorded))
@@ -69,7 +69,7 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
     share = noise_of(record, channel) / math.sqrt(variance)
     plain = replace(
         plain,
-        fit_percent=signals.fit_percent(recorded, pair.simulated),
+        fit_percent=series.fit_percent(recorded, pair.simulated),
         noise_share=min(1.0, float(share)),
     )
     block = max(1, round(LAG_STEP / record.sample_time))
@@ -81,15 +81,15 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
     auto = _correlation(
         channel,
         lag[1:],
-        signals.autocorrelation(residual, lags)[1:],
-        signals.autocorrelation_band(residual, lags)[1:],
+        series.autocorrelation(residual, lags)[1:],
+        series.autocorrelation_band(residual, lags)[1:],
     )
     cross = []
     for name in _own_commands(record, model, channel):
         command = _averaged(record[name], block)
         if float(np.ptp(command)) > 0.0:
-            band = np.full(lags + 1, signals.correlation_band(residual, command))
-            values = signals.correlation(residual, command, lags)[lags:]
+            band = np.full(lags + 1, series.correlation_band(residual, command))
+            values = series.correlation(residual, command, lags)[lags:]
             cross.append(_correlation(name, lag, values, band))
     return replace(plain, autocorrelation=auto, cross_correlation=tuple(cross))
 

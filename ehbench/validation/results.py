@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError, ModelRejected
-from ehbench.observations import rings_clearly
-from ehbench.quantities import quantity
-from ehbench.response import Curve
-from ehbench.rundir import read_json
-from ehbench.signals import Ringing
-from ehbench.structure import Finding, Follows, Structure
+from ehbench.diagnosis import Finding, Follows, Structure
+from ehbench.frequency_response.response import Curve
+from ehbench.preprocessing.observations import rings_clearly
+from ehbench.runs.rundir import read_json
+from ehbench.signals.series import Ringing
+from ehbench.vocabulary.errors import InputError, ModelRejected
+from ehbench.vocabulary.quantities import quantity
 
 
 @dataclass(frozen=True)

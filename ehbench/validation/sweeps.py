@@ -1,6 +1,7 @@
 """The frequency response of recording and model where a command sweeps, one against the other.
 
-Both are estimated alike (`ehbench.response`), from the command to a channel of its cylinder, so
+Both are estimated alike (`ehbench.frequency_response.response`), from the command to a channel of
+its cylinder, so
 what windows, averages and laws that are not linear do to one they do to the other."""
 
 from __future__ import annotations
@@ -11,15 +12,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from ehbench.errors import EhbenchError
-from ehbench.observations import least_change
+from ehbench.data.record import Record
+from ehbench.frequency_response.response import (
+    LEAST_LINE,
+    Averaging,
+    Curve,
+    Response,
+    estimate,
+    prepare_signals,
+)
 from ehbench.plant.model import Model
-from ehbench.record import Record
-from ehbench.response import LEAST_LINE, Averaging, Curve, Response, estimate, prepare_signals
-from ehbench.terms import Z95
+from ehbench.preprocessing.observations import least_change
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Sweep
 from ehbench.validation.transients import OSCILLATES, held
+from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.terms import Z95
 
 LEAST_CHANGES = 40  # of a command that sweeps
 LONGEST_STAND = 0.1  # share of a sweep for which its command may stand

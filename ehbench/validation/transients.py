@@ -10,13 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ehbench import signals
-from ehbench.observations import TOGETHER, least_change
+from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.quantities import GAUGES
-from ehbench.record import Record
+from ehbench.preprocessing.observations import TOGETHER, least_change
+from ehbench.signals import series
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
+from ehbench.vocabulary.quantities import GAUGES
 
 STANDS = 2.5  # periods of what rings for which the command must stand
 CREEPS = 0.1  # share of the step by which a standing command may still move
@@ -42,7 +42,7 @@ def transients_of(
         if channel.startswith(f"{cylinder}.") and channel.rsplit(".", 1)[1] in OSCILLATES
     ]
     found = []
-    for window in signals.transients(record.t, given):
+    for window in series.transients(record.t, given):
         before = max(0, window.start - 1 - round(TOGETHER / record.sample_time))
         if not seen or not np.any(own[window.start] != own[before : window.start]):
             continue
@@ -53,8 +53,8 @@ def transients_of(
             continue
         measured = np.column_stack([pair.recorded[window] for pair in seen])
         modelled = np.column_stack([pair.simulated[window] for pair in seen])
-        recorded = signals.ringing(t, measured)
-        simulated = signals.ringing_like(t, modelled, recorded)
+        recorded = series.ringing(t, measured)
+        simulated = series.ringing_like(t, modelled, recorded)
         stop, note = float(t[-1]), ""
         if recorded.ok:
             stop, note = recorded.stop, doubt(t, measured, recorded)
@@ -84,7 +84,7 @@ def stands(commands: np.ndarray, begin: int) -> bool:
     return float(np.max(np.ptp(parts, axis=0))) <= CREEPS * step
 
 
-def doubt(t: np.ndarray, y: np.ndarray, found: signals.Ringing) -> str:
+def doubt(t: np.ndarray, y: np.ndarray, found: series.Ringing) -> str:
     """Why an oscillation that was found in a window cannot be judged; '' if it can.
 
     Args:
@@ -112,12 +112,12 @@ def doubt(t: np.ndarray, y: np.ndarray, found: signals.Ringing) -> str:
     return ""
 
 
-def _halves(t: np.ndarray, y: np.ndarray, found: signals.Ringing) -> Iterator[signals.Ringing]:
+def _halves(t: np.ndarray, y: np.ndarray, found: series.Ringing) -> Iterator[series.Ringing]:
     """The oscillation as each half of the part in which it lives shows it."""
     living = int(np.searchsorted(t, found.stop, side="right"))
     guess = (found.natural_frequency, max(found.damping_ratio, 0.02))
     for part in (slice(0, living // 2), slice(living // 2, living)):
-        yield signals.ringing(t[part], y[part], guess, trim=False)
+        yield series.ringing(t[part], y[part], guess, trim=False)
 
 
 def unjudged(moved: Sequence[str], windows: Sequence[Transient]) -> Iterator[str]:

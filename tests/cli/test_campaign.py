@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import inspection, workflow
+from ehbench import workflow
+from ehbench.app import inspection
 from ehbench.stages.look import Look
 
 ROOT = Path(__file__).parents[2]

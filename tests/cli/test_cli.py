@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import cli
+from ehbench.app import cli
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = tuple(str(one.name or one.callback.__name__) for one in cli.app.registered_commands)
@@ -26,7 +26,7 @@ COMMANDS = tuple(str(one.name or one.callback.__name__) for one in cli.app.regis
 def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.CompletedProcess:
     """Run the command as a user would, in a process of its own."""
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
-    line = [sys.executable, "-m", "ehbench.cli", *map(str, words)]
+    line = [sys.executable, "-m", "ehbench.app.cli", *map(str, words)]
     return subprocess.run(
         line,
         cwd=cwd,
@@ -228,7 +228,7 @@ def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
     line = [
         sys.executable,
         "-m",
-        "ehbench.cli",
+        "ehbench.app.cli",
         "identify",
         str(workspace / "recipes" / "identify.toml"),
         "--out",
@@ -255,7 +255,7 @@ def test_a_signal_while_kernels_are_loaded_ends_the_run_once_they_are(workspace,
         "    os.kill(os.getpid(), signal.SIGTERM)\n"
         "    return reading(*of)\n"
         "JITCodeLibrary._object_getbuffer_hook = classmethod(asked)\n"
-        "from ehbench import cli\n"
+        "from ehbench.app import cli\n"
         "cli.main()\n"
     )
     words = ["identify", str(workspace / "recipes" / "identify.toml"), "--out", "run"]

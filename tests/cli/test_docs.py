@@ -15,10 +15,12 @@ import tomli_w
 from matplotlib import pyplot
 from pydantic import BaseModel, Field
 
-from ehbench import inspection, recipe, reference, rig
-from ehbench.errors import InputError
-from ehbench.fields import SURENESS, Q
-from ehbench.recipe import load_rig
+from ehbench.app import inspection
+from ehbench.config import recipe, rig
+from ehbench.config.recipe import load_rig
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import SURENESS, Q
+from tools import reference
 
 ROOT = Path(__file__).parents[2]
 PAGES = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}

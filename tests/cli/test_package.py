@@ -54,7 +54,8 @@ def test_a_wheel_finds_the_campaigns_that_ship(installed, tmp_path):
     thesis, of the same files, is checked by the checkout.
     """
     code = (
-        "from ehbench import rundir, starter, inspection\n"
+        "from ehbench.app import inspection, starter\n"
+        "from ehbench.runs import rundir\n"
         "print(starter.find_campaign('thesis'))\n"
         "path = starter.find_campaign('slide_servo')\n"
         "print(path); print(inspection.check(path).code); print(rundir.code_version())\n"
@@ -75,7 +76,7 @@ def test_a_wheel_finds_the_campaigns_that_ship(installed, tmp_path):
         assert Path(path) == shipped / name / "campaign.toml"
     assert files(shipped) == files(ROOT / "recipes")
     assert files(shipped.parent / "datasets") == files(ROOT / "datasets")
-    from ehbench.rundir import code_version
+    from ehbench.runs.rundir import code_version
 
     assert version == code_version()
 

@@ -15,14 +15,15 @@ import zstandard
 from mcap.records import Attachment, Chunk, Header
 from mcap.writer import CompressionType, Writer
 
-from ehbench import inspection, rundir
-from ehbench.errors import EhbenchError, InputError, LogError, SimulationError
-from ehbench.logs import LogWriter, read_record, write_log
-from ehbench.logs.layout import MAGIC, pack
-from ehbench.readers import read_flowmeter
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Record
+from ehbench.app import inspection
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.logs import LogWriter, read_record, write_log
+from ehbench.data.logs.layout import MAGIC, pack
+from ehbench.data.readers import read_flowmeter
+from ehbench.data.record import Record
+from ehbench.runs import rundir
 from ehbench.trial import run_trial
+from ehbench.vocabulary.errors import EhbenchError, InputError, LogError, SimulationError
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
@@ -50,7 +51,7 @@ LOOP = (
     ],
 )
 def test_a_trial_without_end_is_refused_at_once(tmp_path, monkeypatch, text, says):
-    monkeypatch.setattr("ehbench.memory.available", lambda: 8e9)
+    monkeypatch.setattr("ehbench.runtime.memory.available", lambda: 8e9)
     (tmp_path / "trial.toml").write_text(OPEN + text)
     begun = time.monotonic()
     (error,) = inspection.check(tmp_path / "trial.toml").errors

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import inspection, workflow
-from ehbench.errors import InputError, InsufficientData, ModelRejected
-from ehbench.logs import read_record, write_log
+from ehbench import workflow
+from ehbench.app import inspection
+from ehbench.data.logs import read_record, write_log
+from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
 
 ROOT = Path(__file__).parents[2]
 STEPS, ARC, OWN = "trials/velocity_steps.toml", "trials/arc_slow.toml", "trials/own_controller.toml"

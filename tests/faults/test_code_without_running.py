@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import inspection, workflow
+from ehbench import workflow
+from ehbench.app import inspection
 from ehbench.trial.imports import files_of, source_of
 
 ROOT = Path(__file__).parents[2]

@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError, UnitError
-from ehbench.identification.readings import (
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.readers import merge_flowmeter, read_flowmeter
+from ehbench.flow_maps.tables import (
     PreparedReadings,
     fit_readings,
     points_table,
@@ -21,9 +23,7 @@ from ehbench.identification.readings import (
     summary,
 )
 from ehbench.physics.flow_map import collect, table
-from ehbench.readers import merge_flowmeter, read_flowmeter
-from ehbench.recipe import load_rig
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import InputError, UnitError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0

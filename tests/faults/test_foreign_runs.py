@@ -14,10 +14,11 @@ import matplotlib.pyplot as plt
 import pytest
 
 from ehbench import report as write_report
-from ehbench import rundir, workflow
-from ehbench.errors import InputError
+from ehbench import workflow
 from ehbench.report.style import canvas
 from ehbench.report.svg import sound
+from ehbench.runs import rundir
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.logs import read_record
-from ehbench.recipe import TrialRecipe, load_rig
-from ehbench.recipe.trial import Limits
+from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe.trial import Limits
+from ehbench.data.logs import read_record
 from ehbench.trial import guard as guards
 from ehbench.trial import prepare, run, run_trial
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "recipes" / "rigs" / "slide_servo.toml")
@@ -214,7 +214,7 @@ def test_a_command_beyond_its_limit_in_the_first_tick_never_acts(tmp_path):
 
 RUN = """
 import sys
-from ehbench.cli import main
+from ehbench.app.cli import main
 sys.argv = ["ehbench", "run-trial", "trial.toml", "--allow-code", "-q", "--out", "out"]
 main()
 """

@@ -11,15 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import inspection, workflow
-from ehbench.errors import InputError, InsufficientData, LogError
+from ehbench import workflow
+from ehbench.app import inspection
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
-from ehbench.logs import write_log
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing import distinct_names, evened, outside_stroke, preprocess
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Record
+from ehbench.preprocessing.preparation import distinct_names, evened, outside_stroke, preprocess
 from ehbench.validation import validate_rig
+from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")

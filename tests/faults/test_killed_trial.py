@@ -15,11 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ehbench import inspection, rundir, workflow
-from ehbench.errors import InputError
-from ehbench.logs import LogWriter, read_record, write_log
-from ehbench.recipe import load_recipe
-from ehbench.record import Record
+from ehbench import workflow
+from ehbench.app import inspection
+from ehbench.config.recipe import load_recipe
+from ehbench.data.logs import LogWriter, read_record, write_log
+from ehbench.data.record import Record
+from ehbench.runs import rundir
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SLOW = """
@@ -49,7 +51,7 @@ duration = "0.2 s"
 RUN = """
 import sys
 import ehbench.report
-from ehbench.cli import main
+from ehbench.app.cli import main
 sys.modules["ehbench.report"].draw = lambda folder: None
 sys.argv[0] = "ehbench"
 main()

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from ehbench.errors import EhbenchError, LogError, UnitError
-from ehbench.logs import LogWriter, read_record, write_log
-from ehbench.record import Record
+from ehbench.data.logs import LogWriter, read_record, write_log
+from ehbench.data.record import Record
+from ehbench.vocabulary.errors import EhbenchError, LogError, UnitError
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data" / "mcap"
 NAMES = ["boom.q", "boom.p_head", "boom.hect.command"]
@@ -197,7 +197,7 @@ def test_flips_in_foreign_files_raise_nothing_else(tmp_path):
 
 LIVE = """
 import sys, time
-from ehbench.logs import LogWriter
+from ehbench.data.logs import LogWriter
 with LogWriter(sys.argv[1], ["boom.q", "boom.p_head"], {"rig": "r"}, {}, sync=0.05) as writer:
     n = 0
     while True:

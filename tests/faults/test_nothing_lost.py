@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import rundir, starter
-from ehbench.errors import InputError
+from ehbench.app import starter
+from ehbench.runs import rundir
+from ehbench.vocabulary.errors import InputError
 
 RECIPE = "recipe.toml"
 
@@ -180,7 +181,7 @@ def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_f
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")
 def test_words_that_nobody_takes_are_no_traceback(place):
     starter.init(Path("ws"))
-    line = [sys.executable, "-m", "ehbench.cli", "check", "ws/rig.toml"]
+    line = [sys.executable, "-m", "ehbench.app.cli", "check", "ws/rig.toml"]
     with open("/dev/full", "w") as full:
         done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 2 and done.stderr == "error: No space left on device\n"

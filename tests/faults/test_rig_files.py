@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import tomli_w
 
-from ehbench import inspection
-from ehbench.errors import InputError
-from ehbench.fields import read_value
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import load_recipe, load_rig
+from ehbench.app import inspection
+from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.trial import run_trial
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.quantities import VOCABULARY
 
 ROOT = Path(__file__).parents[2]
 UP = ("supply", "head")

@@ -14,14 +14,15 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import inspection, workflow
-from ehbench.errors import InputError
-from ehbench.logs import read_record
+from ehbench import workflow
+from ehbench.app import inspection
+from ehbench.data.logs import read_record
 from ehbench.report import style
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
 from ehbench.sampling import pools
 from ehbench.sampling.cluster import Bundle, Cluster
 from ehbench.sampling.pools import Processes, Threads
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 # what makes samples here: number 5 may die, 6 may hang, and each says in which process it was made

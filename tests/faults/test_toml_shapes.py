@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import inspection, workflow
-from ehbench.errors import EhbenchError, InputError
-from ehbench.recipe import load_recipe, load_rig
+from ehbench import workflow
+from ehbench.app import inspection
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.vocabulary.errors import EhbenchError, InputError
 
 ROOT = Path(__file__).parents[2]
 SLIDE = (ROOT / "recipes" / "rigs" / "slide_servo.toml").read_text(encoding="utf-8")

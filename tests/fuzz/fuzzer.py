@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 from kinds import KINDS
 
-from ehbench.errors import EhbenchError
+from ehbench.vocabulary.errors import EhbenchError
 
 LONGEST = 20.0  # [s] that one input may take
 PIECE = 250  # inputs that a process takes at a time

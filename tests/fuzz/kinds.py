@@ -18,15 +18,17 @@ from typing import Any
 import mutants
 import numpy as np
 
-from ehbench import cli, inspection, mapping, rundir, workflow
-from ehbench.errors import EhbenchError
-from ehbench.logs import read_record, write_log
-from ehbench.quantities import VOCABULARY
-from ehbench.readers import open_source, read_flowmeter
-from ehbench.recipe import load_columns
-from ehbench.record import Record
+from ehbench import workflow
+from ehbench.app import cli, inspection, mapping
+from ehbench.config.recipe import load_columns
+from ehbench.data.logs import read_record, write_log
+from ehbench.data.readers import open_source, read_flowmeter
+from ehbench.data.record import Record
 from ehbench.report import build
-from ehbench.units import parse
+from ehbench.runs import rundir
+from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import parse
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import foreign  # noqa: E402

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fuzzer import KINDS, pieces, several, table  # noqa: E402
 from kinds import Kind  # noqa: E402
 
-from ehbench.errors import InputError  # noqa: E402
+from ehbench.vocabulary.errors import InputError  # noqa: E402
 
 COUNT = 60
 FEW = {"run folders": 15, "command lines": 30, "foreign files": 30}

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.axis import Axis, Mechanism
@@ -23,6 +22,7 @@ from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
+from ehbench.runtime.compiled import allocating_kernel
 
 TICK = 1.0e-3
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel
+from ehbench.config.recipe import TuneRecipe
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.functions import pack_rules
@@ -21,7 +21,7 @@ from ehbench.parts.sample import OF, entry, sample_channels
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
-from ehbench.recipe import TuneRecipe
+from ehbench.runtime.compiled import allocating_kernel
 from ehbench.tune.arc_loop import SampledPlant, steady_memory
 from ehbench.tune.operating_point import circuit_of, state_of
 from ehbench.tune.study import prepare_tuning

@@ -11,7 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import (
+from ehbench.config.recipe import load_rig
+from ehbench.control import arc
+from ehbench.control.axis import inertias, load_at, reference_load
+from ehbench.control.trajectory import point_to_point, there_and_back
+from ehbench.machines.virtual import VirtualMachine
+from ehbench.parts.cylinder import linkage_of
+from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
+from ehbench.plant.model import Model
+from ehbench.vocabulary.codes import (
     ESTIMATES,
     EXTEND_RESISTIVE,
     EXTEND_RESISTIVE_REGENERATION,
@@ -21,17 +29,9 @@ from ehbench.codes import (
     RETRACT_OVERRUNNING_REGENERATION,
     SATURATED,
 )
-from ehbench.control import arc
-from ehbench.control.axis import inertias, load_at, reference_load
-from ehbench.control.trajectory import point_to_point, there_and_back
-from ehbench.errors import InputError
-from ehbench.fields import Value
-from ehbench.machines.virtual import VirtualMachine
-from ehbench.parts.cylinder import linkage_of
-from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
-from ehbench.plant.model import Model
-from ehbench.quantities import quantity
-from ehbench.recipe import load_rig
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.quantities import quantity
 
 sys.path.append(str(Path(__file__).parent))
 from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402

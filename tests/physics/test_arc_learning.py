@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.control import functions
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
-from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.trial import prepare, run
 from ehbench.trial.controllers import Laws
 

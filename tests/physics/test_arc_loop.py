@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.recipe import load_rig
+from ehbench.config.recipe import load_rig
 from ehbench.tune.arc_loop import Sampled, Sensing
 
 sys.path.append(str(Path(__file__).parent))

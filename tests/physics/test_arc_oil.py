@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import prepare, run
 
 RECIPES = Path(__file__).parents[2] / "recipes"

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import run_trial
 from ehbench.tune.arc_loop import Sensing
 

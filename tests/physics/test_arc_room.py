@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import FUNCTIONS, SATURATED
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.control.arc import PREVIEW, SMALLER, Choice, carried, make_room
 from ehbench.control.functions import METERING, SUPPLY_HEAD
 from ehbench.control.measured import Pressures
 from ehbench.control.oil_learning import BACK, MORE
 from ehbench.control.trajectory import V, speeds_soon, with_preview
-from ehbench.identification.readings import prepare_readings, run_readings
+from ehbench.data.readers import read_flowmeter
+from ehbench.flow_maps.tables import prepare_readings, run_readings
 from ehbench.physics.flow_map import collect
-from ehbench.readers import read_flowmeter
-from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.trial import prepare, run
+from ehbench.vocabulary.codes import FUNCTIONS, SATURATED
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 ARM = load_rig(RECIPES / "rigs" / "thesis_arm.toml")

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from ehbench.compiled import table_of
 from ehbench.physics import arm
+from ehbench.runtime.compiled import table_of
 
 G = 9.81
 GRAVITY = np.array(

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.datasets import main, make
-from ehbench.errors import InputError
-from ehbench.fields import Value
-from ehbench.logs import write_log
+from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.data.logs import write_log
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.drawing import speed_filter
 from ehbench.machines.virtual.laws import follow, play
@@ -19,8 +17,10 @@ from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.oil import ATMOSPHERE, bulk
 from ehbench.physics.arm import energy, work_size
 from ehbench.plant.model import Model
-from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
 from ehbench.trial import run_trial
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
+from tools.datasets import main, make
 
 ROOT = Path(__file__).parents[2]
 # pump_cylinder sinks by its pump's slip: how quiet it is stands in test_parts_circuit

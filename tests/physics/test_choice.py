@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import prepare, run, run_trial
 from ehbench.trial.accounts import account
+from ehbench.vocabulary.errors import InputError
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 LIFT = load_rig(RECIPES / "choice" / "lift.toml")

@@ -11,15 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import ESTIMATES, FROZEN, FUNCTIONS, SATURATED
+from ehbench.config.recipe import TrialRecipe, TrialSetRecipe, load_rig
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.arc_gains import GAIN_NAMES
 from ehbench.control.functions import PATH_FLOWS, RULES
-from ehbench.errors import InputError
 from ehbench.parts.sample import sample_channels
 from ehbench.plant.model import Model
-from ehbench.quantities import quantity
-from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_rig
 from ehbench.trial import (
     RUN_OUT,
     Case,
@@ -35,6 +32,9 @@ from ehbench.trial import (
 )
 from ehbench.trial.motion import full_speed
 from ehbench.tune.operating_point import circuit_of
+from ehbench.vocabulary.codes import ESTIMATES, FROZEN, FUNCTIONS, SATURATED
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import quantity
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 RIGS = {

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from ehbench import workflow
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.control.coupling import among_others, joint_motion, loads_among
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import joint_of, linkage_of
 from ehbench.physics.arm import bias, mass_matrix, work_size
 from ehbench.physics.tip import Chain, tip_of
 from ehbench.plant.model import Model
-from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.report.terminal import lines
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
 from ehbench.trial import prepare, run
 from ehbench.trial.sharing import RESERVE
 from ehbench.trial.together import joints_of
+from ehbench.vocabulary.errors import InputError
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 ARM = load_rig(RECIPES / "rigs" / "thesis_arm.toml")

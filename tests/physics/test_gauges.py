@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
+from ehbench.app.mapping import draft
+from ehbench.config.recipe import Thresholds, load_rig
+from ehbench.config.recipe.columns import load_columns
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import (
     FitOptions,
     identify_hydraulics,
     prepare_fit,
     run_fit,
 )
-from ehbench.mapping import draft
 from ehbench.plant.lanes.many import Run, replays_paced
 from ehbench.plant.model import Model, simulate
-from ehbench.quantities import GAUGES
-from ehbench.recipe import Thresholds, load_rig
-from ehbench.recipe.columns import load_columns
-from ehbench.record import Record
-from ehbench.rig import Rig
 from ehbench.validation import validate_rig
+from ehbench.vocabulary.quantities import GAUGES
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MASS, DAMPING = 250.0, 800.0

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import warm
-from ehbench.compiled import Kernel, allocating_kernel, part_kernel
-from ehbench.errors import SimulationError
-from ehbench.fields import Value
+from ehbench.app import warm
+from ehbench.config.recipe import StudyRecipe, load_recipe, load_rig
+from ehbench.config.rig import LoadSensing, LowRail, Rig
+from ehbench.diagnosis import Case, ask
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.lanes import many
@@ -30,16 +30,16 @@ from ehbench.plant.lanes.many import (
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import StudyRecipe, load_recipe, load_rig
-from ehbench.rig import LoadSensing, LowRail, Rig
+from ehbench.preprocessing.initial_states import estimated_start
+from ehbench.runtime.compiled import Kernel, allocating_kernel, part_kernel
 from ehbench.sampling.sample import samples_of
 from ehbench.stages import REGISTRY
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.samples import open_sampler
-from ehbench.starts import estimated_start
-from ehbench.structure import Case, ask
 from ehbench.trial import ahead
+from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary.fields import Value
 from ehbench.workflow import Session
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError, InsufficientData, LogError
-from ehbench.fields import Value
+from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.ledger import (
     Accuracy,
     Ledger,
@@ -31,10 +32,9 @@ from ehbench.physics.flow_map import FlowMap, ValveMaps, root_drop
 from ehbench.physics.friction import stribeck
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_valves
-from ehbench.recipe import TrialRecipe, load_recipe, load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
 from ehbench.trial import run_trial
+from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
+from ehbench.vocabulary.fields import Value
 
 ROOT = Path(__file__).parents[2]
 # on a constant-pressure supply; the ledger of a pump at a cylinder is in test_parts_circuit

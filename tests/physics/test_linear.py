@@ -11,22 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING
+from ehbench.config.recipe import load_rig
 from ehbench.control import pressure_feedback
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
-from ehbench.errors import InputError
 from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.loop import Law, close, damping_ratio, dominant
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MACHINES = [

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import SimulationError
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
 from ehbench.plant.integrate import STEP
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of
-from ehbench.recipe import load_rig
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import SimulationError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SHIPPED = [path.stem for path in sorted(RIGS.glob("*.toml"))]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ehbench.compiled import table_of
-from ehbench.errors import InputError
+from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.ledger import ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
-from ehbench.observations import supply_off
 from ehbench.parts.accumulator import gas_capacity, gas_energy
 from ehbench.parts.edge import CHECK, EDGE, PUMP, edge_command, edge_flow, edge_slope
 from ehbench.parts.edge.orifice import root
@@ -22,12 +22,12 @@ from ehbench.parts.supply import RECOVERY_TIME
 from ehbench.parts.supply import SUPPLY as LINE
 from ehbench.physics.cylinder import ATMOSPHERE
 from ehbench.plant.model import Model
-from ehbench.recipe import TrialRecipe, load_recipe, load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
-from ehbench.signals import ringing
+from ehbench.preprocessing.observations import supply_off
+from ehbench.runtime.compiled import table_of
+from ehbench.signals.series import ringing
 from ehbench.trial import run_trial
 from ehbench.tune.operating_point import circuit_of
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "recipes" / "rigs" / "pump_cylinder.toml")

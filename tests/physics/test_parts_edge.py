@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Edge, Rig
 from ehbench.control.valve_level import edge_order
-from ehbench.codes import FAINT, REVERSED
-from ehbench.fields import Value
+from ehbench.flow_maps.step_readings import step_readings
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
-from ehbench.identification.step_readings import step_readings
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_rig
-from ehbench.rig import Edge, Rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
+from ehbench.vocabulary.codes import FAINT, REVERSED
+from ehbench.vocabulary.fields import Value
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import noisy, recovered, steps  # noqa: E402

@@ -10,7 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
+from ehbench.config.recipe import load_rig
+from ehbench.config.recipe.toml import read_toml, validated
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.parts.friction import (
     friction_force,
@@ -23,13 +26,10 @@ from ehbench.parts.friction import (
 from ehbench.parts.friction.stribeck import SMOOTHING
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_rig
-from ehbench.recipe.toml import read_toml, validated
-from ehbench.record import Record
-from ehbench.rig import Rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TABLES = {

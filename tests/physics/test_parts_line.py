@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.compiled import table_of
+from ehbench.config.rig import Rig
 from ehbench.control.law import Site
 from ehbench.control.registry import LAWS
-from ehbench.errors import InputError
+from ehbench.data.record import Record
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge.orifice import root
 from ehbench.parts.line import LINE, Line, drop_for, line_conductance
 from ehbench.plant.model import Model, simulate
-from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.runtime.compiled import table_of
 from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from ehbench.vocabulary.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, slide, steps, swing  # noqa: E402

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.rig import Force, Rig
 from ehbench.control.law import Site
 from ehbench.control.registry import LAWS
-from ehbench.errors import InputError, LogError
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
-from ehbench.rig import Force, Rig
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
+from ehbench.vocabulary.errors import InputError, LogError
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, recovered, slide, steps, swing  # noqa: E402

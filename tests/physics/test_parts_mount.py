@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.rig import Rig
 from ehbench.control.axis import Mechanism, axis_of, hydraulic_frequency
-from ehbench.fields import Value
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.friction import friction_force
@@ -20,8 +20,8 @@ from ehbench.parts.mount import Mount, piston_of, push_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
-from ehbench.rig import Rig
 from ehbench.tune.operating_point import circuit_of
+from ehbench.vocabulary.fields import Value
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, linear_models_agree, slide, steps, swing  # noqa: E402

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ehbench.fields import Value
+from ehbench.config.recipe import BenchRecipe
+from ehbench.config.rig import Rig
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, held
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import BenchRecipe
-from ehbench.rig import Rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
+from ehbench.vocabulary.fields import Value
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, recovered, slide, steps  # noqa: E402

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.fields import Value
+from ehbench.config.rig import Rig
 from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.sway import Sway
 from ehbench.plant.model import Model, simulate
-from ehbench.rig import Rig
+from ehbench.vocabulary.fields import Value
 
 sys.path.insert(0, str(Path(__file__).parent))
 from with_parts import jacobian, linear_models_agree, slide, steps, swing  # noqa: E402

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from scipy.signal import fftconvolve
 
-from ehbench.errors import InputError
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.ledger import ledger_of_model
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import felt_commands, follow_valves
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SPOOL = {"natural_frequency": "80 Hz", "damping_ratio": 0.8}

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from ehbench import signals
-from ehbench.fields import Value
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig, Slide
 from ehbench.parts.cylinder import RELIEF_GAIN, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.physics import arm
@@ -20,8 +20,8 @@ from ehbench.physics.cylinder import CAVITATION_BAND, makeup_flow, relief_flow
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
-from ehbench.rig import Rig, Slide
+from ehbench.signals import series
+from ehbench.vocabulary.fields import Value
 
 FILES = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 # those whose shut valves hold their oil; a pump with its check valves is in test_parts_circuit
@@ -287,7 +287,7 @@ def test_natural_frequency_is_that_of_the_linear_formula(rig):
             samples = int(6 * 2 * math.pi / omega / 5e-4)
             log = model.run(y, model.rest_commands(samples), 5e-4)
             at = len(q) + int(np.argmax(np.abs(shape)))
-            found = signals.ringing(
+            found = series.ringing(
                 5e-4 * np.arange(samples), log[:, at], guess=(0.9 * omega, 0.01), trim=False
             )
             assert found.ok, found.reason
@@ -531,7 +531,7 @@ def test_the_guard_sees_relief_and_cavitation():
 
 def test_maps_and_laws_are_asked_for_by_name(rig):
     """An edge that follows a map, without one: the error names the edge and the rig."""
-    from ehbench.errors import InputError
+    from ehbench.vocabulary.errors import InputError
 
     cylinder = rig.cylinder[0]
     valve = cylinder.valve[0]

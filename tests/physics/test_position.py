@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import EXTEND_RESISTIVE, RETRACT_RESISTIVE, SATURATED
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.control.functions import METERING, PATH_FLOWS, path_drop
 from ehbench.control.measured import pressures
 from ehbench.control.registry import tick
-from ehbench.errors import InputError
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.sample import LINE, OF, entry, line_entry
-from ehbench.recipe import TrialRecipe, load_rig
 from ehbench.trial import prepare, run_trial
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE, RETRACT_RESISTIVE, SATURATED
+from ehbench.vocabulary.errors import InputError
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 SLIDE = load_rig(RECIPES / "rigs" / "slide_servo.toml")

@@ -11,20 +11,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from ehbench import codes
-from ehbench.compiled import allocating_kernel
+from ehbench.config.recipe import load_rig
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control.measured import pressure_entries
 from ehbench.control.records import blank
-from ehbench.errors import InputError
 from ehbench.machines.simulated import model_sample
 from ehbench.parts.sample import OF, entry, sample_channels
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
-from ehbench.quantities import quantity
-from ehbench.recipe import load_rig
+from ehbench.runtime.compiled import allocating_kernel
+from ehbench.vocabulary import codes
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import quantity
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.ledger import ledger_of_model
 from ehbench.physics.cylinder import RACK, joint_angle, joint_range, linkage
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing import off_pins
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.preprocessing.preparation import off_pins
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SLIDE = (RIGS / "slide_servo.toml").read_text()

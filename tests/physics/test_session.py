@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.control import LAW_NAMES
-from ehbench.errors import InputError
-from ehbench.logs import read_record, write_log
+from ehbench.data.logs import read_record, write_log
+from ehbench.data.record import Record
 from ehbench.machines.protocol import advance_of, truth_of
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.plant.model import Model
-from ehbench.recipe import TrialRecipe, load_rig
-from ehbench.record import Record
 from ehbench.trial import account, prepare, run, session
+from ehbench.vocabulary.errors import InputError
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 RIG = load_rig(RECIPES / "rigs" / "slide_servo.toml")

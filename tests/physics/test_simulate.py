@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.benchmark import radau_error, thesis_trial
-from ehbench.errors import InputError, LogError, SimulationError
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.parts.valve.second_order import SETTLED
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import InputError, LogError, SimulationError
+from tools.benchmark import radau_error, thesis_trial
 
 RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
 THESIS = RIGS[0].with_name("thesis_arm.toml")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import ehbench
-from ehbench.errors import InputError, InsufficientData
-from ehbench.fields import Value
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import LoadSensing, LowRail, Rig
+from ehbench.data.record import Record
 from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import LoadSensing, LowRail, Rig
+from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.fields import Value
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SLIDE = load_rig(RIGS / "slide_servo.toml")

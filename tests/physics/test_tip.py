@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
 from ehbench.parts.cylinder import joint_range_of
 from ehbench.physics.arm import energy, work_size
 from ehbench.physics.tip import FOUND, Chain, polish, reach, tip_frames, tip_jacobian, tip_of
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NAMES = ("thesis_arm", "crane_proportional", "boom_four_valve", "slide_servo")

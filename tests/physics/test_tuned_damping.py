@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ehbench.codes import FUNCTIONS
+from ehbench.config.recipe import TuneRecipe, load_rig
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
@@ -17,10 +17,10 @@ from ehbench.machines.simulated import model_sample, model_tick
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
-from ehbench.recipe import TuneRecipe, load_rig
 from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.operating_point import circuit_of, state_of
 from ehbench.tune.study import NONE
+from ehbench.vocabulary.codes import FUNCTIONS
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3

@@ -13,15 +13,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_rig
+from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
-from ehbench.errors import InputError
-from ehbench.fields import Value
 from ehbench.parts.supply import beside_change, from_rail
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
-from ehbench.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_rig
-from ehbench.rig import LoadSensing, LowRail
 from ehbench.trial import prepare, run
 from ehbench.tune.arc import tune_arc
 from ehbench.tune.arc_loop import SampledPlant, Sensing
@@ -30,6 +28,8 @@ from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 from ehbench.tune.study import prepare_tuning
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
 
 sys.path.append(str(Path(__file__).parent))
 from delayed_loop import Bench  # noqa: E402

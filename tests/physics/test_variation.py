@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.machines.registry import open_machine
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.sample import OF, entry
 from ehbench.parts.valve import valve_lag
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.vocabulary.errors import InputError
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 # a rig whose bench file says its friction and oil, and one whose bench draws them

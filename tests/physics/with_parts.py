@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
 from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of

@@ -10,15 +10,15 @@ import pytest
 import tomli_w
 
 from ehbench import workflow
-from ehbench.errors import InputError
+from ehbench.config.recipe import Sensor, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.frequency_response.response import Averaging
+from ehbench.guidance.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
-from ehbench.identification.suggestions import suggest
-from ehbench.logs import write_log
 from ehbench.plant.model import simulate
-from ehbench.recipe import Sensor, load_rig
-from ehbench.record import Record
-from ehbench.response import Averaging
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.errors import InputError
 from tests.virtual_logs import RIGS
 
 RIG = RIGS / "slide_servo.toml"

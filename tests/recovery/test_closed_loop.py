@@ -11,17 +11,17 @@ import pytest
 import tomli_w
 
 from ehbench import workflow
-from ehbench.errors import InputError
+from ehbench.config.recipe import Sensor, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, prepare_fit
-from ehbench.logs import write_log
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, without_noise
-from ehbench.recipe import Sensor, load_rig
-from ehbench.record import Record
-from ehbench.rundir import read_json
+from ehbench.runs.rundir import read_json
 from ehbench.validation import prepare_validation, run_validation
-from tests.closed_loop_study import SLOPE, TRUE, closed_loop_log, fitted, rigs
+from ehbench.vocabulary.errors import InputError
 from tests.virtual_logs import RIGS
+from tools.studies.closed_loop_study import SLOPE, TRUE, closed_loop_log, fitted, rigs
 
 STIFF, LEAKS = "bulk_modulus", "press.leakage_internal"
 

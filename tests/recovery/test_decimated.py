@@ -12,18 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.gaps import parts_of
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.record import Means, Record
+from ehbench.frequency_response.response import Averaging
+from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.identification.means import SHARE, fastest
 from ehbench.identification.simulator import seen_as
-from ehbench.identification.suggestions import _windows
 from ehbench.plant.lanes.many import LEAST, Run, replays_paced
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Means, Record
-from ehbench.response import Averaging
+from ehbench.preprocessing.gaps import parts_of
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"v": 2e-3, "p_head": 1.5e4, "p_rod": 1.5e4, "x": 1e-5, "p_supply": 6e3}

@@ -1,4 +1,5 @@
-"""Every number of every part is on trial in `tests.recovery_study`, of which a handful stands here:
+"""Every number of every part is on trial in `tools.studies.recovery_study`, of which a handful
+stands here:
 what comes back from far off, what is told as a range, and what the logs leave open.
 """
 
@@ -14,16 +15,16 @@ import pytest
 import tomli_w
 from pydantic import BaseModel
 
-from ehbench import inspection
-from ehbench.errors import InsufficientData
-from ehbench.fields import Value
+from ehbench.app import inspection
+from ehbench.config.rig import Rig
+from ehbench.data.logs import write_log
 from ehbench.identification import simulator
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
-from ehbench.logs import write_log
 from ehbench.plant.model import Model
-from ehbench.rig import Rig
-from tests.recovery_study import BEDS, Trial, bed, logs_of, offered, tried
+from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.fields import Value
 from tests.virtual_logs import RIGS, noisy
+from tools.studies.recovery_study import BEDS, Trial, bed, logs_of, offered, tried
 
 # numbers of a rig file that no fit offers, and why
 NEVER = {

@@ -11,21 +11,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ehbench.errors import InsufficientData
-from ehbench.identification import flow_deadband
-from ehbench.identification.flow_cells import Cells
-from ehbench.identification.flow_map import (
+from ehbench.data.readers import merge_flowmeter, read_flowmeter
+from ehbench.flow_maps import deadband as flow_deadband
+from ehbench.flow_maps.cells import Cells
+from ehbench.flow_maps.map import (
     FlowMapOptions,
     FlowReadings,
     Units,
     fit_flow_map,
     fit_flow_maps,
 )
-from ehbench.identification.flow_opening import _gaps
-from ehbench.identification.flow_spline import Axis
-from ehbench.identification.flow_steps import Shape, likeliest_smoothing
+from ehbench.flow_maps.opening import _gaps
+from ehbench.flow_maps.spline import Axis
+from ehbench.flow_maps.steps import Shape, likeliest_smoothing
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
-from ehbench.readers import merge_flowmeter, read_flowmeter
+from ehbench.vocabulary.errors import InsufficientData
 
 GPM = 3.785411784e-3 / 60.0
 COMMANDS = np.array([0, 1, 1.25, 1.5, 1.75, 2, 2.25, 2.5, 3, 4, 5, 6, 7, 8, 9, 10.0])

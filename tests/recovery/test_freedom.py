@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5}

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import rundir
-from ehbench.errors import InputError, InsufficientData
+from ehbench.config.recipe import load_rig
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import (
     CHANNELS,
     FitOptions,
@@ -24,9 +24,9 @@ from ehbench.identification.hydraulics import (
 from ehbench.identification.simulator import Simulator, prepare
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.signals import ringing
+from ehbench.runs import rundir
+from ehbench.signals.series import ringing
+from ehbench.vocabulary.errors import InputError, InsufficientData
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}

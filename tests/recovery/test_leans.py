@@ -1,5 +1,6 @@
 """A held number that is wrong makes estimates surely wrong: the fit says so, names the number and
-what the estimates would be. `python -m tests.held_study` has every held number of every rig."""
+what the estimates would be. `python -m tools.studies.held_study` has every held number of every
+rig."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.identification.covariance import Block, Prior, release_of
-from tests.held_study import FATIGUE, fitted, held_wrong, off_by, rig_of
+from tools.studies.held_study import FATIGUE, fitted, held_wrong, off_by, rig_of
 
 
 def machine_of(name, words):

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import rundir, workflow
-from ehbench.errors import InputError
-from ehbench.identification.next_test import WAVES, Drive, entries_of
-from ehbench.recipe import load_rig
+from ehbench import workflow
+from ehbench.config.recipe import load_rig
+from ehbench.guidance.next_test import WAVES, Drive, entries_of
+from ehbench.runs import rundir
 from ehbench.stages.hydraulics import HydraulicsStage
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 RECIPE = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.errors import InputError
+from ehbench.config.recipe import load_rig
+from ehbench.data.record import Record
+from ehbench.guidance.profile import LEVEL_95, profile
 from ehbench.identification.hydraulics import FitOptions, prepare_fit
-from ehbench.identification.profile import LEVEL_95, profile
 from ehbench.plant.model import simulate
-from ehbench.recipe import load_rig
-from ehbench.record import Record
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 NOISE = {"v": 1e-3, "p_head": 6e4, "p_rod": 6e4, "x": 1e-5, "p_supply": 6e3}

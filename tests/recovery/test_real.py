@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.errors import InputError
-from ehbench.recipe import load_recipe
+from ehbench.config.recipe import load_recipe
+from ehbench.frequency_response.transfer import transfers
 from ehbench.report.saved import Saved
 from ehbench.report.stages.response import section
-from ehbench.signals import lowpass
-from ehbench.transfer import transfers
+from ehbench.signals.series import lowpass
+from ehbench.vocabulary.errors import InputError
 
 REAL = Path(__file__).parents[2] / "recipes" / "real"
 HERE = Path(os.environ.get("EHBENCH_DATA", "nowhere"))

@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import inspection, simulate
+from ehbench import simulate
+from ehbench.app import inspection
+from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.identification.fixed_numbers import counts_on
 from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
-from ehbench.identification.held import counts_on
-from ehbench.logs import write_log
-from ehbench.observations import SUPPLY_OFF
 from ehbench.plant.model import Model
 from ehbench.plant.ties import RECORDED, SUPPLY
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.preprocessing.observations import SUPPLY_OFF
 from ehbench.validation import validate_rig
 
 VOLUMES = ("volume_head", "volume_rod")

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import EhbenchError
+from ehbench.config.recipe import load_rig
 from ehbench.identification import simulator
 from ehbench.identification.simulator import CHANNELS, Simulator, prepare
 from ehbench.plant.build import Kept, Plant
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
-from tests.recovery_study import BEDS, bed
+from ehbench.vocabulary.errors import EhbenchError
 from tests.virtual_logs import virtual_log
+from tools.studies.recovery_study import BEDS, bed
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from ehbench import inspection, recipe, workflow
-from ehbench.errors import InputError, InsufficientData, LogError
-from ehbench.logs import write_log
-from ehbench.record import Record
-from ehbench.response import Averaging, Signals, estimate, prepare_signals
+from ehbench import workflow
+from ehbench.app import inspection
+from ehbench.config import recipe
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.frequency_response.response import Averaging, Signals, estimate, prepare_signals
+from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 
 RATE = 1000.0
 NATURAL, DAMPING, GAIN = 2.0 * math.pi * 12.0, 0.5, 0.03  # of the system [rad/s, 1, m/s per V]

@@ -12,9 +12,9 @@ import pytest
 
 import ehbench.report  # noqa: F401  (a function of the package hides it)
 from ehbench import workflow
-from ehbench.errors import InsufficientData
 from ehbench.identification import journal as journals
 from ehbench.identification.journal import Journal, journal_of, place_of
+from ehbench.vocabulary.errors import InsufficientData
 
 ROOT = Path(__file__).parents[2]
 RECIPE = f"""

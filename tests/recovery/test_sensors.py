@@ -13,17 +13,17 @@ import tomli_w
 from pydantic import ValidationError
 
 from ehbench import workflow
-from ehbench.errors import InputError
+from ehbench.config.recipe import Sensor, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
-from ehbench.logs import write_log
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing import preprocess
-from ehbench.recipe import Sensor, load_rig
-from ehbench.record import Record
+from ehbench.preprocessing.preparation import preprocess
+from ehbench.preprocessing.sensors import lagged
 from ehbench.report import terminal
-from ehbench.rundir import read_json
-from ehbench.sensors import lagged
+from ehbench.runs.rundir import read_json
 from ehbench.validation import prepare_validation, run_validation
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 PARAMETERS = ["bulk_modulus", "carriage.damping"]

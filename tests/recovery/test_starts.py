@@ -12,13 +12,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
+from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing import moving_at_first
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.signals import first_of, fit_percent, rms
-from ehbench.starts import estimated_start, first_error, mean_error, start_of_log
+from ehbench.preprocessing.initial_states import (
+    estimated_start,
+    first_error,
+    mean_error,
+    start_of_log,
+)
+from ehbench.preprocessing.preparation import moving_at_first
+from ehbench.signals.series import first_of, fit_percent, rms
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}

@@ -7,17 +7,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ehbench import datasets, workflow
-from ehbench.errors import InputError, InsufficientData
-from ehbench.identification.readings import fit_readings
-from ehbench.identification.step_readings import step_readings
-from ehbench.logs import write_log
+from ehbench import workflow
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.flow_maps.step_readings import step_readings
+from ehbench.flow_maps.tables import fit_readings
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model, simulate
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Record
+from ehbench.vocabulary.errors import InputError, InsufficientData
 from tests.virtual_logs import RIGS, noisy
+from tools import datasets
 
 LEVELS = [1.5, 2.0, 2.5, 3.0, 4.0, 5.0]
 LEAKS = {"boom.leakage_internal": 2e-12, "boom.leakage_head": 1e-12}

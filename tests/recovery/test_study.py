@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ehbench import study
+from tools import coverage_study as study
 
 fitted = cache(study.fitted)  # two tests look at the first cases
 

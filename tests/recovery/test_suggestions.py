@@ -1,5 +1,5 @@
 """`identify --suggest`: the cure of a built fault comes first, a sound fit gets none, and what is
-written fits. `tests/suggestion_study.py` has every fault of every rig."""
+written fits. `tools/studies/suggestion_study.py` has every fault of every rig."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import pytest
 import tomli_w
 
 from ehbench import workflow
-from ehbench.errors import InputError
-from ehbench.identification.changes import changes
+from ehbench.config.recipe import load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.guidance.changes import changes
+from ehbench.guidance.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
-from ehbench.identification.suggestions import suggest
-from ehbench.logs import write_log
 from ehbench.parts.sway import Sway
-from ehbench.recipe import load_rig
-from ehbench.record import Record
-from ehbench.rundir import read_json
-from tests.structure_study import Fault, faults, log_of, spoilt
-from tests.suggestion_study import recipe_of, right, suggested
+from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.errors import InputError
 from tests.virtual_logs import RIGS
+from tools.studies.structure_study import Fault, faults, log_of, spoilt
+from tools.studies.suggestion_study import recipe_of, right, suggested
 
 STEPS = ("quick steps",)
 # [s] of a log: a step out and a step back, in which all faults show but two; and a third of another
@@ -212,7 +212,7 @@ def test_where_nothing_that_promised_helps_the_rest_is_tried(monkeypatch):
     def blind(self, now, left):
         return [(1.0, one) for one in left if one.kind in ("friction", "leakage")], []
 
-    monkeypatch.setattr("ehbench.identification.suggestions._Trials._promised", blind)
+    monkeypatch.setattr("ehbench.guidance.suggestions._Trials._promised", blind)
     log = log_of("slide_servo", built("friction"), *STEPS, 3, SHORT)
     prepared = prepare_fit(rig_of(), [("log", log)], ["bulk_modulus"])
     found = suggest(prepared, [("log", log)], seconds=600.0, rounds=1)

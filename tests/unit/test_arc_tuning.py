@@ -9,12 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from ehbench.errors import InsufficientData
-from ehbench.recipe import ArcTuneRecipe, TrialRecipe, load_recipe, load_rig
-from ehbench.rundir import write_json
+from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.runs.rundir import write_json
 from ehbench.trial import prepare
 from ehbench.tune.arc import BUDGETS, CHOSEN, Search, tune_arc
 from ehbench.tune.study import prepare_tuning
+from ehbench.vocabulary.errors import InsufficientData
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.recipe import load_recipe
+from ehbench.config.recipe import load_recipe
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.look import Look
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 RECIPE = """

@@ -12,13 +12,13 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import foreign  # noqa: E402
 
-from ehbench import cli, converting, inspection, mapping  # noqa: E402
-from ehbench.errors import InputError, LogError, UnitError  # noqa: E402
-from ehbench.logs import read_log, read_record  # noqa: E402
-from ehbench.logs.readings import mapped_readings  # noqa: E402
-from ehbench.readers import open_source, read_flowmeter  # noqa: E402
-from ehbench.recipe import MappedColumn, load_columns, load_recipe, load_rig  # noqa: E402
-from ehbench.signals import lowpass  # noqa: E402
+from ehbench.app import cli, converting, inspection, mapping  # noqa: E402
+from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_rig  # noqa: E402
+from ehbench.data.logs import read_log, read_record  # noqa: E402
+from ehbench.data.logs.readings import mapped_readings  # noqa: E402
+from ehbench.data.readers import open_source, read_flowmeter  # noqa: E402
+from ehbench.signals.series import lowpass  # noqa: E402
+from ehbench.vocabulary.errors import InputError, LogError, UnitError  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes/rigs/slide_servo.toml"

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
-from ehbench import compiled
 from ehbench.plant import integrate
+from ehbench.runtime import compiled
 
 
 def grows(n):
@@ -83,7 +83,7 @@ def test_old_caches_stay_until_they_are_cleaned():
     old.mkdir(exist_ok=True)
     try:
         os.utime(old, (0, 0))
-        subprocess.run([sys.executable, "-c", "import ehbench.compiled"], check=True)
+        subprocess.run([sys.executable, "-c", "import ehbench.runtime.compiled"], check=True)
         assert old.is_dir()
     finally:
         old.rmdir()

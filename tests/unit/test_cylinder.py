@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ehbench.compiled import table
-from ehbench.errors import InputError
 from ehbench.parts.cylinder import CYLINDER, chamber_inflow, chamber_pressure_rate
 from ehbench.parts.nodes import NODE
 from ehbench.physics import cylinder, friction
+from ehbench.runtime.compiled import table
+from ehbench.vocabulary.errors import InputError
 
 # SPEC 1: (kind, l_A, l_B, sign, phase, retracted), stroke, joint range in degrees
 THESIS = {

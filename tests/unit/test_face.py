@@ -15,8 +15,8 @@ import pytest
 import threadpoolctl
 
 import ehbench
-from ehbench.errors import InputError
-from ehbench.record import Record
+from ehbench.data.record import Record
+from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Outcome
 
 ROOT = Path(__file__).parents[2]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.recipe import load_rig
-from ehbench.recipe.sensor import Sensor
-from ehbench.sensors import ATMOSPHERE
+from ehbench.config.recipe import load_rig
+from ehbench.config.recipe.sensor import Sensor
+from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.stages.fitted_sensors import inherited, tables_of
 
 ROOT = Path(__file__).parents[2]

@@ -1,36 +1,33 @@
-"""A module imports only from lower floors, or from its own package."""
+"""A module imports only from lower floors; inside a package no imports form a cycle."""
 
 from __future__ import annotations
 
 import ast
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "ehbench"
 # lowest first; within a row nobody imports a neighbour
 FLOORS = [
-    {"sources", "cores", "interrupts"},
-    {"codes", "commands", "errors", "quantities", "compiled", "blas", "terms"}
-    | {"text", "usual_units"},
-    {"units", "disk", "memory"},
-    {"fields", "notebook", "oscillation"},
-    {"physics", "signals", "stamps"},
+    {"vocabulary"},
+    {"runtime"},
+    {"physics", "signals"},
     {"parts"},
     {"control"},
-    {"record", "rig"},
-    {"recipe", "readers"},
-    {"logs"},
-    {"rundir"},
+    {"config"},
+    {"data"},
+    {"runs"},
     {"plant"},
-    {"machines"},
-    {"ledger", "observations", "preprocessing", "sensors"},
-    {"gaps", "starts"},
-    {"response", "structure", "transfer"},
-    {"identification", "validation", "tune", "trial", "report", "sampling"},
+    {"machines", "preprocessing"},
+    {"ledger", "sampling"},
+    {"diagnosis", "flow_maps", "frequency_response"},
+    {"identification", "validation", "tune", "trial", "report"},
+    {"guidance"},
     {"stages"},
-    {"workflow", "starter"},
-    {"inspection", "mapping", "converting"},
-    {"__init__", "cli", "datasets", "benchmark", "reference", "study", "warm"},
+    {"workflow"},
+    {"app"},
+    {"__init__"},
     {"__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(FLOORS) for name in names}
@@ -38,7 +35,7 @@ RANK = {name: rank for rank, names in enumerate(FLOORS) for name in names}
 BENCH = ("machines.virtual", "machines.registry")
 BENCH_READERS = {
     *("machines/registry.py", "machines/variation.py"),
-    *("trial/preparation.py", "datasets.py"),
+    "trial/preparation.py",
 }
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if "__pycache__" not in p.parts)
 
@@ -73,11 +70,34 @@ def test_imports_only_from_lower_floors():
         own = top(path)
         for name in imports(path):
             other = name.split(".")[0]
-            within = other == own and path.parent != PACKAGE
+            within = other == own and path.parent != PACKAGE  # `test_no_cycle` asks these
             if not within and RANK[other] >= RANK[own]:
                 place = path.relative_to(PACKAGE).as_posix()
                 above.append(f"{place} (floor {RANK[own]}) imports {name} (floor {RANK[other]})")
     assert above == []
+
+
+def _module(path: Path) -> str:
+    """The dotted name of a file inside the package."""
+    name = path.relative_to(PACKAGE).with_suffix("").as_posix().replace("/", ".")
+    return name.removesuffix(".__init__")
+
+
+def test_no_cycle_inside_a_package():
+    names = {_module(path) for path in MODULES}
+    graph = {
+        _module(path): {
+            module
+            for name in imports(path)
+            for module in (name if name in names else name.rpartition(".")[0],)
+            if module in names and module != _module(path)
+        }
+        for path in MODULES
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        raise AssertionError(f"these import each other: {' → '.join(error.args[1])}") from None
 
 
 def test_the_bench_is_seen_by_trials_only():
@@ -93,4 +113,4 @@ def test_the_bench_is_seen_by_trials_only():
 def test_reports_read_files_only():
     for path in (PACKAGE / "report").rglob("*.py"):
         for name in imports(path):
-            assert name.startswith("report") or RANK[name.split(".")[0]] <= RANK["rundir"]
+            assert name.startswith("report") or RANK[name.split(".")[0]] <= RANK["runs"]

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from ehbench.errors import InputError
-from ehbench.identification import flow_band
-from ehbench.identification.flow_spline import Axis, OneColumn, Spline, cholesky, full, pivoted
-from ehbench.identification.readings import _fitted
+from ehbench.config.recipe import load_rig
+from ehbench.flow_maps import banded
+from ehbench.flow_maps.spline import Axis, OneColumn, Spline, cholesky, full, pivoted
+from ehbench.flow_maps.tables import _fitted
 from ehbench.physics.flow_map import (
     FlowMap,
     UnknownValve,
@@ -31,7 +31,7 @@ from ehbench.physics.flow_map import (
     table,
 )
 from ehbench.plant.model import simulate
-from ehbench.recipe import load_rig
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0
@@ -411,10 +411,10 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
         full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
     )
     factor = cholesky(spline.penalised(band, smoothing))
-    parameters = flow_band.explained(factor, band)
+    parameters = banded.explained(factor, band)
     assert parameters == pytest.approx(np.trace(np.linalg.solve(whole, gram)), rel=1e-9)
     spread = np.sum(np.linalg.solve(np.linalg.cholesky(whole), design.T) ** 2, axis=0)
-    np.testing.assert_allclose(flow_band.half_squares(factor, design), spread, rtol=1e-9)
+    np.testing.assert_allclose(banded.half_squares(factor, design), spread, rtol=1e-9)
     free, gain, determinant = spline.free(band, right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
     assert gain == pytest.approx(right @ free, rel=1e-9)

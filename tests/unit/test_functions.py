@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import codes
-from ehbench.compiled import table
+from ehbench.config.recipe import load_rig
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
-from ehbench.errors import InputError
 from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
+from ehbench.runtime.compiled import table
+from ehbench.vocabulary import codes
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 PLAIN = {

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import inspection
-from ehbench.gaps import parts_of
-from ehbench.logs import read_record, write_log
-from ehbench.record import Record
+from ehbench.app import inspection
+from ehbench.data.logs import read_record, write_log
+from ehbench.data.record import Record
+from ehbench.preprocessing.gaps import parts_of
 
 ROOT = Path(__file__).parents[2]
 

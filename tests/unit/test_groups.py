@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from ehbench.identification.uncertainty import together
 from ehbench.identification.groups import groups_of, sentence
+from ehbench.identification.uncertainty import together
 
 NAMES = ("mass", "area", "volume", "bulk_modulus", "damping")
 VALUES = (250.0, 2e-3, 1e-3, 9e8, 800.0)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.logs import read_record
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.logs import read_record
+from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Record
 from ehbench.validation import PreparedValidation, read_validation, run_validation, taken_log
 from ehbench.validation.held_out import Rows, overlaps
+from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
 from tests.virtual_logs import RIGS, virtual_log
 

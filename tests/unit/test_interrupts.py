@@ -9,8 +9,9 @@ import threading
 
 import pytest
 
-from ehbench import cli, interrupts
-from ehbench.interrupts import Terminated, ended, listen, unbroken
+from ehbench.app import cli
+from ehbench.runtime import interrupts
+from ehbench.runtime.interrupts import Terminated, ended, listen, unbroken
 
 
 @pytest.fixture(autouse=True)

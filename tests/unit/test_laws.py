@@ -6,7 +6,7 @@ import pytest
 
 from ehbench.control import LAW_NAMES
 from ehbench.control.registry import LAWS
-from ehbench.quantities import VOCABULARY
+from ehbench.vocabulary.quantities import VOCABULARY
 
 
 @pytest.mark.parametrize("name", LAW_NAMES)

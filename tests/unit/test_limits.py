@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
+from ehbench.data.logs import read_record
 from ehbench.identification.simulator import prepare
-from ehbench.logs import read_record
 from ehbench.plant.model import Model
-from ehbench.preprocessing import at_limit
-from ehbench.recipe import load_rig
+from ehbench.preprocessing.preparation import at_limit
 from ehbench.validation.residuals import pair_of
 
 ROOT = Path(__file__).parents[2]

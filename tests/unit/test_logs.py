@@ -20,9 +20,9 @@ from mcap.records import Channel, Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from ehbench.errors import LogError, UnitError
-from ehbench.logs import CHUNK_SIZE, LogWriter, check_record, read_log, read_record, write_log
-from ehbench.record import Record
+from ehbench.data.logs import CHUNK_SIZE, LogWriter, check_record, read_log, read_record, write_log
+from ehbench.data.record import Record
+from ehbench.vocabulary.errors import LogError, UnitError
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data" / "mcap"
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ehbench import oscillation
-from ehbench.signals import _basis, _drift, _project
+from ehbench.signals import oscillation
+from ehbench.signals.series import _basis, _drift, _project
 
 SCALE = np.array([0.1, 0.1, 0.5])
 LOW, HIGH = np.array([-np.inf, -0.05, np.log(2e-3)]), np.array([np.inf, 0.95, np.log(2.0)])

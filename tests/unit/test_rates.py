@@ -7,11 +7,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ehbench.errors import LogError
-from ehbench.logs import read_record
-from ehbench.mapping import draft
-from ehbench.readers import open_source
-from ehbench.units import absolute_unit
+from ehbench.app.mapping import draft
+from ehbench.data.logs import read_record
+from ehbench.data.readers import open_source
+from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.units import absolute_unit
 
 MAP = """bad_samples = "{policy}"
 [names]

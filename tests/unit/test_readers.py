@@ -14,11 +14,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import foreign  # noqa: E402
 
-from ehbench.errors import InputError, LogError  # noqa: E402
-from ehbench.logs import read_record  # noqa: E402
-from ehbench.readers import READERS, Dialect, open_source, reader_of, suffixes  # noqa: E402
-from ehbench.readers.clock import clock  # noqa: E402
-from ehbench.readers.delimited import split  # noqa: E402
+from ehbench.data.logs import read_record  # noqa: E402
+from ehbench.data.readers import READERS, Dialect, open_source, reader_of, suffixes  # noqa: E402
+from ehbench.data.readers.clock import clock  # noqa: E402
+from ehbench.data.readers.delimited import split  # noqa: E402
+from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 DIGITS = {"a.csv": 1e-3}  # [bar] of what the text holds
@@ -184,7 +184,9 @@ def test_a_gap_is_named_and_not_bridged(tmp_path):
 
 def test_every_reader_has_a_file_of_its_own_and_knows_its_endings():
     for reader in READERS:
-        assert (Path(foreign.__file__).parents[1] / f"ehbench/readers/{reader.module}.py").is_file()
+        assert (
+            Path(foreign.__file__).parents[1] / f"ehbench/data/readers/{reader.module}.py"
+        ).is_file()
         assert set(reader.suffixes) <= set(suffixes())
 
 
@@ -305,7 +307,7 @@ def test_a_bomb_is_refused(tmp_path, monkeypatch):
     import gzip
 
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"0,0\n" * 2_000_000))
-    monkeypatch.setattr("ehbench.readers.delimited.available", lambda: 8e6)
+    monkeypatch.setattr("ehbench.data.readers.delimited.available", lambda: 8e6)
     with pytest.raises(InputError, match="unpacks to more than"):
         open_source(tmp_path / "a.csv.gz")
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from ehbench.recipe import load_rig
-from ehbench.recipe.validate import Reference
+from ehbench.config.recipe import load_rig
+from ehbench.config.recipe.validate import Reference
 from ehbench.report.blocks import Grid
 from ehbench.report.saved import Table
 from ehbench.report.stages.validation import _beside_others

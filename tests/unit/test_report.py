@@ -11,12 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.logs import write_log
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Record
 from ehbench.report import build, draw, style
 from ehbench.report.blocks import inline, prose
 from ehbench.report.index import FigureIndex
@@ -25,9 +23,11 @@ from ehbench.report.stages import hydraulics
 from ehbench.report.style import canvas, spread, thin
 from ehbench.report.svg import shrink
 from ehbench.report.words import interval, number, pretty, with_error
-from ehbench.rundir import write_json
-from ehbench.terms import Z95
-from ehbench.units import from_si, to_si
+from ehbench.runs.rundir import write_json
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.terms import Z95
+from ehbench.vocabulary.units import from_si, to_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 VOID = {"meta", "br", "hr", "img", "input", "link"}

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.errors import InputError
 from ehbench.report.compare import _distance, compare, lines
+from ehbench.vocabulary.errors import InputError
 from tests.unit.test_report import flow_map_run, hydraulics_run
 
 

@@ -13,13 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import FUNCTIONS, LIMITS
-from ehbench.errors import InputError
-from ehbench.logs import write_log
+from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import load_recipe, load_rig
-from ehbench.record import Record
 from ehbench.report import build, draw, energy_tables
 from ehbench.report.cases import cases_of, groups_of, payload_at_end, stem_of, true_payload
 from ehbench.report.figures import root_locus
@@ -35,10 +32,13 @@ from ehbench.report.trial_captions import (
 )
 from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
-from ehbench.rundir import write_json
+from ehbench.runs.rundir import write_json
 from ehbench.tune.circuits import functions_of
 from ehbench.tune.operating_point import circuit_of
-from ehbench.units import from_si
+from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import from_si
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 

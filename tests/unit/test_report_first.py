@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.codes import LIMITS, LIMITS_MEAN
-from ehbench.recipe import load_rig
+from ehbench.config.recipe import load_rig
 from ehbench.report import build
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.dark import dark
@@ -24,7 +23,8 @@ from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import lines
 from ehbench.report.words import estimate, shown
-from ehbench.rundir import write_json
+from ehbench.runs.rundir import write_json
+from ehbench.vocabulary.codes import LIMITS, LIMITS_MEAN
 from tests.unit.test_report import fill
 
 FOLLOWS = {"follows": []}

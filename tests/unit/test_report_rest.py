@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.recipe import load_rig
-from ehbench.record import Record
+from ehbench.config.recipe import load_rig
+from ehbench.data.record import Record
 from ehbench.report.cases import Case
 from ehbench.report.comparisons import lasting
 from ehbench.report.rest_words import rest_caption, swing_after

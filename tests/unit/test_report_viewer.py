@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.logs import read_record
+from ehbench.data.logs import read_record
 from ehbench.report import viewer
+from ehbench.vocabulary.errors import InputError
 from tests.unit.test_report import flow_map_run, hydraulics_run
 
 LOG = Path(__file__).parents[2] / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from ehbench.errors import InputError
-from ehbench.fields import SURENESS, Value
+from ehbench.config.recipe import load_rig
 from ehbench.plant.model import Model
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import load_rig
-from ehbench.units import factor
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import SURENESS, Value
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import factor
 
 FOLDER = Path(__file__).parents[2] / "recipes" / "rigs"
 RIGS = sorted(FOLDER.glob("*.toml"))

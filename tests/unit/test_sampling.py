@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.recipe import StudyRecipe, load_rig
+from ehbench.config.recipe import StudyRecipe, load_rig
 from ehbench.sampling import statistics
 from ehbench.sampling.design import Design, Factor, Fitted
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.keys import Key, changed_rig, changed_table
 from ehbench.sampling.sample import Sample
 from ehbench.sampling.tables import Parquet
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 

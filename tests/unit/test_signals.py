@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ehbench import signals
+from ehbench.signals import series
 
 RATE = 1000.0
 
@@ -34,7 +34,7 @@ def test_ringing_in_noise_offset_and_drift(hertz, zeta, duration):
     omega = 2 * math.pi * hertz
     t, wave = oscillation(omega, zeta, duration)
     noise = 0.05 * np.random.default_rng(1).standard_normal(t.size)
-    found = signals.ringing(t, 3.0 + 0.5 * t - 0.3 * t**2 + 0.4 * np.exp(-t / 0.1) + wave + noise)
+    found = series.ringing(t, 3.0 + 0.5 * t - 0.3 * t**2 + 0.4 * np.exp(-t / 0.1) + wave + noise)
     assert found.ok, found.reason
     # four of its own standard errors: one in 16 000 fails by chance
     assert abs(found.natural_frequency - omega) < 4.0 * found.natural_frequency_std
@@ -44,7 +44,7 @@ def test_ringing_in_noise_offset_and_drift(hertz, zeta, duration):
 
 def test_ringing_is_exact_without_noise():
     t, wave = oscillation(25.0, 0.08, 1.2)
-    found = signals.ringing(t, 2.0 - 0.4 * t + 5.0 * wave)
+    found = series.ringing(t, 2.0 - 0.4 * t + 5.0 * wave)
     # the fit works on means over blocks of samples, which keep the poles
     assert found.natural_frequency == pytest.approx(25.0, rel=1e-4)
     assert found.damping_ratio == pytest.approx(0.08, abs=1e-4)
@@ -56,7 +56,7 @@ def test_standard_errors_of_ringing_cover():
     t, wave = oscillation(omega, zeta, 1.0)
     hits = 0
     for seed in range(40):
-        found = signals.ringing(t, wave + 0.1 * coloured(np.random.default_rng(seed), t.size, 0.8))
+        found = series.ringing(t, wave + 0.1 * coloured(np.random.default_rng(seed), t.size, 0.8))
         hits += abs(found.natural_frequency - omega) < 1.96 * found.natural_frequency_std
     # of 40 intervals that cover with 95 %, 33 or fewer do so once in 2000
     assert hits >= 34
@@ -72,11 +72,11 @@ def test_channels_share_one_oscillation():
             0.01 * (other + 0.3 * rng.standard_normal(t.size)),
         ]
     )
-    alone, joint = signals.ringing(t, both[:, 0]), signals.ringing(t, both)
+    alone, joint = series.ringing(t, both[:, 0]), series.ringing(t, both)
     assert joint.ok and abs(joint.natural_frequency - 25.0) < 4 * joint.natural_frequency_std
     assert joint.natural_frequency_std < alone.natural_frequency_std
     dead = np.column_stack([both, np.full(t.size, 3.0)])
-    assert signals.ringing(t, dead).natural_frequency == pytest.approx(
+    assert series.ringing(t, dead).natural_frequency == pytest.approx(
         joint.natural_frequency, rel=1e-9
     )
 
@@ -84,25 +84,25 @@ def test_channels_share_one_oscillation():
 def test_ringing_says_why_there_is_none():
     t = np.arange(0.0, 1.0, 1.0 / RATE)
     rng = np.random.default_rng(3)
-    assert "nothing moves" in signals.ringing(t, np.full(t.size, 4.2)).reason
-    assert "samples" in signals.ringing(t[:10], t[:10]).reason
+    assert "nothing moves" in series.ringing(t, np.full(t.size, 4.2)).reason
+    assert "samples" in series.ringing(t[:10], t[:10]).reason
     for y in (
         rng.standard_normal(t.size) + 3 * t,
         1 - np.exp(-t / 0.1) + 0.01 * rng.standard_normal(t.size),
         t**2 + 1e-9 * rng.standard_normal(t.size),
     ):
-        found = signals.ringing(t, y)
+        found = series.ringing(t, y)
         assert not found.ok and found.reason and math.isnan(found.natural_frequency)
 
 
 def test_noise_seldom_passes_for_ringing():
     t = np.arange(0.0, 1.0, 1.0 / RATE)
     white = sum(
-        signals.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
+        series.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
         for seed in range(30)
     )
     slow = sum(
-        signals.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
+        series.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
         for seed in range(30)
     )
     assert white == 0
@@ -112,31 +112,31 @@ def test_noise_seldom_passes_for_ringing():
 def test_ringing_like_sees_the_other_series_the_same_way():
     t, wave = oscillation(25.0, 0.1, 1.0)
     y = wave + 0.2 * t + 0.05 * np.random.default_rng(4).standard_normal(t.size)
-    first = signals.ringing(t, y)
-    again = signals.ringing_like(t, y, first)
+    first = series.ringing(t, y)
+    again = series.ringing_like(t, y, first)
     assert again.natural_frequency == pytest.approx(first.natural_frequency, rel=1e-6)
     assert again.damping_ratio == pytest.approx(first.damping_ratio, abs=1e-6)
     assert again.stop == pytest.approx(first.stop)
     for share in (0.55, 1.9):
         _, faster = oscillation(25.0 * share, 0.15, 1.0)
-        found = signals.ringing_like(t, 7.0 * faster, first)
+        found = series.ringing_like(t, 7.0 * faster, first)
         assert found.natural_frequency == pytest.approx(25.0 * share, rel=1e-3), share
-    assert not signals.ringing_like(t, y, signals.Ringing(reason="none")).ok
-    assert not signals.ringing_like(t, np.zeros(t.size), first).ok
+    assert not series.ringing_like(t, y, series.Ringing(reason="none")).ok
+    assert not series.ringing_like(t, np.zeros(t.size), first).ok
 
 
 def test_a_series_that_rings_as_another_is_not_silent_beside_what_else_it_does():
     """What bends beside a wave lasts for many samples: few of them are independent, and a noiseless
     wave does not stand out of it, though half as high as the other's."""
     t, wave = oscillation(160.0, 0.03, 0.3)
-    recorded = signals.ringing(t, wave + 0.2 * np.random.default_rng(5).standard_normal(t.size))
+    recorded = series.ringing(t, wave + 0.2 * np.random.default_rng(5).standard_normal(t.size))
     bend = np.sin(60.0 * t) * np.exp(-4.0 * t)
-    found = signals.ringing_like(t, 0.5 * wave + 0.35 * bend, recorded)
+    found = series.ringing_like(t, 0.5 * wave + 0.35 * bend, recorded)
     assert found.ok, found.reason
     assert found.natural_frequency == pytest.approx(160.0, rel=0.03)
     assert found.r_squared < 0.8, "or it would stand out by itself"
     quiet = 0.02 * wave + 0.05 * np.random.default_rng(6).standard_normal(t.size)
-    assert "no oscillation" in signals.ringing_like(t, quiet, recorded).reason
+    assert "no oscillation" in series.ringing_like(t, quiet, recorded).reason
 
 
 @pytest.mark.parametrize("hertz", [25.0, 41.0, 45.0])
@@ -145,31 +145,31 @@ def test_no_frequency_beyond_half_the_sampling_rate_is_found(hertz):
     t = np.arange(150) * 0.01
     omega = 2.0 * math.pi * hertz
     wave = np.exp(-0.02 * omega * t) * np.sin(omega * t)
-    first = signals.ringing(t, wave + 0.05 * np.random.default_rng(1).standard_normal(t.size))
-    again = signals.ringing_like(t, wave, first)
-    for found in (first, again, signals.ringing(t, wave, (2.0 * omega, 0.02))):
+    first = series.ringing(t, wave + 0.05 * np.random.default_rng(1).standard_normal(t.size))
+    again = series.ringing_like(t, wave, first)
+    for found in (first, again, series.ringing(t, wave, (2.0 * omega, 0.02))):
         assert found.natural_frequency == pytest.approx(omega, rel=0.01)
 
 
 def test_fit_percent():
     y = np.sin(np.linspace(0.0, 9.0, 200))
-    assert signals.fit_percent(y, y) == 100.0
-    assert signals.fit_percent(y, np.full(200, y.mean())) == pytest.approx(0.0, abs=1e-12)
-    assert signals.fit_percent(y, y + 0.1 * np.std(y)) == pytest.approx(90.0)
-    assert math.isnan(signals.fit_percent(np.ones(5), np.zeros(5)))
+    assert series.fit_percent(y, y) == 100.0
+    assert series.fit_percent(y, np.full(200, y.mean())) == pytest.approx(0.0, abs=1e-12)
+    assert series.fit_percent(y, y + 0.1 * np.std(y)) == pytest.approx(90.0)
+    assert math.isnan(series.fit_percent(np.ones(5), np.zeros(5)))
 
 
 def test_transients_lie_between_command_changes():
     t = np.arange(100) * 0.01
     u = np.zeros((100, 2))
     u[20:60, 0], u[61:, 1] = 3.0, 2.0
-    assert signals.transients(t, u) == [slice(20, 60), slice(61, 100)]
-    assert signals.transients(t, u[:, 0]) == [slice(20, 60), slice(60, 100)]
-    assert signals.transients(t, np.ones(100)) == []
+    assert series.transients(t, u) == [slice(20, 60), slice(61, 100)]
+    assert series.transients(t, u[:, 0]) == [slice(20, 60), slice(60, 100)]
+    assert series.transients(t, np.ones(100)) == []
     rough = u + 0.01 * np.random.default_rng(8).standard_normal(u.shape)
-    assert signals.transients(t, rough, least=0.1) == [slice(20, 60), slice(61, 100)]
+    assert series.transients(t, rough, least=0.1) == [slice(20, 60), slice(61, 100)]
     ramp = np.clip((t - 0.2) / 0.3, 0.0, 1.0)
-    assert [window.stop for window in signals.transients(t, ramp)] == [100]
+    assert [window.stop for window in series.transients(t, ramp)] == [100]
 
 
 def test_lowpass_has_no_phase_and_halves_at_its_cutoff():
@@ -177,20 +177,20 @@ def test_lowpass_has_no_phase_and_halves_at_its_cutoff():
     middle = slice(1000, 3000)
     for hertz, gain in ((0.5, 1.0), (10.0, 0.5), (100.0, 1e-4)):
         wave = np.cos(2 * math.pi * hertz * (t - 2.0))
-        out = signals.lowpass(wave, 1.0 / RATE, 10.0)
+        out = series.lowpass(wave, 1.0 / RATE, 10.0)
         # bilinear Butterworth twice: 1/(1 + (f/fc)⁴), warped by less than 1 % at these frequencies
         assert out[2000] == pytest.approx(gain, rel=0.1, abs=1e-3)
         assert np.allclose(out[middle], gain * wave[middle], atol=0.02)
-    assert np.array_equal(signals.lowpass(t, 1.0 / RATE, 600.0), t)
+    assert np.array_equal(series.lowpass(t, 1.0 / RATE, 600.0), t)
 
 
 def test_correlation_sign_and_scale():
     u = np.random.default_rng(5).standard_normal(4000)
     x = np.roll(u, 3)
-    r = signals.correlation(x, u, 10)
+    r = series.correlation(x, u, 10)
     assert np.argmax(r) == 10 + 3 and r[13] == pytest.approx(1.0, abs=0.01)
-    assert signals.autocorrelation(u, 5)[0] == pytest.approx(1.0)
-    assert np.array_equal(signals.correlation(np.ones(50), u[:50], 4), np.zeros(9))
+    assert series.autocorrelation(u, 5)[0] == pytest.approx(1.0)
+    assert np.array_equal(series.correlation(np.ones(50), u[:50], 4), np.zeros(9))
     direct = [
         np.sum((x - x.mean())[k:] * (u - u.mean())[: x.size - k]) / (x.size * x.std() * u.std())
         for k in range(11)
@@ -201,7 +201,7 @@ def test_correlation_sign_and_scale():
 def test_correlation_time_of_a_first_order_process():
     for pole in (0.0, 0.5, 0.9):
         times = [
-            signals.correlation_time(coloured(np.random.default_rng(seed), 4000, pole))
+            series.correlation_time(coloured(np.random.default_rng(seed), 4000, pole))
             for seed in range(20)
         ]
         # Σ ρ^k = (1 + ρ)/(1 − ρ), of which the sum to five correlation times misses up to 10 %, and
@@ -214,7 +214,7 @@ def test_autocorrelation_band_allows_for_short_lived_colour():
     for _ in range(200):
         e = rng.standard_normal(601)
         x = e[1:] + 0.9 * e[:-1]
-        r, band = signals.autocorrelation(x, 20), signals.autocorrelation_band(x, 20)
+        r, band = series.autocorrelation(x, 20), series.autocorrelation_band(x, 20)
         outside.append(np.mean(np.abs(r[2:]) > band[2:]))
         white.append(np.mean(np.abs(r[2:]) > 1.96 / math.sqrt(x.size)))
         assert abs(r[1]) > band[1]
@@ -227,8 +227,8 @@ def test_correlation_band_of_independent_coloured_series():
     rng, outside, white = np.random.default_rng(7), [], []
     for _ in range(150):
         x, u = coloured(rng, 1500, 0.9), coloured(rng, 1500, 0.9)
-        r = signals.correlation(x, u, 20)
-        outside.append(np.mean(np.abs(r) > signals.correlation_band(x, u)))
+        r = series.correlation(x, u, 20)
+        outside.append(np.mean(np.abs(r) > series.correlation_band(x, u)))
         white.append(np.mean(np.abs(r) > 1.96 / math.sqrt(1500)))
     assert np.mean(outside) == pytest.approx(
         0.05, abs=0.03
@@ -243,4 +243,4 @@ def test_lowpass_is_scipys_to_the_bit(shape):
     y = np.random.default_rng(3).standard_normal(shape)
     pad = min(shape[0] - 1, 75)
     there = sosfiltfilt(butter(2, 40.0, fs=1e3, output="sos"), y, axis=0, padlen=pad)
-    np.testing.assert_array_equal(signals.lowpass(y, 1e-3, 40.0), there)
+    np.testing.assert_array_equal(series.lowpass(y, 1e-3, 40.0), there)

@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from ehbench.rundir import PACKAGE
-from ehbench.sources import sources
+from ehbench.runs.rundir import PACKAGE
+from ehbench.runtime.sources import sources
 
 
 def test_only_own_files_of_these_kinds_in_one_order(tmp_path):
@@ -22,7 +22,7 @@ def test_what_another_process_clears_away_is_not_looked_into(monkeypatch):
     """A cache of older sources may go while one looks."""
     looked, scan = [], os.scandir
     monkeypatch.setattr(os, "scandir", lambda path: looked.append(str(path)) or scan(path))
-    assert PACKAGE / "cli.py" in sources(PACKAGE, ".py")
+    assert PACKAGE / "workflow.py" in sources(PACKAGE, ".py")
     assert looked and not any("__pycache__" in path for path in looked)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from ehbench import recipe
-from ehbench.cli import app
-from ehbench.commands import COMMANDS
+from ehbench.app.cli import app
+from ehbench.config import recipe
 from ehbench.report.stages import SECTIONS
 from ehbench.stages import REGISTRY, Stage
+from ehbench.vocabulary.commands import COMMANDS
 
 STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
 KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import LogError
-from ehbench.gaps import parts_of
-from ehbench.logs import read_record
-from ehbench.preprocessing import evened
-from ehbench.recipe import load_columns
-from ehbench.record import Record
-from ehbench.stamps import stamps_of
+from ehbench.config.recipe import load_columns
+from ehbench.data.logs import read_record
+from ehbench.data.record import Record
+from ehbench.preprocessing.gaps import parts_of
+from ehbench.preprocessing.preparation import evened
+from ehbench.signals.timestamps import stamps_of
+from ehbench.vocabulary.errors import LogError
 
 PERIOD = 0.01
 ROWS = np.arange(1500)

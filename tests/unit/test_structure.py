@@ -1,5 +1,5 @@
 """What residuals say of a model: built faults are named first or second, sound models cry at
-nothing. `tests/structure_study.py` has the long tables."""
+nothing. `tools/studies/structure_study.py` has the long tables."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ehbench.config.recipe import load_rig
+from ehbench.diagnosis import Case, ask, commanded
+from ehbench.diagnosis.cures import cures
 from ehbench.parts.valve.delay import Delay
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
-from ehbench.structure import Case, ask, commanded
-from ehbench.structure.cures import cures
-from tests.structure_study import Fault, asked, faults, log_of
 from ehbench.validation import prepare_validation, run_validation
 from tests.virtual_logs import RIGS, clean_log, noisy, virtual_log
-
+from tools.studies.structure_study import Fault, asked, faults, log_of
 
 # a step out and a step back, and a sweep, of so many seconds each
 QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import run_trial
 from ehbench.trial.measures import short_measures
 from ehbench.trial.swing import limit_cycle

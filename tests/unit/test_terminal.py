@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ehbench.report import terminal
-from ehbench.text import folded
+from ehbench.vocabulary.text import folded
 
 ROOT = Path(__file__).parents[2]
 
@@ -44,7 +44,7 @@ def test_a_narrow_terminal_gets_fewer_columns_and_no_broken_line(fitted):
 
 
 def test_a_verdict_comes_first_and_in_capitals(judged):
-    assert terminal.lines(judged)[0].startswith("ACCEPTED WITH RESERVE on 1 held-out log")
+    assert terminal.lines(judged)[0].startswith("ACCEPTED WITH RESERVATION on 1 held-out log")
     table = json.loads((judged / "validation.json").read_text())
     said = dict(table, accepted=False, verdict="rejected", reasons=["it rings at another rate"])
     kept = (judged / "validation.json").read_text()

@@ -10,7 +10,7 @@ from scipy import signal
 
 from ehbench.control import trajectory as tr
 from ehbench.control.records import blank
-from ehbench.errors import InputError
+from ehbench.vocabulary.errors import InputError
 
 TICK = 1e-3
 LIMITS = {"speed": 0.2, "acceleration": 1.5, "jerk": 30.0}

@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError
-from ehbench.fields import Value
-from ehbench.logs import write_log
+from ehbench.config.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
 from ehbench.plant.model import simulate
-from ehbench.recipe import TrialRecipe, TrialSetRecipe, load_recipe, load_rig
-from ehbench.record import Record
 from ehbench.trial import (
     RUN_OUT,
     Case,
@@ -31,6 +29,8 @@ from ehbench.trial.motion import references
 from ehbench.trial.preparation import Stop
 from ehbench.trial.running import Facts
 from ehbench.trial.spread import middle_of, over_runs
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 STEP = {
@@ -535,7 +535,7 @@ def test_every_gain_of_a_law_can_be_written_in_a_recipe(rig, tmp_path):
     """By the very name it is saved under, with the value it is saved with: the same gains come
     back.
     """
-    from ehbench.quantities import quantity
+    from ehbench.vocabulary.quantities import quantity
 
     fed = 'kind = "pressure_feedback"\n[controller.gains]\nfeedback_gain = "3e-12 m^3/(s*Pa)"\n'
     for law in ('kind = "arc"\n[controller.gains]\n', fed):

@@ -13,15 +13,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ehbench import rundir
-from ehbench.codes import EXTEND_RESISTIVE, FUNCTIONS
+from ehbench.config.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
-from ehbench.errors import InputError, InsufficientData, ModelRejected
-from ehbench.fields import Value
-from ehbench.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.report.saved import Table
 from ehbench.report.stages.tuning import _parameters
+from ehbench.runs import rundir
 from ehbench.tune import gains as module
 from ehbench.tune.draws import draw_parameters
 from ehbench.tune.gains import tune_pressure_feedback
@@ -29,6 +26,9 @@ from ehbench.tune.loci import locus
 from ehbench.tune.loop import Law, damping_ratio
 from ehbench.tune.margins import bandwidth, gain_limit, margins, speed_of, violations
 from ehbench.tune.study import prepare_tuning
+from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS
+from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
+from ehbench.vocabulary.fields import Value
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.errors import UnitError
-from ehbench.quantities import VOCABULARY
-from ehbench.units import _tried, asked, from_si, parse, to_si
-from ehbench.usual_units import IN_SI
+from ehbench.vocabulary.errors import UnitError
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import _tried, asked, from_si, parse, to_si
+from ehbench.vocabulary.usual_units import IN_SI
 
 
 @pytest.mark.parametrize(
@@ -151,7 +151,7 @@ def test_usual_units_are_as_the_registry_has_them():
 def test_usual_units_need_no_registry():
     """It takes longer to import than most files take to read."""
     code = (
-        "import sys; from ehbench.recipe import load_rig; "
+        "import sys; from ehbench.config.recipe import load_rig; "
         "load_rig('recipes/rigs/thesis_arm.toml'); print('pint' in sys.modules)"
     )
     root = Path(__file__).parents[2]

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.errors import InputError, ModelRejected
+from ehbench.config.recipe import Thresholds, load_recipe, load_rig
+from ehbench.data.record import Record
 from ehbench.plant.model import simulate
-from ehbench.recipe import Thresholds, load_recipe, load_rig
-from ehbench.record import Record
-from ehbench.rundir import write_json
+from ehbench.runs.rundir import write_json
 from ehbench.validation import (
     Ring,
     Validation,
@@ -22,6 +21,7 @@ from ehbench.validation import (
     run_validation,
     validate_rig,
 )
+from ehbench.vocabulary.errors import InputError, ModelRejected
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import codes
+from ehbench.config.recipe import load_rig
 from ehbench.control import functions as fn
 from ehbench.control import valve_level as vl
 from ehbench.control.measured import Pressures
 from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.model import Model
-from ehbench.recipe import load_rig
+from ehbench.vocabulary import codes
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0

@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehbench import signals
+from ehbench.config.recipe import Thresholds, load_rig
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.recipe import Thresholds, load_rig
-from ehbench.record import Record
-from ehbench.rig import Rig
+from ehbench.preprocessing.observations import noise_of
+from ehbench.signals import series
 from ehbench.validation import validate_rig
 from ehbench.validation.checks import beyond_noise
-from ehbench.observations import noise_of
 from ehbench.validation.residuals import pair_of
 from ehbench.validation.transients import doubt, stands
 from tests.virtual_logs import DRIVES, RIGS, clean_log, commands_of, noisy, virtual_log
@@ -168,7 +168,7 @@ def test_ringing_must_decay_last_and_repeat():
     t = np.arange(1500) * 1e-3
     noise = 0.01 * np.random.default_rng(2).standard_normal((t.size, 1))
     ring = (np.exp(-2.0 * t) * np.sin(2.0 * math.pi * 6.0 * t))[:, None] + noise
-    found = signals.ringing(t, ring)
+    found = series.ringing(t, ring)
     assert found.ok and not doubt(t, ring, found)
     assert "grows" in doubt(t, ring, replace(found, damping_ratio=-0.02))
     short = t < 0.3

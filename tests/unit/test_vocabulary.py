@@ -8,10 +8,11 @@ from typing import get_args
 
 import pytest
 
-from ehbench import recipe, reference, rig
-from ehbench.fields import FileModel, Q, Value
-from ehbench.quantities import VOCABULARY, like_channel, quantity
-from ehbench.units import from_si, to_si
+from ehbench.config import recipe, rig
+from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.quantities import VOCABULARY, like_channel, quantity
+from ehbench.vocabulary.units import from_si, to_si
+from tools import reference
 
 
 def test_units_convert_both_ways():

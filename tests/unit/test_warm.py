@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import oscillation, starter, warm
+from ehbench.app import starter, warm
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.control import LAW_NAMES
-from ehbench.identification import flow_band
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.flow_maps import banded
+from ehbench.signals import oscillation
 
 
 @pytest.mark.parametrize("machine", ["model", "bench"])
@@ -33,17 +34,17 @@ def test_an_arm_moves_all_its_cylinders():
 
 def test_fits_find_their_kernels_compiled():
     assert warm.fits("fits") == "fits"
-    kernels = [flow_band.least, flow_band.tied, oscillation.fit, oscillation.explained]
+    kernels = [banded.least, banded.tied, oscillation.fit, oscillation.explained]
     assert all(each.is_kept for each in kernels)
 
 
 AHEAD = """
 from pathlib import Path
 from numba.core.caching import NullCache
-from ehbench import warm
+from ehbench.app import warm
 from ehbench.ledger import quadrature
 from ehbench.plant import derivatives, valves
-from ehbench.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import account, prepare, run
 
 warm.ahead()

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from ehbench import rundir, workflow
-from ehbench.errors import InputError
+from ehbench import workflow
 from ehbench.report.bearing import no_longer_bears
 from ehbench.report.why import why
+from ehbench.runs import rundir
+from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 RECIPE = """stage = "identify"

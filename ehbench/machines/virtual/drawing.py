@@ -9,9 +9,8 @@ from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import table
-from ehbench.errors import InputError
-from ehbench.fields import Value, read_value
+from ehbench.config.recipe import BenchRecipe
+from ehbench.config.rig import Edge, Rig, Valve
 from ehbench.machines.virtual.laws import edge_flow, spool_for
 from ehbench.machines.virtual.plant import (
     BENCH_EDGE,
@@ -26,9 +25,10 @@ from ehbench.parts.edge import CHECK, PUMP, check, pump
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
-from ehbench.quantities import VOCABULARY
-from ehbench.recipe import BenchRecipe
-from ehbench.rig import Edge, Rig, Valve
+from ehbench.runtime.compiled import table
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value, read_value
+from ehbench.vocabulary.quantities import VOCABULARY
 
 
 def _scalar(value) -> float | None:

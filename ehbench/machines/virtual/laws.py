@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import kernel, part_kernel
 from ehbench.machines.virtual.plant import A_CYLINDER, FILTER, LINES, RAW, VirtualPlant
 from ehbench.parts.cylinder import (
     RELIEF_GAIN,
@@ -42,6 +41,7 @@ from ehbench.plant.derivatives import (
     wanted_of,
 )
 from ehbench.plant.integrate import rk4
+from ehbench.runtime.compiled import kernel, part_kernel
 
 CREEP = 1.0e-3  # [m/s]: over which friction turns round
 

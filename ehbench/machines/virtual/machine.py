@@ -8,8 +8,8 @@ from zlib import crc32
 
 import numpy as np
 
-from ehbench.compiled import bound, kernel, part_kernel
-from ehbench.errors import InputError, SimulationError
+from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.machines.virtual.drawing import build, check_names, true_rig
@@ -30,8 +30,8 @@ from ehbench.plant.build import Maps, links_of
 from ehbench.plant.layout import layout
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
-from ehbench.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
-from ehbench.rig import Rig
+from ehbench.runtime.compiled import bound, kernel, part_kernel
+from ehbench.vocabulary.errors import InputError, SimulationError
 
 NAME = "virtual bench"
 STEP = 2.5e-4  # [s]

@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import record
 from ehbench.parts.edge import check, pump
 from ehbench.parts.sample import OF
 from ehbench.parts.valve import VALVE_COLUMNS
 from ehbench.parts.valve.delay import Line, line_of
 from ehbench.plant.layout import Layout, Offsets
+from ehbench.runtime.compiled import record
 
 RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
 A_CYLINDER, LINES, FILTER = len(RAW), 2, 3  # raw channels of one, of supply and tank; of a filter

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-from ehbench.compiled import choice, kernel, part_kernel, record
 from ehbench.parts.edge import check, compensated, flow_control, measured, orifice, pump, saturating
 from ehbench.parts.edge.check import CheckFields
 from ehbench.parts.edge.compensated import CompensatedFields
@@ -19,6 +18,7 @@ from ehbench.parts.edge.preload import metered, preload
 from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
 from ehbench.parts.edge.saturating import SaturatingFields
 from ehbench.parts.nodes import node_pressure
+from ehbench.runtime.compiled import choice, kernel, part_kernel, record
 
 LAWS = (
     orifice.LAW,

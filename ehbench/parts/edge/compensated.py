@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-from ehbench.compiled import part_kernel
-from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import FileModel, Q, Value
 
 
 class CompensatedFields(FileModel):

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import part_kernel
 from ehbench.parts.edge.compensated import pack
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import root
+from ehbench.runtime.compiled import part_kernel
 
 
 @part_kernel

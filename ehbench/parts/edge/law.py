@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import part_kernel
+from ehbench.runtime.compiled import part_kernel
 
 
 @part_kernel

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ehbench.compiled import part_kernel
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.physics.flow_map import map_command, map_flow, map_leaks
+from ehbench.runtime.compiled import part_kernel
 
 
 @part_kernel

@@ -4,7 +4,7 @@ preload.
 
 from __future__ import annotations
 
-from ehbench.compiled import part_kernel
+from ehbench.runtime.compiled import part_kernel
 
 
 @part_kernel

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from ehbench.compiled import part_kernel
-from ehbench.fields import FileModel, Q, Value
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import FileModel, Q, Value
 
 
 class PumpFields(FileModel):

@@ -5,8 +5,8 @@ To add one: write its file after ``stribeck.py`` (``lugre.py`` has a state) and 
 
 from __future__ import annotations
 
-from ehbench.compiled import choice, part_kernel
 from ehbench.parts.friction import coulomb_viscous, lugre, stribeck
+from ehbench.runtime.compiled import choice, part_kernel
 
 LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW)
 TABLES = tuple(law.table for law in LAWS)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ehbench.compiled import part_kernel
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
 from ehbench.physics.friction import coulomb_viscous
+from ehbench.runtime.compiled import part_kernel
 
 COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
 

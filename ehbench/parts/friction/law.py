@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ehbench.compiled import inlined, part_kernel
-from ehbench.fields import FileModel
+from ehbench.runtime.compiled import inlined, part_kernel
+from ehbench.vocabulary.fields import FileModel
 
 ROUND = 1.0e-5  # relative step of central differences
 TURN = 2.0e-3  # [m/s]: speed from which on the step is relative

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from ehbench.compiled import part_kernel
-from ehbench.fields import Q, Value
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import Q, Value
 
 LEAST = 1.0e-3  # share of the break-away friction below which the bristles never bear
 

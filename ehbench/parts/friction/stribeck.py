@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from ehbench.compiled import part_kernel
-from ehbench.fields import Q, Value
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
 from ehbench.physics.friction import stribeck
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import Q, Value
 
 SMOOTHING = 1.0e-3  # [m/s]: over which friction turns round
 

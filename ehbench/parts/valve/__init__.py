@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from ehbench.compiled import choice, part_kernel, record
 from ehbench.parts.valve import delay, first_order, second_order
+from ehbench.runtime.compiled import choice, part_kernel, record
 
 LAWS = (second_order.LAW, first_order.LAW)
 ELEMENTS = tuple(law.table for law in LAWS)

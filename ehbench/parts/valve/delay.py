@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import part_kernel
-from ehbench.fields import Q, Value
 from ehbench.parts.valve.law import DynamicsTable
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import Q, Value
 
 
 class Delay(DynamicsTable):

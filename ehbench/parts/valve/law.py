@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from ehbench.fields import FileModel, Value, scalars
+from ehbench.vocabulary.fields import FileModel, Value, scalars
 
 
 class DynamicsTable(FileModel):

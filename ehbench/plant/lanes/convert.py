@@ -18,9 +18,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ehbench.compiled import Kernel
 from ehbench.plant.build import Plant
 from ehbench.plant.lanes import vectors
+from ehbench.runtime.compiled import Kernel
 
 _HELPERS = {
     f"lane_{name}": getattr(vectors, name)

@@ -9,15 +9,15 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ehbench.errors import EhbenchError
+from ehbench.data.record import Means, Record
 from ehbench.parts.valve.delay import Line
-from ehbench.plant.lanes.pack import filled, in_lanes, layout_of, line_in_lanes, side_by_side
 from ehbench.plant.lanes.paced import Track, run_apart
+from ehbench.plant.lanes.pack import filled, in_lanes, layout_of, line_in_lanes, side_by_side
 from ehbench.plant.lanes.steps import run_lanes
 from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.model import FREE, Model, Start, finite
 from ehbench.plant.paced import pace_of
-from ehbench.record import Means, Record
+from ehbench.vocabulary.errors import EhbenchError
 
 LEAST = 3  # runs that are worth a call in lanes, which takes as long as some two and a half alone
 
@@ -40,7 +40,7 @@ class Job(NamedTuple):
 
 def has_lanes(kernel: object) -> bool:
     """Whether a kernel in lanes is there: it takes half a minute to compile, so that is done
-    beforehand (`ehbench.warm`) or not at all.
+    beforehand (`ehbench.app.warm`) or not at all.
     """
     return getattr(kernel, "is_kept", False)
 

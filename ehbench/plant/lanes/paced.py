@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, part_kernel
 from ehbench.parts.valve.delay import late_between
 from ehbench.plant.derivatives import any_derivatives
 from ehbench.plant.integrate import STABLE
@@ -29,6 +28,7 @@ from ehbench.plant.paced import (
     halved,
     weights_of,
 )
+from ehbench.runtime.compiled import allocating_kernel, part_kernel
 
 _derivatives, _attempt = of(any_derivatives), of(attempt)
 _between, _arrive = of(between), of(arrive)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.compiled import Row, table
 from ehbench.parts.valve.delay import Line, line_of
 from ehbench.plant.build import Plant
 from ehbench.plant.lanes.vectors import LANES
+from ehbench.runtime.compiled import Row, table
 
 
 @lru_cache(maxsize=64)

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ehbench.compiled import allocating_kernel, part_kernel
 from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.plant.derivatives import any_derivatives
 from ehbench.plant.integrate import advance, rk4
 from ehbench.plant.lanes.convert import of
 from ehbench.plant.lanes.vectors import LANES
+from ehbench.runtime.compiled import allocating_kernel, part_kernel
 
 _derivatives, _advance, _rk4 = of(any_derivatives), of(advance), of(rk4)
 _felt, _push = of(line_felt), of(line_push)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas
 from ehbench.report.words import axis, shown
-from ehbench.rig import Rig
 
 _FRAME = 2.2  # of the characteristic loci, about the origin
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.quantities import GAUGES
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.style import ACCENT, BUCKETS, CYCLE, MARKS, canvas, thin
 from ehbench.report.words import axis, row_of, shown
-from ehbench.rig import Rig
+from ehbench.vocabulary.quantities import GAUGES
 
 _TITLES = {
     "q": "Joint angle",

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.physics.flow_map import FlowMap
 from ehbench.report.saved import Points
 from ehbench.report.style import ACCENT, INK, MUTED, Look, canvas, legend, shades, spread
 from ehbench.report.words import axis, number, pretty, shown, unit_of
-from ehbench.rig import Rig
-from ehbench.terms import Z95
+from ehbench.vocabulary.terms import Z95
 
 _LABEL = 0.034  # height of an end label as a share of the axis
 _MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}

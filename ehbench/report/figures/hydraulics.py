@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.captions import as_fitted
 from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
 from ehbench.report.words import number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
 
 _WIDE = 30.0  # ratio of the largest to the least number from which an axis is logarithmic
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, legend, shades
 from ehbench.report.words import axis, shown
-from ehbench.rig import Rig
 
 LEVEL = 3.841
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.cases import Case
 from ehbench.report.figures.channels import stop_line
 from ehbench.report.style import ACCENT, CYCLE, MARKS, MUTED, RECORDED, SIMULATED, canvas, thin
 from ehbench.report.words import axis, shown
-from ehbench.rig import Rig
 
 _POINTS = 1500  # of a path that a figure can show
 

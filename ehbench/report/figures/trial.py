@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.codes import FUNCTIONS, LIMITS
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.captions import capital
 from ehbench.report.cases import Case, payloads_carried
 from ehbench.report.figures.channels import stop_line
 from ehbench.report.style import ACCENT, CYCLE, MARKS, MUTED, RECORDED, SIMULATED, canvas, thin
 from ehbench.report.trial_captions import ESTIMATES
 from ehbench.report.words import axis, number, shown, words
-from ehbench.rig import Rig
+from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 
 _SHADES = ("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b")
 _LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}

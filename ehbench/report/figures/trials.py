@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.cases import Case
 from ehbench.report.figures.channels import title_of
 from ehbench.report.figures.trial import (
@@ -21,7 +22,6 @@ from ehbench.report.figures.trial import (
 )
 from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, canvas, legend, thin
 from ehbench.report.words import axis, number, shown, words
-from ehbench.rig import Rig
 
 Named = tuple[str, Case, Record]  # (controller, its trial, the log)
 MANY = 3  # from so many controllers on, a comparison leaves out the commands

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.config.rig import Rig, Slide
 from ehbench.report.captions import load_name
 from ehbench.report.saved import Table
 from ehbench.report.style import (
@@ -25,7 +26,6 @@ from ehbench.report.style import (
 )
 from ehbench.report.tuning_words import function_names
 from ehbench.report.words import axis, number, shown, words
-from ehbench.rig import Rig, Slide
 
 _BLACK = "#111827"
 _LOW = -0.08  # lower end of the axis of damping ratios

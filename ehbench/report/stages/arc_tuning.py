@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Part, Text
 from ehbench.report.captions import load_name, measure
 from ehbench.report.content import (
@@ -16,7 +17,6 @@ from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.tuning_words import supply_blocks
 from ehbench.report.words import DASH, axis, count, number, pretty, unit_of, words
-from ehbench.rig import Rig
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ehbench.errors import InputError
-from ehbench.recipe import Campaign
+from ehbench.config.recipe import Campaign
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Section, prose, slug
 from ehbench.report.captions import capital
 from ehbench.report.saved import Saved
 from ehbench.report.words import words
-from ehbench.rig import Rig
+from ehbench.vocabulary.errors import InputError
 
 
 class Titles:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Grid, Part
 from ehbench.report.captions import range_of, span
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip, num
@@ -21,7 +22,6 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.rig import Rig
 
 _MAP_CAPTION = (
     "Flow over pressure drop, one curve a command; below, readings minus curves. "

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ehbench.fields import Value
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Grid, Heat, Part, Text
 from ehbench.report.captions import as_fitted, plus, range_of
 from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
@@ -30,8 +30,8 @@ from ehbench.report.words import (
     unit_of,
     words,
 )
-from ehbench.rig import Rig
-from ehbench.terms import CORRELATED, Z95
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.terms import CORRELATED, Z95
 
 _METHODS = {"thesis": "matching frequency and decay"}
 _PARAMETERS_CAPTION = (

@@ -3,6 +3,7 @@ other parameters do along it."""
 
 from __future__ import annotations
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Grid, Part
 from ehbench.report.captions import range_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, num
@@ -10,7 +11,6 @@ from ehbench.report.figures import profile as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import axis, estimate, number, pretty, shown, unit_of
-from ehbench.rig import Rig
 
 _CAPTION = (
     "Rise of −2 log likelihood when the parameter is held and all others and the logs' starts are "

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Bullets, Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport, num
 from ehbench.report.index import FigureIndex, FigureKey
@@ -23,8 +24,7 @@ from ehbench.report.words import (
     unit_of,
     with_error,
 )
-from ehbench.rig import Rig
-from ehbench.terms import Z95
+from ehbench.vocabulary.terms import Z95
 
 _CAPTION = (
     "Gain, phase and coherence by Welch averaging, with 95 % intervals. "

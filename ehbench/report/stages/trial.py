@@ -6,7 +6,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ehbench.record import Record
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
 from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of
@@ -27,7 +28,6 @@ from ehbench.report.trial_captions import (
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import number, words
-from ehbench.rig import Rig
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -44,7 +44,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 
 def _log_of(run: Saved) -> Record:
-    from ehbench.logs import read_record
+    from ehbench.data.logs import read_record
 
     return read_record(run.folder / "log.mcap")
 

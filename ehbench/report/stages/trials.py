@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
 from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
@@ -29,7 +30,6 @@ from ehbench.report.trial_captions import (
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import pretty, shown, unit_of, words
-from ehbench.rig import Rig
 
 
 def draw(run: Saved, index: FigureIndex) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Part, Text
 from ehbench.report.captions import load_name, measure, percent, span
 from ehbench.report.content import (
@@ -36,7 +37,6 @@ from ehbench.report.tuning_words import (
     undamped,
 )
 from ehbench.report.words import DASH, axis, count, number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
 
 _EQUIVALENTS = {
     "equivalent_mass": Equivalent("mass", "mass", "Equivalent mass"),

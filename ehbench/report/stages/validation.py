@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Grid, Part, Text
 from ehbench.report.captions import span
 from ehbench.report.comparisons import draw_comparisons, log_cell, ringing_table
@@ -18,7 +19,6 @@ from ehbench.report.headlines import left_over, silence
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
-from ehbench.rig import Rig
 
 _RESIDUALS_CAPTION = (
     "Correlation of the residual with itself and with earlier commands. "

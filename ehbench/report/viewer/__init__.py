@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.errors import InputError
+from ehbench.config.rig import Rig
+from ehbench.data.readers import suffixes
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
-from ehbench.quantities import quantity
-from ehbench.readers import suffixes
 from ehbench.report.captions import capital
 from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Saved, read_points, read_series
 from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
-from ehbench.rig import Rig
-from ehbench.units import from_si
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.units import from_si
 
 MOST = 4_000_000  # numbers in a page; with more, curves are thinned to their extremes
 MARK = '<meta name="generator" content="ehbench show">'
@@ -119,7 +119,7 @@ def _run(folder: Path, of: int) -> Iterator[Sheet]:
 
 
 def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None = None) -> Sheet:
-    from ehbench.logs import read_record
+    from ehbench.data.logs import read_record
 
     record = read_record(path, check=False, columns=columns)
     return _over_time(title, record.t, record.channels, rig, of)

@@ -1,0 +1,623 @@
+"""The command line: parse, call one workflow function, print where the result lies, return the exit
+code.
+"""
+
+from __future__ import annotations
+
+import errno
+import gc
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from ehbench.runtime.cores import cores
+from ehbench.runtime.interrupts import Terminated, ended, listen
+from ehbench.vocabulary.commands import COMMANDS, Command
+from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.text import folded, shortened_path
+
+if TYPE_CHECKING:
+    from ehbench.workflow import Outcome
+
+
+class _Commands(TyperGroup):
+    """The commands; a word that is none of an option's is refused in plain words."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """As typer's, which leaves its checker's own prefix before the sentence."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
+app = typer.Typer(
+    name="ehbench",
+    cls=_Commands,
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Workbench for electrohydraulic test rigs: flowmeter readings and step logs in; "
+    "flow maps, bulk modulus and\ndamping with error bars, a judged model and a report out.\n\n"
+    "Exit codes: 0 done, 1 a bug, 2 usage or a bad file, 3 finished with data loss, "
+    "4 model rejected or data not sufficient,\n5 a trial stopped on a limit.",
+    epilog="Example:  ehbench reproduce thesis",
+)
+
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.", show_default=False
+    ),
+]
+RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
+AllowCode = Annotated[
+    bool, typer.Option("--allow-code", help="Let recipes run Python code: controllers of your own.")
+]
+Unvalidated = Annotated[
+    bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")
+]
+Quiet = Annotated[
+    bool,
+    typer.Option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout."),
+]
+Loud = Annotated[
+    bool | None,
+    typer.Option(
+        "--verbose/--quiet",
+        "-v/-q",
+        help="All tables with all their columns; or no progress, and only the run's path.",
+        show_default=False,
+    ),
+]
+Columns = Annotated[
+    Path | None,
+    typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
+]
+Suggest = Annotated[
+    bool,
+    typer.Option(
+        "--suggest", help="Try what would better the fit; with --out write the best as a recipe."
+    ),
+]
+Seconds = Annotated[
+    float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+]
+Profile = Annotated[
+    str | None,
+    typer.Option(
+        "--profile",
+        metavar="NAME",
+        help="Profile likelihood of this parameter, with its picture, in place of the fit.",
+        show_default=False,
+    ),
+]
+Workers = Annotated[
+    str,
+    typer.Option(
+        "--workers",
+        metavar="N|ADDRESS",
+        help="So many here (one a core), or those of a Dask scheduler, tcp://host:8786.",
+        show_default=False,
+    ),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
+
+
+class Says(NamedTuple):
+    """How much a command says."""
+
+    quiet: bool = False
+    verbose: bool = False
+    as_json: bool = False
+
+    @classmethod
+    def of(cls, loud: bool | None, as_json: bool) -> Says:
+        """From ``--verbose`` (True), ``--quiet`` (False) or neither."""
+        return cls(loud is False, loud is True, as_json)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"ehbench {version('ehbench')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _start(
+    version: Annotated[
+        bool,
+        typer.Option("--version", "-V", callback=_version, is_eager=True, help="Which ehbench."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(epilog="Example:  ehbench init my_rig")
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")],
+) -> None:
+    """Make a workspace: a commented rig file and recipes that run as they are."""
+    from ehbench.app import starter
+
+    made = starter.init(folder)
+    print(f"made {made}/")
+    print(f"next: ehbench check {made}/rig.toml, then the commands in {made}/README.md")
+
+
+@app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
+def check(
+    file: Annotated[
+        Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
+    ],
+) -> None:
+    """Check a rig, recipe, map, data file or log without running anything.
+
+    Of a recipe, all that its run takes in: the rig, maps, data and recipes it names.
+    What only a run can tell is said."""
+    from ehbench.app import inspection
+
+    found = inspection.check(file)
+    for line in found.lines:
+        print(line)
+    for error in found.errors:
+        print(f"error: {error}", file=sys.stderr)
+    raise typer.Exit(found.code)
+
+
+def _runner(command: Command) -> Callable[..., None]:
+    """What typer calls for a command that runs a recipe: its parameters are those of the help."""
+
+    def plain(
+        recipe: RecipeFile,
+        out: Out = None,
+        loud: Loud = None,
+        as_json: AsJson = False,
+    ) -> None:
+        _run(command.name, recipe, out, Says.of(loud, as_json))
+
+    def insisting(
+        recipe: RecipeFile,
+        out: Out = None,
+        loud: Loud = None,
+        as_json: AsJson = False,
+        unvalidated: Unvalidated = False,
+    ) -> None:
+        _run(command.name, recipe, out, Says.of(loud, as_json), unvalidated=unvalidated)
+
+    def trusting(
+        recipe: RecipeFile,
+        out: Out = None,
+        loud: Loud = None,
+        as_json: AsJson = False,
+        allow_code: AllowCode = False,
+    ) -> None:
+        _run(command.name, recipe, out, Says.of(loud, as_json), allow_code=allow_code)
+
+    def asking(
+        recipe: RecipeFile,
+        out: Out = None,
+        loud: Loud = None,
+        as_json: AsJson = False,
+        suggest: Suggest = False,
+        seconds: Seconds = 120.0,
+        profile: Profile = None,
+        resume: Resume = False,
+    ) -> None:
+        says = Says.of(loud, as_json)
+        if suggest:
+            _suggest(recipe, out, says, seconds)
+        else:
+            _run(command.name, recipe, out, says, profile=profile, resume=resume)
+
+    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
+    kinds["sampling"] = _sampling
+    return kinds[command.allows]
+
+
+def _sampling(
+    recipe: RecipeFile,
+    out: Out = None,
+    loud: Loud = None,
+    as_json: AsJson = False,
+    allow_code: AllowCode = False,
+    unvalidated: Unvalidated = False,
+    workers: Workers = "",
+    resume: Resume = False,
+) -> None:
+    from ehbench import workflow
+
+    _run(
+        "study",
+        recipe,
+        out,
+        Says.of(loud, as_json),
+        allow_code=allow_code,
+        unvalidated=unvalidated,
+        where=workflow.Where.of(workers),
+        resume=resume,
+    )
+
+
+for _command in COMMANDS:
+    app.command(
+        _command.name,
+        help=_command.help,
+        short_help=_command.help,
+        epilog=f"Example:  ehbench {_command.name} {_command.example}",
+    )(_runner(_command))
+
+
+@app.command(
+    epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report"
+)
+def report(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
+    out: Out = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write one self-contained HTML report over finished runs, from their saved files only."""
+    from ehbench import workflow
+
+    with _progress(quiet) as tell:
+        made = workflow.report(runs, workflow.Session(out=out, progress=tell))
+    _leave(made, Says(quiet), "report.html")
+
+
+@app.command(epilog="Example:  ehbench reproduce thesis")
+def reproduce(
+    campaign: Annotated[
+        str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+    allow_code: AllowCode = False,
+) -> None:
+    """Run a whole campaign and write its report; runs that stand already are not run again."""
+    from ehbench import workflow
+    from ehbench.app import starter
+
+    recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
+    with _progress(quiet) as tell:
+        made = workflow.run(
+            recipe,
+            workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
+        )
+    _leave(made, Says(quiet), "report.html")
+
+
+@app.command(epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b")
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same stage.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals."""
+    from ehbench.report import compare as runs
+
+    if as_json:
+        import json
+
+        print(json.dumps(runs.compare(first, second).as_json(), ensure_ascii=False, indent=1))
+    else:
+        width = shutil.get_terminal_size((100, 24)).columns
+        print("\n".join(runs.lines(first, second, width)))
+
+
+@app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
+def next_test(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The run of a hydraulics fit.")],
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--for", help="Parameter to sharpen. Default: the least known.", show_default=False
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Write the first test as a trial recipe.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
+    from ehbench import workflow
+
+    _say_first(quiet)
+    with _progress(quiet) as tell:
+        found = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(shutil.get_terminal_size((100, 24)).columns)))
+        if out is not None:
+            print(out)
+
+
+@app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
+def why(
+    name: Annotated[
+        str, typer.Argument(help="A number: a parameter, or the end of its path in the run's JSON.")
+    ],
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run or report folder.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
+    rig line; exit 3 where these no longer bear it."""
+    from ehbench.report.why import why as origin_of
+
+    found = origin_of(name, run)
+    if as_json:
+        import json
+
+        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines()))
+    raise typer.Exit(3 if found.marks else 0)
+
+
+@app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
+def show(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE|RUN...", help="One or two logs, flow maps or run folders."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="The page. Default: <name>.html here.", show_default=False),
+    ] = None,
+    columns: Columns = None,
+) -> None:
+    """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
+    them over one another."""
+    from ehbench.report import viewer
+
+    if len(files) > 2:
+        raise typer.BadParameter("one or two files can be shown at a time")
+    path = viewer.place(files, out)
+    path.write_text(viewer.page(files, columns), encoding="utf-8")
+    print(path)
+
+
+@app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
+def map_columns(
+    file: Annotated[Path, typer.Argument(help="A recording of any format that is read.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Default: <name>.map.toml here.", show_default=False),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig",
+            help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
+            show_default=False,
+        ),
+    ] = None,
+) -> None:
+    """Look at a file of your own recorder and draft a map of its columns, with a picture of each.
+
+    The map says which column is which channel, with its unit. Nothing is written over."""
+    from ehbench.app import mapping
+    from ehbench.config.recipe import load_rig
+
+    if rig is None and Path("rig.toml").is_file():
+        rig = Path("rig.toml")
+    made = mapping.draft(file, out, None if rig is None else load_rig(rig))
+    print("\n".join(made.lines))
+    print(made.picture)
+    print(made.path)
+
+
+class Format(StrEnum):
+    """What a log can be written as."""
+
+    parquet = "parquet"
+    mat = "mat"
+
+
+@app.command(
+    epilog="Example:  ehbench convert datasets/slide_servo/steps/press_no_load.mcap --to mat"
+)
+def convert(
+    log: Annotated[
+        Path, typer.Argument(help="A log of any format that is read, or a trial's run.")
+    ],
+    to: Annotated[Format, typer.Option("--to", help="What to write.", show_default=False)],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Default: <name>.<to> here.", show_default=False)
+    ] = None,
+    columns: Columns = None,
+) -> None:
+    """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
+    from ehbench.app import converting
+
+    print(converting.convert(log, to.value, out, columns))
+
+
+def _run(
+    command: str,
+    file: Path,
+    out: Path | None,
+    says: Says,
+    *,
+    profile: str | None = None,
+    **settings: Any,
+) -> None:
+    """Run a recipe, or make a sample of a study again; ``settings`` are those of a session."""
+    from ehbench import workflow
+
+    study, _, index = file.name.partition("#")
+    is_sample = index.isdecimal() and not file.exists()
+    recipe = None if is_sample else workflow.expect_stage(file, command)
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
+        session = workflow.Session(out=out, progress=tell, **settings)
+        if recipe is None:
+            made = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
+            recipe = workflow.expect_stage(made.path, command)
+        if profile is None:
+            made = workflow.run(recipe, session)
+        else:
+            made = workflow.profile(recipe, profile, session)
+    _leave(made, says)
+
+
+def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
+    from ehbench import workflow
+
+    recipe = workflow.expect_stage(file, "identify")
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
+        found = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
+    if says.as_json:
+        import json
+
+        rows = [row.as_json() for row in found.rows]
+        print(json.dumps({"rows": rows, "untried": found.untried}, ensure_ascii=False, indent=1))
+    else:
+        print("\n".join(found.lines(len(found.rows)) if says.verbose else found.lines()))
+    if out is not None and not says.as_json:
+        print(out / recipe.path.name)
+
+
+_BESIDE: list[subprocess.Popen] = []  # it ends by itself, at the latest soon after the run
+
+
+def _say_first(quiet: bool) -> None:
+    """Say why a first run takes longer than the next, and share its work."""
+    from ehbench.runtime.compiled import PACKAGE, is_cold
+
+    if not is_cold():
+        return
+    if not quiet:
+        print("compiling the machine's equations, first run only (half a minute)", file=sys.stderr)
+    if cores() > 1 and os.access(PACKAGE, os.W_OK):  # another core, one cache
+        ahead = [sys.executable, "-P", "-m", "ehbench.app.warm", "--ahead"]
+        null = subprocess.DEVNULL
+        _BESIDE.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
+
+
+def _leave(made: Outcome, says: Says, page: str = "") -> None:
+    """Say what the run noted on stderr, what it found and where it lies on stdout, and leave with
+    its code.
+    """
+    from ehbench.report import terminal
+
+    # a campaign's notes begin with their run: what follows may be of another trial
+    each = says.verbose or bool(page)
+    for note in dict.fromkeys(made.notes) if each else folded(made.notes):
+        print(f"note: {note}", file=sys.stderr)
+    if says.as_json:
+        import json
+
+        about = {"folder": str(made.folder), "code": made.code, "notes": list(made.notes)}
+        print(json.dumps(about | terminal.values(made.folder), ensure_ascii=False, indent=1))
+        raise typer.Exit(made.code)
+    if not (says.quiet or page):
+        width = shutil.get_terminal_size((100, 24)).columns
+        print("\n".join(terminal.lines(made.folder, width, says.verbose)))
+    print(made.folder / page)
+    raise typer.Exit(made.code)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
+    """A progress bar on stderr as a callback; nothing when quiet."""
+    if quiet:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def tell(what: str, share: float) -> None:
+            name = what.split(":")[0]
+            if name not in tasks:
+                tasks[name] = bar.add_task(what, total=1.0)
+                if not console.is_terminal:
+                    print(what, file=sys.stderr)
+            bar.update(tasks[name], description=what, completed=share)
+
+        yield tell
+
+
+# what the system says no to is no bug of ours
+_OUTSIDE = (
+    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO),
+    *(errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ELOOP, errno.EMFILE),
+)
+
+
+def main() -> None:
+    """Entry point: errors of ours become one sentence on stderr and their exit code, and nothing
+    half-written stays.
+    """
+    listen()
+    # modules are a million objects that stay: to look through them for garbage again and again
+    # takes a tenth of a short run
+    gc.set_threshold(50_000, 20, 20)
+    try:
+        app()
+    except BaseException as error:
+        _end_by(error, ended())
+
+
+def _end_by(error: BaseException, asked: int) -> NoReturn:
+    """End the process by what came out of a command; ``asked`` is the signal that it was asked to
+    end by, which libraries may have turned into errors of theirs.
+    """
+    if asked and isinstance(error, (Terminated, Exception)):
+        if asked == signal.SIGINT:
+            print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
+        for note in getattr(error, "__notes__", []):
+            print(note, file=sys.stderr)
+        sys.exit(128 + asked)
+    if isinstance(error, EhbenchError):
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    if isinstance(error, OSError) and error.errno in _OUTSIDE:
+        where = f"{shortened_path(error.filename)}: " if error.filename else ""
+        print(f"error: {where}{error.strerror}", file=sys.stderr)
+        with suppress(OSError):
+            sys.stdout.close()
+        sys.exit(2)
+    raise error
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Any log that is read, written as Parquet or MAT."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.data.logs import read_record
+from ehbench.data.record import Record
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.quantities import quantity
+
+_LONGEST = 60  # letters of a variable in MATLAB, which takes 63
+_MOST = 2**31  # [bytes] of a variable in a MAT file
+
+
+def convert(path: Path, to: str, out: Path | None = None, columns: Path | None = None) -> Path:
+    """Write a log as ``parquet`` or ``mat``, in SI; the file it wrote.
+
+    Args:
+        path: the log, or the run folder of a trial.
+        out: the file to make; ``<name>.<to>`` here if None.
+        columns: a map of the log's columns.
+
+    Raises:
+        LogError: the log cannot be read.
+        InputError: something stands there already, or what writes it is not installed.
+    """
+    log = path / "log.mcap" if (path / "log.mcap").is_file() else path
+    named = path.resolve().name if log != path else path.name.partition(".")[0]
+    out = out or Path(f"{named}.{to}")
+    if out.exists() or out.is_symlink():
+        raise InputError(
+            "stands already; nothing was written", file=out, hint="name another by --out"
+        )
+    record = read_record(log, columns=columns)
+    part = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        {"parquet": _parquet, "mat": _mat}[to](part, record)
+        os.replace(part, out)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror or error}", file=out) from None
+    finally:
+        part.unlink(missing_ok=True)
+    return out
+
+
+def moments(record: Record) -> np.ndarray | None:
+    """The wall clock of each sample (UTC, [ns]), None where the log does not say when it began."""
+    if "began" not in record.meta:
+        return None
+    try:
+        began = datetime.fromisoformat(record.meta["began"]).timestamp()
+    except ValueError:
+        return None
+    whole = round(began * 1e6) * 1000 + np.rint(record.t * 1e9).astype(np.int64)
+    return whole.astype("datetime64[ns]")
+
+
+def _parquet(path: Path, record: Record) -> None:
+    """A column a channel, its unit in the metadata of its field."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise InputError(
+            "Parquet files are written by pyarrow, which is not installed",
+            hint='install it with: pip install "ehbench[import]"',
+        ) from None
+    fields = [pa.field("t", pa.float64(), metadata={"unit": "s"})]
+    values = [pa.array(record.t)]
+    if (clock := moments(record)) is not None:
+        fields.append(pa.field("time", pa.timestamp("ns", tz="UTC")))
+        values.append(pa.array(clock, pa.timestamp("ns", tz="UTC")))
+    for name, channel in record.channels.items():
+        fields.append(pa.field(name, pa.float64(), metadata={"unit": quantity(name).unit}))
+        values.append(pa.array(channel))
+    about = {
+        "ehbench": json.dumps({"meta": dict(record.meta), "losses": list(record.losses)}).encode()
+    }
+    pq.write_table(pa.table(values, schema=pa.schema(fields, metadata=about)), path)
+
+
+def _mat(path: Path, record: Record) -> None:
+    """A vector a channel, with dots as underscores; ``names`` and ``units`` by the same names."""
+    from scipy.io import savemat
+
+    if 8 * record.t.size >= _MOST:
+        raise InputError(
+            f"{record.t.size} samples are more than a MAT file takes", hint="write Parquet"
+        )
+    variables = dict(zip(record.channels, _variables(list(record.channels))))
+    found: dict[str, object] = {"t": record.t[:, None]}
+    if (clock := moments(record)) is not None:
+        found["posix_time"] = clock.astype(np.int64)[:, None] / 1e9
+    found |= {variables[name]: values[:, None] for name, values in record.channels.items()}
+    found["units"] = {"t": "s", **{v: quantity(name).unit for name, v in variables.items()}}
+    found["names"] = {"t": "t", **{v: name for name, v in variables.items()}}
+    about = {key: text for key, text in record.meta.items() if len(text) < 1000}
+    found["meta"] = dict(zip(_variables(list(about)), about.values())) or {"none": ""}
+    if record.losses:
+        found["losses"] = np.array(record.losses, object)
+    with path.open("wb") as file:
+        savemat(file, found, do_compression=True, long_field_names=True)
+
+
+def _variables(names: list[str]) -> list[str]:
+    """Names as MATLAB takes them, each once and none of those taken."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST]
+        plain = plain if plain[:1].isalpha() else f"c{plain}"
+        again, count = plain, 1
+        while again in (*found, "t", "names", "units", "meta", "losses", "posix_time"):
+            count += 1
+            again = f"{plain}_{count}"
+        found.append(again)
+    return found

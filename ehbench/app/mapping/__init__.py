@@ -1,0 +1,186 @@
+"""A draft of a map of columns: what a foreign file holds, and what each column may be.
+
+A guess goes by the unit that the file says, the words in the column's name and the names in the
+rig. What is not sure stands in the draft as a remark, for the user to decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.app.mapping.guesses import CYLINDER, VALVE, Guess, guessed
+from ehbench.app.mapping.picture import draw
+from ehbench.app.mapping.readings import holds_readings, reading_guesses
+from ehbench.app.mapping.written import drafted, own_rows, range_of
+from ehbench.config.recipe.columns import ENDING, load_columns
+from ehbench.config.rig import Rig
+from ehbench.data.logs import read_record
+from ehbench.data.logs.mapped import CLOCK
+from ehbench.data.logs.readings import alike, mapped_readings
+from ehbench.data.readers import Source, Table, open_source, read_flowmeter, reader_of
+from ehbench.preprocessing.preparation import outside_stroke
+from ehbench.vocabulary.errors import EhbenchError, InputError
+
+EVEN = 0.01  # share by which the mean of even steps may be off their median
+
+__all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A map as text, the picture that belongs to it, and what is to be said of both."""
+
+    path: Path
+    picture: Path
+    lines: tuple[str, ...]
+
+
+def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
+    """Look at a file and write a map of its columns with a picture of each.
+
+    Args:
+        path: the file.
+        out: the map to write; ``<name>.map.toml`` here if None.
+        rig: whose cylinders and valves the columns may be of.
+
+    Raises:
+        InputError: something stands there already.
+        LogError: the file cannot be read.
+    """
+    stem = path.name.partition(".")[0] or path.name
+    out = out or Path(stem + ENDING)
+    picture = out.with_name(out.name.removesuffix(".toml").removesuffix(".map") + ".map.svg")
+    for one in (out, picture):
+        if one.exists() or one.is_symlink():
+            raise InputError(
+                "stands already; nothing was written", file=one, hint="name another by --out"
+            )
+    source = open_source(path)
+    sheets = alike(source)
+    first = replace(source, tables=source.tables[:1])
+    many = len(sheets) > 1 and len(sheets) == len(source.tables) and holds_readings(first)
+    source = first if many else source
+    readings = many or holds_readings(source)
+    guesses = reading_guesses(source, rig) if readings else guessed(source, rig)
+    text = drafted(path, source, guesses)
+    try:
+        with out.open("x", encoding="utf-8") as file:
+            file.write(text)
+        draw(picture, source, guesses)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=out) from None
+    said = _overview(path, source, guesses)
+    others = ", ".join(f"'{table.name}'" for table in sheets[1:])
+    said += [f"the same columns: table {others}"] if many else []
+    tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
+    return Draft(out, picture, (*said, *tried))
+
+
+def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
+    """What was found, a line a column."""
+    names, found = source.names(), source.dialect
+    lines = [f"{path.name}: {reader_of(path).name}"]
+    if found.separator is not None:
+        mark = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}[found.separator]
+        sign = "comma" if found.decimal == "," else "point"
+        header = f"header in line {(found.skip or 0) + 1}"
+        units = ", units below it" if found.unit_row else ""
+        lines[0] += f", {found.encoding}, separated by {mark}, decimal {sign}, {header}{units}"
+    rows = own_rows(source, guesses)
+    for index, table in enumerate(source.tables):
+        called = f"table '{table.name}'" if table.name else "table"
+        lines.append(f"{called}: {table.size} rows{_span(table, index, names, guesses)}")
+        wide = max((len(name) for name, at in names.items() if at[0] == index), default=0)
+        for name, (i, j) in names.items():
+            if i != index:
+                continue
+            guess, column = guesses[name], table.columns[j]
+            unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
+            said = f"{guess.channel}{unit}" + ("" if guess.sure else "?") if guess.channel else "?"
+            own = rows[name]
+            bad = int((~np.isfinite(column.values[own])).sum())
+            odd = f", {bad} no number" if bad else ""
+            if not own.all():
+                odd = f", in {int(own.sum())} rows of its own{odd}"
+            remark = f"  ({guess.remark})" if guess.remark else ""
+            lines.append(f"  {name:<{min(wide, 40)}}  {range_of(column)}{odd}  → {said}{remark}")
+        for name in table.words:
+            if name in guesses:
+                lines.append(f"  {name:<{min(wide, 40)}}  words  → {guesses[name].channel or '?'}")
+    return [*lines, *source.losses]
+
+
+def _span(
+    table: Table, index: int, names: dict[str, tuple[int, int]], guesses: dict[str, Guess]
+) -> str:
+    """How long a table is, how often it was sampled and when it began, as far as is known."""
+    t, began = table.t, table.began
+    for name, (i, j) in names.items():
+        if i == index and guesses[name].channel == "t" and t is None:
+            scale = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(guesses[name].unit, 1.0)
+            t = table.columns[j].values * scale
+            first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
+            began = first if began is None and first > CLOCK else began
+    if t is None or t.size < 2:
+        return ""
+    step = float(np.nanmedian(np.diff(t)))
+    span = float(np.nanmax(t) - np.nanmin(t))
+    even = span / (t.size - 1)  # which tells a rate better than steps that the recorder rounded
+    step = even if abs(even - step) < EVEN * step else step
+    rate = f", {1 / step:.5g} Hz" if step > 0.0 else ""
+    return f", {span:.5g} s{rate}{_from(began, table.daytime)}"
+
+
+def _from(began: float | None, daytime: float | None) -> str:
+    """When a table begins, where it knows."""
+    if began is not None:
+        return f", from {datetime.fromtimestamp(began, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
+    if daytime is not None:
+        return f", from {datetime.fromtimestamp(daytime, UTC):%H:%M:%S.%f}"[:-3]
+    return ""
+
+
+def _taken_readings(path: Path, out: Path) -> list[str]:
+    """Whether the draft takes a file of readings as it stands, and what to do next."""
+    try:
+        data = read_flowmeter(path, lines=mapped_readings(path, load_columns(out)))
+    except EhbenchError as error:
+        return [f"not yet: {error}"]
+    groups = ", ".join(
+        f"{len(data.select(*group))} of {' '.join(group)}" for group in data.groups()
+    )
+    return [
+        f"flowmeter readings, taken with this map: {groups}; without a column of valves a file is "
+        "of the edge it is named after, and so is each sheet of several",
+        _next(out),
+    ]
+
+
+def _next(out: Path) -> str:
+    return (
+        f"next: look at {out} and its picture, then name it in the recipe, from where that lies: "
+        f'columns = "{out.name}"'
+    )
+
+
+def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) -> list[str]:
+    """Whether the draft takes the file as it stands, and what to do next."""
+    lines = []
+    if rig is None and any(CYLINDER in guess.channel for guess in guesses.values()):
+        lines.append(
+            f"no rig was given: put the names of your rig in place of '{CYLINDER}' and "
+            f"'{VALVE}', or call it with --rig"
+        )
+    if not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
+        return [*lines, f"next: say in {out} which columns are which channels"]
+    try:
+        record = read_record(path, columns=out)
+    except EhbenchError as error:
+        return [*lines, f"not yet: {error}"]
+    lines.append(f"taken with this map: {record!r}")
+    lines += [f"  {loss}" for loss in record.losses]
+    lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
+    return [*lines, _next(out)]

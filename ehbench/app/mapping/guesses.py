@@ -1,0 +1,266 @@
+"""What a column of a foreign log may be, by its unit, the words of its name and the rig's names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.config.rig import Rig
+from ehbench.data.logs.rates import REPEATED, apart
+from ehbench.data.readers import Column, Source, Table
+from ehbench.preprocessing.sensors import ATMOSPHERE
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import from_si, is_of
+
+CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
+ROUNDED = "rounded"
+AGAIN = 0.01  # share of the rows at most at which a clock begins again
+_TIME = {"t", "time", "zeit", "temps", "tiempo", "tempo", "timestamp", "zeitstempel", "uhrzeit"}
+_TIME |= {"clock", "datetime", "seconds", "sec"}
+_WORDS = {
+    "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup", "pp"},
+    "p_tank": {"tank", "return", "reservoir", "rücklauf", "drain"},
+    "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2", "pb"},
+    "p_head": {
+        "a",
+        "head",
+        "bore",
+        "cap",
+        "piston",
+        "blind",
+        "base",
+        "boden",
+        "kolben",
+        "1",
+        "p1",
+        "pa",
+    },
+}
+_PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
+COMMAND_WORDS = {
+    "cmd",
+    "command",
+    "valve",
+    "ventil",
+    "servo",
+    "spool",
+    "setpoint",
+    "soll",
+    "u",
+    "ao",
+}
+COMMAND_WORDS |= {"ref", "drive", "joystick", "output", "sollwert", "stellgrösse", "input", "uv"}
+PRESSURE_WORDS = {"p", "pt", "press", "pressure", "druck", "pression", "presion"}
+DROP = {"drop", "delta", "dp", "diff", "differential", "difference", "differenz", "loss"}
+DROP |= {"δp", "deltap", "druckabfall", "differenzdruck"}
+_ACROSS = DROP | {"pd", "pl", "load", "last", "lastdruck"}
+DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
+_PUSH = "push positive; sign = -1 where pull is"
+_PLACE = {"x", "pos", "position", "stroke", "weg", "hub", "lvdt", "displacement", "length"}
+_PLACE |= {"travel", "extension", "distance"}
+# of a column that is otherwise a command: what the spool does in answer
+_PLACE_OF_SPOOL = {
+    "position",
+    "pos",
+    "feedback",
+    "fb",
+    "lvdt",
+    "stellung",
+    "istwert",
+    "actual",
+    "ist",
+}
+_A = {"command": "a command", "opening": "the spool's position"}
+_ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
+_SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
+CURRENTS = {"mA", "A"}
+_ABSOLUTE = {"abs", "absolute", "absolut"}
+_LOOP = 25.0  # [mA] beyond which a current is no signal of 4 to 20 mA but that of a coil
+# what compounds are made of: Systemdruck, Ventilstrom, supplypressure
+_STEMS = tuple(
+    word
+    for words in (*_WORDS.values(), COMMAND_WORDS, PRESSURE_WORDS, _PLACE, _ANGLE, _SPEED, _TIME)
+    for word in sorted(words)
+    if len(word) >= 4
+)
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What a column may be: ``channel`` ('' where nothing is known), the unit of its numbers ('' of
+    none), whether it goes into the map by itself, a remark, two points where its numbers are no
+    volts, and the offset of an absolute pressure.
+    """
+
+    channel: str = ""
+    unit: str = ""
+    sure: bool = False
+    remark: str = ""
+    ends: tuple[str, str, str, str] | None = None
+    offset: str = ""
+
+
+def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
+    """A guess for each column, by name; a channel is given once."""
+    found: dict[str, Guess] = {}
+    taken: set[str] = set()
+    for name, (i, j) in source.names().items():
+        table = source.tables[i]
+        guess = _guess(name, table.columns[j], table, rig)
+        if guess.channel in taken:
+            twice = f"{guess.channel} as well?"
+            guess = Guess(guess.channel, guess.unit, False, twice, guess.ends)
+        if guess.sure:
+            taken.add(guess.channel if guess.channel != "t" else f"t of {table.name}")
+        found[name] = guess
+    return found
+
+
+def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
+    unit, words = column.known_unit or column.absolute, words_of(name)
+    if column.unit.strip("()[]").lower() in DIFFERENTIAL:
+        words |= {"dp"}
+    if table.name.startswith("/"):  # a topic is what its field is of
+        words |= words_of(table.name)
+    known = column.values[np.isfinite(column.values)]
+    if not known.size:
+        return Guess(remark="holds no number")
+    if is_time := _time(column, unit, words, table):
+        return is_time
+    cylinder, sure = _cylinder(words, rig)
+    if channel := reading_of(unit, words):
+        place = channel if channel in ("p_supply", "p_tank") else f"{cylinder}.{channel}"
+        alone = channel in ("p_supply", "p_tank")
+        if not unit:
+            return Guess(place, "", False, "in which unit?")
+        if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & _ABSOLUTE):
+            offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
+            return Guess(place, unit, sure or alone, "absolute, by its name", None, offset)
+        return Guess(place, unit, sure or alone, _PUSH if channel == "rod_force" else "")
+    if words & COMMAND_WORDS or (unit in (*CURRENTS, "V", "%") and unit):
+        return command_guess(unit, words, known, (cylinder, sure), rig)
+    return Guess(remark="")
+
+
+def words_of(name: str) -> set[str]:
+    """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a; and those that a word
+    begins or ends with: of ``Systemdruck`` system and druck too; of ``p_P``, pressure at
+    port P, pp.
+    """
+    plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
+    parts = re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain))
+    words = {part.lower() for part in parts}
+    words |= {"pp"} if [part.lower() for part in parts].count("p") > 1 else set()
+    return words | {stem for stem in _STEMS for word in words if _made_of(word, stem)}
+
+
+def _made_of(word: str, stem: str) -> bool:
+    return word.startswith(stem) or word.endswith(stem)
+
+
+def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | None:
+    """A column that may be the time: it goes on, and is called so or in seconds."""
+    others = [one for one in table.columns if one is not column]
+    rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)
+    values = column.values[np.isfinite(column.values) & rows]
+    steps = np.diff(values)
+    if not steps.size or values[0] == values[-1]:
+        return None
+    is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
+    if steps.min() < 0.0:
+        if not (is_time and words & _TIME and np.mean(steps < 0.0) < AGAIN):
+            return None
+        return Guess("t", unit, False, "goes back: where the clock began again, cut the file")
+    lvm = words >= {"x", "value"}
+    if not (is_time or lvm or (words & _TIME and not unit)):
+        even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
+        even &= column is table.columns[0] and table.t is None and not unit
+        return Guess("t", "s", False, "rises evenly: the time?") if even else None
+    if table.t is not None:
+        return Guess(remark="the file knows its time without it")
+    if np.mean(steps == 0.0) > REPEATED:
+        rate = (values.size - 1) / (values[-1] - values[0])
+        return Guess(
+            "t", unit or "s", False, f"{ROUNDED}; about {rate:.5g} samples a {unit or 's'}"
+        )
+    tick = float(np.median(steps))
+    if not is_time:
+        unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
+        return Guess("t", unit, True, "the unit is a guess")
+    still = int((steps == 0.0).sum())
+    return Guess("t", unit, True, f"{still} rows have the time of the one before" if still else "")
+
+
+def reading_of(unit: str, words: set[str]) -> str:
+    """The quantity of a sensor, '' of none: by the unit, where it says none by the name."""
+
+    def may(row: str, named: set[str]) -> bool:
+        if row == "q" and unit == "%":  # a share is no angle
+            return False
+        return is_of(unit, VOCABULARY[row]) if unit else bool(words & named)
+
+    if may("load_pressure", set()) and words & _ACROSS:
+        return "load_pressure"
+    if may("p_head", PRESSURE_WORDS):
+        named = words if words & PRESSURE_WORDS else words - {"1", "2"}  # AI2 is no second chamber
+        named = named - {"pa"} if unit == "Pa" else named
+        ends = (end for end in ("p_supply", "p_tank", "p_rod", "p_head") if named & _WORDS[end])
+        ports = (end for letter, end in _PORTS.items() if {letter} < named)
+        return next(ends, next(ports, ""))
+    if unit and is_of(unit, VOCABULARY["command"]):
+        return ""
+    if may("rod_force", set()) and not words & COMMAND_WORDS:
+        return "rod_force"
+    for row, named in (("v", _SPEED), ("qd", _SPEED), ("x", _PLACE), ("q", _ANGLE)):
+        if may(row, named) and (unit or row != "qd") and not words & COMMAND_WORDS:
+            return row
+    return ""
+
+
+def _cylinder(words: set[str], rig: Rig | None) -> tuple[str, bool]:
+    """(the cylinder that a name speaks of, whether that is sure)."""
+    if rig is None:
+        return CYLINDER, True
+    names = [cylinder.name for cylinder in rig.cylinder]
+    named = [name for name in names if words_of(name) <= words]
+    if len(named) == 1 or len(names) == 1:
+        return (named or names)[0], True
+    return names[0], False
+
+
+def command_guess(
+    unit: str, words: set[str], known: np.ndarray, of: tuple[str, bool], rig: Rig | None
+) -> Guess:
+    """A command to a valve: its numbers, where they are no volts, as two points of the driver."""
+    cylinder, sure = of
+    valve, low, high = VALVE, -10.0, 10.0
+    if rig is not None:
+        own = next(one for one in rig.cylinder if one.name == cylinder)
+        named = [one for one in own.valve if words_of(one.name) <= words]
+        sure &= len(named) == 1 or len(own.valve) == 1
+        if not own.valve:
+            return Guess(remark="a command?")
+        chosen = (named or list(own.valve))[0]
+        valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
+    word = "opening" if words & _PLACE_OF_SPOOL else "command"
+    channel = f"{cylinder}.{valve}.{word}"
+    if any(unit and unit != "%" and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
+        return Guess(remark="a commanded position? what the valve was commanded is asked for")
+    if unit and is_of(unit, VOCABULARY["command"]):
+        return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), f"{_A[word]}?")
+    spans = {"mA": (4.0, 20.0), "A": (0.004, 0.02), "%": (-100.0, 100.0)}
+    if unit not in spans:
+        return Guess(channel, unit, False, f"{_A[word]}? say what its numbers mean at the valve")
+    first, last = spans[unit]
+    if unit == "mA" and known.min() < 3.0:
+        first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)
+    if unit == "mA" and known.max() > _LOOP:
+        first, last = 50.0 * np.floor(known.min() / 50.0), 50.0 * np.ceil(known.max() / 50.0)
+        if first < 0.0:  # of either sign, so none of it is rest
+            first, last = -max(-first, last), max(-first, last)
+    if unit == "%" and low >= 0.0:
+        first = 0.0
+    ends = (f"{first:g} {unit}", f"{last:g} {unit}", f"{low:g} V", f"{high:g} V")
+    return Guess(channel, unit, sure, "the range is a guess: see the driver", ends)

@@ -1,0 +1,103 @@
+"""Flowmeter readings: which column of a foreign table is the command, the drop, the flow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ehbench.app.mapping.guesses import (
+    COMMAND_WORDS,
+    CURRENTS,
+    DIFFERENTIAL,
+    DROP,
+    Guess,
+    command_guess,
+    reading_of,
+    words_of,
+)
+from ehbench.config.rig import Rig
+from ehbench.data.readers import Column, Source
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import is_of
+
+_UPSTREAM = {"upstream", "inlet", "in", "up", "before", "vor", "ein", "eingang", "1", "p1"}
+_DOWNSTREAM = {"downstream", "outlet", "out", "down", "after", "nach", "aus", "ausgang", "2", "p2"}
+_WORDS = {
+    "valve": {"valve", "edge", "ventil", "kante", "port", "specimen"},
+    "direction": {"direction", "richtung", "dir"},
+    "trial": {"trial", "run", "repeat", "versuch", "lauf", "messung"},
+    "method": {"method", "methode"},
+    "note": {"note", "notes", "remark", "comment", "bemerkung", "kommentar"},
+}
+
+
+def holds_readings(source: Source) -> bool:
+    """Whether a file is of a flowmeter: a column of flow, none of how a cylinder moves, and not the
+    pressures of both its chambers, unless it has no time: then two pressures are of two sides.
+    """
+    columns = [column for table in source.tables for column in table.columns]
+
+    def has(row: str) -> bool:
+        return any(one.known_unit and is_of(one.known_unit, VOCABULARY[row]) for one in columns)
+
+    ends = {reading_of(one.known_unit, words_of(one.name)) for one in columns}
+    timed = has("t") or any(table.t is not None for table in source.tables)
+    log = ({"p_head", "p_rod"} <= ends and timed) or bool(ends & {"x", "v", "q", "qd"})
+    return len(source.tables) == 1 and has("flow") and not log
+
+
+def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
+    """A guess for each column of numbers, and for each of words whose name says what it is; by
+    name. What several columns may be is none of them for sure.
+    """
+    table, found = source.tables[0], {}
+    for name, (_, j) in source.names().items():
+        found[name] = _guess(name, table.columns[j], rig)
+    given = [guess.channel for guess in found.values() if guess.sure]
+    if given.count("pressure_drop") == 0:
+        found = {name: _drop_of(guess, given) for name, guess in found.items()}
+        given = [guess.channel for guess in found.values() if guess.sure]
+    for name, guess in found.items():
+        if guess.sure and given.count(guess.channel) > 1:
+            found[name] = Guess(guess.channel, guess.unit, False, "or another?", guess.ends)
+    for name in table.words:
+        what = next((one for one, named in _WORDS.items() if words_of(name) & named), "")
+        found[name] = Guess(what, "", bool(what), "words")
+    return found
+
+
+def _drop_of(guess: Guess, given: list[str]) -> Guess:
+    """A pressure that stands alone is the drop; one of two sides without the other is open."""
+    sides = ("upstream_pressure", "downstream_pressure")
+    if guess.channel == "pressure":
+        alone = not any(side in given for side in sides)
+        return Guess("pressure_drop", guess.unit, alone, "" if alone else "of which side?")
+    if guess.channel in sides and not all(side in given for side in sides):
+        return Guess(guess.channel, guess.unit, False, "the drop needs both sides")
+    return guess
+
+
+def _guess(name: str, column: Column, rig: Rig | None) -> Guess:
+    unit, words = column.known_unit, words_of(name)
+    known = column.values[np.isfinite(column.values)]
+    if not known.size:
+        return Guess(remark="holds no number")
+    if unit and is_of(unit, VOCABULARY["flow"]):
+        return Guess("flow", unit, True)
+    if unit and is_of(unit, VOCABULARY["pressure_drop"]):
+        if words & DROP or column.unit.strip("()[]").lower() in DIFFERENTIAL:
+            return Guess("pressure_drop", unit, True)
+        if words & _UPSTREAM:
+            return Guess("upstream_pressure", unit, True)
+        if words & _DOWNSTREAM:
+            return Guess("downstream_pressure", unit, True)
+        return Guess("pressure", unit, False)
+    if unit and is_of(unit, VOCABULARY["temperature"]):
+        return Guess("temperature", unit, True)
+    if words & _WORDS["trial"] and np.all(known == np.round(known)) and known.min() > 0.0:
+        return Guess("trial", "", True)
+    if words & COMMAND_WORDS or (unit in (*CURRENTS, "V", "%") and unit):
+        of = (rig.cylinder[0].name, True) if rig is not None else ("", True)
+        guess = command_guess(unit, words, known, of, rig)
+        sure = guess.sure or unit in (*CURRENTS, "V", "%")
+        return Guess("command", guess.unit, sure, guess.remark, guess.ends)
+    return Guess(remark="")

@@ -1,0 +1,141 @@
+"""A draft of a map as TOML."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.app.mapping.guesses import ROUNDED, Guess
+from ehbench.data.logs.rates import apart
+from ehbench.data.readers import Column, Source
+
+_FEW = 0.01  # share of a column that may be bad and yet be left out by itself
+_MARKS = {"\t": "tab", " ": "space"}
+
+
+def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
+    """The draft of a map as TOML: what is sure as keys, the rest as remarks."""
+    lines = [
+        f"# What the columns of {remark(path.name)} are: a draft. Look at each line, "
+        "then name this file",
+        '# in a recipe above its tables:  columns = "<this file>"',
+        "",
+        *_dialect(source),
+        *_rate(source, guesses),
+        *_policy(source, guesses),
+        "",
+        "[names]",
+    ]
+    for name, (i, j) in source.names().items():
+        lines.append(_line(name, guesses[name], source.tables[i].columns[j]))
+    for name in source.tables[0].words if source.tables else ():
+        if name in guesses and guesses[name].channel:
+            lines.append(f"{_quoted(name)} = {_quoted(guesses[name].channel)}")
+    return "\n".join(lines) + "\n"
+
+
+def _dialect(source: Source) -> list[str]:
+    """The keys of a text file."""
+    found = source.dialect
+    if found.separator is None:
+        return []
+    keys = {
+        "separator": _MARKS.get(found.separator, found.separator),
+        "decimal": found.decimal,
+        "skip": found.skip,
+        "unit_row": found.unit_row,
+        "encoding": found.encoding,
+    }
+    return [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
+
+
+def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
+    """The key ``rate``, where no table has a time."""
+    names = source.names()
+    if any(guess.channel == "flow" for guess in guesses.values()):
+        return []  # readings have no time
+    timed = {
+        names[name][0] for name, guess in guesses.items() if guess.channel == "t" and guess.sure
+    }
+    if timed or any(table.t is not None for table in source.tables):
+        return []
+    for name, guess in guesses.items():
+        if guess.channel == "t" and guess.remark.startswith(ROUNDED):
+            values = source.tables[names[name][0]].columns[names[name][1]].values
+            scale = {"ms": 1e-3, "us": 1e-6}.get(guess.unit, 1.0)
+            rate = (values.size - 1) / (np.nanmax(values) - np.nanmin(values)) / scale
+            return [
+                f'rate = "{rate:.6g} Hz"                 # from {remark(name)}, which is rounded'
+            ]
+    return ['# rate = "1 kHz"              # no column is the time: say how often it was sampled']
+
+
+def own_rows(source: Source, guesses: dict[str, Guess]) -> dict[str, np.ndarray]:
+    """By column, the rows of its table that are those of its rate, True; all for a time."""
+    names, found = source.names(), {}
+    for index, table in enumerate(source.tables):
+        here = {name: table.columns[j] for name, (i, j) in names.items() if i == index}
+        found |= {name: np.ones(table.size, bool) for name in here}
+        signals = [name for name in here if guesses[name].channel != "t"]
+        groups = apart([here[name] for name in signals])
+        if len(groups) > 1:
+            found |= {signals[at]: rows for own, rows in groups for at in own}
+    return found
+
+
+def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
+    """The key ``bad_samples``, where cells of the mapped columns hold no number."""
+    counts, size, rows = {}, 0, own_rows(source, guesses)
+    for name, (i, j) in source.names().items():
+        values = source.tables[i].columns[j].values[rows[name]]
+        size = max(size, values.size)
+        bad = int((~np.isfinite(values)).sum())
+        if bad and guesses[name].sure:
+            counts[name] = bad
+    if not counts:
+        return []
+    places = ", ".join(f"{count} in {remark(name)}" for name, count in counts.items())
+    few = max(counts.values()) <= max(_FEW * size, 1)
+    key = 'bad_samples = "leave out"' if few else '# bad_samples = "leave out"'
+    return [f"{key}     # blank, or no number: {places}"]
+
+
+def _line(name: str, guess: Guess, column: Column) -> str:
+    """A line of the map; a remark where nothing sure is known."""
+    key, unit = _quoted(name), f" [{guess.unit}]" if guess.unit else ""
+    if guess.ends is not None:
+        first, last, low, high = guess.ends
+        value = (
+            f'{{ channel = "{guess.channel}", from = ["{first}", "{last}"], '
+            f'to = ["{low}", "{high}"] }}'
+        )
+    elif guess.offset:
+        value = (
+            f'{{ channel = "{guess.channel}", unit = "{guess.unit}", offset = "{guess.offset}" }}'
+        )
+    else:
+        value = _quoted((guess.channel or "?") + unit)
+    said = ", ".join(part for part in (range_of(column), guess.remark) if part)
+    return f"{'' if guess.sure else '# '}{key} = {value}    # {said}"
+
+
+def range_of(column: Column) -> str:
+    known = column.values[np.isfinite(column.values)]
+    if not known.size:
+        return "no number"
+    unit = f" {column.known_unit or remark(column.unit)}".rstrip()
+    return f"{known.min():.4g} … {known.max():.4g}{unit}"
+
+
+def _quoted(text: str) -> str:
+    """A text of the file as TOML has it."""
+    escaped = {'"': '\\"', "\\": "\\\\"}
+    plain = (escaped.get(c, c) if c.isprintable() else f"\\U{ord(c):08x}" for c in text)
+    return '"' + "".join(plain) + '"'
+
+
+def remark(text: str) -> str:
+    """A text of the file as a remark may hold it."""
+    return "".join(c if c.isprintable() else " " for c in text)[:60]

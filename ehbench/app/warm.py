@@ -1,0 +1,179 @@
+"""Compile the kernels before they are needed: ``python -m ehbench.app.warm``, as ``make setup``
+does.
+
+Every machine runs a short trial under every law, at once and tick by tick, and an arm moves several
+cylinders at a time. What that compiled stays until a kernel changes. Python's own byte code is
+written too: where the environment forbids it (PYTHONDONTWRITEBYTECODE, as in containers), each
+start would compile the package anew, half a second.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from compileall import compile_dir
+from concurrent.futures import ProcessPoolExecutor
+from inspect import signature
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+
+from ehbench.app import starter
+from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.rig import Cylinder, Rig
+from ehbench.control import LAW_NAMES
+from ehbench.control.registry import LAWS
+from ehbench.runs.rundir import shipped
+from ehbench.runtime.compiled import PACKAGE
+
+if TYPE_CHECKING:
+    from ehbench.trial import Prepared
+
+DURATION = "20 ms"
+
+
+def move(cylinder: Cylinder) -> dict[str, Any]:
+    """What a trial's recipe says of a short motion."""
+    points = [f"{share * float(cylinder.stroke)!r} m" for share in (0.4, 0.401)]
+    motion = {"kind": "point_to_point", "cylinder": cylinder.name, "waypoints": points}
+    return motion | {"speed": "50 mm/s"}
+
+
+def recipes(rig: Rig, machine: str) -> Iterator[dict[str, Any]]:
+    """What a trial's recipe says, for every law on a machine; the open loop first."""
+    motion = move(rig.cylinder[0])
+    yield {"on": machine, "duration": DURATION}
+    for name in LAW_NAMES:
+        need = LAWS[name].required
+        row = None if need is None else LAWS[name].gains[need.gain]
+        gains = {} if row is None else {row.name: f"{1e-12} {row.unit}"}
+        controller = {"kind": name, "gains": gains}
+        yield {"on": machine, "duration": DURATION, "motion": motion, "controller": controller}
+
+
+def prepared(rig: Rig, keys: dict[str, Any]) -> Prepared:
+    """A trial of a rig, of what its recipe says."""
+    from ehbench.trial import prepare
+
+    return prepare(TrialRecipe(stage="trial", rig="rig.toml", path=Path("x"), **keys), rig)
+
+
+def started() -> Rig:
+    """The rig of a new workspace."""
+    with TemporaryDirectory() as folder:
+        starter.init(Path(folder) / "rig")
+        return load_rig(Path(folder) / "rig" / "rig.toml")
+
+
+def warm(machine: str) -> str:
+    """Run the short trials of one machine; its name."""
+    from ehbench.plant.integrate import STEP
+    from ehbench.plant.model import Model
+    from ehbench.plant.paced import AUTO
+    from ehbench.trial import run
+    from ehbench.trial.accounts import account
+
+    rig = started()
+    for keys in recipes(rig, machine):
+        trial = prepared(rig, keys)
+        result = run(trial)
+        account(trial, result)
+        run(trial, fast=False)  # as under a class of the user's own
+    for step in (STEP, AUTO):
+        Model.of(rig).replay(result.record, step)
+    run(prepared(rig, next(recipes(rig, machine)) | {"step": AUTO}))
+    return machine
+
+
+def together(what: str) -> str:
+    """Move all cylinders of an arm at once; gives back what it is called."""
+    from ehbench.trial import run
+
+    rig = load_rig(shipped("recipes") / "rigs" / "thesis_arm.toml")
+    motion, *others = map(move, rig.cylinder)
+    run(prepared(rig, {"motion": motion | {"also": others}, "controller": {"kind": "arc"}}))
+    return what
+
+
+def lanes(what: str) -> str:
+    """Compile what takes models side by side, for open-loop trials and in steps that each chooses;
+    gives back what it is called.
+    """
+    from ehbench.plant.lanes.many import LEAST, Job, pace_together
+    from ehbench.trial import run
+    from ehbench.trial.ahead import foresee
+
+    rig = started()
+    trials = [prepared(rig, next(recipes(rig, "model"))) for _ in range(LEAST)]
+    foresee(trials)
+    model = run(trials[0]).model
+    assert model is not None  # it ran on one
+    job = Job(model, model.trim(model.posture(None)), model.rest_commands(3))
+    pace_together([job], 1e-3)
+    return what
+
+
+def fits(what: str) -> str:
+    """Compile what fits flow maps and oscillations; gives back what it is called."""
+    from ehbench.flow_maps import banded
+    from ehbench.flow_maps.map import FlowReadings, fit_flow_map
+    from ehbench.signals import series
+
+    command, drop = (a.ravel() for a in np.meshgrid(np.arange(9.0), np.geomspace(1e5, 6e6, 6)))
+    flow = 1e-8 * np.maximum(command - 1.2, 0.0) * np.sqrt(drop)
+    noise = np.random.default_rng(0).standard_normal(flow.size)
+    fit_flow_map("v", "forward", FlowReadings(command, drop, flow * (1.0 + 0.1 * noise)))
+    band, right = np.ones((1, 1)), np.ones(1)
+    banded.tied(band, right, np.zeros(1, np.int64))
+    t = np.linspace(0.0, 1.0, 200)
+    series.ringing(t, np.exp(-3.0 * t) * np.sin(30.0 * t))
+    return what
+
+
+def ahead() -> None:
+    """Compile, from its end on, what a first trial needs, while another process runs that trial:
+    what one has compiled the other finds in the cache.
+    """
+    from ehbench.ledger.loads import Loads
+    from ehbench.ledger.model_account import ledger_of_model, states_of
+    from ehbench.ledger.powers import powers
+    from ehbench.ledger.sheet import Sheet
+    from ehbench.plant import derivatives as equations
+    from ehbench.plant.integrate import STEP
+    from ehbench.plant.model import Model
+
+    model = Model.of(started())
+    plant, names = model.plant, model.layout
+    y, sheet, t = np.zeros(names.states), Sheet(model, "residual"), np.array([0.0, STEP])
+    given = {"plant": plant, "owner": sheet.owner}
+    for part in (*equations.LAST, powers):
+        part.compile(*(given.get(name, y) for name in signature(part).parameters))
+    commands, log = np.zeros((2, len(names.valves))), np.zeros((2, names.states))
+    record = model.record(t, commands, log)
+    states, _ = states_of(model, record)
+    Loads.of(record).stored(model, t, states, sheet.stores)
+    ledger_of_model(model, record)
+
+
+def main() -> None:
+    """Compile for all machines, a process each, and say how far it is."""
+    if sys.argv[1:] == ["--ahead"]:
+        return ahead()
+    names = get_args(TrialRecipe.model_fields["on"].annotation)
+    compile_dir(PACKAGE, quiet=2)
+    print("compiling the kernels, once …", file=sys.stderr, flush=True)
+    with ProcessPoolExecutor(len(names) + 3, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(warm, name) for name in names]
+        jobs += [pool.submit(lanes, "model in lanes")]
+        jobs += [pool.submit(together, "model, of several cylinders")]
+        last = pool.submit(fits, "fits of flow maps and oscillations")
+        for job in jobs:
+            print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)
+        print(f"compiled: {last.result()}", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Rig files and recipes: TOML with line numbers, as typed models."""

@@ -1,0 +1,98 @@
+"""Rigs and recipes from TOML, one file a kind of recipe."""
+
+from __future__ import annotations
+
+from ehbench.config.recipe.base import ByParameter, DataFile, DataFiles, Recipe
+from ehbench.config.recipe.bench import (
+    BenchCurve,
+    BenchCylinder,
+    BenchEdge,
+    BenchRecipe,
+    BenchSensors,
+    BenchValve,
+)
+from ehbench.config.recipe.campaign import Campaign, TextSection
+from ehbench.config.recipe.columns import (
+    AnyColumns,
+    ColumnMap,
+    Columns,
+    MappedColumn,
+    load_columns,
+    whole_map,
+)
+from ehbench.config.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
+from ehbench.config.recipe.flow_map import CalibrationPoint, FlowMapRecipe
+from ehbench.config.recipe.hydraulics import HydraulicsRecipe
+from ehbench.config.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
+from ehbench.config.recipe.sensor import Sensor
+from ehbench.config.recipe.study import Measure, Span, Spread, StudyRecipe, Target
+from ehbench.config.recipe.toml import line_of, read_toml, validated
+from ehbench.config.recipe.trial import (
+    AnyTrial,
+    Command,
+    Controller,
+    CylinderMotion,
+    Limits,
+    MachineChange,
+    Motion,
+    TrialRecipe,
+)
+from ehbench.config.recipe.trials import SetController, TrialSetRecipe
+from ehbench.config.recipe.tune import AnyTuning, ArcTuneRecipe, TuneRecipe
+from ehbench.config.recipe.validate import JudgedFile, Thresholds, ValidateRecipe
+
+__all__ = [
+    "AnyColumns",
+    "ColumnMap",
+    "Columns",
+    "MappedColumn",
+    "load_columns",
+    "whole_map",
+    "AnyTrial",
+    "AnyTuning",
+    "ArcTuneRecipe",
+    "BenchCurve",
+    "BenchCylinder",
+    "BenchEdge",
+    "BenchRecipe",
+    "BenchSensors",
+    "BenchValve",
+    "ByParameter",
+    "CalibrationPoint",
+    "Campaign",
+    "Command",
+    "Controller",
+    "CylinderMotion",
+    "DataFile",
+    "DataFiles",
+    "DatasetLog",
+    "DatasetRecipe",
+    "FlowMapRecipe",
+    "Flowmeter",
+    "HydraulicsRecipe",
+    "JudgedFile",
+    "Measure",
+    "Limits",
+    "MachineChange",
+    "Motion",
+    "Recipe",
+    "Sensor",
+    "SetController",
+    "Span",
+    "Spread",
+    "StudyRecipe",
+    "Target",
+    "TextSection",
+    "Thresholds",
+    "TrialRecipe",
+    "TrialSetRecipe",
+    "TuneRecipe",
+    "ValidateRecipe",
+    "kind_of",
+    "line_of",
+    "load_recipe",
+    "load_rig",
+    "read_toml",
+    "recipe_kinds",
+    "validated",
+]

@@ -1,0 +1,188 @@
+"""What every recipe has, and the pieces that several recipes share.
+
+Paths in a recipe are relative to the recipe. A rig or a flow map may be named by a file, by a run
+folder, or by the recipe that makes it: the workflow then makes it first if it is not there."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BeforeValidator, Field
+
+from ehbench.config.recipe.columns import AnyColumns
+from ehbench.config.recipe.toml import line_of
+from ehbench.runtime.disk import impossible
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
+from ehbench.vocabulary.text import shortened
+
+
+def _carried(raw: Any) -> Any:
+    return None if raw == "none" else raw
+
+
+# what a machine carries, by the name that its rig file has for it; ``none`` is no payload
+Payload = Annotated[str | None, BeforeValidator(_carried)]
+
+
+class BesideFile(FileModel):
+    """A file that another recorder wrote of the same run."""
+
+    path: str = Field(description="what another recorder wrote of the same run")
+    columns: AnyColumns = Field(
+        default=None, description="of this file; none: its columns are named as channels"
+    )
+    shift: Annotated[Value, Q("start")] | None = Field(
+        default=None,
+        description="by how much later its samples were taken than its clock says, or, where the "
+        "two files know no common clock, than its time says",
+    )
+    clock: Literal["shared", "own"] = Field(
+        default="shared",
+        description="`shared`: times of day, where both files know them, say how they lie; `own`: "
+        "each counts from its own start, as recorders on one trigger do",
+    )
+
+
+def data_file(raw: Any) -> Any:
+    """A file's entry in a recipe, which may be its path alone, as a table."""
+    return {"path": raw} if isinstance(raw, str) else raw
+
+
+class DataFile(FileModel):
+    """A log to use: its path, the payload carried (else what the log's own meta says), a window of
+    its time, a note, files beside it.
+    """
+
+    path: str
+    payload: str | None = None
+    start: Annotated[Value, Q("start")] | None = None
+    stop: Annotated[Value, Q("stop")] | None = None
+    note: str = ""
+    columns: AnyColumns = Field(
+        default=None, description="of this file, in place of those of the recipe"
+    )
+    beside: tuple[Annotated[BesideFile, BeforeValidator(data_file)], ...] = Field(
+        default=(), description="files that other recorders wrote of the same run, see below"
+    )
+
+
+DataFiles = Annotated[
+    tuple[Annotated[DataFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+]
+
+
+Tied = Literal["none", "position", "motion"]
+Supplied = Literal["model", "recorded"]
+
+
+class ReplayedFile(DataFile):
+    """A log that a simulation runs along, and what of its motion that is tied to."""
+
+    tied: Tied | None = Field(default=None, description="of this file, in place of the recipe's")
+    supply: Supplied | None = Field(
+        default=None, description="of this file, in place of the recipe's"
+    )
+
+
+ReplayedFiles = Annotated[
+    tuple[Annotated[ReplayedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+]
+
+
+# the key of a recipe that simulates along its logs
+TIED: Any = Field(
+    default="none",
+    description="what of the recorded motion the simulation is tied to, where a controller held "
+    "the position: `position` (rate and pressures are compared), or all of the `motion` (pressures "
+    "alone are)",
+)
+SUPPLIED: Any = Field(
+    default="model",
+    description="where the simulation has the supply's pressure from: the rig file's supply, or "
+    "the log, `recorded`, where that supply is not the machine's",
+)
+
+
+class Recipe(FileModel):
+    """What every recipe has. ``path`` is the recipe's own file; names of other files are relative
+    to it.
+    """
+
+    title: str = ""
+    note: str = ""
+    path: Annotated[Path, Internal] = Field(default=Path("recipe.toml"), exclude=True)
+
+    @classmethod
+    def kind(cls) -> tuple[str, str | None]:
+        """(stage, what) that a file of this kind has; what is None where the stage has one kind."""
+        fields = cls.model_fields
+        (stage,) = get_args(fields["stage"].annotation)
+        what = get_args(fields["what"].annotation)[0] if "what" in fields else None
+        return stage, what
+
+    @property
+    def stage_name(self) -> str:
+        """The word that the file has for its stage."""
+        return self.kind()[0]
+
+    @property
+    def name(self) -> str:
+        """The recipe's name: its file's stem."""
+        return self.path.stem
+
+    def file(self, name: str) -> Path:
+        """A path of this recipe, as written in it, relative to its folder; ``$NAME`` stands for a
+        variable of the environment.
+
+        Raises:
+            InputError: no file can have such a path, or a variable is not set.
+        """
+        for variable in re.findall(r"\$(\w+)", name):
+            if not os.environ.get(variable):
+                raise InputError(
+                    f"names {shortened(name, 60)}, and {variable} is not set",
+                    file=self.path,
+                    hint=f"say where these files are: export {variable}=/path/to/them",
+                )
+        path = self.path.parent / re.sub(r"\$(\w+)", lambda at: os.environ[at[1]], name)
+        if reason := impossible(path):
+            raise InputError(
+                f"names {shortened(name, 60)}, which can be no file: {reason}", file=self.path
+            )
+        return path.resolve()
+
+    def at(self, *location: str | int) -> dict[str, Any]:
+        """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the
+        file cannot say.
+        """
+        try:
+            line = line_of(self.path.read_text(encoding="utf-8-sig"), location)
+        except OSError:
+            line = None
+        return {"file": self.path, "line": line}
+
+
+def _flat(raw: Any) -> Any:
+    """Tables within a table of parameters as dotted names, as unquoted keys such as
+    ``boom.joint_damping`` make them.
+    """
+    if not isinstance(raw, dict):
+        return raw
+    found: dict[str, Any] = {}
+    for name, value in raw.items():
+        inner = (
+            {f"{name}.{key}": item for key, item in _flat(value).items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
+        if twice := sorted(set(inner) & set(found)):
+            raise ValueError(f"'{twice[0]}' is given twice")
+        found |= inner
+    return found
+
+
+ByParameter = Annotated[dict[str, str], BeforeValidator(_flat)]

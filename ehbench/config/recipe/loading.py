@@ -1,0 +1,93 @@
+"""Rigs and recipes from their files."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+from ehbench.config.recipe.base import Recipe
+from ehbench.config.recipe.toml import line_of, read_text, read_toml, table_of, validated
+from ehbench.config.rig import Rig
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.text import shortened
+
+
+def load_rig(path: str | Path) -> Rig:
+    """The rig of a TOML file, or of a run folder that holds an identified rig (``rig.toml``).
+
+    Example:
+        rig = ehbench.load_rig("recipes/rigs/slide_servo.toml")
+        rig.parameters()["bulk_modulus"]
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "rig.toml"
+    return _rig(read_text(path), path)
+
+
+@lru_cache(maxsize=32)
+def _rig(text: str, path: Path) -> Rig:
+    """The rig of a file's text. A rig cannot be altered, and one campaign reads its file dozens of
+    times.
+    """
+    return validated(Rig, table_of(text, path), text, path)
+
+
+def recipe_kinds() -> dict[tuple[str, str | None], type[Recipe]]:
+    """Every recipe model by its ``stage`` and ``what`` (None where the stage has one kind): all
+    subclasses of `Recipe` with a stage of their own, those of stages elsewhere once imported.
+    """
+    found: dict[tuple[str, str | None], type[Recipe]] = {}
+    waiting = Recipe.__subclasses__()
+    while waiting:
+        model = waiting.pop(0)
+        waiting += model.__subclasses__()
+        if "stage" in model.model_fields:
+            found[model.kind()] = model
+    return found
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """The recipe of a TOML file, of the type its ``stage`` (and ``what``) names.
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    path = Path(path)
+    table, text = read_toml(path)
+    known = recipe_kinds()
+    stage, what = table.get("stage"), table.get("what")
+    stages = sorted({s for s, _ in known})
+    if not isinstance(stage, str) or stage not in stages:
+        raise InputError(
+            "'stage' is missing" if stage is None else f"unknown stage {shortened(stage, 60)}",
+            file=path,
+            line=line_of(text, ("stage",)),
+            hint="stage is one of " + ", ".join(stages),
+        )
+    named = [w for s, w in known if s == stage and w]
+    asked = what if named else None  # else its model refuses the key
+    model = known.get((stage, asked)) if asked is None or isinstance(asked, str) else None
+    if model is None:
+        without = ", or left out" if (stage, None) in known else ""
+        raise InputError(
+            "'what' is missing" if what is None else f"unknown what = {shortened(what, 60)}",
+            file=path,
+            line=line_of(text, ("what",)),
+            hint="what is one of " + ", ".join(named) + without,
+        )
+    return validated(model, table, text, path).model_copy(update={"path": path.resolve()})
+
+
+def kind_of(path: Path) -> Literal["rig", "recipe", "map"]:
+    """Whether a TOML file is a rig (has a mechanism), a recipe (has a stage) or a map of columns
+    (has names).
+    """
+    table, _ = read_toml(path)
+    if "stage" not in table and "names" in table:
+        return "map"
+    return "recipe" if "stage" in table or "mechanism" not in table else "rig"

@@ -1,0 +1,111 @@
+"""What a recipe says of a log's sensors and of the commands as they were recorded."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
+
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import FileModel, Value, read_value, write_value
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
+
+ESTIMATE = "estimate"
+WORDS = ("offset", "scale", "lag", "delay")
+
+
+def reading_row(channel: str, word: str) -> Quantity:
+    """The vocabulary row of what may be wrong with a channel's sensor: that of the channel for its
+    ``offset``, rows of their own for ``scale``, ``lag`` and ``delay``.
+    """
+    if word == "offset":
+        return quantity(channel)
+    return VOCABULARY["sensor_scale" if word == "scale" else word]
+
+
+def _known(channel: str) -> str:
+    try:
+        quantity(channel)
+    except KeyError as error:
+        raise ValueError(str(error.args[0])) from None
+    return channel
+
+
+Channel = Annotated[str, AfterValidator(_known)]  # full name of a channel of the vocabulary
+
+
+class Sensor(FileModel):
+    """A channel as its sensor gives it: ``reading = scale · late(sign · true) + offset``, ``late``
+    a first-order lag and a delay. Of a command, ``offset`` is the neutral and ``sign`` the
+    polarity of the driver.
+
+    Each of ``offset``, ``scale``, ``lag`` and ``delay`` is a value that is known, one with a
+    standard error, ``{ value, std }``, or ``"estimate"``. What has a standard error, or is to be
+    estimated, is estimated with the fit and held by that error."""
+
+    channel: Channel = Field(description="full name, such as `boom.p_head` or `boom.sr.command`")
+    per_log: bool = Field(
+        default=False, description="estimated for each log by itself; else one for all logs"
+    )
+    sign: Literal[1, -1] = Field(default=1, description="`-1`: it reads the other way")
+    pressure: Literal["gauge", "absolute"] = Field(
+        default="gauge", description="`absolute`: it reads 101.325 kPa in the open"
+    )
+    offset: Any = Field(default=None, description="what it reads at zero, in the channel's unit")
+    scale: Any = Field(default=None, description="what it reads over what is")
+    lag: Any = Field(default=None, description="time constant of a first-order lag")
+    delay: Any = Field(default=None, description="by which it is late; a command: acts late")
+
+    @field_validator("pressure")
+    @classmethod
+    def _of_a_pressure(cls, said: str, info: ValidationInfo) -> str:
+        channel = info.data.get("channel", "p_head")
+        if said == "absolute" and quantity(channel).unit != "Pa":
+            raise ValueError(f"'{channel}' is no pressure")
+        return said
+
+    @field_validator(*WORDS)
+    @classmethod
+    def _read(cls, raw: Any, info: ValidationInfo) -> Value | Literal["estimate"] | None:
+        if raw is None or raw == ESTIMATE or "channel" not in info.data:
+            return raw
+        word = str(info.field_name)
+        try:
+            value = read_value(raw, reading_row(info.data["channel"], word))
+        except InputError as error:
+            raise ValueError(
+                f'{error}; or "{ESTIMATE}"' if isinstance(raw, str) else str(error)
+            ) from None
+        if word != "offset" and float(value) < 0.0 or word == "scale" and float(value) == 0.0:
+            raise ValueError(f"{word} = {raw} is not positive; `sign` says which way it reads")
+        return value
+
+    def __getitem__(self, word: str) -> Value | str | None:
+        """What is said of ``offset``, ``scale``, ``lag`` or ``delay``."""
+        return getattr(self, word)
+
+    def as_toml(self) -> dict[str, Any]:
+        """The table as a TOML writer takes it."""
+        plain = self.model_dump(exclude_defaults=True, exclude=set(WORDS))
+        for word in WORDS:
+            given = self[word]
+            if given is not None:
+                row = reading_row(self.channel, word)
+                plain[word] = write_value(given, row) if isinstance(given, Value) else given
+        return plain
+
+
+def _each_once(sensors: tuple[Sensor, ...]) -> tuple[Sensor, ...]:
+    names = [one.channel for one in sensors]
+    for at, name in enumerate(names):
+        if name in names[:at]:
+            raise ValueError(f"'{name}' stands here twice; say all of it in one table")
+    return sensors
+
+
+def _tables(raw: Any) -> Any:
+    """One table as a list of one."""
+    return [raw] if isinstance(raw, dict) else raw
+
+
+Sensors = Annotated[tuple[Sensor, ...], BeforeValidator(_tables), AfterValidator(_each_once)]

@@ -1,0 +1,351 @@
+"""TOML in, with errors that name file, line, key, value and the nearest valid key."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import TypeAdapter, ValidationError
+
+from ehbench.runtime.disk import read_bytes
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import FROM_FILE, FileModel
+from ehbench.vocabulary.text import shortened
+
+_HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
+_KEY = re.compile(
+    r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*="""
+)
+
+
+_WRITTEN = 'a line is like key = "1.5 mm", a table begins with [name]'
+_REMEDIES = {
+    "string": "close the quotes that were opened",
+    "Invalid value": 'a value with a unit stands in quotes, like "1.5 mm"',
+    "Cannot overwrite": "give each key once",
+    "Cannot declare": "give each table once",
+    "array": "close the list with ]",
+    "inline table": "close the table with }",
+}
+
+
+def line_of(text: str, location: tuple[Any, ...]) -> int | None:
+    """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
+    the first one below it, or its nearest parent.
+    """
+    flat, wanted = _flat_lines(text), _pieces(location)
+    for size in range(len(wanted), 0, -1):
+        head = wanted[:size]
+        below = (number for known, number in flat.items() if known[:size] == head)
+        if (number := flat.get(head) or next(below, None)) is not None:
+            return number
+    return None
+
+
+@lru_cache(maxsize=32)
+def _flat_lines(text: str) -> dict[tuple[Any, ...], int]:
+    """`lines_of`, dotted names taken apart; a check asks for the places of all keys that it reads,
+    whether it has to name them or not.
+    """
+    flat: dict[tuple[Any, ...], int] = {}
+    for known, number in lines_of(text).items():
+        flat.setdefault(_pieces(known), number)
+    return flat
+
+
+def lines_of(text: str) -> dict[tuple[Any, ...], int]:
+    """The line of every header and key of a TOML text, by location."""
+    lines: dict[tuple[Any, ...], int] = {}
+    counts: dict[tuple[Any, ...], int] = {}
+    prefix: tuple[Any, ...] = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        if header := _HEADER.match(line):
+            prefix = _table_at(_words(header[2]), header[1] == "[[", counts)
+            lines.setdefault(prefix, number)
+            if isinstance(prefix[-1], int):
+                lines.setdefault(prefix[:-1], number)
+        elif key := _KEY.match(line):
+            lines.setdefault(prefix + tuple(_words(key[1])), number)
+    return lines
+
+
+def _table_at(
+    parts: list[str], is_entry: bool, counts: dict[tuple[Any, ...], int]
+) -> tuple[Any, ...]:
+    """The location of a header, with the number of each list entry it lies in; ``counts`` holds the
+    entries so far.
+    """
+    path: tuple[Any, ...] = ()
+    for index, part in enumerate(parts):
+        path += (part,)
+        if is_entry and index == len(parts) - 1:
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path += (counts[path],)
+    for known in list(counts):
+        if len(known) >= len(path) and known[: len(path)] == path and known != path[:-1]:
+            del counts[known]
+    return path
+
+
+def _words(dotted: str) -> list[str]:
+    return [
+        part[1:-1] if part[:1] in "\"'" else part
+        for part in re.findall(r'"[^"]*"|\'[^\']*\'|[A-Za-z0-9_-]+', dotted)
+    ]
+
+
+def _pieces(location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A key's parts, dotted names taken apart, so that quoted and unquoted keys are the same."""
+    return tuple(
+        piece
+        for part in location
+        for piece in (part.split(".") if isinstance(part, str) else (part,))
+    )
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """The table and the text of a TOML file.
+
+    Raises:
+        InputError: no such file, not UTF-8, or not TOML, with the line.
+    """
+    text = read_text(path)
+    return table_of(text, path), text
+
+
+def read_text(path: Path) -> str:
+    """The text of a TOML file.
+
+    Raises:
+        InputError: no such file, not UTF-8, or empty.
+    """
+    try:
+        data = read_bytes(path)
+    except FileNotFoundError:
+        near = (
+            get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1)
+            if path.parent.is_dir()
+            else []
+        )
+        raise InputError(
+            "no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None
+        ) from None
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "is not UTF-8 text",
+            file=path,
+            line=data.count(b"\n", 0, error.start) + 1,
+            hint="save it as UTF-8",
+        ) from None
+    if not text.strip():
+        raise InputError("the file is empty", file=path)
+    return text
+
+
+def table_of(text: str, path: Path) -> dict[str, Any]:
+    """The table of a TOML file's text.
+
+    Raises:
+        InputError: it is not TOML, with the line.
+    """
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"\(at line (\d+)", str(error))
+        reason = str(error).split(" (at ")[0]
+        line = int(found[1]) if found else text.rstrip().count("\n") + 1
+        raise InputError(
+            f"not TOML: {reason}", file=path, line=line, hint=_remedy(reason)
+        ) from None
+    except RecursionError:
+        raise InputError("not TOML: it is nested too deeply", file=path) from None
+    except ValueError:  # more digits than Python turns into a number
+        raise InputError(
+            "not TOML: a whole number is too long", file=path, line=_long_number(text)
+        ) from None
+
+
+def _remedy(reason: str) -> str:
+    """What would be right, by what the parser says is wrong."""
+    return next((remedy for word, remedy in _REMEDIES.items() if word in reason), _WRITTEN)
+
+
+def _long_number(text: str) -> int | None:
+    found = re.search(r"\d[\d_]{4000}", text)
+    return text.count("\n", 0, found.start()) + 1 if found else None
+
+
+def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
+    """A table of a file as the model it has to be.
+
+    Raises:
+        InputError: with file, line, key, value and the nearest valid key.
+    """
+    try:
+        return TypeAdapter(model).validate_python(table, context=FROM_FILE)
+    except ValidationError as error:
+        found = error.errors()
+    except RecursionError:
+        raise InputError("a table is nested too deeply", file=path) from None
+    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+    try:
+        message, location, hint = _explained(model, table, dict(first))
+    except RecursionError:
+        raise InputError("a table is nested too deeply", file=path) from None
+    raise InputError(message, file=path, line=line_of(text, location), hint=hint)
+
+
+def _explained(
+    model: Any, table: dict[str, Any], first: dict[str, Any]
+) -> tuple[str, tuple[Any, ...], str | None]:
+    """(message, location, hint) of one of pydantic's errors."""
+    reason = first.get("ctx", {}).get("error")
+    location = _untagged(model, first["loc"]) + getattr(reason, "where", ())
+    kind, hint, given = first["type"], None, first["input"]
+    expected = first.get("ctx", {}).get("expected", "")
+    if kind.startswith("union_tag"):
+        word = first["ctx"]["discriminator"].strip("'")
+        given = given.get(word) if isinstance(given, dict) else given
+        location = (*location, word)
+        kind = "missing" if kind == "union_tag_not_found" else "literal_error"
+        expected = first["ctx"].get("expected_tags", "")
+    place, key = _spoken(table, location)
+    if kind == "extra_forbidden":
+        message, hint = f"unknown key '{key}'", _valid_hint(model, table, location, first["loc"])
+    elif kind == "missing":
+        message, location = f"'{key}' is missing", location[:-1] or location
+    elif kind == "value_error":
+        message = str(reason) if not key or str(reason).startswith(key) else f"{key}: {reason}"
+    elif kind == "literal_error":
+        message = f"{key} = {shortened(given, 60)} is none of {expected.replace(' or ', ', ')}"
+        near = get_close_matches(str(given), re.findall(r"'([^']*)'", expected), 1)
+        hint = f"did you mean '{near[0]}'?" if near else None
+    elif kind == "tuple_type":
+        message = f"{key} is no list"
+        if isinstance(given, dict):
+            hint = f"write [[{_header(location)}]] for each entry"
+    elif kind in ("model_type", "model_attributes_type", "dict_type", "dataclass_type"):
+        message = f"{key} = {shortened(given, 60)} is no table"
+        keys = [name for name in _valid_keys(model, location) if name not in ("note", "title")]
+        some = ", ".join(f"{name} = …" for name in keys[:3])
+        hint = f"write {location[-1]} = {{ {some}{', …' * (len(keys) > 3)} }}"
+    else:
+        message = f"{key} = {shortened(given, 60)}: {first['msg'][0].lower() + first['msg'][1:]}"
+    return ": ".join(part for part in (place, message) if part), location, hint
+
+
+def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A location as the file has it: without the names by which pydantic tells the kinds of a
+    table apart, which stand behind the table's own.
+    """
+    kept: list[Any] = []
+    here, keys = [model], 0
+    for part in location:
+        chosen = [kind for kind in here if len(here) > 1 and part in _tags(kind)]
+        if part == "[key]":
+            continue
+        if isinstance(part, int) or keys:
+            keys -= not isinstance(part, int)
+        elif chosen:
+            here = chosen
+            continue
+        else:
+            fields = [_field(kind, part) for kind in here]
+            found = next((field.annotation for field in fields if field is not None), None)
+            here, keys = _models(found), _keyed(found)
+        kept.append(part)
+    return tuple(kept)
+
+
+def _field(model: Any, key: Any) -> Any:
+    """The field of a model that a file calls by ``key``."""
+    fields = getattr(model, "model_fields", {}).items()
+    return next((field for name, field in fields if key in (name, field.alias)), None)
+
+
+def _tags(model: Any) -> tuple[Any, ...]:
+    """What the ``kind`` or ``law`` of a table says where it is of this model."""
+    words = (model.model_fields.get(word) for word in ("kind", "law"))
+    return tuple(tag for field in words if field for tag in get_args(field.annotation))
+
+
+def _models(annotation: Any) -> list[Any]:
+    """The models that an annotation holds."""
+    if isinstance(annotation, type) and issubclass(annotation, FileModel):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in _models(part)]
+
+
+def _keyed(annotation: Any) -> int:
+    """How many names stand between an annotation's key and its tables."""
+    inner = [_keyed(part) for part in get_args(annotation)]
+    return (get_origin(annotation) is dict) + max(inner, default=0)
+
+
+def _valid_hint(
+    model: Any, table: dict[str, Any], location: tuple[Any, ...], within: tuple[Any, ...]
+) -> str | None:
+    """What to write in place of an unknown key: the nearest one, the table it belongs to, or the
+    valid keys.
+    """
+    valid = _valid_keys(model, within[:-1])
+    near = get_close_matches(str(location[-1]), valid, 1, 0.6)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    ends = range(len(location) - 2, 0, -1)
+    above = next((at for at in ends if location[-1] in _valid_keys(model, location[:at])), None)
+    if above is not None:
+        owner = _spoken(table, location[:above])[0]
+        return f"a key of {owner}: put it above the table [{_header(location[:-1])}]"
+    return "valid keys: " + ", ".join(valid) if valid else None
+
+
+def _spoken(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
+    """(the entries of lists that a location lies in, by name or number; the key below them)."""
+    places, words = [], []
+    for part in location:
+        try:
+            table = table[part]
+        except (KeyError, IndexError, TypeError):
+            table = None
+        if not isinstance(part, int):
+            words.append(str(part))
+            continue
+        name = table.get("name") if isinstance(table, dict) else None
+        places.append(".".join(words) + (f" '{name}'" if isinstance(name, str) else f" {part + 1}"))
+        words = []
+    return ", ".join(places), ".".join(words)
+
+
+def _header(location: tuple[Any, ...]) -> str:
+    """The header of a table in TOML."""
+    return ".".join(part for part in location if isinstance(part, str))
+
+
+def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
+    """Keys that the model at ``location`` takes, as the file spells them."""
+    here = [model]
+    for part in location:
+        if isinstance(part, int):
+            continue
+        deeper = []
+        for candidate in here:
+            for name, field in candidate.model_fields.items():
+                if part in (name, field.alias):
+                    deeper += _models(field.annotation)
+        here = deeper or here
+    return sorted(
+        {
+            field.alias or name
+            for candidate in here
+            for name, field in candidate.model_fields.items()
+            if not field.exclude
+        }
+    )

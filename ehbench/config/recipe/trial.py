@@ -1,0 +1,472 @@
+"""The recipe of a trial: open-loop commands, or a controller and the motion it shall make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from ehbench.config.recipe.base import ByParameter, Payload, Recipe
+from ehbench.config.rig import LoadSensing, LowRail
+from ehbench.control import LAW_NAMES
+from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
+
+
+class Command(FileModel):
+    """An open-loop command to one valve; several entries for one valve add up. ``valve`` is
+    ``<cylinder>.<valve>``.
+
+    kind ``constant``: ``offset``. ``step``: ``offset``, and ``offset + amplitude`` from ``start``
+    to ``stop``. ``ramp``: linear from ``offset`` at ``start`` to ``offset + amplitude`` at
+    ``stop``, which it keeps. ``sine``: ``amplitude`` at ``frequency`` about ``offset`` from
+    ``start`` to ``stop``. ``multisine``: ``lines`` sines from ``frequency`` to ``frequency_max``
+    with phases drawn from ``seed``, scaled to ``amplitude``. ``file``: plays the channel
+    ``<valve>.command`` of a log from ``start`` on."""
+
+    valve: str
+    kind: Literal["constant", "step", "ramp", "sine", "multisine", "file"]
+    offset: Annotated[Value, Q("offset")] = Value(0.0)
+    amplitude: Annotated[Value, Q("amplitude")] = Value(0.0)
+    start: Annotated[Value, Q("start")] = Value(0.0)
+    stop: Annotated[Value, Q("stop")] | None = None
+    frequency: Annotated[Value, Q("frequency")] | None = None
+    frequency_max: Annotated[Value, Q("frequency")] | None = None
+    lines: int = Field(default=20, ge=1, le=1000)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    file: str | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Command:
+        if self.kind in ("sine", "multisine"):
+            self._waves()
+        if self.kind == "ramp" and self.stop is None:
+            raise ValueError("a ramp needs 'stop'")
+        if self.kind == "file" and self.file is None:
+            raise ValueError("a file command needs 'file'")
+        return self
+
+    def _waves(self) -> None:
+        if self.frequency is None:
+            raise ValueError(f"a {self.kind} needs 'frequency'")
+        low = float(self.frequency)
+        if not low > 0.0:
+            raise ValueError("'frequency' must be above 0 Hz")
+        if self.kind == "sine":
+            return
+        if self.frequency_max is None:
+            raise ValueError("a multisine needs 'frequency_max'")
+        high = float(self.frequency_max)
+        if not high > low:
+            raise ValueError(f"frequency_max, {high:g} Hz, must lie above frequency, {low:g} Hz")
+
+
+class Limits(FileModel):
+    """Where a trial stops safely. Pressures are of every chamber; ``stroke_margin`` is kept at both
+    ends of every stroke. ``ramp`` is the time in which the valves then go to rest: shut at once,
+    they would catch the moving load between them, and the pressure would rise far above its limit.
+    """
+
+    pressure_max: Annotated[Value, Q("pressure")] | None = None
+    pressure_min: Annotated[Value, Q("pressure")] | None = None
+    stroke_margin: Annotated[Value, Q("stroke")] | None = None
+    speed_max: Annotated[Value, Q("v")] | None = None
+    command_max: Annotated[Value, Q("command_max")] | None = None
+    ramp: Annotated[Value, Q("ramp")] = Value(0.05)
+
+
+class MachineChange(FileModel):
+    """What is otherwise on the machine than on that which the controller was designed for.
+
+    ``delay`` of all samples (on the model, whose sensors are exact, of all commands) and
+    ``pressure_lag`` are added; ``valve_lag`` (the valves' periods), ``bulk_modulus``, ``friction``,
+    ``flow`` of every edge and ``supply_pressure`` are factors; ``deadband`` is added to every
+    edge's."""
+
+    name: str = ""
+    delay: Annotated[Value, Q("delay")] = Value(0.0)
+    pressure_lag: Annotated[Value, Q("lag")] = Value(0.0)
+    valve_lag: float = Field(default=1.0, gt=0.0, le=100.0)
+    bulk_modulus: float = Field(default=1.0, gt=0.0, le=100.0)
+    friction: float = Field(default=1.0, ge=0.0, le=100.0)
+    flow: float = Field(default=1.0, gt=0.0, le=100.0)
+    deadband: Annotated[Value, Q("map_shift")] = Value(0.0)
+    supply_pressure: float = Field(default=1.0, gt=0.0, le=100.0)
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("machine",), exclude=True)
+
+
+class PayloadChange(FileModel):
+    """A load that the machine takes up or puts down on its way: from ``at`` on it carries
+    ``payload``, which moves with its link at once.
+    """
+
+    at: Annotated[Value, Q("start")]
+    payload: str
+
+
+def _one_or_more(raw: Any) -> Any:
+    return [raw] if isinstance(raw, str) else raw
+
+
+class CylinderMotion(FileModel):
+    """What one cylinder shall do.
+
+    kind ``velocity_steps``: each of ``levels`` (a share of the full speed such as ``"70 %"``, or a
+    speed; negative retracts) for ``duration`` or until it has covered ``travel``, with a ``rest``
+    before and after each; ``full_speed`` is the design model's where it is not given.
+    ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a
+    ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``, ``cycles`` times where the
+    way ends where it begins. ``file``: a log with ``<cylinder>.x_desired``. ``path``: see `Motion`.
+    ``cylinder`` may be left out where there is one."""
+
+    kind: Literal["velocity_steps", "point_to_point", "file", "path"]
+    cylinder: str | None = None
+    levels: tuple[str, ...] = ()
+    full_speed: Annotated[Value, Q("speed")] | None = None
+    duration: Annotated[Value, Q("duration")] | None = None
+    travel: Annotated[Value, Q("x")] | None = None
+    rest: Annotated[Value, Q("hold")] | None = None
+    waypoints: tuple[Annotated[Value, Q("x")], ...] = ()
+    hold: Annotated[tuple[Annotated[Value, Q("hold")], ...], BeforeValidator(_one_or_more)] = ()
+    speed: Annotated[Value, Q("speed")] | None = None
+    acceleration: Annotated[Value, Q("acceleration")] | None = None
+    jerk: Annotated[Value, Q("jerk")] | None = None
+    profile: Literal["ramp", "seventh"] = "ramp"
+    cycles: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="how often the way is made; energies are those of the last time, which begins "
+        "and ends with the oil in one state",
+    )
+    file: str | None = None
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("motion",), exclude=True)
+
+    @model_validator(mode="after")
+    def _whole(self) -> CylinderMotion:
+        if self.kind == "velocity_steps":
+            if not self.levels:
+                raise ValueError(
+                    'velocity_steps need \'levels\', such as ["30 %", "70 %", "100 %"]'
+                )
+            if (self.duration is None) == (self.travel is None):
+                raise ValueError("velocity_steps need 'duration' or 'travel', and not both")
+        if self.kind == "point_to_point":
+            if len(self.waypoints) < 2:
+                raise ValueError("point_to_point needs 'waypoints', two strokes or more")
+            if self.speed is None:
+                raise ValueError("point_to_point needs 'speed'")
+        if self.cycles > 1 and (
+            self.kind != "point_to_point" or float(self.waypoints[0]) != float(self.waypoints[-1])
+        ):
+            raise ValueError("only a point_to_point that ends at its first waypoint makes 'cycles'")
+        if self.kind == "file" and self.file is None:
+            raise ValueError("a motion of kind file needs 'file'")
+        return self
+
+
+class Motion(CylinderMotion):
+    """What the controlled cylinder shall do, as `CylinderMotion`; ``also`` are the motions of
+    others at the same time, each with its ``cylinder``.
+
+    kind ``path``: the tip of the mechanism goes along straight lines through ``points``, with a
+    ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``; the ``cylinders``, by default
+    all, follow by inverse kinematics. Where several cylinders would draw more than the pump gives,
+    time along the motion runs slower, unless ``share_flow`` is false."""
+
+    name: str = ""
+    also: tuple[CylinderMotion, ...] = Field(
+        default=(), description="motions of other cylinders at the same time, `[[motion.also]]`"
+    )
+    points: tuple[Annotated[Value, Q("tip", 3)], ...] = Field(
+        default=(),
+        description="of a `path`, from the first of which it starts: each `[ahead, left, up]` of "
+        "the first joint's origin",
+    )
+    cylinders: tuple[str, ...] = Field(
+        default=(), description="that a `path` moves, none is all; the others are held"
+    )
+    share_flow: bool = Field(
+        default=True, description="run slower where the pump has not enough for several cylinders"
+    )
+
+    @model_validator(mode="after")
+    def _a_path(self) -> Motion:
+        if self.kind != "path":
+            if self.points or self.cylinders:
+                raise ValueError("'points' and 'cylinders' are of a motion of kind path")
+            return self
+        if len(self.points) < 2:
+            raise ValueError("a path needs 'points', two or more")
+        if self.speed is None:
+            raise ValueError("a path needs 'speed'")
+        if self.cylinder is not None or self.also:
+            raise ValueError("a path moves its 'cylinders': leave 'cylinder' and 'also' out")
+        return self
+
+    @model_validator(mode="after")
+    def _each_its_own(self) -> Motion:
+        if not self.also:
+            return self
+        if any(one.kind == "path" for one in self.also):
+            raise ValueError("a path is of the whole trial: it cannot stand under 'also'")
+        names = [self.cylinder, *(one.cylinder for one in self.also)]
+        if None in names:
+            raise ValueError("where several cylinders move, each motion names its 'cylinder'")
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            raise ValueError(f"cylinder '{twice}' has two motions at a time")
+        return self
+
+    @property
+    def each(self) -> tuple[CylinderMotion, ...]:
+        """The motion of each cylinder, its own first."""
+        also = (
+            one.model_copy(update={"where": (*self.where, "also", i)})
+            for i, one in enumerate(self.also)
+        )
+        return (self, *also)
+
+
+if TYPE_CHECKING:
+    LawName = str
+else:
+    LawName = Literal[LAW_NAMES]
+
+
+def _refuse_shaping(kind: str | None) -> None:
+    from ehbench.control.registry import LAWS
+
+    shaped = [name for name, law in LAWS.items() if law.shaped]
+    if kind not in shaped:
+        raise ValueError(f"'shaping' is of {' and '.join(shaped)} only")
+
+
+class CylinderController(FileModel):
+    """The built-in law of one cylinder, where several move and they have not all the same:
+    ``kind``, ``gains`` and ``rules`` as in ``[controller]``.
+    """
+
+    kind: LawName = Field(description="a built-in law")
+    gains: dict[str, Any] = Field(default={}, description="by name with units")
+    rules: dict[str, Any] = Field(default={}, description="of function selection")
+    shaping: dict[str, Any] = Field(
+        default={}, description="of velocity steps, `pressure_feedback` only"
+    )
+
+    @model_validator(mode="after")
+    def _one_law(self) -> CylinderController:
+        if self.shaping:
+            _refuse_shaping(self.kind)
+        if "from" in self.gains:
+            raise ValueError("a cylinder's own gains are written out: 'from' is of [controller]")
+        return self
+
+
+class Controller(FileModel):
+    """Who moves the cylinder: ``kind`` of a built-in law, or ``class = "module:Class"`` of the
+    user's own.
+
+    ``gains`` by name with units, or ``"<tune recipe or its run>"``, or both: ``{ from = "…",
+    washout = "0 rad/s" }``; a class gets them as keywords. ``rules`` of function selection,
+    ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest. Where
+    several cylinders move, all have this law but for those named under ``cylinders``, and
+    ``coupling`` says whether a law with a model of the mechanism counts on the others' motion."""
+
+    name: str = ""
+    kind: LawName | None = None
+    code: str | None = Field(default=None, alias="class")
+    gains: str | dict[str, Any] = {}
+    rules: dict[str, Any] = {}
+    shaping: dict[str, Any] = {}
+    unused: tuple[str, ...] = ()
+    coupling: bool = Field(
+        default=True,
+        description="where several cylinders move: `false` lets `arc` take the others as standing "
+        "still",
+    )
+    cylinders: dict[str, CylinderController] = Field(
+        default={}, description="laws of single cylinders, `[controller.cylinders.<cylinder>]`"
+    )
+    where: Annotated[tuple[str | int, ...], Internal] = Field(default=("controller",), exclude=True)
+
+    @property
+    def class_name(self) -> str:
+        """Name of the user's class; empty for a built-in law."""
+        return (self.code or "").partition(":")[2]
+
+    @property
+    def label(self) -> str:
+        """Its name, else its kind or class."""
+        return self.name or self.kind or self.class_name
+
+    @property
+    def gains_from(self) -> str | None:
+        """The tune recipe, run folder or file that gains come from, as written."""
+        return self.gains if isinstance(self.gains, str) else self.gains.get("from")
+
+    @property
+    def own_gains(self) -> dict[str, Any]:
+        """The gains that stand in the recipe itself, by name, as written."""
+        table = {} if isinstance(self.gains, str) else self.gains
+        return {name: raw for name, raw in table.items() if name != "from"}
+
+    def of(self, cylinder: str) -> Controller:
+        """The controller of one of several cylinders."""
+        own = self.cylinders.get(cylinder)
+        if own is None:
+            return self.model_copy(update={"cylinders": {}})
+        taken = {name: getattr(own, name) for name in CylinderController.model_fields}
+        place = (*self.where, "cylinders", cylinder)
+        return self.model_copy(update=taken | {"cylinders": {}, "name": "", "where": place})
+
+    @model_validator(mode="after")
+    def _one_law(self) -> Controller:
+        if (self.kind is None) == (self.code is None):
+            raise ValueError("give 'kind' or 'class', and not both")
+        if self.shaping:
+            _refuse_shaping(self.kind)
+        return self
+
+
+def refuse_unmatched(controller: Controller, motions: Sequence[Motion]) -> None:
+    """Refuse a controller that does not fit the motions of several cylinders.
+
+    Raises:
+        ValueError: says what does not.
+    """
+    if controller.code is not None and any(motion.also for motion in motions):
+        raise ValueError("a controller of your own moves one cylinder: leave 'also' out")
+    if any(motion.kind == "path" for motion in motions):
+        return  # only the rig knows which cylinders it moves
+    names = {one.cylinder for motion in motions for one in motion.each}
+    for name in controller.cylinders:
+        if name not in names:
+            raise ValueError(f"controller.cylinders names '{name}', which has no motion")
+
+
+class Sampled(Protocol):
+    """What samples open-loop commands at a rate."""
+
+    @property
+    def command(self) -> tuple[Command, ...]: ...
+
+    @property
+    def rate(self) -> Value: ...
+
+
+def refuse_fast_waves(trial: Sampled) -> None:
+    """Refuse sines that samples at the trial's rate cannot hold.
+
+    Raises:
+        ValueError: names the first.
+    """
+    half = 0.5 * float(trial.rate)
+    for command in trial.command:
+        for key in ("frequency", "frequency_max"):
+            asked = getattr(command, key)
+            if command.kind not in ("sine", "multisine") or asked is None:
+                continue
+            if float(asked) >= half:
+                raise ValueError(
+                    f"command to {command.valve}: {key}, {float(asked):g} Hz, "
+                    f"must lie below half the rate, {half:g} Hz"
+                )
+
+
+class OtherSupply(FileModel):
+    """How the supply follows the load in a trial, where the rig file says otherwise or nothing."""
+
+    load_sensing: LoadSensing | None = None
+    low_rail: LowRail | None = None
+
+
+class AnyTrial(Recipe):
+    """What one trial and a set of trials have in common."""
+
+    rig: str
+    flow_maps: str | None = None
+    on: Literal["model", "bench"] = "model"
+    bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={},
+        description="other `[dynamics]` of the rig file for valves, by `<cylinder>.<valve>`; on "
+        "the bench as well",
+    )
+    posture: dict[str, str] = {}
+    duration: Annotated[Value, Q("duration")] | None = None
+    rate: Annotated[Value, Q("rate")] = Value(1000.0)
+    step: Annotated[Value | Literal["auto"], Q("step", word="auto")] = Value(5.0e-4)
+    seed: int = Field(default=0, ge=0, le=2**63 - 1)
+    payload_change: tuple[PayloadChange, ...] = ()
+    first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
+    command: tuple[Command, ...] = ()
+    limits: Limits = Limits()
+    supply: OtherSupply = OtherSupply()
+
+    @model_validator(mode="after")
+    def _below_half_the_rate(self) -> AnyTrial:
+        refuse_fast_waves(self)
+        return self
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> AnyTrial:
+        times = [0.0, *(float(change.at) for change in self.payload_change)]
+        if any(later <= sooner for sooner, later in zip(times, times[1:], strict=False)):
+            raise ValueError("the times of 'payload_change' must grow, the first above 0 s")
+        return self
+
+
+class TrialRecipe(AnyTrial):
+    """One trial on the model or on the virtual bench: open-loop ``command``, or a ``controller``
+    and the ``motion`` it shall make.
+
+    Under a controller ``duration`` may be left out: it is then that of the motion; other cylinders
+    may take open-loop commands."""
+
+    stage: Literal["trial"]
+    payload: Payload = None
+    machine: MachineChange | None = None
+    controller: Controller | None = None
+    motion: Motion | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> TrialRecipe:
+        if self.controller is None and self.motion is not None:
+            raise ValueError("a motion needs a [controller] that makes it")
+        if self.controller is not None and self.motion is None and self.controller.code is None:
+            raise ValueError(f"controller '{self.controller.label}' needs a [motion]")
+        if self.motion is None and self.duration is None:
+            raise ValueError("'duration' is missing")
+        if self.controller is not None and self.motion is not None:
+            refuse_unmatched(self.controller, (self.motion,))
+        return self
+
+    def singles(self, along: Mapping[str, float] | None = None) -> tuple[TrialRecipe, ...]:
+        """This trial for each of its cylinders alone, as its motions and controllers say; on a path
+        ``along`` is the stroke [m] at which each of them starts.
+        """
+        controller, motion = self.controller, self.motion
+        if controller is None or motion is None:
+            return (self,)
+        each, posture = motion.each, self.posture
+        if along is not None:
+            each = tuple(motion.model_copy(update={"cylinder": name}) for name in along)
+            posture = self.posture | {name: f"{x!r} m" for name, x in along.items()}
+        elif motion.also:
+            starts = {
+                one.cylinder: f"{float(one.waypoints[0])!r} m"
+                for one in each
+                if one.cylinder is not None and one.waypoints
+            }
+            posture = starts | self.posture
+        return tuple(
+            self.model_copy(
+                update={
+                    "motion": one,
+                    "controller": controller.of(one.cylinder or ""),
+                    "posture": posture,
+                }
+            )
+            for one in each
+        )

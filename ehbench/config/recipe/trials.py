@@ -1,0 +1,111 @@
+"""The recipe of a set of trials."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ehbench.config.recipe.base import ByParameter
+from ehbench.config.recipe.trial import (
+    AnyTrial,
+    Controller,
+    MachineChange,
+    Motion,
+    OtherSupply,
+    TrialRecipe,
+    refuse_unmatched,
+)
+
+
+class SetController(Controller):
+    """A controller of a set of trials; it may run on a rig of its own, such as the same machine
+    with another valve, or one with other ``dynamics`` of its valves, or on a supply of its own.
+
+    What was identified on the set's rig holds for that one as well, by name.
+    """
+
+    rig: str | None = None
+    flow_maps: str | None = None
+    bench: str | None = None
+    dynamics: ByParameter = Field(
+        default={}, description="as the set's, for this controller's machine"
+    )
+    supply: OtherSupply | None = None
+
+
+class TrialSetRecipe(AnyTrial):
+    """The product of ``payloads`` (``none`` is none) × ``[[motion]]`` × ``[[machine]]`` ×
+    ``[[controller]]``: one log each, and one table over all.
+    """
+
+    stage: Literal["trials"]
+    payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
+    seeds: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="on the bench: runs of each case, with the sensors' noise of `seed`, `seed` + "
+        "1, …; a case's numbers are their medians and ranges, its log is that of the median error",
+    )
+    motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
+    machine: tuple[MachineChange, ...] = ()
+    controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _noise_differs(self) -> TrialSetRecipe:
+        if self.seeds > 1 and self.on != "bench":
+            raise ValueError("'seeds' are of the virtual bench's sensors: the model has no noise")
+        return self
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> TrialSetRecipe:
+        for what, names in (
+            ("payload", list(self.payloads)),
+            ("motion", [m.name or m.kind for m in self.motion]),
+            ("machine", [m.name for m in self.machine]),
+            ("controller", [c.label for c in self.controller]),
+        ):
+            twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+            if twice is not None:
+                raise ValueError(
+                    f"two entries of {what} are called '{twice}'; give each its own name"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _controllers_fit(self) -> TrialSetRecipe:
+        for law in self.controller:
+            refuse_unmatched(law, self.motion)
+        return self
+
+    def cases(self) -> tuple[tuple[str, SetController, TrialRecipe], ...]:
+        """(name, controller, recipe) of each trial, payloads outermost, controllers innermost."""
+        shared = {name: getattr(self, name) for name in AnyTrial.model_fields if name != "path"}
+        machines = [*enumerate(self.machine)] or [(0, None)]
+        cases = []
+        for payload, (m, motion), (n, machine), (c, law) in product(
+            self.payloads, enumerate(self.motion), machines, enumerate(self.controller)
+        ):
+            said = motion.name or motion.kind
+            if machine is not None:
+                said = f"{said}, {machine.name}"
+                machine = machine.model_copy(update={"where": ("machine", n)})
+            name = " ".join([payload if payload != "none" else "no load", said, law.label])
+            own = {
+                key: value
+                for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
+                if (value := getattr(law, key))
+            }
+            case = TrialRecipe.model_construct(
+                **{**shared, **own},
+                stage="trial",
+                payload=None if payload == "none" else payload,
+                path=self.path,
+                machine=machine,
+                controller=law.model_copy(update={"where": ("controller", c)}),
+                motion=motion.model_copy(update={"where": ("motion", m), "name": said}),
+            )
+            cases.append((name, law, case.model_copy(update={"title": name})))
+        return tuple(cases)

@@ -1,0 +1,189 @@
+"""The recipe of a validation."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+
+from ehbench.config.recipe.base import (
+    SUPPLIED,
+    TIED,
+    Recipe,
+    ReplayedFile,
+    Supplied,
+    Tied,
+    data_file,
+)
+from ehbench.config.recipe.columns import AnyColumns
+from ehbench.config.recipe.sensor import Channel, Sensors
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import FileModel, Q, Value, read_value
+from ehbench.vocabulary.quantities import VOCABULARY, meant, quantity
+
+
+def _share(raw: Any) -> Any:
+    if raw is True:
+        raise ValueError("a share of the recorded value such as 0.15, or false to ask for none")
+    return None if raw is False else raw
+
+
+_Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share)]
+
+
+def _unasked(raw: Any) -> Any:
+    if raw is True:
+        raise ValueError("a value with unit, or false to ask for none")
+    return None if raw is False else raw
+
+
+class Thresholds(FileModel):
+    """What a model must reach on every held-out log to be accepted; a quantity not named is only
+    reported.
+
+    ``fit_percent`` is the least NRMSE fit by quantity (100 exact, 0 no better than the mean),
+    ``max_error`` the largest error by quantity, with unit. ``natural_frequency_error`` and
+    ``damping_ratio_error`` are shares of the recorded value; ``false`` asks for none. The keys of
+    the ``response`` hold where a command sweeps. ``whiteness``
+    and ``independence`` ask that at most ``outside_percent`` of the lags of the residual's
+    autocorrelation, and of its correlation with earlier commands, lie outside of their 95 % bands.
+    """
+
+    fit_percent: dict[str, float] = {"qd": 50.0, "p_head": 30.0, "p_rod": 30.0}
+    max_error: dict[str, Any] = {}
+    natural_frequency_error: _Share = 0.15
+    damping_ratio_error: _Share = None
+    response_gain_error: _Share = Field(
+        default=0.25,
+        description="where a command sweeps: rms difference of the gain over the coherent band, as "
+        "a share of the recorded one; `false` asks for none",
+    )
+    response_phase_error: Annotated[
+        Annotated[Value, Q("phase")] | None, BeforeValidator(_unasked)
+    ] = Field(
+        default=read_value("20 deg", VOCABULARY["phase"]),
+        description="likewise of the phase; `false` asks for none",
+    )
+    response_delay_error: Annotated[
+        Annotated[Value, Q("delay")] | None, BeforeValidator(_unasked)
+    ] = Field(
+        default=read_value("5 ms", VOCABULARY["delay"]),
+        description="likewise of the delay, the mean slope of the phase; `false` asks for none",
+    )
+    response_coherence: float = Field(
+        default=0.8, gt=0, lt=1, description="of the recording, from which a frequency counts"
+    )
+    whiteness: bool = False
+    independence: bool = False
+    outside_percent: float = Field(default=15.0, gt=0, lt=100)
+
+    @field_validator("fit_percent", "max_error")
+    @classmethod
+    def _quantities(cls, asked: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        for name, value in asked.items():
+            if name not in VOCABULARY:
+                word = name.rpartition(".")[2]
+                of_all = f"; it is asked of all cylinders alike: '{word}'"
+                raise ValueError(
+                    f"no quantity '{name}'" + (of_all if word in VOCABULARY else meant(name))
+                )
+            if info.field_name == "fit_percent" and not value < 100.0:
+                raise ValueError(f"{name} = {value:g} cannot be reached: 100 % is an exact match")
+        if info.field_name == "fit_percent":
+            return asked
+        try:
+            return {name: read_value(value, VOCABULARY[name]) for name, value in asked.items()}
+        except InputError as error:
+            raise ValueError(str(error)) from None
+
+
+class JudgedFile(ReplayedFile):
+    """A log to judge on; the model runs from ``start`` on, and what it does from ``score_start`` to
+    ``score_stop`` counts.
+    """
+
+    score_start: Annotated[Value, Q("start")] | None = Field(
+        default=None, description="from which time on the log counts; the model runs from `start`"
+    )
+    score_stop: Annotated[Value, Q("stop")] | None = Field(
+        default=None, description="up to which time it counts"
+    )
+
+    @property
+    def scored(self) -> tuple[float, float] | None:
+        """The part of the log that counts [s]; None for all of it."""
+        if self.score_start is None and self.score_stop is None:
+            return None
+        return (
+            -math.inf if self.score_start is None else float(self.score_start),
+            math.inf if self.score_stop is None else float(self.score_stop),
+        )
+
+
+class Reference(FileModel):
+    """A figure that others reached on the same recording, to stand beside this model's in the
+    report. It decides nothing.
+    """
+
+    name: str = Field(min_length=1, description="whose figure, such as `linear ARX(3,2,1)`")
+    channel: Channel = Field(description="full name, such as `ram.p_head`")
+    measure: Literal["rms_error", "fit_percent"] = Field(
+        default="rms_error", description="what was measured"
+    )
+    value: Any = Field(description="with unit, such as `9.54 bar`; a fit as its percentage")
+    source: str = Field(min_length=1, description="where it stands")
+
+    @field_validator("value")
+    @classmethod
+    def _read(cls, raw: Any, info: ValidationInfo) -> Value | None:
+        if "channel" not in info.data or "measure" not in info.data:
+            return None
+        if info.data["measure"] == "fit_percent":
+            if isinstance(raw, bool) or not isinstance(raw, int | float) or not raw <= 100.0:
+                raise ValueError(f"{raw!r} is no percentage of fit: a number up to 100")
+            return Value(float(raw))
+        try:
+            value = read_value(raw, quantity(info.data["channel"]))
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        if not 0.0 <= float(value) < math.inf:
+            raise ValueError(f"an rms error is not {raw}")
+        return value
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values [SI]."""
+        return self.model_dump(exclude={"value"}) | {"value": float(self.value)}
+
+
+JudgedFiles = Annotated[
+    tuple[Annotated[JudgedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
+]
+
+
+class ValidateRecipe(Recipe):
+    """An identified rig against logs it was not fitted to."""
+
+    stage: Literal["validate"]
+    rig: str
+    flow_maps: str | None = None
+    data: JudgedFiles
+    tied: Tied = TIED
+    supply: Supplied = SUPPLIED
+    columns: AnyColumns = Field(
+        default=None,
+        description="which column of a file is which channel: `[columns]`, or the name of a map",
+    )
+    sensor: Sensors = Field(
+        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
+    )
+    channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
+    structure: bool = Field(
+        default=True,
+        description="whether the residuals are asked what they follow, and the likeliest cures of "
+        "the model are named",
+    )
+    thresholds: Thresholds = Thresholds()
+    reference: tuple[Reference, ...] = Field(
+        default=(), description="`[[reference]]`: what others reached on these recordings"
+    )

@@ -1,0 +1,257 @@
+"""A cylinder with its valves, and forces on its rod from outside."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from ehbench.config.rig.mechanism import Pins, Rack
+from ehbench.config.rig.names import Misplaced, Name, prefix_of, second, tables_of
+from ehbench.config.rig.valves import FixedEdge, Valve
+from ehbench.parts.friction import TABLES as FRICTIONS
+from ehbench.parts.friction.law import FrictionTable
+from ehbench.parts.line import Line
+from ehbench.parts.mount import Mount
+from ehbench.parts.sway import Sway
+from ehbench.vocabulary.fields import FileModel, Q, Value, one_of
+from ehbench.vocabulary.quantities import VOCABULARY
+
+if TYPE_CHECKING:
+    Friction = FrictionTable
+else:
+    Friction = one_of(FRICTIONS, "law")
+
+
+class Force(FileModel):
+    """A force on the rod from outside, positive where it pushes the rod out.
+
+    kind ``constant``: ``force``. ``by_direction``: ``force_extending`` while the rod goes out,
+    ``force_retracting`` while it goes in. ``spring``: −stiffness·(x − free_length). ``channel``:
+    played from a log's ``channel``. ``cylinder``: one that stands against the rod, its
+    ``area_head`` under ``pressure_head`` pushing the rod in, its ``area_rod`` under
+    ``pressure_rod`` pulling it out."""
+
+    name: Name = "force"
+    kind: Literal["constant", "by_direction", "spring", "channel", "cylinder"]
+    force: Annotated[Value, Q("force")] | None = None
+    force_extending: Annotated[Value, Q("force_extending")] | None = None
+    force_retracting: Annotated[Value, Q("force_retracting")] | None = None
+    stiffness: Annotated[Value, Q("stiffness")] | None = None
+    free_length: Annotated[Value, Q("free_length")] | None = None
+    channel: str | None = None
+    area_head: Annotated[Value, Q("area_head")] | None = None
+    area_rod: Annotated[Value, Q("area_rod")] | None = None
+    pressure_head: Annotated[Value, Q("pressure_head")] | None = None
+    pressure_rod: Annotated[Value, Q("pressure_rod")] | None = None
+
+    @model_validator(mode="after")
+    def _kind_is_whole(self) -> Force:
+        takes = {
+            "constant": ("force",),
+            "by_direction": ("force_extending", "force_retracting"),
+            "spring": ("stiffness", "free_length"),
+            "channel": ("channel",),
+            "cylinder": ("area_head", "pressure_head", "area_rod", "pressure_rod"),
+        }[self.kind]
+        needs = takes[:2]
+        for key in needs:
+            if getattr(self, key) is None:
+                raise ValueError(f"a force of kind '{self.kind}' needs '{key}'")
+        for key in set(type(self).model_fields) - {"name", "kind", *takes}:
+            if getattr(self, key) is not None:
+                raise Misplaced(f"a force of kind '{self.kind}' takes no '{key}'", key)
+        if (self.area_rod is None) != (self.pressure_rod is None):
+            raise ValueError("give area_rod and pressure_rod together")
+        if self.channel is not None:
+            row = VOCABULARY.get(self.channel.rsplit(".", 1)[-1])
+            if row is None or row.unit != "N" or "." not in self.channel:
+                raise Misplaced(
+                    f"'{self.channel}' is no channel of a force (such as '<cylinder>.force')",
+                    "channel",
+                )
+        return self
+
+
+class Cylinder(FileModel):
+    """A cylinder, the joint it drives, its oil volumes, losses, valves and the edges that have no
+    command. Areas, or bore and rod diameters.
+    """
+
+    name: Name
+    joint: str
+    area_head: Annotated[Value, Q("area_head")] | None = None
+    area_rod: Annotated[Value, Q("area_rod")] | None = None
+    bore: Annotated[Value, Q("bore")] | None = None
+    rod: Annotated[Value, Q("rod")] | None = None
+    through_rod: bool = Field(
+        False, description="whether the rod, as thick, comes out of the head end too; with `bore`"
+    )
+    count: int = Field(
+        1,
+        ge=1,
+        le=16,
+        description="equal cylinders side by side on the same edges, each of `bore` and `rod`; "
+        "volumes, leakage, friction and forces are those of all together",
+    )
+    stroke: Annotated[Value, Q("stroke")]
+    volume_head: Annotated[Value, Q("volume_head")]
+    volume_rod: Annotated[Value, Q("volume_rod")]
+    pins: Pins | None = None
+    rack: Rack | None = None
+    bulk_modulus: Annotated[Value, Q("bulk_modulus")] | None = None
+    leakage_internal: Annotated[Value, Q("leakage_internal")] = Value(0.0)
+    leakage_head: Annotated[Value, Q("leakage_head")] = Value(0.0)
+    leakage_rod: Annotated[Value, Q("leakage_rod")] = Value(0.0)
+    friction_viscous: Annotated[Value, Q("friction_viscous")] = Value(0.0)
+    friction_coulomb: Annotated[Value, Q("friction_coulomb")] = Value(0.0)
+    friction: Friction | None = None
+    relief_pressure: Annotated[Value, Q("relief_pressure")] | None = None
+    valve: tuple[Valve, ...] = Field(min_length=1)
+    force: tuple[Force, ...] = ()
+    edge: tuple[FixedEdge, ...] = ()
+    line: tuple[Line, ...] = ()
+    mount: Mount | None = None
+    sway: Sway | None = Field(None, description="a part of the load that sways, `[cylinder.sway]`")
+
+    @model_validator(mode="after")
+    def _areas(self) -> Cylinder:
+        pairs = {
+            (self.area_head is not None, self.area_rod is not None),
+            (self.bore is not None, self.rod is not None),
+        }
+        if pairs != {(True, True), (False, False)}:
+            raise ValueError("give area_head and area_rod, or bore and rod")
+        for key in ("count", "through_rod"):
+            if self.bore is None and getattr(self, key) != type(self).model_fields[key].default:
+                raise Misplaced(
+                    f"'{key}' goes with bore and rod; area_head and area_rod say all themselves",
+                    key,
+                )
+        head, rod = self.areas()
+        by = "area_rod" if self.area_rod is not None else "rod"
+        if not 0 < rod <= head:
+            raise Misplaced(
+                "area_rod must be positive and not above area_head (head end = full-bore side)", by
+            )
+        swept = rod * float(self.stroke)
+        if float(self.volume_rod) <= swept:
+            said = self.volume_rod.like
+            raise Misplaced(
+                f"volume_rod at x = 0 is {said('volume_rod', float(self.volume_rod))}, "
+                f"but the full stroke displaces {said('volume_rod', swept)}",
+                "volume_rod",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _friction_fits(self) -> Cylinder:
+        if self.friction is not None:
+            found = self.friction.misfit(float(self.friction_coulomb))
+            if found is not None:
+                key, words = found
+                raise Misplaced(words, "friction", key)
+        return self
+
+    @model_validator(mode="after")
+    def _linkage_reaches(self) -> Cylinder:
+        if self.pins is not None:
+            low, high = (abs(float(self.pins.l_a) + way * float(self.pins.l_b)) for way in (-1, 1))
+            ends = (
+                float(self.pins.retracted_length),
+                float(self.pins.retracted_length) + float(self.stroke),
+            )
+            if not (low < ends[0] and ends[1] < high):
+                is_in, length = self.pins.retracted_length.like, "retracted_length"
+                raise Misplaced(
+                    f"from pin to pin the cylinder is {is_in(length, ends[0])} long retracted "
+                    f"and {is_in(length, ends[1])} extended, while l_a and l_b allow "
+                    f"{is_in(length, low)} to {is_in(length, high)}, the ends excluded",
+                    "pins",
+                    "retracted_length",
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _one_linkage(self) -> Cylinder:
+        if self.pins is not None and self.rack is not None:
+            raise Misplaced("a cylinder sits on 'pins' or drives a 'rack', not both", "rack")
+        return self
+
+    @property
+    def linkage(self) -> Pins | Rack | None:
+        """What joins it to its joint, None on a slide."""
+        return self.pins if self.rack is None else self.rack
+
+    @property
+    def linkage_word(self) -> str:
+        """The rig file's word for it."""
+        return "pins" if self.rack is None else "rack"
+
+    @model_validator(mode="after")
+    def _one_line_an_end(self) -> Cylinder:
+        if (at := second([line.end for line in self.line])) is not None:
+            raise Misplaced(
+                f"the {self.line[at].end} end has a line already; give their volumes and "
+                "resistances in one",
+                *("line", at, "end"),
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Cylinder:
+        valves = list(enumerate(self.valve))
+        own = [(("line", i), line.name) for i, line in enumerate(self.line)]
+        own += [((key,), key) for key in ("mount", "sway") if getattr(self, key) is not None]
+        for what, places in (
+            ("valves", [(("valve", i), v.name) for i, v in valves]),
+            (
+                "edges",
+                own
+                + [
+                    (("valve", i, "edge", j), v.edge_name(e))
+                    for i, v in valves
+                    for j, e in enumerate(v.edge)
+                ]
+                + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
+            ),
+            ("forces", own + [(("force", i), f.name) for i, f in enumerate(self.force)]),
+        ):
+            if (at := second([name for _, name in places])) is not None:
+                where, name = places[at]
+                raise Misplaced(
+                    f"two {what} are called '{name}'; give each a name of its own", *where
+                )
+        return self
+
+    def parts(self) -> Iterator[tuple[str, FileModel]]:
+        """Its further parts with what their parameters' names begin with, after the cylinder's."""
+        for key, own in tables_of(self).items():
+            yield prefix_of(key), own
+        for part in (*self.force, *self.line):
+            yield f"{part.name}.", part
+
+    @property
+    def unmodelled(self) -> tuple[str, ...]:
+        """Its tables that a controller's model of a cylinder does not have."""
+        lists = tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
+        single = (key for key in ("mount", "sway") if getattr(self, key) is not None)
+        return (*lists, *(f"[cylinder.{key}]" for key in single))
+
+    @property
+    def pump(self) -> str | None:
+        """Name of a pump that feeds or drains an end of it, None where valves meter all its oil."""
+        for edge in (*(e for v in self.valve for e in v.edge), *self.edge):
+            if edge.law == "pump" and {edge.from_, edge.to} & {"head", "rod"}:
+                return edge.name or next(v.edge_name(edge) for v in self.valve if edge in v.edge)
+        return None
+
+    def areas(self) -> tuple[float, float]:
+        """(area_head, area_rod) [m²], of all cylinders side by side."""
+        if self.area_head is not None:
+            return float(self.area_head), float(self.area_rod)  # type: ignore[arg-type]
+        bore, rod = float(self.bore), float(self.rod)  # type: ignore[arg-type]
+        full, annulus = (self.count * math.pi / 4 * area for area in (bore**2, bore**2 - rod**2))
+        return annulus if self.through_rod else full, annulus

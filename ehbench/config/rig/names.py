@@ -1,0 +1,61 @@
+"""Names in a rig file, and where in it several keys are wrong together."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Sequence
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel
+
+from ehbench.vocabulary.fields import FileModel
+
+NODES = ("supply", "tank", "head", "rod")
+
+
+class Misplaced(ValueError):
+    """What is wrong with several keys together; ``where`` is the key at which to say so, below the
+    table that was checked.
+    """
+
+    def __init__(self, message: str, *where: str | int) -> None:
+        super().__init__(message)
+        self.where = where
+
+
+def _name(name: str) -> str:
+    if not re.fullmatch(r"\w[\w-]*", name):
+        raise ValueError(
+            f"'{name}' is no name (letters, digits, _ and - make one; channels are called by it)"
+        )
+    return name
+
+
+def plain_name(name: str) -> str:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        plain = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode()
+        plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_") or "my_rig"
+        raise ValueError(
+            f"'{name}' is no name of a rig: small letters, digits and _ make one, such as '{plain}'"
+        )
+    return name
+
+
+Name = Annotated[str, AfterValidator(_name)]
+
+
+def second(names: Sequence[str]) -> int | None:
+    """Where a name stands for the second time."""
+    return next((at for at, name in enumerate(names) if name in names[:at]), None)
+
+
+def tables_of(model: BaseModel) -> dict[str, FileModel]:
+    """The tables that a part of the rig has beside its own values."""
+    own = {name: getattr(model, name) for name in type(model).model_fields}
+    return {name: part for name, part in own.items() if isinstance(part, FileModel)}
+
+
+def prefix_of(table: str) -> str:
+    """What the parameters of a cylinder's table begin with, after the cylinder's name."""
+    return f"{table}." if table in ("mount", "sway") else ""

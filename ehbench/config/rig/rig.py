@@ -1,0 +1,512 @@
+"""A rig as a whole: what its tables must agree in, and its numbers as parameters."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+
+from ehbench.config.rig.cylinder import Cylinder
+from ehbench.config.rig.mechanism import Chain, Joint, LinkLoad, Slide
+from ehbench.config.rig.names import Misplaced, Name, plain_name, prefix_of, second, tables_of
+from ehbench.config.rig.supply import LoadSensing, LowRail, Oil, Supply
+from ehbench.config.rig.valves import Edge, FixedEdge, Valve
+from ehbench.parts.valve import TABLES as DYNAMICS
+from ehbench.parts.valve.law import DynamicsTable
+from ehbench.vocabulary import units
+from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars
+from ehbench.vocabulary.notebook import label, plural, shown, table
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary.units import factor, from_si
+
+
+def _of_a_kind(raw: Any) -> Any:
+    """Dynamics that do not say of what kind they are, are of second order."""
+    return {"kind": "second_order"} | dict(raw) if isinstance(raw, Mapping) else raw
+
+
+if TYPE_CHECKING:
+    Dynamics = DynamicsTable
+else:
+    Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
+
+
+_FASTEST = 20.0  # [m/s] that the full flow of one edge may move a cylinder
+
+
+class Rig(FileModel):
+    """A whole machine, as its file gives it."""
+
+    name: Annotated[str, AfterValidator(plain_name)]
+    title: str = ""
+    note: str = ""
+    display: dict[str, str] = {}
+    gravity: Annotated[Value, Q("gravity")] = Value(9.80665)
+    oil: Oil
+    supply: Supply
+    mechanism: Annotated[Chain | Slide, Field(discriminator="kind")]
+    cylinder: tuple[Cylinder, ...] = Field(min_length=1)
+    dynamics: dict[Name, Dynamics] = {}
+    payload: dict[str, dict[str, LinkLoad]] = {}
+
+    @field_validator("display")
+    @classmethod
+    def _display_units(cls, display: dict[str, str]) -> dict[str, str]:
+        for name, unit in display.items():
+            if name not in VOCABULARY:
+                near = get_close_matches(name, VOCABULARY, 1)
+                raise Misplaced(
+                    f"there is no quantity '{name}'"
+                    + (f"; nearest is '{near[0]}'" if near else ""),
+                    name,
+                )
+            try:
+                units.to_si(1.0, unit, VOCABULARY[name])
+            except UnitError as error:
+                raise Misplaced(str(error), name) from None
+        return display
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Rig:
+        joints = self.joint_names
+        chain = ("mechanism", "joint")
+        for what, names, place in (
+            ("two joints are called", joints, chain),
+            ("two cylinders are called", [c.name for c in self.cylinder], ("cylinder",)),
+            ("two cylinders drive joint", [c.joint for c in self.cylinder], ("cylinder",)),
+        ):
+            if (at := second(names)) is not None:
+                pair = "; equal ones side by side on the same edges are one, with count = 2"
+                raise Misplaced(f"{what} '{names[at]}'{pair * ('drive' in what)}", *place, at)
+        for at, cylinder in enumerate(self.cylinder):
+            if cylinder.joint not in joints:
+                raise Misplaced(
+                    f"there is no joint '{cylinder.joint}'; there are {', '.join(joints)}",
+                    "cylinder",
+                    at,
+                    "joint",
+                )
+            if (cylinder.linkage is None) != (self.mechanism.kind == "slide"):
+                raise Misplaced(
+                    "on a joint a cylinder needs 'pins' or a 'rack', on a slide it has none",
+                    *("cylinder", at),
+                )
+            for i, valve in enumerate(cylinder.valve):
+                for name in valve.series:
+                    if name not in self.dynamics:
+                        there = ", ".join(self.dynamics) or "none"
+                        where = ("cylinder", at, "valve", i, "dynamics")
+                        raise Misplaced(f"there is no [dynamics.{name}]; there are {there}", *where)
+        if "none" in self.payload:
+            raise Misplaced("'none' is no payload: name this one otherwise", "payload", "none")
+        for load, links in self.payload.items():
+            for link in links:
+                if link not in joints:
+                    raise Misplaced(
+                        f"there is no link '{link}'; there are {', '.join(joints)}",
+                        "payload",
+                        load,
+                        link,
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _bodies_weigh(self) -> Rig:
+        bodies: tuple[Slide | Joint, ...]
+        if isinstance(self.mechanism, Slide):
+            bodies, where = (self.mechanism,), ("mechanism",)
+        else:
+            bodies = self.mechanism.joint
+            where = ("mechanism", "joint", len(bodies) - 1)
+        if not float(bodies[-1].mass) > 0.0:
+            raise Misplaced(f"'{bodies[-1].name}' has no mass to move", *where, "mass")
+        empty = {body.name: float(body.mass) for body in bodies}
+        for load, links in self.payload.items():
+            for link, change in links.items():
+                if change.mass is not None and float(change.mass) < empty[link]:
+                    raise Misplaced(
+                        f"with '{load}' '{link}' has {float(change.mass):g} kg, less than its "
+                        f"{empty[link]:g} kg without: give the whole link with what it carries",
+                        *("payload", load, link, "mass"),
+                    )
+        return self
+
+    @model_validator(mode="after")
+    def _edges_pass_what_a_cylinder_takes(self) -> Rig:
+        root = math.sqrt(float(self.supply.pressure) - float(self.supply.tank_pressure))
+        for at, cylinder in enumerate(self.cylinder):
+            area = min(cylinder.areas())
+            for i, valve in enumerate(cylinder.valve):
+                reach = max(-float(valve.command_min), float(valve.command_max))
+                for j, edge in enumerate(valve.edge):
+                    if edge.flow_gain is None:
+                        continue
+                    speed = float(edge.flow_gain) * reach * root / area
+                    if speed > _FASTEST:
+                        raise Misplaced(
+                            f"wide open '{valve.edge_name(edge)}' moves '{cylinder.name}' at "
+                            f"{speed:.3g} m/s: check the unit of flow_gain",
+                            *("cylinder", at, "valve", i, "edge", j, "flow_gain"),
+                        )
+        return self
+
+    def __repr__(self) -> str:
+        counts = (
+            (len(self.joint_names), "slide" if isinstance(self.mechanism, Slide) else "joint"),
+            (len(self.cylinder), "cylinder"),
+            (sum(1 for _ in self.valves()), "valve"),
+            (sum(1 for _ in self.edges()), "metering edge"),
+            (len(self.payload), "payload"),
+        )
+        return f"<Rig '{self.name}': {', '.join(plural(*item) for item in counts)}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Its parameters by name, in the units of its file, each with where it came from."""
+        rows = []
+        for name, value in self.parameters().items():
+            unit = self.unit_of(name)
+            number, error = (shown(one, name, unit) for one in (float(value), value.std))
+            rows.append((name, number, error, label(unit), value.sure, value.source))
+        header = ("parameter", "value", "standard error", "unit", "sure", "source")
+        return table(header, rows, self.title or self.name)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names, base first (one name for a slide)."""
+        return (
+            (self.mechanism.name,)
+            if isinstance(self.mechanism, Slide)
+            else tuple(j.name for j in self.mechanism.joint)
+        )
+
+    def cylinder_named(self, name: str) -> Cylinder:
+        """The cylinder of that name.
+
+        Raises:
+            InputError: there is none; names those there are.
+        """
+        for cylinder in self.cylinder:
+            if cylinder.name == name:
+                return cylinder
+        raise InputError(
+            f"rig '{self.name}' has no cylinder '{name}'",
+            hint="it has " + ", ".join(c.name for c in self.cylinder),
+        )
+
+    def valves(self) -> Iterator[tuple[Cylinder, Valve]]:
+        """Every valve with its cylinder, in the order of the file: the order of all command
+        vectors.
+        """
+        for cylinder in self.cylinder:
+            for valve in cylinder.valve:
+                yield cylinder, valve
+
+    def edges(self) -> Iterator[tuple[Cylinder, Valve, Edge]]:
+        """Every metering edge with its valve and cylinder, in the order of the file."""
+        for cylinder, valve in self.valves():
+            for edge in valve.edge:
+                yield cylinder, valve, edge
+
+    def fixed_edges(self) -> Iterator[tuple[Cylinder, FixedEdge]]:
+        """Every edge without a command with its cylinder, in the order of the file."""
+        for cylinder in self.cylinder:
+            for edge in cylinder.edge:
+                yield cylinder, edge
+
+    def all_edges(self) -> dict[str, Edge | FixedEdge]:
+        """Every edge by ``<cylinder>.<edge>``: those of valves, then those without a command."""
+        metering = {f"{c.name}.{v.edge_name(e)}": e for c, v, e in self.edges()}
+        return metering | {f"{c.name}.{e.name}": e for c, e in self.fixed_edges()}
+
+    def unit_of(self, name: str) -> str:
+        """The unit people see for a quantity, channel or parameter: the choice of ``[display]``,
+        else that in which the rig file has it, else the vocabulary's.
+        """
+        word = name.rsplit(".", 1)[-1]
+        chosen = self.display.get(word) or self._display_like(word)
+        return (
+            chosen
+            or self.typed_units.get(name)
+            or self.typed_units.get(word)
+            or VOCABULARY[word].display
+        )
+
+    def shown(self, name: str, value: float, digits: int = 4) -> str:
+        """A value [SI] of a quantity, channel or parameter in the unit that people see."""
+        unit = self.unit_of(name)
+        number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.{digits}g}"
+        return number if unit == "dimensionless" else f"{number} {unit}"
+
+    def told(self, name: str, value: float, decimals: int, sign: str = "") -> str:
+        """A value [SI] in the unit that people see, as finely as so many ``decimals`` tell it in
+        the vocabulary's own unit; ``sign`` is "+" where that is always said.
+        """
+        unit, row = self.unit_of(name), VOCABULARY[name.rsplit(".", 1)[-1]]
+        coarser = factor(unit, row.unit) / factor(row.display, row.unit)
+        decimals += max(0, math.ceil(math.log10(coarser) - 1e-9))
+        return f"{float(from_si(value, unit, row)):{sign}.{decimals}f} {unit}"
+
+    def _display_like(self, word: str) -> str:
+        row = VOCABULARY[word]
+        for other, unit in self.display.items():
+            if VOCABULARY[other].unit == row.unit and VOCABULARY[other].display == row.display:
+                return unit
+        return ""
+
+    @cached_property
+    def typed_units(self) -> dict[str, str]:
+        """The unit of each parameter that the file has in another than SI, and of each word whose
+        parameters all have the same.
+        """
+        own = {name: value.unit for name, value in self.parameters().items() if value.unit}
+        words: dict[str, set[str]] = {}
+        for name, unit in own.items():
+            words.setdefault(name.rsplit(".", 1)[-1], set()).add(unit)
+        return {word: min(units) for word, units in words.items() if len(units) == 1} | own
+
+    def with_payload(self, load: str | None) -> Rig:
+        """This rig carrying the named payload.
+
+        Raises:
+            InputError: no such payload; names those there are.
+        """
+        if load is None:
+            return self
+        return self.model_copy(update={"mechanism": self.loaded(load)})
+
+    def loaded(self, load: str | None) -> Chain | Slide:
+        """Its mechanism carrying the named payload.
+
+        Raises:
+            InputError: as `with_payload`.
+        """
+        if load is None:
+            return self.mechanism
+        if load not in self.payload:
+            raise InputError(
+                f"rig '{self.name}' has no payload '{load}'",
+                hint="it has " + (", ".join(self.payload) or "none"),
+            )
+        changes = self.payload[load]
+
+        def changed(body: Any) -> Any:
+            change = changes.get(body.name)
+            if change is None:
+                return body
+            given = {
+                key: getattr(change, key)
+                for key in LinkLoad.model_fields
+                if getattr(change, key) is not None
+            }
+            return body.model_copy(
+                update={k: v for k, v in given.items() if k in type(body).model_fields}
+            )
+
+        if isinstance(self.mechanism, Slide):
+            return changed(self.mechanism)
+        joints = tuple(changed(joint) for joint in self.mechanism.joint)
+        return self.mechanism.model_copy(update={"joint": joints})
+
+    def with_supply(
+        self, load_sensing: LoadSensing | None = None, low_rail: LowRail | None = None
+    ) -> Rig:
+        """This rig on a supply that follows the load; as it is without either.
+
+        Raises:
+            InputError: a margin, or a rail, that does not go with the supply.
+        """
+        if load_sensing is None and low_rail is None:
+            return self
+        own = {"load_sensing": load_sensing, "low_rail": low_rail}
+        supply = self.supply.model_copy(update=own)
+        try:
+            supply.check_following()
+        except Misplaced as error:
+            raise InputError(str(error)) from None
+        return self.model_copy(update={"supply": supply})
+
+    def parameters(self) -> dict[str, Value]:
+        """Every scalar parameter by the name recipes use.
+
+        ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
+        ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
+        s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
+        found: dict[str, Value] = {"gravity": self.gravity}
+        found |= {name: value for name, value in scalars(self.oil)}
+        for line in (self.supply, *self.supply.tables().values()):
+            found |= {f"supply.{name}": value for name, value in scalars(line)}
+        bodies = (
+            [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
+        )
+        for body in bodies:
+            found |= {f"{body.name}.{name}": value for name, value in scalars(body)}
+        for cylinder in self.cylinder:
+            found |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
+            for prefix, part in cylinder.parts():
+                found |= {f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)}
+        for cylinder, valve in self.valves():
+            if valve.drive_limit is not None:
+                found[f"{cylinder.name}.{valve.name}.drive_limit"] = valve.drive_limit
+        for name, dynamics in self.dynamics.items():
+            found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
+        for edge_name, edge in self.all_edges().items():
+            found |= {f"{edge_name}.{name}": value for name, value in scalars(edge)}
+        return found
+
+    def with_values(
+        self, values: Mapping[str, Value | float], known: Mapping[str, Value] | None = None
+    ) -> Rig:
+        """This rig with parameters replaced, addressed as in ``parameters``.
+
+        Args:
+            known: its ``parameters()``, where they are at hand: to gather them takes longest.
+
+        Raises:
+            InputError: no such parameter; names the nearest.
+        """
+        known = self.parameters() if known is None else known
+        for name in values:
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                raise InputError(
+                    f"rig '{self.name}' has no parameter '{name}'",
+                    hint=f"nearest is '{near[0]}'" if near else None,
+                )
+        new = {
+            name: replace(value, unit=value.unit or known[name].unit)
+            if isinstance(value, Value)
+            else replace(known[name], value=float(value), text=None)
+            for name, value in values.items()
+        }
+
+        def own(prefix: str, model: Any) -> Any:
+            return _replaced(model, prefix, new)
+
+        mechanism = (
+            own(f"{self.mechanism.name}.", self.mechanism)
+            if isinstance(self.mechanism, Slide)
+            else _renewed(
+                self.mechanism, joint=tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)
+            )
+        )
+        tables = {key: own("supply.", part) for key, part in self.supply.tables().items()}
+        return own("", self).model_copy(
+            update={
+                "oil": own("", self.oil),
+                "supply": _renewed(own("supply.", self.supply), **tables),
+                "mechanism": mechanism,
+                "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
+                "dynamics": {
+                    name: model.with_values(_below(f"{name}.", new))
+                    for name, model in self.dynamics.items()
+                },
+            }
+        )
+
+    def with_dynamics(self, by_valve: Mapping[str, str]) -> Rig:
+        """This rig with valves, named ``<cylinder>.<valve>``, that have other dynamics of its file.
+
+        Raises:
+            InputError: no such valve or dynamics.
+        """
+        if not by_valve:
+            return self
+        valves = [f"{cylinder.name}.{valve.name}" for cylinder, valve in self.valves()]
+        for asked, known, what in (
+            (by_valve, valves, "valve"),
+            (by_valve.values(), self.dynamics, "[dynamics]"),
+        ):
+            wrong = next((name for name in asked if name not in known), None)
+            if wrong is not None:
+                raise InputError(
+                    f"rig '{self.name}' has no {what} '{wrong}'",
+                    hint="there are " + (", ".join(known) or "none"),
+                )
+
+        def own(cylinder: Cylinder) -> Cylinder:
+            valves = tuple(
+                valve.model_copy(update={"dynamics": name})
+                if (name := by_valve.get(f"{cylinder.name}.{valve.name}"))
+                else valve
+                for valve in cylinder.valve
+            )
+            return cylinder.model_copy(update={"valve": valves})
+
+        return self.model_copy(update={"cylinder": tuple(map(own, self.cylinder))})
+
+    def as_toml(self) -> dict[str, Any]:
+        """The rig as nested plain values that a TOML writer takes; reading them back gives the same
+        rig.
+        """
+        return self.model_dump(
+            mode="python",
+            by_alias=True,
+            exclude_none=True,
+            exclude_unset=False,
+            exclude_defaults=True,
+        )
+
+
+def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
+    """A part with those of its own fields replaced that ``new`` names with ``prefix``."""
+    own = _below(prefix, new)
+    if not own:
+        return model
+    fields = type(model).model_fields
+    update = {key: value for key, value in own.items() if key in fields}
+    return model.model_copy(update=update) if update else model
+
+
+def _renewed(model: Any, **parts: Any) -> Any:
+    """A part with other parts of its own; itself where they are what it has: what a plant keeps of
+    parts (`plant.build.Kept`) is found by them.
+    """
+    for key, part in parts.items():
+        old = getattr(model, key)
+        many = isinstance(part, tuple)
+        if part is not old and not (many and all(map(operator.is_, part, old))):
+            return model.model_copy(update=parts)
+    return model
+
+
+def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
+    """The values whose names begin with ``prefix``, by the rest of their names."""
+    return {name[len(prefix) :]: value for name, value in new.items() if name.startswith(prefix)}
+
+
+def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
+    """A cylinder with new values of its own, of its tables and its edges."""
+    own = _below(f"{model.name}.", new)
+    tables = {key: _replaced(part, prefix_of(key), own) for key, part in tables_of(model).items()}
+    changed = _renewed(_replaced(model, "", own), **tables)
+    if not any("." in name for name in own):
+        return changed
+    valves = []
+    for valve in model.valve:
+        edges = (_replaced(e, f"{valve.edge_name(e)}.", own) for e in valve.edge)
+        whole = _replaced(valve, f"{valve.name}.", own)
+        valves.append(_renewed(whole, edge=tuple(edges)))
+    named: dict[str, tuple[Any, ...]] = {
+        "force": model.force,
+        "edge": model.edge,
+        "line": model.line,
+    }
+    lists = {
+        key: tuple(_replaced(part, f"{part.name}.", own) for part in parts)
+        for key, parts in named.items()
+    }
+    return _renewed(changed, valve=tuple(valves), **lists)
+
+
+def parameter_row(name: str) -> Quantity:
+    """The vocabulary row of a parameter name such as ``boom.joint_damping``."""
+    return VOCABULARY[name.rsplit(".", 1)[-1]]

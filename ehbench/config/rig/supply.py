@@ -1,0 +1,146 @@
+"""Where the oil comes from, and the oil."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import model_validator
+
+from ehbench.config.rig.names import Misplaced, tables_of
+from ehbench.vocabulary.fields import FileModel, Q, Value
+
+_MOST_SUPPLY = 1.0e8  # [Pa]
+
+
+class Accumulator(FileModel):
+    """A gas-charged accumulator on the supply line: ``p V_gas^n`` stays, p absolute; ``gas_volume``
+    at ``precharge``, without oil.
+    """
+
+    gas_volume: Annotated[Value, Q("gas_volume")]
+    precharge: Annotated[Value, Q("precharge")]
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] = Value(1.2)
+
+
+class LoadSensing(FileModel):
+    """The pump's pressure follows the highest chamber that an open edge feeds: its pressure and
+    ``load_margin``, up to the supply's ``pressure``, with a first-order lag.
+    """
+
+    load_margin: Annotated[Value, Q("load_margin")]
+    load_lag: Annotated[Value, Q("load_lag")] = Value(0.05)
+
+
+class LowRail(FileModel):
+    """A second line, of constant ``rail_pressure``: an edge from the supply takes from it while
+    that is ``rail_margin`` or more above the chamber which it feeds.
+    """
+
+    rail_pressure: Annotated[Value, Q("rail_pressure")]
+    rail_margin: Annotated[Value, Q("rail_margin")]
+
+
+class Supply(FileModel):
+    """Constant-pressure supply: holds ``pressure`` up to ``flow_limit``, above which the pressure
+    falls. With an accumulator and no ``flow_limit`` it is a charge line, at ``pressure`` when a
+    motion begins. With ``load_sensing`` the pressure follows the load, with ``low_rail`` there is a
+    second, lower one.
+    """
+
+    pressure: Annotated[Value, Q("pressure")]
+    tank_pressure: Annotated[Value, Q("tank_pressure")] = Value(0.0)
+    flow_limit: Annotated[Value, Q("flow_limit")]
+    volume: Annotated[Value, Q("volume")] = Value(2.0e-3)
+    accumulator: Accumulator | None = None
+    load_sensing: LoadSensing | None = None
+    low_rail: LowRail | None = None
+
+    @property
+    def constant(self) -> bool:
+        """Whether there is one pressure, whatever the load."""
+        return self.load_sensing is None and self.low_rail is None
+
+    @property
+    def kind(self) -> str:
+        """What it is, in words."""
+        if self.load_sensing is not None:
+            return "load sensing"
+        return "constant pressure" if self.low_rail is None else "two rails"
+
+    def facts(self) -> dict[str, Any]:
+        """Its kind in words and what makes its pressure, SI."""
+        found: dict[str, Any] = {"kind": self.kind, "pressure": float(self.pressure)}
+        for own in (self.load_sensing, self.low_rail):
+            if own is not None:
+                found |= {name: float(getattr(own, name)) for name in type(own).model_fields}
+        return found
+
+    def tables(self) -> dict[str, FileModel]:
+        """The tables that it has beside its own values."""
+        return tables_of(self)
+
+    @model_validator(mode="after")
+    def _one_way_to_follow_the_load(self) -> Supply:
+        self.check_following()
+        return self
+
+    def check_following(self) -> None:
+        """Refuse a way to follow the load that does not go with the rest.
+
+        Raises:
+            Misplaced: says what would.
+        """
+        load, low = self.load_sensing, self.low_rail
+        most = float(self.pressure) - float(self.tank_pressure)
+        if load is not None and not 0.0 < float(load.load_margin) < most:
+            raise Misplaced(
+                "the margin of load sensing must lie between 0 and the supply's pressure",
+                *("load_sensing", "load_margin"),
+            )
+        if load is not None and not float(load.load_lag) > 0.0:
+            raise Misplaced("the lag of load sensing must be above 0", "load_sensing", "load_lag")
+        if low is not None and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < most:
+            raise Misplaced(
+                "the low rail's pressure must lie between its margin and the supply's pressure",
+                *("low_rail", "rail_pressure"),
+            )
+        if load is not None and (low is not None or self.accumulator is not None):
+            other = "low_rail" if low is not None else "accumulator"
+            raise Misplaced(
+                f"'{other}' holds a pressure, which load sensing is to change: leave one out", other
+            )
+
+    @model_validator(mode="after")
+    def _above_tank(self) -> Supply:
+        if float(self.pressure) > _MOST_SUPPLY:
+            given, most = (
+                self.pressure.like("pressure", float(p)) for p in (self.pressure, _MOST_SUPPLY)
+            )
+            raise Misplaced(
+                f"a supply of {given} is beyond any hydraulics: {most} at most", "pressure"
+            )
+        if float(self.pressure) <= float(self.tank_pressure):
+            raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
+        gas = self.accumulator
+        if gas is not None and float(self.pressure) <= float(gas.precharge):
+            raise Misplaced(
+                "the accumulator holds no oil: its precharge must lie below the supply's pressure",
+                *("accumulator", "precharge"),
+            )
+        return self
+
+
+class Oil(FileModel):
+    """The oil. ``bulk_modulus`` is effective: oil, entrained air and hose together; with
+    ``air_fraction`` it is of what the air leaves over, and softens as the pressure falls."""
+
+    bulk_modulus: Annotated[Value, Q("bulk_modulus")]
+    air_fraction: Annotated[Value, Q("air_fraction")] | None = None
+    polytropic_exponent: Annotated[Value, Q("polytropic_exponent")] | None = None
+    cavitation_pressure: Annotated[Value, Q("cavitation_pressure")] = Value(-9.0e4)
+
+    @model_validator(mode="after")
+    def _air_is_whole(self) -> Oil:
+        if self.polytropic_exponent is not None and self.air_fraction is None:
+            raise Misplaced("an exponent of air needs 'air_fraction'", "polytropic_exponent")
+        return self

@@ -1,0 +1,1 @@
+"""Recordings of any format in, logs in and out."""

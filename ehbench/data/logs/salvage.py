@@ -1,0 +1,455 @@
+"""What can be read of an MCAP file, and what cannot: damage is named, never passed on as data."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from mmap import mmap
+from typing import TYPE_CHECKING, Any
+from zlib import crc32
+
+import numpy as np
+
+from ehbench.data.logs.checks import LABEL
+from ehbench.data.logs.layout import (
+    ATTACHMENT,
+    CDR_LITTLE_ENDIAN,
+    CDR_TYPES,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FACTS,
+    HEAD_SIZE,
+    HEADER,
+    INDEX,
+    MAGIC,
+    MESSAGE,
+    METADATA,
+    SCHEMA,
+    unpack,
+)
+from ehbench.vocabulary.quantities import VOCABULARY
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Schema
+
+
+# a chunk may unpack to anything: [bytes] that a file may unpack to beside so many times its size
+LEAST_ROOM = 64 * 2**20
+MOST_PACKED = 200
+HEADS = (0, 3)  # where eight bytes each hold a message's opcode, length and channel, eleven in all
+SCATTERED = 8  # a pattern of messages that repeats less often is read message by message
+
+
+@dataclass
+class Stream:
+    """One channel while reading: message layout, labels of its fields, and the values found, shape
+    (fields, room).
+    """
+
+    topic: str
+    layout: np.dtype
+    labels: dict[str, str]
+    numbered: bool
+    table: np.ndarray
+    size: int = 0
+    sequences: list[np.ndarray] = field(default_factory=list)
+    stamps: list[np.ndarray] = field(default_factory=list)
+
+    side_by_side: np.dtype | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        """``side_by_side`` are the bytes of all fields, where they are doubles that follow one
+        another.
+        """
+        places: Any = self.layout.fields
+        first, count = min(places[name][1] for name in self.labels), len(self.labels)
+        found = [(places[name][0].str, places[name][1]) for name in self.labels]
+        self.side_by_side = None
+        if found == [("<f8", first + 8 * i) for i in range(count)]:
+            self.side_by_side = np.dtype(
+                {
+                    "names": ["all"],
+                    "formats": [("u1", (8 * count,))],
+                    "offsets": [first],
+                    "itemsize": self.layout.itemsize,
+                }
+            )
+
+    def add(self, messages: np.ndarray) -> None:
+        """Append messages of this layout."""
+        stop = self.size + messages.size
+        if stop > self.table.shape[1]:
+            grown = _room(len(self.labels), 2 * stop)
+            grown[:, : self.size] = self.table[:, : self.size]
+            self.table = grown
+        if self.side_by_side is not None:  # message by message, not number by number
+            whole = np.ascontiguousarray(messages.view(self.side_by_side)["all"])
+            self.table[:, self.size : stop] = whole.view("<f8").T
+        else:
+            for out, name in zip(self.table, self.labels):
+                out[self.size : stop] = messages[name]
+        self.size = stop
+        self.sequences.append(messages["#sequence"].copy())
+        self.stamps.append(messages["#log_time"].copy())
+
+
+class Salvage:
+    """What can be read of one MCAP file, and what cannot."""
+
+    def __init__(self, data: bytes) -> None:
+        import zstandard
+        from mcap.exceptions import McapError
+
+        # what the libraries below raise on bytes that are not what they claim to be
+        self.broken = (
+            struct.error,
+            ValueError,
+            LookupError,
+            OverflowError,
+            MemoryError,
+            RecursionError,
+            McapError,
+            zstandard.ZstdError,
+        )
+        self.zstd, self.unpacker = zstandard, zstandard.ZstdDecompressor()
+        self.data = data
+        self.streams: dict[int, Stream] = {}
+        self.unread: dict[str, None] = {}
+        self.meta: dict[str, str] = {}
+        self.facts: dict = {}
+        self.attachments: dict[str, bytes] = {}
+        self.damage: list[str] = []
+        self.closed = False
+        self.schemas: dict[int, Schema] = {}
+        self._seen: set[bytes] = set()
+        self._loose = bytearray()
+        self._chunks = 0
+        self._most = self._room = LEAST_ROOM + MOST_PACKED * len(data)
+        self._scan()
+
+    def _scan(self) -> None:
+        data, size = self.data, len(self.data)
+        pos = (
+            len(MAGIC)
+            if data.startswith(MAGIC)
+            else self._skip(0, "the file does not begin as MCAP does")
+        )
+        while pos < size and not self.closed:
+            opcode, length = struct.unpack_from("<BQ", data, pos) if pos + 9 <= size else (0, size)
+            start, stop = pos + 9, pos + 9 + length
+            if stop > size:
+                pos = self._skip(pos, "a record runs past the end of the file")
+                continue
+            try:
+                self._take(opcode, start, stop)
+            except self.broken as error:
+                why = (
+                    str(error)
+                    if isinstance(error, Unreadable)
+                    else "a record is not what it claims to be"
+                )
+                if opcode in (CHUNK, ATTACHMENT) and self._framed(opcode, start, stop):
+                    self.damage.append(f"bytes {pos} to {stop} of {size} are lost: {why}")
+                else:
+                    stop = self._skip(pos, why)
+            pos = stop
+        sums = (bytes(4), crc32(data[pos:-12]).to_bytes(4, "little"))
+        if self.closed and not (data.endswith(MAGIC) and data[-12:-8] in sums):
+            self.damage.append(
+                "the index at the end of the file is damaged, no sample is missing by that"
+            )
+        if self._loose and not self._chunks:
+            try:
+                self._body(bytes(self._loose))
+            except self.broken as error:
+                self.damage.append(f"the messages are damaged: {error}")
+
+    def _skip(self, pos: int, why: str) -> int:
+        """Note that the bytes from ``pos`` to the next chunk are lost; return where that chunk
+        begins.
+        """
+        data, size = self.data, len(self.data)
+        nxt, at = size, pos
+        while (at := data.find(b"\x04\x00\x00\x00zstd", at + 1)) >= 0:
+            start = at - 28
+            if start - 9 > pos and data[start - 9] == CHUNK:
+                stop = start + struct.unpack_from("<Q", data, start - 8)[0]
+                if stop <= size and self._framed(CHUNK, start, stop):
+                    nxt = start - 9
+                    break
+        self.damage.append(f"bytes {pos} to {nxt} of {size} are lost: {why}")
+        return nxt
+
+    def _framed(self, opcode: int, start: int, stop: int) -> bool:
+        """Whether the inner lengths of a chunk or attachment agree with the record's length."""
+        try:
+            if opcode == CHUNK:
+                (name,) = struct.unpack_from("<I", self.data, start + 28)
+                at = start + 32 + name
+                return (
+                    at + 8 <= stop and at + 8 + struct.unpack_from("<Q", self.data, at)[0] == stop
+                )
+            at = start + 16
+            for _ in range(2):
+                at += 4 + struct.unpack_from("<I", self.data, at)[0]
+            return at + 12 + struct.unpack_from("<Q", self.data, at)[0] == stop
+        except struct.error:
+            return False
+
+    def _take(self, opcode: int, start: int, stop: int) -> None:
+        """Read one record of the data section; raises what ``broken`` lists when it is damaged."""
+        from mcap.records import Attachment, Header, Metadata
+
+        data = self.data
+        if opcode == CHUNK:
+            self._chunks += 1
+            self._chunk(start, stop)
+        elif opcode == INDEX:
+            if stop - start != 6 + struct.unpack_from("<I", data, start + 2)[0]:
+                raise ValueError
+        elif opcode == ATTACHMENT:
+            (crc,) = struct.unpack_from("<I", data, stop - 4)
+            if not self._framed(opcode, start, stop) or crc not in (
+                0,
+                crc32(data[start : stop - 4]),
+            ):
+                raise Unreadable("the checksum of an attachment does not match")
+            record = unpack(Attachment, data[start:stop])
+            if record.name == FACTS:
+                self.facts = _facts(record.data)
+            else:
+                self.attachments[record.name] = record.data
+        elif opcode == METADATA:
+            record = unpack(Metadata, data[start:stop])
+            if record.name != "ehbench":
+                self.meta.update(
+                    {f"{record.name}.{key}": value for key, value in record.metadata.items()}
+                )
+        elif opcode in (SCHEMA, CHANNEL, MESSAGE):
+            self._loose += data[start - 9 : stop]
+        elif opcode == DATA_END:
+            (crc,) = struct.unpack("<I", data[start:stop])
+            self.closed = True
+            if crc and not self.damage and crc != crc32(memoryview(data)[: start - 9]):
+                self.damage.append(
+                    "the file's checksum does not match: "
+                    "something besides the samples read is damaged"
+                )
+        elif opcode == HEADER:
+            unpack(Header, data[start:stop])
+        elif opcode < 0x80:
+            raise ValueError
+
+    def _chunk(self, start: int, stop: int) -> None:
+        if not self._framed(CHUNK, start, stop):
+            raise ValueError
+        size, crc, name = struct.unpack_from("<QII", self.data, start + 16)
+        kind = self.data[start + 32 : start + 32 + name]
+        packed = memoryview(self.data)[start + 40 + name : stop]
+        if kind == b"zstd":
+            if self.zstd.frame_content_size(packed) not in (-1, size):
+                raise Unreadable("the sizes of a chunk do not match")
+            if size > self._room:
+                raise Unreadable(
+                    f"the chunks would unpack to more than {self._most / 1e6:.0f} MB, as of no log"
+                )
+            self._room -= size
+            body = self.unpacker.decompress(packed, size)
+        elif kind == b"":
+            body = bytes(packed)
+        else:
+            raise Unreadable(
+                f"a chunk is compressed with {kind.decode(errors='replace')}, ehbench reads zstd"
+            )
+        if crc not in (0, crc32(body)):
+            raise Unreadable("the checksum of a chunk does not match")
+        self._body(body)
+
+    def _body(self, body: bytes) -> None:
+        """Read the records of a chunk: runs of equally laid out messages at a time."""
+        pos = 0
+        while pos < len(body):
+            opcode, length = struct.unpack_from("<BQ", body, pos)
+            if opcode == MESSAGE:
+                pos = self._run(body, pos)
+                continue
+            raw = body[pos : pos + 9 + length]
+            if opcode in (SCHEMA, CHANNEL) and raw not in self._seen:
+                self._declare(opcode, raw[9:])
+                self._seen.add(raw)
+            pos += 9 + length
+
+    def _declare(self, opcode: int, raw: bytes) -> None:
+        from mcap.records import Channel, Schema
+
+        if opcode == SCHEMA:
+            schema = unpack(Schema, raw)
+            self.schemas[schema.id] = schema
+            return
+        channel = unpack(Channel, raw)
+        schema = self.schemas.get(channel.schema_id)
+        fields = _fields(schema, channel)
+        if fields is None:
+            kind = f", {schema.name}" if schema else ""
+            self.unread[f"{channel.topic} ({channel.message_encoding or 'no encoding'}{kind})"] = (
+                None
+            )
+            self.streams.pop(channel.id, None)
+        else:
+            layout, labels = fields
+            room = min(
+                2 * len(self.data) // layout.itemsize, 1 << 20
+            )  # a guess that saves copies; pages never touched cost nothing
+            table = _room(len(labels), room)
+            self.streams[channel.id] = Stream(
+                channel.topic, layout, labels, "ehbench" in channel.metadata, table
+            )
+
+    def _run(self, body: bytes, pos: int) -> int:
+        """Read messages from ``pos`` as long as one pattern of channels repeats; return where it
+        ends.
+        """
+        pattern: dict[int, tuple[int, int]] = {}
+        at = pos
+        while at < len(body) and body[at] == MESSAGE:
+            _, length, id = struct.unpack_from("<BQH", body, at)
+            if id in pattern:
+                break
+            if length < 22 or at + 9 + length > len(body):
+                raise ValueError
+            pattern[id] = (at - pos, length)
+            at += 9 + length
+        stride = at - pos
+        most = (len(body) - pos) // stride
+        heads = [
+            np.ndarray(most, "<u8", body, pos + offset + part, (stride,))
+            for offset, _ in pattern.values()
+            for part in HEADS
+        ]
+        count = _repeats(heads)
+        if count < SCATTERED < most:
+            return self._scattered(body, pos)
+        for id, (offset, length) in pattern.items():
+            stream = self.streams.get(id)
+            if stream is None:
+                continue
+            if 9 + length < stream.layout.itemsize:
+                raise _short(stream)
+            messages = np.ndarray(count, stream.layout, body, pos + offset, (stride,))
+            self._take_messages(stream, messages)
+        return pos + stride * count
+
+    def _scattered(self, body: bytes, pos: int) -> int:
+        """Read a stretch of messages from ``pos`` whose channels follow one another in no pattern;
+        return where it ends.
+        """
+        places: dict[int, list[int]] = {}
+        end = min(len(body), pos + (1 << 20))
+        while pos < end and body[pos] == MESSAGE:
+            _, length, id = struct.unpack_from("<BQH", body, pos)
+            stop, stream = pos + 9 + length, self.streams.get(id)
+            if length < 22 or stop > len(body):
+                raise ValueError
+            if stream is not None:
+                if stop - pos < stream.layout.itemsize:
+                    raise _short(stream)
+                places.setdefault(id, []).append(pos)
+            pos = stop
+        whole = np.frombuffer(body, np.uint8)
+        for id, starts in places.items():
+            stream = self.streams[id]
+            bytes_of = np.add.outer(np.array(starts), np.arange(stream.layout.itemsize))
+            self._take_messages(stream, whole[bytes_of].view(stream.layout)[:, 0])
+        return pos
+
+    @staticmethod
+    def _take_messages(stream: Stream, messages: np.ndarray) -> None:
+        if ((messages["#cdr"] & 0xFFFF) != CDR_LITTLE_ENDIAN).any():
+            raise Unreadable(f"a message of {stream.topic} is not in little-endian CDR")
+        stream.add(messages)
+
+
+def _repeats(heads: list[np.ndarray]) -> int:
+    """How many rows from the first on have its opcodes, lengths and channels."""
+    count, block, size = 0, 256, heads[0].size
+    while count < size:
+        same = np.ones(min(block, size - count), bool)
+        for head in heads:
+            same &= head[count : count + block] == head[0]
+        if not same.all():
+            return count + int(np.argmin(same))
+        count, block = count + same.size, 4 * block
+    return count
+
+
+def _room(rows: int, columns: int) -> np.ndarray:
+    """A table of zeros; numpy's own would ask for huge pages, which may take longer to find than
+    the samples to copy.
+    """
+    return np.frombuffer(mmap(-1, max(8 * rows * columns, 1)), count=rows * columns).reshape(
+        rows, columns
+    )
+
+
+def _short(stream: Stream) -> Unreadable:
+    return Unreadable(f"a message of {stream.topic} is shorter than its schema says")
+
+
+class Unreadable(ValueError):
+    """Damage that has a name."""
+
+
+def _facts(data: bytes) -> dict[str, Any]:
+    """A run's facts as a log holds them: lists of texts and a table of texts.
+
+    Raises:
+        ValueError: they are anything else.
+    """
+    facts = json.loads(data)
+    if not isinstance(facts, dict):
+        raise ValueError
+    lists, meta = [facts["channels"], facts["losses"]], facts["meta"]
+    if not isinstance(meta, dict) or not all(isinstance(each, list) for each in lists):
+        raise ValueError
+    if not all(isinstance(text, str) for each in (*lists, meta.values()) for text in each):
+        raise ValueError
+    return facts
+
+
+def _fields(schema: Schema | None, channel: Channel) -> tuple[np.dtype, dict[str, str]] | None:
+    """The message layout and the labels (field → ``boom.p_head [Pa]``) of a channel, None when it
+    cannot be read.
+
+    CDR aligns each number to its own size, counted from the end of the four bytes that say which
+    CDR it is."""
+    if schema is None or schema.encoding != "ros2msg" or channel.message_encoding != "cdr":
+        return None
+    names, offsets = ["#sequence", "#log_time", "#cdr"], [11, 15, 31]
+    formats: list[str | np.dtype] = ["<u4", "<u8", "<u4"]
+    labels: dict[str, str] = {}
+    end = 0
+    for text in schema.data.decode().splitlines():
+        code, _, comment = text.partition("#")
+        words = code.split()
+        if not words or "=" in code and words[0] in CDR_TYPES:
+            continue
+        if words[0] not in CDR_TYPES or len(words) < 2:
+            return None
+        kind = np.dtype(CDR_TYPES[words[0]])
+        end += -end % kind.itemsize
+        named = words[1] in channel.metadata
+        label = channel.metadata.get(words[1], comment.strip())
+        known = label.split("[")[0].strip().rpartition(".")[2] in VOCABULARY
+        if (known or named) and (known and named or LABEL.match(label)):
+            labels[words[1]] = label
+            names.append(words[1])
+            formats.append(kind)
+            offsets.append(HEAD_SIZE + end)
+        end += kind.itemsize
+    if all(label.split("[")[0].strip() == "t" for label in labels.values()):
+        return None
+    return np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": HEAD_SIZE + end}
+    ), labels

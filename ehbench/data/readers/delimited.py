@@ -1,0 +1,345 @@
+"""Tables as text, of any dialect: CSV with remarks and rows of facts above the header, a row of
+units below it, decimal commas, times of day, gzip."""
+
+from __future__ import annotations
+
+import csv
+import re
+import zlib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.data.readers.clock import clock, time_of_day
+from ehbench.data.readers.table import Column, Dialect, Source, Table, is_hole, numbered
+from ehbench.runtime.disk import DATA, read_bytes
+from ehbench.runtime.memory import available, refuse_beyond
+from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.units import absolute_unit, named_unit
+
+COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
+_GZIP = b"\x1f\x8b"
+_REMARKS = ("#", "%", "//")
+_NUMBER = {
+    ".": re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"),
+    ",": re.compile(r"[-+]?(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eE][-+]?[0-9]+)?"),
+}
+_UNIT_HEADS = ("unit", "units", "einheit", "einheiten", "unité", "unidad")
+_BRACKETED = re.compile(r"\(.*\)|\[.*\]")
+# how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
+_CLOCK_FORM = re.compile(
+    r"([dmyjat]{1,4}[-./][dmyjat]{1,4}[-./][dmyjat]{1,4}[ t;]*)?"
+    r"h{1,2}:m{1,2}(:s{1,2}[.,:]?[msfz0]*)?",
+    re.I,
+)
+_HEADS = 6  # rows of facts between the header and the numbers
+_LOOKED_AT = 200  # lines that tell a dialect
+_TOGETHER = 20  # lines in a row that are looked at: signals of several rates take turns
+_BLOCK = 512  # rows that are read at once
+_QUOTED = 60  # characters of a cell in a message
+
+
+def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
+    """(text, encoding) of a file, also of one packed by gzip: UTF-8, UTF-16 with its mark, else
+    Windows' own western one.
+
+    Raises:
+        LogError: not there, too large, no text, or not in the encoding asked for.
+    """
+    try:
+        data = read_bytes(path, DATA, LogError)
+    except FileNotFoundError:
+        raise LogError("cannot be read: there is no such file", file=path) from None
+    data = unpacked(data, path)
+    refuse_beyond(COPIES * len(data), "reading it")
+    marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+    marked = [one for mark, one in marks.items() if data.startswith(mark)]
+    for one in [encoding] if encoding else [*marked, "utf-8", "cp1252", "latin-1"]:
+        try:
+            text = data.decode(one)
+        except (UnicodeDecodeError, LookupError):
+            continue
+        if "\0" in text:
+            break
+        return text, one
+    hint = f"it is not in {encoding}" if encoding else "save it as CSV in UTF-8"
+    raise LogError("is no text", file=path, hint=hint)
+
+
+def unpacked(data: bytes, path: Path) -> bytes:
+    """The bytes of a file, unpacked where gzip has packed them.
+
+    Raises:
+        LogError: broken, or larger than can be held.
+    """
+    if not data.startswith(_GZIP):
+        return data
+    most = int(available() / COPIES)
+    unpacker = zlib.decompressobj(31)
+    try:
+        found = unpacker.decompress(data, most)
+    except zlib.error as error:
+        raise LogError(f"cannot be unpacked: {error}", file=path) from None
+    if unpacker.unconsumed_tail:
+        raise LogError(f"unpacks to more than the {most / 1e6:.4g} MB that are read", file=path)
+    if not unpacker.eof:
+        raise LogError("cannot be unpacked: it breaks off", file=path)
+    return found
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where things stand in the lines: the header (None without one), the units, the first row of
+    numbers; ``kinds`` says of each column whether it is of numbers, times or words.
+    """
+
+    header: int | None
+    units: int | None
+    first: int
+    kinds: tuple[str, ...]
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The table of a text file; what the dialect leaves open is looked for."""
+    text, encoding = text_of(path, dialect.encoding)
+    table, found = table_of(text.splitlines(), dialect)
+    return Source((table,), replace(found, encoding=encoding))
+
+
+def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Table, Dialect]:
+    """The table in lines of text, and the dialect that it is in.
+
+    Raises:
+        LogError: no rows of numbers.
+    """
+    separator, decimal = _marks(lines, dialect)
+    layout = _layout(lines, separator, decimal, dialect)
+    top = [] if layout.header is None else split(_bare(lines[layout.header]), separator)
+    units = [] if layout.units is None else split(_bare(lines[layout.units]), separator)
+    width = len(layout.kinds)
+    names = numbered((top + [""] * width)[:width])
+    said = [
+        "" if cell.lower() in _UNIT_HEADS else named_unit(cell) or _plain(cell)
+        for cell in (units + [""] * width)[:width]
+    ]
+    at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
+    rows = [lines[n] for n in at]
+    values, odd = numbers(rows, separator, decimal, layout.kinds)
+    columns, began, daytime, words = [], None, None, {}
+    for index, kind in enumerate(layout.kinds):
+        if kind == "words":
+            words[names[index]] = [_cell(row, separator, index) for row in rows]
+            continue
+        own = odd.get(index, {})
+        column, unit = values[:, index], said[index]
+        if kind == "times":
+            cells = [_cell(row, separator, index) for row in rows]
+            column, start = clock(cells)
+            unit, own = "s", {}
+            began = start if began is None else began
+            daytime = time_of_day(cells) if daytime is None and start is None else daytime
+        columns.append(Column(names[index], column, unit, own))
+    daytime = None if began is not None else daytime
+    table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words, daytime)
+    skip = layout.first if layout.header is None else layout.header
+    return table, Dialect(separator, decimal, skip, layout.units is not None)
+
+
+def split(line: str, separator: str) -> list[str]:
+    """The cells of a line; a separator ' ' is any white space."""
+    if separator == " ":
+        return line.replace('"', "").split()
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(separator)]
+    row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    return [cell.strip() for cell in row]
+
+
+def _cell(line: str, separator: str, index: int) -> str:
+    cells = split(line, separator)
+    return cells[index] if index < len(cells) else ""
+
+
+def _bare(line: str) -> str:
+    return line.lstrip("#%/ ") if line.lstrip().startswith(_REMARKS) else line
+
+
+def _is_row(line: str, separator: str) -> bool:
+    return bool(line.strip(" \t" + separator)) and not line.lstrip().startswith(_REMARKS)
+
+
+def _kind(cell: str, decimal: str) -> str:
+    """What a cell holds: a number, a time of day, nothing, or words."""
+    if _NUMBER[decimal].fullmatch(cell):
+        return "numbers"
+    if is_hole(cell):
+        return "holes"
+    return "times" if np.isfinite(clock([cell])[0]).all() else "words"
+
+
+def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
+    """(separator, decimal sign) with which most cells are numbers: of the second half of the lines,
+    as facts stand above the numbers.
+    """
+    shown = _some([line for line in lines[dialect.skip or 0 :] if _is_row(line, "")])
+    best, most = (",", "."), -1.0
+    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", " "]:
+        for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
+            if separator == decimal and not any('"' in line for line in shown):
+                continue
+            score = 0.0
+            for line in shown:
+                kinds = [_kind(cell, decimal) for cell in split(line, separator)]
+                good = kinds.count("numbers") + kinds.count("times")
+                score += good * (good / max(len(kinds) - kinds.count("holes"), 1))
+            if score > most:
+                best, most = (separator, decimal), score
+    return best
+
+
+def _some(rows: Sequence) -> list:
+    """Rows that tell of all: of the second half, as facts stand above the numbers, some in a row
+    from places all over it.
+    """
+    half = rows[len(rows) // 2 :]
+    step = max(-(-len(half) // (_LOOKED_AT // _TOGETHER)), _TOGETHER)
+    return [row for at in range(0, len(half), step) for row in half[at : at + _TOGETHER]]
+
+
+def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect) -> _Layout:
+    """Where the header, the units and the numbers stand."""
+    skip = dialect.skip or 0
+    at = [n for n in range(skip, len(lines)) if _is_row(lines[n], separator)]
+    kinds = _kinds_of([split(lines[n], separator) for n in at], decimal)
+    if not kinds:
+        raise LogError("holds no rows of numbers")
+
+    def fits(n: int, least: float) -> bool:
+        row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
+        row += ["holes"] * (len(kinds) - len(row))
+        asked = [got for got, kind in zip(row, kinds) if kind != "words"]
+        good = asked.count("numbers") + asked.count("times")
+        if asked[:1] == ["words"]:
+            return False
+        fine = good + asked.count("holes")
+        return len(row) >= len(kinds) and good > 0 and fine >= least * len(asked)
+
+    strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
+    if strict is None:
+        raise LogError("holds no rows of numbers")
+    while strict > 0 and fits(at[strict - 1], 0.5):  # a row with a broken cell is a row still
+        strict -= 1
+    first = at[strict]
+    if dialect.skip is not None:
+        above = [n for n in range(skip, first) if lines[n].strip(" \t" + separator)][:2]
+        units = above[1] if dialect.unit_row and len(above) > 1 else None
+        return _Layout(above[0] if above else None, units, first, kinds)
+    header, units = _heads(lines, range(skip, first), separator, len(kinds))
+    if dialect.unit_row is False:
+        header, units = (header if units is None else units), None
+    return _Layout(header, units, first, kinds)
+
+
+def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
+    """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
+    out.
+    """
+    shown = _some(rows)
+    widths = Counter(len(row) for row in shown)
+    if not widths:
+        return ()
+    width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
+    found = []
+    for at, column in enumerate(zip(*(row for row in shown if len(row) == width))):
+        kinds = Counter(_kind(cell, decimal) for cell in column)
+        if set(kinds) == {"holes"}:  # a slow signal: where it stands at all
+            filled = (row[at] for row in rows if len(row) == width and row[at])
+            kinds += Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
+        holes = kinds.pop("holes", 0)
+        found.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
+    while found and found[-1] == "holes":
+        found.pop()
+    found = ["words" if kind == "holes" else kind for kind in found]
+    return tuple(found) if "numbers" in found else ()
+
+
+def _heads(
+    lines: Sequence[str], above: range, separator: str, width: int
+) -> tuple[int | None, int | None]:
+    """(line of the header, line of the units) of the lines above the numbers."""
+    wide: list[list[str]] = []
+    at: list[int] = []
+    for n in reversed(above):
+        if not lines[n].strip(" \t" + separator):
+            if wide:
+                break
+            continue
+        cells = split(_bare(lines[n]), separator)[:width]
+        filled = [cell for cell in cells if cell.strip("-")]
+        if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
+            break
+        if sum(bool(_NUMBER["."].fullmatch(cell)) for cell in filled) < 0.5 * len(filled):
+            wide.append(filled)
+            at.append(n)
+    for index, cells in enumerate(wide[:-1]):
+        own = cells[1:] if cells[0].strip(": ").lower() in _UNIT_HEADS else cells
+        if own and (_are_units(own, wide[index + 1]) or all(map(_BRACKETED.fullmatch, own))):
+            return at[index + 1], at[index]
+    return (at[0], None) if at else (None, None)
+
+
+def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
+    """Whether a row is one of units: all of it, or three in four below names that are none, as a
+    recorder may have words of its own for one.
+    """
+    known = sum(map(_is_unit, cells))
+    return known == len(cells) or (known >= 0.75 * len(cells) and not any(map(_is_unit, above)))
+
+
+def _is_unit(cell: str) -> bool:
+    plain = cell.strip(" []()")
+    return bool(named_unit(cell) or absolute_unit(cell) or _CLOCK_FORM.fullmatch(plain))
+
+
+def _plain(cell: str) -> str:
+    """A unit that is not known here without the brackets about it."""
+    return cell.strip() if absolute_unit(cell) else cell.strip(" []()")
+
+
+def numbers(
+    rows: Sequence[str], separator: str, decimal: str, kinds: Sequence[str]
+) -> tuple[np.ndarray, dict[int, dict[int, str]]]:
+    """(numbers, shape (rows, columns), NaN where none stands; what stands there, by column and row)
+    of the columns of numbers.
+    """
+    wanted = [index for index, kind in enumerate(kinds) if kind == "numbers"]
+    values = np.full((len(rows), len(kinds)), np.nan)
+    odd: dict[int, dict[int, str]] = {}
+    for start in range(0, len(rows), _BLOCK):
+        block = rows[start : start + _BLOCK]
+        plain: Iterable[str] = block if decimal == "." else (r.replace(",", ".") for r in block)
+        try:
+            if separator == decimal:  # numbers in quotes
+                raise ValueError
+            values[start : start + len(block), wanted] = np.loadtxt(
+                plain,
+                delimiter=None if separator == " " else separator,
+                ndmin=2,
+                comments=None,
+                usecols=wanted,
+                quotechar='"',
+            )
+        except ValueError:
+            for at, row in enumerate(block, start):
+                cells = split(row, separator)
+                for index in wanted:
+                    cell = cells[index] if index < len(cells) else ""
+                    if _NUMBER[decimal].fullmatch(cell):
+                        values[at, index] = float(cell.replace(",", "."))
+                    else:
+                        odd.setdefault(index, {})[at] = cell[:_QUOTED]
+    return values, odd

@@ -1,0 +1,54 @@
+"""Excel workbooks, by openpyxl: a table a sheet, its header looked for as in a text file."""
+
+from __future__ import annotations
+
+import zipfile
+from datetime import date, datetime, time
+from pathlib import Path
+from typing import Any
+
+from ehbench.data.readers.delimited import table_of
+from ehbench.data.readers.table import Dialect, Source
+from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.errors import LogError
+
+_TAB = "\t"
+_SWELLS = 12  # bytes held for one of a sheet's XML
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The sheets that hold rows of numbers, as they were last calculated."""
+    from openpyxl import load_workbook
+
+    with zipfile.ZipFile(path) as packed:
+        held = sum(one.file_size for one in packed.infolist())
+    refuse_beyond(_SWELLS * held, "reading it")
+    book = load_workbook(path, read_only=True, data_only=True)
+    tables = []
+    plain = Dialect(_TAB, ".", dialect.skip, dialect.unit_row)
+    try:
+        for sheet in book.worksheets:
+            if dialect.table not in (None, sheet.title):
+                continue
+            rows = sheet.iter_rows(values_only=True)
+            lines = [_TAB.join(_text(cell) for cell in row) for row in rows]
+            try:
+                tables.append(table_of(lines, plain, sheet.title)[0])
+            except LogError:  # a sheet of words
+                continue
+    finally:
+        book.close()
+    return Source(tuple(tables))
+
+
+def _text(cell: Any) -> str:
+    """A cell as a text file would have it."""
+    if cell is None:
+        return ""
+    if isinstance(cell, bool):
+        return str(int(cell))
+    if isinstance(cell, datetime):
+        return cell.isoformat(" ")
+    if isinstance(cell, (date, time)):
+        return cell.isoformat()
+    return repr(cell) if isinstance(cell, float) else " ".join(str(cell).split())

@@ -1,0 +1,41 @@
+"""Parquet tables, by pyarrow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.data.readers.table import Column, Dialect, Source, Table, columns_of, numbered
+from ehbench.runtime.memory import refuse_beyond
+
+_UNITS = (b"unit", b"units", b"Unit", b"Units")
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The columns of a table; their units from the metadata of its fields."""
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        rows, schema = file.metadata.num_rows, file.schema_arrow
+        refuse_beyond(24.0 * rows * len(schema), "reading it")
+        table = file.read()
+    columns: list[Column] = []
+    began, losses = None, []
+    for field, chunks in zip(schema, table.columns):
+        unit = next(((field.metadata or {}).get(key) for key in _UNITS if field.metadata), None)
+        try:
+            values = chunks.to_numpy(zero_copy_only=False)
+            if values.dtype == object:  # numbers with nothing between them, or words
+                values = np.array([np.nan if one is None else float(one) for one in values])
+        except (TypeError, ValueError, NotImplementedError):
+            losses.append(f"not read: {field.name}")
+            continue
+        for column, first in columns_of(
+            field.name, values, (unit or b"").decode("utf-8", "replace")
+        ):
+            columns.append(column)
+            began = first if began is None else began
+    names = numbered([column.name for column in columns])
+    made = tuple(Column(name, one.values, one.unit) for name, one in zip(names, columns))
+    return Source((Table("", made, None, began),), losses=tuple(losses))

@@ -1,0 +1,128 @@
+"""ROS 2 bags and MCAP files with ROS messages, by rosbags: a table a topic, a column each number
+in its messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.data.readers.table import Column, Dialect, Source, Table
+from ehbench.runtime.memory import refuse_beyond
+
+_LONGEST = 64  # numbers in a list of a message
+_DEEPEST = 6  # messages in messages
+_UNITS = {
+    "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/msg/Temperature": {"temperature": "degC"},
+    "sensor_msgs/msg/Range": {"range": "m"},
+    "sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+    "geometry_msgs/msg/WrenchStamped": {"wrench.force": "N"},
+}
+_BESIDE = ("header.", "layout.")  # what is no reading
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The topics of a bag, on the time of their headers, else on that of the recording."""
+    from rosbags.rosbag2 import Reader
+
+    rows: dict[str, list[dict[str, float]]] = {}
+    times: dict[str, list[tuple[int, int]]] = {}
+    kinds: dict[str, str] = {}
+    unread: dict[str, str] = {}
+    with Reader(path) as reader:
+        refuse_beyond(2000.0 * reader.message_count, "reading it")
+        stores: dict[int, Any] = {}
+        for connection, stamp, data in reader.messages():
+            topic, kind = connection.topic, connection.msgtype
+            if topic in unread or dialect.table not in (None, topic):
+                continue
+            try:
+                if connection.id not in stores:
+                    stores[connection.id] = _store(connection)
+                message = stores[connection.id].deserialize_cdr(data, kind)
+            except Exception as error:  # not described, or not as it is described
+                said = str(error).splitlines()[:1] or [type(error).__name__]
+                unread[topic] = f"{topic} ({kind}: {said[0][:80]})"
+                continue
+            if numbers := dict(_numbers(message)):
+                rows.setdefault(topic, []).append(numbers)
+                times.setdefault(topic, []).append((stamp, _header(message)))
+                kinds[topic] = kind
+            elif topic not in rows:
+                unread[topic] = f"{topic} ({kind})"
+    zeros = [_stamps(stamps).min() for stamps in times.values()]
+    zero = int(min(zeros, default=0))
+    tables = [
+        _table(topic, rows[topic], _stamps(times[topic]), zero, kinds[topic]) for topic in rows
+    ]
+    losses = tuple(f"topic not read: {said}" for said in unread.values())
+    return Source(tuple(tables), losses=losses)
+
+
+def _store(connection: Any) -> Any:
+    """What reads the messages of a connection: by the definition in the file, else by the usual
+    one.
+    """
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if connection.msgdef.format != MessageDefinitionFormat.MSG:
+        return get_typestore(Stores.LATEST)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
+    return store
+
+
+def _stamps(pairs: list[tuple[int, int]]) -> np.ndarray:
+    """Times [ns] of a topic: those of the headers where all have one."""
+    stamps = np.array(pairs, np.int64)
+    return stamps[:, 1] if (stamps[:, 1] > 0).all() else stamps[:, 0]
+
+
+def _table(
+    topic: str, rows: list[dict[str, float]], stamps: np.ndarray, zero: int, kind: str
+) -> Table:
+    """A topic's numbers by name, in the order of its time; NaN where a message has none."""
+    order = np.argsort(stamps, kind="stable")
+    names = dict.fromkeys(name for row in rows for name in row)
+    units = _UNITS.get(kind, {})
+    columns = []
+    for name in names:
+        values = np.array([row.get(name, np.nan) for row in rows])[order]
+        unit = next((unit for part, unit in units.items() if name.startswith(part)), "")
+        columns.append(Column(name, values, unit))
+    t = (stamps[order] - zero) / 1e9
+    return Table(topic, tuple(columns), t, zero / 1e9 if zero > 0 else None)
+
+
+def _header(message: Any) -> int:
+    """The time [ns] in a message's header, 0 where it has none."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _numbers(message: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
+    """(name, number) of all numbers in a message: those of a list by the names that the message has
+    for them (joints), else by their place.
+    """
+    labels = getattr(message, "name", None)
+    labels = list(labels) if isinstance(labels, (list, tuple, np.ndarray)) else []
+    for key in (one.name for one in fields(message)):
+        value, name = getattr(message, key), f"{path}{key}"
+        if key.isupper() or f"{name}.".startswith(_BESIDE):  # a constant, or no reading
+            continue
+        if isinstance(value, (bool, int, float, np.number, np.bool_)):
+            yield name, float(value)
+        elif isinstance(value, (list, tuple, np.ndarray)) and 0 < len(value) <= _LONGEST:
+            own = labels if len(labels) == len(value) else range(len(value))
+            for label, one in zip(own, value):
+                if isinstance(one, (bool, int, float, np.number, np.bool_)):
+                    yield f"{name}.{label}", float(one)
+                elif depth < _DEEPEST and is_dataclass(one):
+                    yield from _numbers(one, f"{name}.{label}.", depth + 1)
+        elif depth < _DEEPEST and is_dataclass(value):
+            yield from _numbers(value, f"{name}.", depth + 1)

@@ -1,0 +1,247 @@
+"""What a reader gives: tables of named columns, each table on its own time base."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.data.readers.clock import moments
+from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.units import absolute_unit, named_unit
+
+_UNIT_LAST = (
+    r"\[([^\[\]]*)\]\s*$",
+    r"\(([^()]*)\)\s*$",
+    r"\{([^{}]*)\}\s*$",
+    r"\s(?:/|in)\s+(\S+)\s*$",
+    r",\s*(\S+)$",
+    # at the end of words only such as are hardly anything else
+    r"[\s_](m?bar|psi|[kM]Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
+)
+_HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
+WIDEST = 256  # columns that a matrix may have
+
+
+def unit_in(name: str) -> str:
+    """The unit that a column's name ends in, '' where it says none: of ``p [bar]``, ``p (bar)``,
+    ``p / bar``, ``p in bar``, ``p_bar``.
+    """
+    for pattern in _UNIT_LAST:
+        if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):
+            return unit
+    return ""
+
+
+def is_hole(cell: str) -> bool:
+    """Whether a cell says that there is no value: blank, NaN, n/a, -, …"""
+    return bool(_HOLE.fullmatch(cell))
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A column as the file has it: ``values`` in the file's ``unit`` (its own word for it, '' where
+    it says none), NaN where no number stands; ``odd`` is what stands there, by row.
+    """
+
+    name: str
+    values: np.ndarray
+    unit: str = ""
+    odd: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def known_unit(self) -> str:
+        """Its unit as it is written here, by what the file says or the name ends in; '' of none."""
+        return named_unit(self.unit) or unit_in(self.name)
+
+    @property
+    def absolute(self) -> str:
+        """The unit of its absolute pressures, where the file says that they are; else ''."""
+        if unit := absolute_unit(self.unit):
+            return unit
+        words = re.split(r"[\s_]+", self.name.strip())
+        ends = (" ".join(words[at:]) for at in range(len(words)))
+        said = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
+        return next(filter(None, map(absolute_unit, (*said, *ends))), "")
+
+    @property
+    def filled(self) -> np.ndarray:
+        """Where it holds something, be it a word; shape (rows,)."""
+        found = np.isfinite(self.values)
+        found[[row for row, cell in self.odd.items() if not is_hole(cell)]] = True
+        return found
+
+    def taken(self, rows: np.ndarray) -> Column:
+        """The same column with some of its rows, by number."""
+        odd = {at: self.odd[int(row)] for at, row in enumerate(rows) if int(row) in self.odd}
+        return replace(self, values=self.values[rows], odd=odd)
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns of one time base, all of one length.
+
+    ``name`` is that of the group, sheet or topic, '' where a file has one. ``t`` [s] is the time
+    where the format itself knows it, else None. ``began`` is the wall clock of t = 0, in seconds
+    since 1970 (UTC, or the local time where the file names no zone); None where it says none.
+    ``daytime`` is the time of day of t = 0 [s since midnight], where the file says no more than
+    that. ``lines`` are the lines of the rows in a text file, ``words`` its columns of words."""
+
+    name: str
+    columns: tuple[Column, ...]
+    t: np.ndarray | None = None
+    began: float | None = None
+    lines: Sequence[int] | None = None
+    words: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    daytime: float | None = None
+
+    @property
+    def size(self) -> int:
+        """How many rows it has."""
+        return self.columns[0].values.size if self.columns else 0
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a file is to be read where it does not say so itself; None is looked for.
+
+    ``separator`` and ``decimal`` are characters (' ' is any white space), ``skip`` the lines before
+    the header, ``unit_row`` whether a row of units stands below it, ``table`` the sheet, group or
+    topic to take alone."""
+
+    separator: str | None = None
+    decimal: str | None = None
+    skip: int | None = None
+    unit_row: bool | None = None
+    encoding: str | None = None
+    table: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A file as its reader found it: its tables, the dialect of a text file, and sentences on what
+    could not be read.
+    """
+
+    tables: tuple[Table, ...]
+    dialect: Dialect = Dialect()
+    losses: tuple[str, ...] = ()
+
+    def names(self) -> dict[str, tuple[int, int]]:
+        """(table, column) by name: a column's own, and ``table/column`` where several tables have
+        it.
+        """
+        own = [column.name for table in self.tables for column in table.columns]
+        found = {}
+        for i, table in enumerate(self.tables):
+            for j, column in enumerate(table.columns):
+                name = column.name if own.count(column.name) == 1 else f"{table.name}/{column.name}"
+                found.setdefault(name, (i, j))
+        return found
+
+    def place(self, name: str, file: Path) -> tuple[int, int]:
+        """(table, column) of a name, or of ``table/column``.
+
+        Raises:
+            LogError: there is none; names the nearest.
+        """
+        known = self.names()
+        whole = {
+            f"{table.name}/{column.name}": (i, j)
+            for i, table in enumerate(self.tables)
+            for j, column in enumerate(table.columns)
+        }
+        at = known.get(name, whole.get(name))
+        if at is not None:
+            return at
+        near = get_close_matches(name, known, 1, 0.6)
+        some = list(known)
+        there = ", ".join(f"'{one}'" for one in some[:12]) + ", …" * (len(some) > 12)
+        raise LogError(
+            f"has no column '{name}'",
+            file=file,
+            hint=f"nearest is '{near[0]}'" if near else f"it has {there}",
+        )
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """Names of columns made unlike: one that is empty by its number, one that comes again by how
+    often it came.
+    """
+    found: list[str] = []
+    for at, name in enumerate(names, 1):
+        plain = name.strip() or f"column {at}"
+        again, count = plain, 1
+        while again in found:
+            count += 1
+            again = f"{plain} {count}"
+        found.append(again)
+    return found
+
+
+def columns_of(
+    name: str, values: np.ndarray, unit: str = "", most: int = WIDEST
+) -> list[tuple[Column, float | None]]:
+    """Columns of what a file has under a name, each with the wall clock of its first value where it
+    is of moments: one of a row or column of numbers, several of a matrix, whose longer side is
+    time, and of records. Empty where it is of no numbers.
+    """
+    values = np.asarray(values)
+    if values.dtype.names:
+        parts = [(f"{name}.{key}", values[key]) for key in values.dtype.names]
+        return [one for key, part in parts for one in columns_of(key, part, unit, most)]
+    values = np.squeeze(values)
+    if values.ndim == 2:
+        table = values if values.shape[0] >= values.shape[1] else values.T
+        if table.shape[1] > most:
+            return []
+        return [
+            one
+            for i in range(table.shape[1])
+            for one in columns_of(f"{name}.{i + 1}", table[:, i], unit, most)
+        ]
+    if values.ndim != 1 or values.size < 2:
+        return []
+    if values.dtype.kind == "M":
+        seconds, began = moments(values)
+        return [(Column(name, seconds, "s"), began)]
+    if values.dtype.kind not in "fiub":
+        return []
+    return [(Column(name, values.astype(float), unit), None)]
+
+
+class Gathered:
+    """Columns gathered into tables by where they stand and how long they are."""
+
+    def __init__(self) -> None:
+        self._columns: dict[tuple[str, int], list[Column]] = {}
+        self._began: dict[tuple[str, int], float | None] = {}
+
+    def add(self, place: str, name: str, values: np.ndarray, unit: str = "") -> bool:
+        """Take what a file has under a name; whether there is a column of numbers in it."""
+        found = columns_of(name, values, unit)
+        for column, began in found:
+            key = (place, column.values.size)
+            self._columns.setdefault(key, []).append(column)
+            if self._began.get(key) is None:
+                self._began[key] = began
+        return bool(found)
+
+    def tables(self) -> tuple[Table, ...]:
+        """The tables, named by where they stand, and by their length too where that is not
+        enough.
+        """
+        places = [place for place, _ in self._columns]
+        return tuple(
+            Table(
+                place if places.count(place) == 1 else f"{place}[{size}]",
+                tuple(columns),
+                None,
+                self._began[place, size],
+            )
+            for (place, size), columns in self._columns.items()
+        )

@@ -1,0 +1,75 @@
+"""TDMS files of LabVIEW, by npTDMS: a table for the channels of a group that have one time base."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.data.readers.clock import moments
+from ehbench.data.readers.table import Column, Dialect, Source, Table
+from ehbench.runtime.memory import refuse_beyond
+
+_Base = tuple[str, int, float, float, float | None]  # group, rows, increment, offset, began
+
+
+def read(path: Path, dialect: Dialect) -> Source:
+    """The groups of a file."""
+    from nptdms import TdmsFile
+
+    gathered: dict[_Base, list[Column]] = {}
+    moved: dict[str, float] = {}
+    losses = []
+    with TdmsFile.open(path) as file:
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        refuse_beyond(24.0 * sum(len(channel) for channel in channels), "reading it")
+        for channel in channels:
+            if not len(channel):
+                continue
+            values = np.asarray(channel[:])
+            unit = str(channel.properties.get("unit_string", "") or "")
+            base = _base(channel)
+            if values.dtype.kind == "M":
+                seconds, began = moments(values)
+                moved[channel.group_name] = began or 0.0
+                column = Column(channel.name, seconds, "s")
+            elif values.ndim == 1 and values.dtype.kind in "fiub":
+                column = Column(channel.name, values.astype(float), unit)
+            else:
+                losses.append(f"not read: {channel.group_name}/{channel.name}")
+                continue
+            gathered.setdefault(base, []).append(column)
+    return Source(_tables(gathered, moved), losses=tuple(losses))
+
+
+def _base(channel: Any) -> _Base:
+    """What tells the time base of a channel."""
+    said = channel.properties
+    increment = float(said.get("wf_increment", 0.0) or 0.0)
+    start = said.get("wf_start_time")
+    began = None
+    if start is not None and increment > 0.0:
+        began = float(np.datetime64(start, "ns").astype(np.int64)) / 1e9
+        began = began if began > 0.0 else None  # LabVIEW's zero is in 1904: it says nothing
+    offset = float(said.get("wf_start_offset", 0.0) or 0.0)
+    return channel.group_name, len(channel), increment, offset, began
+
+
+def _tables(gathered: dict[_Base, list[Column]], moved: dict[str, float]) -> tuple[Table, ...]:
+    """Tables on one zero of time: that of the first to begin."""
+    known = [began for *_, began in gathered if began is not None]
+    first = min(known, default=None)
+    groups = [group for group, *_ in gathered]
+    tables = []
+    for (group, size, increment, offset, began), columns in gathered.items():
+        name = group if groups.count(group) == 1 else f"{group}[{size}]"
+        if any(table.name == name for table in tables):
+            name = f"{group}[{size}, {1 / increment if increment else 0:g} Hz]"
+        t = None
+        if increment > 0.0:
+            t = offset + increment * np.arange(size)
+            t += 0.0 if began is None or first is None else began - first
+        zero = first if t is not None else moved.get(group)
+        tables.append(Table(name, tuple(columns), t, zero))
+    return tuple(tables)

@@ -1,0 +1,183 @@
+"""Time series: what a log holds once it is in memory."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.notebook import label, plural, shown, table
+from ehbench.vocabulary.quantities import like_channel, quantity
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Record:
+    """One recording on one time base.
+
+    ``t`` [s], shape (samples,), strictly increasing; the sample at t is the state at t, and a
+    command at t acts from t on. ``channels`` maps names such as ``boom.p_head`` to SI arrays of the
+    same shape, in the log's order. ``meta`` are the run's facts as text; ``attachments`` the files
+    that travelled with the log; ``losses`` one sentence for each thing a reader could not recover.
+    """
+
+    t: np.ndarray
+    channels: dict[str, np.ndarray]
+    meta: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    losses: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, values in self.channels.items():
+            if values.shape != self.t.shape:
+                raise LogError(
+                    f"channel '{name}' has {values.shape[0]} samples, "
+                    f"the time has {self.t.shape[0]}"
+                )
+            quantity(name)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The SI array of a channel.
+
+        Raises:
+            LogError: no such channel; names those there are.
+        """
+        if name == "t":
+            return self.t
+        if name not in self.channels:
+            raise LogError(
+                f"the log has no channel '{name}'", hint=like_channel(name, list(self.channels))
+            )
+        return self.channels[name]
+
+    def __repr__(self) -> str:
+        span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
+        names = list(self.channels)
+        some = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
+        size = f"{plural(self.t.size, 'sample')}{span}, {plural(len(names), 'channel')}"
+        return f"<Record: {size}: {some}>" if names else f"<Record: {size}>"
+
+    def _repr_html_(self) -> str:
+        """Its channels with their unit, range and meaning."""
+        rows = []
+        for name, values in self.channels.items():
+            row = quantity(name)
+            ends = (values.min(), values.max()) if values.size else (None, None)
+            least, most = (shown(end, name, row.display) for end in ends)
+            rows.append((name, label(row.display), least, most, row.meaning))
+        header = ("channel", "unit", "least", "most", "meaning")
+        span = f"{self.t[0]:g} … {self.t[-1]:g} s, " if self.t.size else ""
+        return table(header, rows, span + plural(self.t.size, "sample"))
+
+    def __contains__(self, name: str) -> bool:
+        return name == "t" or name in self.channels
+
+    def table(self, columns: Sequence[tuple[str, float | None]]) -> np.ndarray:
+        """Channels side by side, shape (samples, columns).
+
+        Args:
+            columns: channels, each with the value [SI] of one that there is not.
+
+        Raises:
+            LogError: no such channel, where there is no value for it.
+        """
+        made = np.empty((self.t.size, len(columns)))
+        for i, (name, value) in enumerate(columns):
+            made[:, i] = self[name] if value is None or name in self else value
+        return made
+
+    @cached_property
+    def sample_time(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.t))) if self.t.size > 1 else float("nan")
+
+    @cached_property
+    def even(self) -> bool:
+        """Whether it has samples at one rate, three at least."""
+        if self.t.size < 3:
+            return False
+        tick = self.sample_time
+        return not np.abs(np.diff(self.t) - tick).max() > 0.01 * tick
+
+    def at(self, samples: Sequence[int] | np.ndarray | slice) -> Record:
+        """These samples alone, by number, by a mask or from one to another."""
+        channels = {name: values[samples] for name, values in self.channels.items()}
+        return replace(self, t=self.t[samples], channels=channels)
+
+    def between(self, start: float, stop: float) -> Record:
+        """The samples from ``start`` to ``stop`` [s], both included."""
+        return self.at((self.t >= start) & (self.t <= stop))
+
+    def frame(self, copy: bool = True) -> pd.DataFrame:
+        """A pandas frame: column ``t`` and one SI column a channel; ``frame.attrs`` has ``units``,
+        ``meta``, ``losses``. Without ``copy`` its columns are the record's own arrays.
+        """
+        import pandas as pd
+
+        frame = pd.DataFrame({"t": self.t, **self.channels}, copy=copy)
+        frame.attrs["units"] = {"t": "s", **{name: quantity(name).unit for name in self.channels}}
+        frame.attrs["meta"] = dict(self.meta)
+        frame.attrs["losses"] = list(self.losses)
+        return frame
+
+
+def block_means(y: np.ndarray, each: int) -> np.ndarray:
+    """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
+    left out.
+    """
+    count = len(y) // each
+    return y[: count * each].reshape(count, each, *y.shape[1:]).mean(axis=1)
+
+
+@dataclass(frozen=True)
+class Means:
+    """A recording as means of ``each`` successive samples, at their mean time, without commands."""
+
+    record: Record
+    each: int
+
+    @classmethod
+    def of(cls, record: Record, each: int) -> Means:
+        """Of a recording, or of a simulation along it."""
+        channels = {
+            name: block_means(y, each)
+            for name, y in record.channels.items()
+            if not name.endswith(".command")
+        }
+        return cls(replace(record, t=block_means(record.t, each), channels=channels), each)
+
+
+def payloads_text(changes: Iterable[tuple[float, str]]) -> str:
+    """What a log's ``meta["payload_change"]`` says: times [s] and the payload from then on."""
+    return json.dumps([list(change) for change in changes])
+
+
+def payloads_of(record: Record) -> list[tuple[float, str | None]]:
+    """(time [s], payload from then on, None for none) that a log says were carried, the first from
+    its first sample on.
+
+    Raises:
+        LogError: the log's facts are damaged.
+    """
+    steps = [(-math.inf, record.meta.get("payload", "none"))]
+    try:
+        changes = json.loads(record.meta.get("payload_change", "[]"))
+        steps += [(float(at), str(name)) for at, name in changes]
+    except (ValueError, TypeError):
+        raise LogError("the log does not say when its payload changed") from None
+    first, last = float(record.t[0]), float(record.t[-1])
+    found: list[tuple[float, str | None]] = []
+    for at, name in steps:
+        if at <= first:
+            found.clear()
+        if at <= last:
+            found.append((max(at, first), None if name in ("", "none") else name))
+    return found

@@ -1,0 +1,174 @@
+"""What is asked of: a log with the model that is to follow it, and what the model leaves over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.plant.build import Maps
+from ehbench.plant.lanes.many import Run
+from ehbench.plant.model import Model
+from ehbench.plant.ties import tied_words
+from ehbench.preprocessing.initial_states import LogStart, best_shifts, start_of_log
+from ehbench.preprocessing.observations import column, least_change
+from ehbench.preprocessing.sensors import Term, corrected, sensed
+from ehbench.signals.series import correlation_time, white_noise
+from ehbench.vocabulary.quantities import GAUGES
+
+BLOCK = 0.005  # [s]: residuals are averaged over it
+FINE = 0.005  # share of a channel's spread below which an error does not matter, whatever the noise
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log and the model, with the log's payload, that is to follow it; ``cylinders`` are those
+    that are commanded, ``scored`` the part [s] that counts, None for all of it, ``terms`` and
+    ``excess`` what its sensors are known to make of it.
+    """
+
+    name: str
+    record: Record
+    model: Model
+    cylinders: tuple[str, ...]
+    maps: Maps | None = None
+    scored: tuple[float, float] | None = None
+    terms: tuple[Term, ...] = ()
+    excess: Mapping[str, float] = field(default_factory=dict)
+
+    def varied(self, rig: Rig) -> Model:
+        """The model of another rig, with the same maps."""
+        return Model.of(rig, self.maps)
+
+    def simulated(self, model: Model, record: Record) -> Record:
+        """What a model does on a record, the case's own or a corrected one, from the estimated
+        initial state; as its sensors show it.
+        """
+        run = self.run_of(model, record)
+        return self.seen(run.model.replay(run.record, start=run.start))
+
+    def run_of(self, model: Model, record: Record) -> Run:
+        """(a model, a record as sound sensors would have it, the start) of `simulated`."""
+        true = corrected(record, self.terms, self.excess)
+        start = self._start if true is self._start.record else replace(self._start, record=true)
+        return Run(model, true, start.at(model, self._shifts))
+
+    def seen(self, replayed: Record) -> Record:
+        """A simulation as the log's sensors show it."""
+        return sensed(replayed, self.terms, self.excess)
+
+    @cached_property
+    def _start(self) -> LogStart:
+        """Where the log starts, with the uncertainty of each number of its initial state."""
+        true = corrected(self.record, self.terms, self.excess)
+        return start_of_log(self.model, true, self.cylinders, self.channels)
+
+    @cached_property
+    def _shifts(self) -> np.ndarray:
+        """The initial state from which the model follows the log best: the mean of a standstill is
+        not the state of a chamber that leaks.
+        """
+        return best_shifts(self.model, self._start, self.channels)
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Rate and pressures of each cylinder, as far as the log has them moving."""
+        found = []
+        for cylinder in self.cylinders:
+            rates = [f"{cylinder}.{word}" for word in ("v", "qd")]
+            rate = next((name for name in rates if name in self.record), None)
+            rate = rate or next(
+                (name for name in rates if column(self.record, name, self.record) is not None), None
+            )
+            ends = [f"{cylinder}.{word}" for word in ("p_head", "p_rod")]
+            ends = [name for name in ends if self._moves(name)]
+            gauges = [f"{cylinder}.{word}" for word in GAUGES]
+            found += [rate] if rate and self._moves(rate) else []
+            found += ends or [name for name in gauges if self._moves(name)]
+        given = tied_words(self.record)
+        return tuple(name for name in found if name.rpartition(".")[2] not in given)
+
+    def _moves(self, channel: str) -> bool:
+        values = column(self.record, channel, self.record)
+        return values is not None and float(np.ptp(values)) > 0.0
+
+    @cached_property
+    def keep(self) -> np.ndarray:
+        """Which samples count."""
+        t = self.record.t
+        low, high = self.scored or (-math.inf, math.inf)
+        return (t >= low) & (t <= high)
+
+    @cached_property
+    def block(self) -> int:
+        """Samples to a block."""
+        return max(1, round(BLOCK / self.record.sample_time))
+
+    def blocks(self, values: np.ndarray) -> np.ndarray:
+        """Means of what counts of a channel over blocks."""
+        values = values[self.keep]
+        count = values.size // self.block
+        return values[: count * self.block].reshape(count, self.block).mean(axis=1)
+
+    @cached_property
+    def recorded(self) -> dict[str, np.ndarray]:
+        """Blocks of each channel, as recorded."""
+        found = {}
+        for channel in self.channels:
+            values = column(self.record, channel, self.record)
+            assert values is not None  # `channels` has only those
+            found[channel] = self.blocks(values)
+        return found
+
+    @cached_property
+    def scales(self) -> dict[str, float]:
+        """What an error of each channel is measured by: the noise of a block, and a share of the
+        channel's spread.
+        """
+        found = {}
+        for channel, values in self.recorded.items():
+            raw = column(self.record, channel, self.record)
+            assert raw is not None
+            noise = white_noise(raw) / math.sqrt(self.block)
+            found[channel] = math.hypot(noise, FINE * float(np.std(values)))
+        return found
+
+    def left(self, simulated: Record) -> np.ndarray:
+        """Blocks of simulated minus recorded of all channels, one after the other, in their scales;
+        shape (blocks · channels,).
+        """
+        parts = []
+        for channel, recorded in self.recorded.items():
+            values = column(simulated, channel, self.record)
+            assert values is not None
+            parts.append((self.blocks(values) - recorded) / self.scales[channel])
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def independent(self, left: np.ndarray) -> float:
+        """How many independent numbers what is left over is worth."""
+        sizes = np.cumsum([values.size for values in self.recorded.values()])[:-1]
+        parts = np.split(left, sizes)
+        return sum(part.size / correlation_time(part) for part in parts if part.size)
+
+
+def commanded(model: Model, record: Record) -> tuple[str, ...]:
+    """The cylinders whose recorded commands change or stand off rest."""
+    found = []
+    for cylinder, valve in model.rig.valves():
+        channel = f"{cylinder.name}.{valve.name}.command"
+        if channel in record and cylinder.name not in found:
+            span = least_change(valve)
+            off = float(np.max(np.abs(record[channel] - valve.rest)))
+            if float(np.ptp(record[channel])) > span or off > 2.0 * span:
+                found.append(cylinder.name)
+    return tuple(found)
+
+
+def total(parts: Sequence[np.ndarray]) -> float:
+    """Sum of squares."""
+    return float(sum(float(part @ part) for part in parts))

@@ -1,0 +1,35 @@
+"""Whether a log's stroke and joint angle agree with the pins of the rig file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from ehbench.diagnosis.cases import Case
+from ehbench.preprocessing.preparation import off_pins
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.units import from_si
+
+_KEYS = {
+    "pins": ("phase", "retracted_length", "l_a", "l_b"),
+    "rack": ("radius", "retracted_angle"),
+}
+
+
+def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]]:
+    """(cylinder, sentence, cure, by how much [m]) of each that disagrees, the worst log of each."""
+    worst: dict[str, tuple[float, str]] = {}
+    for case in cases:
+        for name, apart in off_pins(case.record, case.model).items():
+            if abs(apart) > abs(worst.get(name, (0.0, ""))[0]):
+                worst[name] = (apart, case.name)
+    for name, (off, log) in worst.items():
+        unit = cases[0].model.rig.unit_of("x")
+        shown = f"{from_si(abs(off), unit, quantity('x')):.3g} {unit}"
+        by = cases[0].model.rig.cylinder_named(name).linkage_word
+        yield (
+            name,
+            f"{name}.x and {name}.q of {log} disagree with the {by} by {shown}",
+            f"check the {by} of {name} ({', '.join(_KEYS[by])}) and the offset and sign "
+            f"of {name}.x and {name}.q",
+            off,
+        )

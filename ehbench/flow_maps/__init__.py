@@ -1,0 +1,1 @@
+"""Flow maps from readings and step logs."""

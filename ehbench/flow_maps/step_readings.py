@@ -1,0 +1,246 @@
+"""Flow readings from step logs without a flowmeter: what the cylinder takes, an edge has passed.
+
+While the commands stand, and one edge alone feeds or drains a chamber, that edge passes
+
+    flow = ±(A·v) + V/β · dp/dt + C_tm (p − p_other) + C_em (p − p_tank)
+
+with the pressures, the speed and the areas of the log and of the rig (continuity, Merritt 1967).
+Blocks of a stretch are its readings; a flow map is fitted to them as to those of a cylinder's
+speed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.data.readers import FlowmeterData
+from ehbench.data.record import Record
+from ehbench.parts.cylinder import chamber_of, chamber_oil, linkage_arrays
+from ehbench.parts.nodes import SUPPLY, TANK
+from ehbench.parts.oil import bulk_of
+from ehbench.plant.layout import SIDES
+from ehbench.plant.model import Model
+from ehbench.preprocessing.observations import least_change
+from ehbench.preprocessing.preparation import preprocess
+from ehbench.signals.series import transients
+from ehbench.vocabulary.errors import InsufficientData
+
+# a drop whose rms about its mean is more than this share of it makes no reading; it is the square
+# of its mean root, with which an orifice's mean flow goes
+STEADY = 0.25
+LEAST_DROP = 2e-3  # of the supply's pressure: below it a drop is the sensors' own error
+EMPTY = 0.5  # of the cavitation pressure: a chamber below it is fed by no edge alone
+
+
+@dataclass(frozen=True)
+class _Way:
+    """An edge as seen from a log: its full name, row, the channel of its command, the nodes that it
+    joins, the reach of its command [V] from which on it may be open."""
+
+    name: str
+    sign: float
+    command: str
+    ends: tuple[int, int]
+    onset: float
+
+    def open_at(self, record: Record, at: int) -> bool:
+        """Whether it may be open at a sample."""
+        return self.command in record and self.sign * record[self.command][at] > self.onset
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Some samples from the ``first`` on: pressures [Pa] by node, and what flows into each chamber
+    on average [m³/s], by node."""
+
+    first: int
+    pressure: dict[int, np.ndarray]
+    inflow: dict[int, float]
+
+
+def step_readings(
+    name: str, record: Record, model: Model, settle: float, span: float
+) -> FlowmeterData:
+    """The readings that a log gives of every edge that alone feeds or drains a chamber.
+
+    Args:
+        name: of the log, for ``file``; ``line`` is the first sample of a reading, from 1.
+        record: pressures of both ends, speed or position, commands.
+        model: areas, volumes, leakage and oil are its rig's, and the supply's pressure where the
+            log has none.
+        settle: after a change of a command [s].
+        span: of a reading [s].
+
+    Raises:
+        InputError: as `preprocessing.preprocess`.
+        InsufficientData: no reading; says what is needed.
+    """
+    record, doubts = preprocess(name, record, model)
+    rows: list[tuple[str, str, float, float, float, int, int]] = []
+    for index, cylinder in enumerate(model.layout.cylinders):
+        if any(f"{cylinder}.p_{side}" not in record for side in SIDES):
+            continue
+        for trial, window in enumerate(_stretches(model, index, record, settle)):
+            for block in _blocks(model, index, record, window, span):
+                rows += [(*one, trial, block.first + 1) for one in _readings(model, record, block)]
+    if not rows:
+        raise InsufficientData(
+            f"{name}: no flow can be told: nowhere do the commands stand for "
+            f"{settle + span:.3g} s while one edge alone feeds or drains a chamber",
+            hint="pressures of both ends and a speed or position are needed; step one edge at each "
+            "end at a time",
+        )
+    valve, way, command, drop, flow, trial, line = (
+        np.array(one) for one in zip(*rows, strict=True)
+    )
+    return FlowmeterData(
+        valve,
+        way,
+        command,
+        drop,
+        flow,
+        trial,
+        np.full(len(rows), "cylinder"),
+        np.full(len(rows), np.nan),
+        np.full(len(rows), name),
+        line,
+        tuple(f"{name}: {text}" for text in doubts),
+    )
+
+
+def _ways(model: Model, record: Record) -> list[_Way]:
+    """The edges with a command."""
+    plant, names = model.plant, model.layout
+    return [
+        _Way(
+            name,
+            float(edge.sign),
+            f"{names.valves[edge.valve]}.command",
+            (int(edge.from_node), int(edge.to_node)),
+            min(float(edge.deadband), 0.0),
+        )
+        for edge, name in zip(plant.edges, names.edges, strict=True)
+        if not edge.unmetered
+    ]
+
+
+def _stretches(model: Model, index: int, record: Record, settle: float) -> Iterator[slice]:
+    """Where the commands of a cylinder's valves stand, after they have settled."""
+    cylinder = model.rig.cylinder[index]
+    least = {f"{cylinder.name}.{v.name}.command": least_change(v) for v in cylinder.valve}
+    present = [channel for channel in least if channel in record]
+    if not present:
+        return
+    table = np.column_stack([record[channel] for channel in present])
+    skip = round(settle / record.sample_time)
+    for window in transients(record.t, table, least=np.array([least[one] for one in present])):
+        yield slice(window.start + skip, window.stop)
+
+
+def _blocks(
+    model: Model, index: int, record: Record, window: slice, span: float
+) -> Iterator[_Block]:
+    """Means over pieces of a stretch, of a cylinder whose chambers are neither empty nor
+    relieved."""
+    row, tick = model.plant.cylinders[index], record.sample_time
+    x, v = _motion(model, index, record)
+    nodes = tuple(int(chamber_of(row, side)[0]) for side in range(len(SIDES)))
+    if x is None or v is None or any(model.plant.nodes[node].line >= 0 for node in nodes):
+        return
+    table, count = _pressures(model, record), max(8, round(span / tick))
+    weight, edge = _weights(count)
+    for first in range(window.start, window.stop - count + 1, count):
+        part = slice(first, first + count)
+        pressure = {node: values[part] for node, values in table.items()}
+        own = [pressure[node] for node in nodes]
+        empty = EMPTY * row.cavitation_pressure
+        if np.min(own) < empty or np.max(own) > row.relief_pressure:
+            continue
+        mean, tank = [float(weight @ one) for one in own], float(weight @ pressure[TANK])
+        inflow = {}
+        for side, node in enumerate(nodes):
+            _, area, _, leakage = chamber_of(row, side)
+            volume = chamber_oil(row, side, float(weight @ x[part]))
+            rate = float(np.mean(own[side][-edge:]) - np.mean(own[side][:edge]))
+            rate /= (count - edge) * tick
+            lost = row.leakage_internal * (mean[side] - mean[1 - side])
+            lost += leakage * (mean[side] - tank)
+            squeezed = volume / bulk_of(row, mean[side]) * rate
+            inflow[node] = area * float(weight @ v[part]) + squeezed + lost
+        yield _Block(first, pressure, inflow)
+
+
+def _weights(count: int) -> tuple[np.ndarray, int]:
+    """(weights of samples, how many at either end): the mean with these weights of a rate is
+    exactly the difference between the means of the ends, over their distance.
+
+    A chamber that rings takes many times the flow that passes, back and forth; what its pressure
+    gained must be counted over the very time over which the piston's speed is averaged."""
+    edge = max(1, count // 8)
+    weight = np.convolve(np.convolve(np.ones(count - edge), np.ones(edge)), np.ones(2))
+    return weight / weight.sum(), edge
+
+
+def _motion(
+    model: Model, index: int, record: Record
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(stroke [m], speed [m/s]) of a cylinder; None where the log does not tell."""
+    row, name = model.plant.cylinders[index], model.layout.cylinders[index]
+    pinned = model.rig.cylinder[index].linkage is not None
+    x = record[f"{name}.x"] if f"{name}.x" in record else None
+    lever = None
+    if pinned and f"{name}.q" in record:
+        stroke, lever = linkage_arrays(row, record[f"{name}.q"])
+        x = stroke if x is None else x
+    v = record[f"{name}.v"] if f"{name}.v" in record else None
+    if v is None and lever is not None and f"{name}.qd" in record:
+        v = lever * record[f"{name}.qd"]
+    if v is None and x is not None:
+        v = np.gradient(x, record.sample_time)
+    return x, v
+
+
+def _pressures(model: Model, record: Record) -> dict[int, np.ndarray]:
+    """Pressure [Pa] of each node, shape (samples,): recorded, or that of the rig's supply and
+    tank."""
+    supply = model.rig.supply
+    known = {SUPPLY: ("p_supply", supply.pressure), TANK: ("p_tank", supply.tank_pressure)}
+    table = {
+        node: record[channel] if channel in record else np.full(record.t.size, float(value))
+        for node, (channel, value) in known.items()
+    }
+    for row, name in zip(model.plant.cylinders, model.layout.cylinders, strict=True):
+        for side, node in zip(SIDES, (row.node_head, row.node_rod), strict=True):
+            if f"{name}.p_{side}" in record:
+                table[int(node)] = record[f"{name}.p_{side}"]
+    return table
+
+
+def _readings(
+    model: Model, record: Record, block: _Block
+) -> Iterator[tuple[str, str, float, float, float]]:
+    """(edge, direction, command [V], drop [Pa], flow [m³/s]) of each edge that alone feeds or
+    drains a chamber; one between both chambers is read once."""
+    at, seen = block.first, set()
+    ways = _ways(model, record)
+    for node, inflow in block.inflow.items():
+        own = [way for way in ways if node in way.ends]
+        fixed = [e for e in model.plant.edges if e.unmetered and node in (e.from_node, e.to_node)]
+        opened = [w for w in own if w.open_at(record, at)]
+        if fixed or len(opened) != 1 or opened[0].name in seen:
+            continue
+        way = opened[0]
+        seen.add(way.name)
+        one, other = way.ends
+        drops = block.pressure[one] - block.pressure[other]
+        weight, _ = _weights(drops.size)
+        root = float(weight @ (np.sign(drops) * np.sqrt(np.abs(drops))))
+        drop = root * abs(root)
+        least = LEAST_DROP * float(model.rig.supply.pressure)
+        if abs(drop) < least or float(np.std(drops)) > STEADY * abs(drop):
+            continue
+        flow = inflow if way.ends[1] == node else -inflow
+        side = "forward" if drop > 0.0 else "reverse"
+        yield way.name, side, float(record[way.command][at]), abs(drop), float(np.sign(drop)) * flow

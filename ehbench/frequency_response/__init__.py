@@ -1,0 +1,1 @@
+"""Frequency responses of logs and transfer functions that fit them."""

@@ -1,0 +1,473 @@
+"""Frequency response from logs: gain, phase and coherence by Welch averaging, delay by the slope of
+the phase.
+
+The estimate is H = G_xy/G_xx over segments of all logs, with errors as for one input and one output
+(Bendat & Piersol, Random Data, 4th ed., 9.2): n segments leave 2n − 2 degrees of freedom, and of
+the output's power the share 1 − γ² is not explained by the input."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ehbench.data.record import Record
+from ehbench.preprocessing.preparation import EVEN, evened
+from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.terms import Z95
+
+LEAST_AVERAGES = 4  # fewer leave no error bar worth its name
+DEFAULT_AVERAGES = 8  # of the shortest log, where no length of segment is given
+LEAST_SAMPLES = 16  # of a segment
+NO_POWER = 1.0e-8  # share of the input's largest power below which a frequency is not excited
+LATE = 0.1  # share of a segment from which a delay takes away coherence and gain
+CROOKED = 2.0  # ratio of residual to expected spread from which a phase is no straight line
+LEAST_LINE = 4  # frequencies from which a slope is fitted
+SHOWN = 1.5  # how far beyond the highest frequency that counts curves go
+OVERLAP = {"hann": 0.5, "boxcar": 0.0}
+
+
+class Averaging(NamedTuple):
+    """How logs are averaged: the length of a ``segment`` [s] (None: what gives 8 averages of the
+    shortest log), its ``window``, the ``coherence`` from which a frequency counts, the largest
+    ``frequency`` [Hz] that is looked at.
+    """
+
+    segment: float | None = None
+    window: str = "hann"
+    coherence: float = 0.8
+    frequency: float = math.inf
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Input and output of all logs, evenly sampled at ``rate`` [Hz], and how they are averaged:
+    ``size`` samples a segment, ``segments`` of each log, ``averages`` independent ones in all.
+    """
+
+    pairs: tuple[tuple[np.ndarray, np.ndarray], ...]
+    rate: float
+    size: int
+    segments: tuple[int, ...]
+    averages: float
+    choice: Averaging
+    warnings: tuple[str, ...]
+
+    @property
+    def overlap(self) -> int:
+        """Samples that neighbouring segments share."""
+        return round(OVERLAP[self.choice.window] * self.size)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval; an end that the data do not show is None."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Response:
+    """A frequency response at ``frequency`` [Hz], shape (frequencies,), of ``averages`` independent
+    segments of ``segment`` seconds.
+
+    ``gain`` is in SI units of output over input, ``phase`` [rad] unwrapped over the coherent
+    frequencies; each with its 95 % interval, nan where there is none. ``coherence`` is γ²,
+    ``noise`` what two signals without connection reach in 5 % of cases, ``coherent`` marks where it
+    counts.
+    ``delay`` [s] is −dφ/dω; ``bandwidth`` and ``quadrature`` [Hz] are where the gain is 3 dB below
+    its first value and where the phase passes −90°, None where the data do not show it."""
+
+    frequency: np.ndarray
+    gain: np.ndarray
+    gain_low: np.ndarray
+    gain_high: np.ndarray
+    phase: np.ndarray
+    phase_low: np.ndarray
+    phase_high: np.ndarray
+    coherence: np.ndarray
+    coherent: np.ndarray
+    noise: float
+    averages: float
+    segment: float
+    delay: Estimate | None
+    bandwidth: Estimate | None
+    quadrature: Estimate | None
+    warnings: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``response.json`` says of it, SI."""
+        shown = self.frequency[self.coherent]
+        return {
+            "averages": self.averages,
+            "segment": self.segment,
+            "frequencies": self.frequency.size,
+            "coherent": int(self.coherent.sum()),
+            "coherent_range": [shown.min(), shown.max()],
+            "coherence_noise": self.noise,
+            "delay": _as_json(self.delay),
+            "bandwidth": _as_json(self.bandwidth),
+            "quadrature": _as_json(self.quadrature),
+        }
+
+    def table(self, unit: str) -> str:
+        """The curves as CSV; ``unit`` is the gain's, phases are in degrees."""
+        phases = ("phase", "phase_low", "phase_high")
+        columns = {"frequency [Hz]": self.frequency}
+        columns |= {f"{name} [{unit}]": getattr(self, name) for name in _GAINS}
+        columns |= {f"{name} [deg]": np.degrees(getattr(self, name)) for name in phases}
+        columns |= {"coherence": self.coherence, "coherent": self.coherent.astype(int)}
+        lines = [",".join(columns)]
+        for row in zip(*columns.values(), strict=True):
+            lines.append(",".join("" if math.isnan(value) else f"{value:.9g}" for value in row))
+        return "\n".join(lines) + "\n"
+
+
+_GAINS = ("gain", "gain_low", "gain_high")
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A frequency response to be kept and drawn, at ``frequency`` [Hz]: ``gain`` in SI of output
+    over input, ``phase`` [deg], ``coherence``, and where it is ``coherent`` enough to count.
+    """
+
+    frequency: tuple[float | None, ...]
+    gain: tuple[float | None, ...]
+    phase: tuple[float | None, ...]
+    coherence: tuple[float | None, ...]
+    coherent: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, response: Response, highest: float) -> Curve:
+        """Some way beyond the highest frequency [Hz] that counts."""
+        shown = response.frequency <= SHOWN * highest
+
+        def column(values: np.ndarray) -> tuple[float | None, ...]:
+            return tuple(
+                float(f"{value:.6g}") if math.isfinite(value) else None
+                for value in values[shown].tolist()
+            )
+
+        return cls(
+            column(response.frequency),
+            column(response.gain),
+            column(np.degrees(response.phase)),
+            column(response.coherence),
+            tuple(bool(one) for one in response.coherent[shown]),
+        )
+
+
+def _as_json(estimate: Estimate | None) -> dict[str, Any] | None:
+    if estimate is None:
+        return None
+    return {"value": estimate.value, "interval": [estimate.low, estimate.high]}
+
+
+def prepare_signals(
+    logs: Sequence[tuple[str, Record]], names: tuple[str, str], choice: Averaging
+) -> Signals:
+    """Input and output of the logs, and how they are cut into segments.
+
+    Args:
+        logs: name and record of each.
+        names: channels of input and output.
+        choice: of the user.
+
+    Raises:
+        LogError: a channel is not there, or a log is not evenly sampled.
+        InputError: logs of different rates.
+        InsufficientData: the logs are too short, or the input does not move.
+    """
+    warnings, pairs, rates = [], [], []
+    for name, record in logs:
+        x, y = (record[channel] for channel in names)
+        record, notes = evened(name, Record(record.t, dict(zip(names, (x, y), strict=True))))
+        warnings += [f"{name}: {text}" for text in notes]
+        pairs.append((record[names[0]], record[names[1]]))
+        rates.append(float(f"{1.0 / record.sample_time:.9g}"))
+    if max(rates) > (1.0 + EVEN) * min(rates):
+        raise InputError(
+            f"the logs are sampled at {min(rates):.6g} and at {max(rates):.6g} Hz",
+            hint="one response takes logs of one rate",
+        )
+    if all(np.ptp(x) == 0.0 for x, _ in pairs):
+        raise InsufficientData(
+            f"the input {names[0]} stays at {pairs[0][0][0]:g} in every log",
+            hint="a response needs an input that moves, best a multisine",
+        )
+    signals = signals_of(pairs, rates[0], choice)
+    return replace(signals, warnings=tuple(warnings))
+
+
+def signals_of(
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float, choice: Averaging
+) -> Signals:
+    """Pairs of input and output, sampled at one rate [Hz], and how they are cut into segments.
+
+    Raises:
+        InsufficientData: they are too short.
+    """
+    shared = OVERLAP[choice.window]
+    shortest = min(x.size for x, _ in pairs)
+    usual = shortest / (1.0 + (DEFAULT_AVERAGES - 1) * (1.0 - shared)) / rate
+    size = round((choice.segment or usual) * rate)
+    step = size - round(shared * size)
+    segments = tuple(max(0, 1 + (x.size - size) // max(step, 1)) for x, _ in pairs)
+    if size < LEAST_SAMPLES:
+        raise InsufficientData(
+            f"segments of {size / rate:.4g} s have only {size} samples",
+            hint=f"at least {LEAST_SAMPLES} are needed: longer segments, or longer logs",
+        )
+    if sum(segments) < LEAST_AVERAGES:
+        raise InsufficientData(
+            f"the logs give only {sum(segments)} segments of {size / rate:.4g} s",
+            hint=f"at least {LEAST_AVERAGES} are averaged: longer logs, or a shorter 'segment'",
+        )
+    averages = sum(_independent(n, size, choice.window) for n in segments)
+    return Signals(tuple(pairs), rate, size, segments, averages, choice, ())
+
+
+def _taper(window: str, size: int) -> np.ndarray:
+    from scipy.signal import get_window
+
+    return np.asarray(get_window(window, size), float)
+
+
+def _independent(segments: int, size: int, window: str) -> float:
+    """How many independent segments so many overlapping ones are worth (Welch 1967)."""
+    taper, step = _taper(window, size), size - round(OVERLAP[window] * size)
+    shared = float(taper[step:] @ taper[: size - step] / (taper @ taper))
+    return segments / (1.0 + 2.0 * (1.0 - 1.0 / max(segments, 1)) * shared**2)
+
+
+def estimate(signals: Signals) -> Response:
+    """The frequency response of the logs.
+
+    Raises:
+        InsufficientData: no frequency is coherent enough to count.
+    """
+    frequency, gxx, gyy, gxy = _spectra(signals)
+    powered = gxx > NO_POWER * gxx.max()
+    product = np.where(powered & (gyy > 0.0), gxx * gyy, np.inf)
+    coherence = np.minimum(np.abs(gxy) ** 2 / product, 1.0)
+    transfer = np.where(powered, gxy / np.where(powered, gxx, 1.0), np.nan)
+    noise = 1.0 - 0.05 ** (1.0 / (signals.averages - 1.0))
+    coherent = coherence >= max(signals.choice.coherence, noise)
+    if not coherent.any():
+        best = int(np.argmax(coherence))
+        raise InsufficientData(
+            f"no frequency reaches a coherence of {max(signals.choice.coherence, noise):.3g}; "
+            f"the best has {coherence[best]:.3g}, at {frequency[best]:.4g} Hz",
+            hint="more averages, more power at the input, or less coherence asked for",
+        )
+    gain, spread = np.abs(transfer), _relative_error(coherence, signals.averages)
+    phase = _unwrapped(np.angle(transfer), coherent)
+    turn = np.where(spread < 1.0, np.arcsin(np.minimum(spread, 1.0)), np.nan)
+    curves = {
+        "gain_low": np.maximum(gain * (1.0 - spread), 0.0),
+        "gain_high": gain * (1.0 + spread),
+        "phase_low": phase - turn,
+        "phase_high": phase + turn,
+    }
+    delay, crooked = _delay(signals, frequency, phase, turn, coherent)
+    at = np.flatnonzero(coherent)
+    fallen = [curve[at] for curve in (gain, curves["gain_low"], curves["gain_high"])]
+    turned = [curve[at] for curve in (phase, curves["phase_low"], curves["phase_high"])]
+    starts = [one[0] / math.sqrt(2.0) for one in fallen]
+    found = Response(
+        frequency=frequency,
+        gain=gain,
+        phase=phase,
+        coherence=np.where(powered, coherence, np.nan),
+        coherent=coherent,
+        noise=noise,
+        averages=signals.averages,
+        segment=signals.size / signals.rate,
+        delay=delay,
+        bandwidth=_crossing(frequency[at], fallen, [starts[0], starts[2], starts[1]]),
+        quadrature=_crossing(frequency[at], turned, [-0.5 * math.pi] * 3),
+        warnings=(*signals.warnings, *_warnings(signals, frequency, powered, coherent), *crooked),
+        **curves,
+    )
+    if delay is not None and delay.value > LATE * found.segment:
+        late = (
+            f"the delay, {1e3 * delay.value:.3g} ms, is {100 * delay.value / found.segment:.0f} % "
+            "of a segment: gain and coherence come out too low; take longer segments"
+        )
+        return replace(found, warnings=(*found.warnings, late))
+    return found
+
+
+def transfer_of(signals: Signals) -> np.ndarray:
+    """G_xy/G_xx at the frequencies of `estimate`, complex; zero where the input has no power."""
+    _, gxx, _, gxy = _spectra(signals)
+    powered = gxx > NO_POWER * gxx.max()
+    return np.where(powered, gxy / np.where(powered, gxx, 1.0), 0.0)
+
+
+def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """(frequency [Hz], G_xx, G_yy, G_xy) averaged over all segments of all logs, without the mean
+    and what lies above the largest frequency.
+    """
+    from scipy.signal import ShortTimeFFT
+
+    size = signals.size
+    taper = _taper(signals.choice.window, size)
+    how: Any = {"fs": signals.rate, "scale_to": "psd", "phase_shift": None}
+    transform: Any = ShortTimeFFT(taper, size - signals.overlap, **how)
+    # from where the first segment begins, as SciPy's `csd`, which transforms both signals each time
+    where: Any = {"detr": "constant", "p0": 0, "k_offset": size // 2}
+    total = np.zeros((3, transform.f_pts), complex)
+    for pair, count in zip(signals.pairs, signals.segments, strict=True):
+        if count:
+            x, y = (transform.stft_detrend(one, p1=count, **where) for one in pair)
+            for i, density in enumerate((_power(x), _power(y), y * np.conj(x))):
+                total[i] += count * np.mean(density, axis=-1)
+    total[:, 1 : -1 if size % 2 == 0 else None] *= 2.0
+    frequency = transform.f
+    kept = (frequency > 0.0) & (frequency <= signals.choice.frequency)
+    if not kept.any():
+        raise InsufficientData(
+            f"no frequency up to {signals.choice.frequency:g} Hz in segments of "
+            f"{signals.size / signals.rate:.4g} s",
+            hint="a larger frequency_max, or longer segments",
+        )
+    gxx, gyy, gxy = total[:, kept] / sum(signals.segments)
+    return frequency[kept], gxx.real, gyy.real, gxy
+
+
+def _power(transformed: np.ndarray) -> np.ndarray:
+    return np.real(transformed) ** 2 + np.imag(transformed) ** 2
+
+
+def _relative_error(coherence: np.ndarray, averages: float) -> np.ndarray:
+    """Half the 95 % interval of the gain as a share of it: ``t √((1 − γ²)/γ²/(2n − 2))``."""
+    from scipy.special import stdtrit
+
+    freedom = 2.0 * averages - 2.0
+    known = np.where(coherence > 0.0, coherence, np.nan)
+    return stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
+
+
+def _unwrapped(phase: np.ndarray, coherent: np.ndarray) -> np.ndarray:
+    """The phase without jumps over the coherent frequencies; the others go to the nearest turn."""
+    at = np.flatnonzero(coherent)
+    line = np.interp(np.arange(phase.size), at, np.unwrap(phase[at]))
+    return phase + 2.0 * math.pi * np.round((line - phase) / (2.0 * math.pi))
+
+
+def _delay(
+    signals: Signals,
+    frequency: np.ndarray,
+    phase: np.ndarray,
+    turn: np.ndarray,
+    coherent: np.ndarray,
+) -> tuple[Estimate | None, list[str]]:
+    """(−dφ/dω with its interval, what is to be said of it) by a weighted line through the phase.
+
+    The window spreads a frequency over its neighbours, so their errors go together: the variance
+    is that of the weighted line under their correlation."""
+    at = np.flatnonzero(coherent & np.isfinite(turn))
+    if at.size < LEAST_LINE:
+        return None, [f"only {at.size} coherent frequencies: no delay is fitted"]
+    omega = 2.0 * math.pi * frequency[at]
+    error = np.maximum(turn[at] / Z95, 1.0e-9)
+    design = np.column_stack([np.ones(at.size), -omega])
+    weighted = design / error[:, None]
+    inverse = np.linalg.inv(weighted.T @ weighted)
+    solution = inverse @ weighted.T @ (phase[at] / error)
+    residual = (phase[at] - design @ solution) / error
+    correlated = _neighbours(signals, at)
+    variance = (inverse @ weighted.T @ correlated @ weighted @ inverse)[1, 1]
+    crooked = math.sqrt(float(residual @ residual) / (at.size - 2))
+    warnings = []
+    if crooked > CROOKED:
+        warnings.append(
+            f"the phase is no straight line over {frequency[at[0]]:.4g} … {frequency[at[-1]]:.4g} "
+            f"Hz (off by {crooked:.0f} times its error): the delay is its mean slope there, with "
+            "the lag"
+        )
+    half = Z95 * math.sqrt(variance) * max(1.0, crooked)
+    slope = float(solution[1])
+    return Estimate(slope, slope - half, slope + half), warnings
+
+
+def _neighbours(signals: Signals, at: np.ndarray) -> np.ndarray:
+    """Correlation of the errors at frequencies number ``at``: the spectrum of the squared window,
+    squared.
+    """
+    taper = _taper(signals.choice.window, signals.size)
+    leak = np.abs(np.fft.rfft(taper**2) / np.sum(taper**2)) ** 2
+    apart = np.abs(at[:, None] - at[None, :])
+    return np.where(apart < leak.size, leak[np.minimum(apart, leak.size - 1)], 0.0)
+
+
+def _crossing(
+    frequency: np.ndarray, curves: Sequence[np.ndarray], levels: Sequence[float]
+) -> Estimate | None:
+    """Where a curve first falls through a level, with its interval; None where it does not, or
+    where its errors leave that open.
+
+    Args:
+        frequency: the coherent ones [Hz].
+        curves: the curve, its low end, its high end.
+        levels: one for each curve.
+    """
+    value, early, late = (
+        _first_below(frequency, curve, level) for curve, level in zip(curves, levels, strict=True)
+    )
+    return None if value is None or late is None else Estimate(value, early, late)
+
+
+def _first_below(frequency: np.ndarray, curve: np.ndarray, level: float) -> float | None:
+    """The frequency at which a curve that begins above a level first falls below it, by a line
+    between its neighbours.
+    """
+    below = np.flatnonzero(curve < level)
+    if not below.size or below[0] == 0:
+        return None
+    i = int(below[0])
+    share = (curve[i - 1] - level) / (curve[i - 1] - curve[i])
+    return float(frequency[i - 1] + share * (frequency[i] - frequency[i - 1]))
+
+
+def _warnings(
+    signals: Signals, frequency: np.ndarray, powered: np.ndarray, coherent: np.ndarray
+) -> list[str]:
+    """What is to be said of frequencies without power or coherence."""
+    warnings = []
+    if not powered.all():
+        warnings.append(
+            f"the input has no power at {_ranges(frequency, ~powered)} "
+            f"({_share(~powered)} frequencies): nothing is known there"
+        )
+    low = powered & ~coherent
+    if low.any():
+        warnings.append(
+            f"coherence is below {signals.choice.coherence:g} at {_ranges(frequency, low)} "
+            f"({_share(low)} frequencies): noise, another input or a law that is not linear"
+        )
+    return warnings
+
+
+def _share(marked: np.ndarray) -> str:
+    return f"{int(marked.sum())} of {marked.size}"
+
+
+def _ranges(frequency: np.ndarray, marked: np.ndarray, most: int = 3) -> str:
+    """``2 … 5 Hz, 30 … 500 Hz``; the widest ones, in order."""
+    key: Callable[[int], bool] = lambda i: bool(marked[i])
+    runs = [list(run) for yes, run in groupby(range(marked.size), key) if yes]
+    widest = sorted(sorted(runs, key=len, reverse=True)[:most])
+    words = [
+        f"{frequency[run[0]]:.4g}" + (f" … {frequency[run[-1]]:.4g}" if len(run) > 1 else "")
+        for run in widest
+    ]
+    return ", ".join(f"{word} Hz" for word in words) + (", …" if len(runs) > most else "")

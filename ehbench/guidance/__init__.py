@@ -1,0 +1,1 @@
+"""What would improve a fit, and the test to do next."""

@@ -1,0 +1,398 @@
+"""Which test would tell a parameter best: candidates simulated on the fitted rig, and what each
+would add to what the logs say.
+
+The covariance of a fit is ``H⁻¹``, H the normal matrix of its residuals with each log's start
+eliminated. A test adds its own normal matrix ``H'``, which the fitted model gives before the test
+is run; the interval then shrinks by ``√((H + H')⁻¹/H⁻¹)`` of its diagonal entry (Ljung 1999,
+ch. 13). Residuals of the test are taken to be as large and as coloured as those of the logs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.identification.covariance import eliminate
+from ehbench.identification.hydraulics import PreparedFit, simulator_of
+from ehbench.identification.output_error import OutputError
+from ehbench.identification.results import Progress
+from ehbench.identification.search import Coordinate
+from ehbench.identification.simulator import Log, channels_of, prepare
+from ehbench.plant.model import Model, simulate
+from ehbench.preprocessing.observations import column
+from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
+
+SECONDS = 3.5
+AMPLITUDES = (0.15, 0.3, 0.5, 0.85)  # of the valves' largest command
+POSTURES = (0.5, 0.3, 0.7)  # of the stroke, the middle first
+BEST = 3  # candidates whose posture and payload are varied
+MARGIN = 0.04  # share of the stroke that a test keeps off its ends
+MOST_PRESSURE = 1.5  # of a test, of the supply's
+LEAST_PRESSURE = 2.0e5  # [Pa]; emptied chambers are no part of the model
+DRIVEN = 0.3  # share of the largest speed beyond which a cylinder counts as driven
+# when a waveform drives out and back [s]
+WAVES = {
+    "steps": (((0.4, 1.0),), ((1.8, 2.4),)),
+    "pulses": (((0.4, 0.55), (1.6, 1.75)), ((1.0, 1.15), (2.2, 2.35))),
+    "long steps": (((0.4, 1.6),), ((2.0, 3.2),)),
+}
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What moves a cylinder out and back: shares of the largest command by valve."""
+
+    cylinder: str
+    out: Mapping[str, float]
+    back: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A test to run: ``commands`` as entries of a trial recipe, SI; ``stroke`` [m] where its
+    cylinder starts.
+    """
+
+    cylinder: str
+    wave: str
+    amplitude: float
+    stroke: float
+    payload: str | None
+    commands: tuple[Mapping[str, Any], ...]
+    seconds: float = SECONDS
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A test, with the 95 % interval [SI] that the parameter would have with its log beside those
+    there are, and the share of its present width (None where it has none).
+    """
+
+    trial: Trial
+    interval: tuple[float, float]
+    share: float | None
+
+
+@dataclass(frozen=True)
+class Known:
+    """A fitted parameter as its run left it: value and interval [SI], status."""
+
+    name: str
+    value: float
+    interval: tuple[float, float] | None
+    status: str
+
+
+def widest(fitted: Sequence[Known], search: Sequence[Coordinate]) -> str:
+    """The parameter that is known least: one without an interval, else of the widest in its own
+    units.
+    """
+
+    def width(one: Known, c: Coordinate) -> float:
+        if one.interval is None or one.status == "not_excited":
+            return math.inf
+        return c.of(max(one.interval[1], c.lower)) - c.of(max(one.interval[0], c.lower))
+
+    return max(zip(fitted, search, strict=True), key=lambda pair: width(*pair))[0].name
+
+
+def must_be_fitted(name: str, names: Collection[str]) -> None:
+    """Refuse a name that is none of those fitted.
+
+    Raises:
+        InputError: names those that were.
+    """
+    if name not in names:
+        raise InputError(
+            f"'{name}' was not fitted in this run", hint="it fitted " + ", ".join(names)
+        )
+
+
+def propose(
+    prepared: PreparedFit, fitted: Sequence[Known], name: str, progress: Progress | None = None
+) -> list[Proposal]:
+    """Tests by what they would leave of the interval of parameter ``name``, the best first.
+
+    Args:
+        prepared: the fit's logs and parameters, its rig with the fitted values.
+        fitted: what the fit found, in the order of the parameters.
+        name: of the parameter to sharpen.
+        progress: called with a sentence and the share done.
+
+    Raises:
+        InputError: the parameter was not fitted.
+        InsufficientData: no test is possible that keeps off the ends of the stroke.
+    """
+    names = [c.name for c in prepared.search]
+    must_be_fitted(name, names)
+    tell = progress or (lambda sentence, share: None)
+    tell("what the logs say", 0.0)
+    planner = _Planner(prepared, fitted, names.index(name))
+    found: list[Proposal] = []
+    firsts = [
+        trial
+        for drive in planner.drives
+        for wave in WAVES
+        for share in AMPLITUDES
+        for trial in planner.trials(drive, wave, share, POSTURES[:1], (None,))
+    ]
+    for number, trial in enumerate(firsts):
+        tell("trying tests", 0.1 + 0.5 * number / len(firsts))
+        found += planner.judged(trial)
+    found.sort(key=_width)
+    loads = (None, *prepared.rig.payload)
+    drives = {drive.cylinder: drive for drive in planner.drives}
+    more = [
+        trial
+        for one in found[:BEST]
+        for trial in planner.trials(
+            drives[one.trial.cylinder], one.trial.wave, one.trial.amplitude, POSTURES, loads
+        )
+        if trial != one.trial
+    ]
+    for number, trial in enumerate(more):
+        tell("trying postures and loads", 0.6 + 0.4 * number / len(more))
+        found += planner.judged(trial)
+    if not found:
+        raise InsufficientData(
+            "every test that was tried runs into an end of the stroke or beyond the pressures",
+            hint="check the stroke, the supply pressure and the relief pressure of the rig file",
+        )
+    return sorted(found, key=_width)
+
+
+def _width(one: Proposal) -> float:
+    return one.interval[1] - one.interval[0]
+
+
+class _Planner:
+    """What the logs say of the parameters, and what a test would add.
+
+    Args:
+        which: number of the parameter to sharpen.
+    """
+
+    def __init__(self, prepared: PreparedFit, fitted: Sequence[Known], which: int) -> None:
+        self.prepared, self.fitted, self.which = prepared, fitted, which
+        self.values = [one.value for one in fitted]
+        self.rig = prepared.rig.with_values(
+            {one.name: one.value for one in fitted if one.status != "not_excited"}
+        )
+        # with dead bands as wide as the logs leave them: what a test must open for sure
+        ends = {one.name: one.interval[1] for one in fitted if one.interval is not None}
+        self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
+        search = self._search(prepared.logs)
+        with search.simulator.pool:
+            search.settle_starts(self.values)
+            blocks, prior = search.said()
+        self.sensors = search.theta[len(fitted) :]
+        self.scales, self.weight = search.scales, search.weight
+        self.normal = np.sum([eliminate(b, self.weight).normal for b in blocks], axis=0)
+        self.normal = self.normal + prior.normal
+        self.live = [i for i, one in enumerate(fitted) if one.status != "not_excited" or i == which]
+        self.live += range(len(fitted), len(self.normal))
+        self.widening = self._widening()
+        self.drives = list(drives_of(self.rig, prepared.logs))
+        self.noise = _noise_of(prepared.logs)
+
+    def _search(self, logs: Sequence[Log]) -> OutputError:
+        one, asked = self.prepared, self.prepared.options
+        simulator = simulator_of(one, logs)
+        tell = lambda sentence, share: None  # noqa: E731
+        return OutputError(simulator, one.search, tell, asked.max_iterations, asked.cutoff)
+
+    def _error(self, normal: np.ndarray) -> np.ndarray:
+        """Standard errors of the live parameters in search coordinates, for white residuals."""
+        own = normal[np.ix_(self.live, self.live)]
+        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        inverse = np.linalg.pinv(own / np.outer(size, size), hermitian=True)
+        return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
+
+    def _widening(self) -> dict[int, float]:
+        """Half of each present interval in search coordinates over the error for white residuals;
+        the median stands for those without.
+        """
+        errors = dict(zip(self.live, self._error(self.normal), strict=True))
+        found = {}
+        for i in (i for i in self.live if i < len(self.fitted)):
+            c, ends = self.prepared.search[i], self.fitted[i].interval
+            if ends is not None and self.fitted[i].status != "not_excited":
+                low, high = (c.of(min(max(end, c.lower), c.upper)) for end in ends)
+                middle = c.of(self.values[i])
+                found[i] = max(high - middle, middle - low) / max(errors[i], 1e-300)
+        usual = float(np.median(list(found.values()))) if found else 2.0
+        return {i: found.get(i, usual) for i in self.live}
+
+    def trials(
+        self,
+        drive: Drive,
+        wave: str,
+        amplitude: float,
+        postures: Sequence[float],
+        loads: Sequence[str | None],
+    ) -> list[Trial]:
+        """A waveform at an amplitude, from some strokes and with some loads, one changed at a
+        time.
+        """
+        stroke = float(self.rig.cylinder_named(drive.cylinder).stroke)
+        commands = tuple(entries_of(self.shut, drive, wave, amplitude))
+        starts = [(share, None) for share in postures] + [(postures[0], load) for load in loads[1:]]
+        return [
+            Trial(drive.cylinder, wave, amplitude, share * stroke, load, commands)
+            for share, load in starts
+        ]
+
+    def judged(self, trial: Trial) -> list[Proposal]:
+        """What a test would leave of the interval; nothing where it cannot be run."""
+        try:
+            log = self._log(trial)
+            search = self._search([log])
+            with search.simulator.pool:
+                search.coarse = False
+                search.scales = {c: self.scales.get(c, 1.0) for c in search.scales}
+                pairs = zip(self.prepared.search, self.values, strict=True)
+                search.theta = np.array([*(c.of(x) for c, x in pairs), *self.sensors])
+                (block,), _ = search.said()
+        except EhbenchError:
+            return []
+        after = self.normal + eliminate(block, self.weight).normal
+        k = self.live.index(self.which)
+        c, own = self.prepared.search[self.which], self.fitted[self.which]
+        std, before = self._error(after)[k], self._error(self.normal)[k]
+        half = self.widening[self.which] * float(std)
+        middle = c.of(self.values[self.which])
+        known = own.interval is not None and own.status != "not_excited"
+        share = float(std / before) if known and before > 0.0 else None
+        return [Proposal(trial, (c.at(middle - half), c.at(middle + half)), share)]
+
+    def _log(self, trial: Trial) -> Log:
+        """The log that the fitted rig would record of a test.
+
+        Raises:
+            InsufficientData: it runs into an end or beyond the pressures.
+        """
+        tick = self.prepared.logs[0].record.sample_time
+        t = np.arange(round(trial.seconds / tick) + 1) * tick
+        made = simulate(
+            self.rig,
+            commands_of(trial.commands, t),
+            float(t[-1]),
+            posture={trial.cylinder: f"{trial.stroke!r} m"},
+            payload=trial.payload,
+            flow_maps=self.prepared.flow_maps,
+            rate=1.0 / tick,
+        )
+        _refuse_ends(self.rig, trial.cylinder, made)
+        rng = np.random.default_rng(0)
+        measured = {name for log in self.prepared.logs for name in log.record.channels}
+        channels = {
+            name: y + self.noise.get(name.rsplit(".", 1)[-1], 0.0) * rng.standard_normal(y.size)
+            for name, y in made.channels.items()
+            if name in measured
+        }
+        record = Record(made.t, channels, {"payload": trial.payload or "none"})
+        model = Model.of(self.rig, self.prepared.flow_maps, trial.payload)
+        terms = self.prepared.logs[0].start.terms
+        channels, each = self.prepared.options.channels, self.prepared.logs[0].each
+        log = prepare(model, record, "test", channels, terms, each)
+        clean = Record(made.t, made.channels, record.meta)
+        return replace(log, recorded=channels_of(log, clean))
+
+
+def _refuse_ends(rig: Rig, name: str, made: Record) -> None:
+    """Refuses a test that a careful person would not run."""
+    cylinder = rig.cylinder_named(name)
+    stroke, supply = float(cylinder.stroke), float(rig.supply.pressure)
+    x = made[f"{name}.x"]
+    pressures = [made[f"{name}.{word}"] for word in ("p_head", "p_rod")]
+    if np.min(x) < MARGIN * stroke or np.max(x) > (1.0 - MARGIN) * stroke:
+        raise InsufficientData(f"{name} runs into an end of its stroke")
+    if np.max(pressures) > MOST_PRESSURE * supply or np.min(pressures) < LEAST_PRESSURE:
+        raise InsufficientData(f"a chamber of {name} is emptied, or its pressure goes far too high")
+
+
+def drives_of(rig: Rig, logs: Sequence[Log]) -> list[Drive]:
+    """What drove each cylinder out and back in the logs, by its speed."""
+    found: dict[str, Drive] = {}
+    for log in logs:
+        for name in log.asked:
+            sides = _sides(rig, log.record, name)
+            if name not in found and sides is not None:
+                found[name] = Drive(name, *sides)
+    return list(found.values())
+
+
+def _sides(rig: Rig, record: Record, name: str) -> tuple[dict[str, float], dict[str, float]] | None:
+    """Shares of the largest command by valve, while the cylinder goes out and while it goes back;
+    None where the log shows no speed.
+    """
+    cylinder = rig.cylinder_named(name)
+    speed = next(
+        (v for c in (f"{name}.v", f"{name}.qd") if (v := column(record, c, record)) is not None),
+        None,
+    )
+    if speed is None:
+        return None
+    if cylinder.linkage and f"{name}.v" not in record and f"{name}.x" not in record:
+        speed = cylinder.linkage.sign * speed
+    reach = DRIVEN * float(np.max(np.abs(speed)))
+    sides = []
+    for sign in (1.0, -1.0):
+        at = sign * speed > reach
+        side = {}
+        for valve in cylinder.valve:
+            channel = f"{name}.{valve.name}.command"
+            if channel in record and at.any():
+                mean = float(np.median(record[channel][at])) - float(valve.rest)
+                side[f"{name}.{valve.name}"] = mean
+        largest = max((abs(u) for u in side.values()), default=0.0)
+        if largest == 0.0:
+            return None
+        sides.append({v: round(u / largest, 2) for v, u in side.items() if abs(u) > 0.05 * largest})
+    return sides[0], sides[1]
+
+
+def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict[str, Any]]:
+    """Steps [V] of a waveform, one entry each: shares of what a valve has beyond its dead bands."""
+    valves = {f"{c.name}.{v.name}": v for c, v in rig.valves()}
+    entries = []
+    for side, spans in zip((drive.out, drive.back), WAVES[wave], strict=True):
+        for start, stop in spans:
+            for valve, share in side.items():
+                own = valves[valve]
+                low, high = float(own.command_min), float(own.command_max)
+                reach = max(abs(low), abs(high))
+                shut = max(
+                    (float(e.deadband) for e in own.edge if e.sign * share > 0.0), default=0.0
+                )
+                volts = math.copysign(shut, share) + amplitude * share * max(reach - shut, 0.0)
+                volts = min(max(volts, low), high)
+                entry = {"valve": valve, "kind": "step", "amplitude": round(volts, 3)}
+                entries.append(entry | {"start": start, "stop": stop})
+    return entries
+
+
+def commands_of(entries: Sequence[Mapping[str, Any]], t: np.ndarray) -> dict[str, np.ndarray]:
+    """Commands [V] by valve of steps, at times ``t`` [s]."""
+    found: dict[str, np.ndarray] = {}
+    for entry in entries:
+        on = (t >= entry["start"] - 1e-9) & (t < entry["stop"] - 1e-9)
+        found.setdefault(entry["valve"], np.zeros_like(t))
+        found[entry["valve"]] += entry["amplitude"] * on
+    return found
+
+
+def _noise_of(logs: Sequence[Log]) -> dict[str, float]:
+    """Noise of the sensors [SI] by quantity, from how consecutive samples differ."""
+    found: dict[str, list[float]] = {}
+    for log in logs:
+        for name, y in log.record.channels.items():
+            if not name.endswith("command"):
+                spread = 1.4826 * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0)
+                found.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
+    return {word: float(np.median(sizes)) for word, sizes in found.items()}

@@ -1,0 +1,165 @@
+"""The profile likelihood of a fitted parameter: how much worse the logs are followed when it is
+held at a value and everything else is fitted again.
+
+Where it is a parabola over the interval, the interval means what it says; where it is lopsided,
+flat or has a second valley, the interval does not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ehbench.identification.hydraulics import PreparedFit, simulator_of
+from ehbench.identification.output_error import OutputError
+from ehbench.identification.results import FittedParameter, HydraulicsFit, Progress
+from ehbench.identification.search import Coordinate
+from ehbench.vocabulary.errors import InputError
+
+# rise of −2 log likelihood at the ends of a 95 % interval
+LEVEL_95 = 3.841
+STEPS = 6  # values on either side
+REACH = 2.0  # half-widths of the interval that the profile goes out either way
+FLAT = 1.0  # reach in search coordinates where there is no interval
+# what tells a shape: ends this much apart from the interval's, a rise left at the end of the reach
+_LOPSIDED, _SHALLOW = 1.5, 1.5
+
+
+@dataclass(frozen=True)
+class Profile:
+    """``rise`` of −2 log likelihood at ``values`` [SI] of a parameter, all others and the logs'
+    starts fitted again, scaled so that its curvature at the best value is that of the fit's
+    interval (residuals are coloured); ``followed`` are the others' values [SI] by name. ``ends``
+    [SI] are where it crosses the 95 % level (None: not within what was tried), ``shape`` a word.
+    """
+
+    name: str
+    unit: str
+    best: float
+    interval: tuple[float, float] | None
+    values: tuple[float, ...]
+    rise: tuple[float, ...]
+    ends: tuple[float | None, float | None]
+    followed: dict[str, tuple[float, ...]]
+    shape: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for `rundir.write_json`."""
+        return asdict(self)
+
+
+def profile(
+    prepared: PreparedFit, name: str, progress: Progress | None = None
+) -> tuple[HydraulicsFit, Profile]:
+    """(the fit, the profile likelihood of one of its parameters).
+
+    Raises:
+        InputError: the parameter is not among those of the fit, or the method is not output error.
+        InsufficientData: as the fit.
+    """
+    names = [c.name for c in prepared.search]
+    asked, tell = prepared.options, progress or (lambda sentence, share: None)
+    if name not in names:
+        raise InputError(f"'{name}' is not among the parameters", hint=", ".join(names))
+    if asked.method != "output_error":
+        raise InputError("a profile needs method 'output_error'", hint="the recipe says another")
+    simulator = simulator_of(prepared, prepared.logs)
+    with simulator.pool:
+        search = OutputError(simulator, prepared.search, tell, asked.max_iterations, asked.cutoff)
+        fit = search.fit()
+        which = names.index(name)
+        own, c = fit[name], prepared.search[which]
+        thetas = _values(c, own)
+        stands, found = (search.theta, search.shifts), []
+        for side in (thetas[thetas < c.of(own.value)][::-1], thetas[thetas >= c.of(own.value)]):
+            search.theta, search.shifts = stands
+            for theta in side:
+                tell(f"profile of {name}", 0.5 + 0.5 * len(found) / thetas.size)
+                found.append((float(theta), *search.held_at(which, float(theta))))
+    found.sort(key=lambda one: one[0])
+    return fit, _profile(c, own, found, [n for n in names if n != name])
+
+
+def _values(c: Coordinate, own: FittedParameter) -> np.ndarray:
+    """Values to hold a parameter at, in search coordinates, inside its bounds, its own among
+    them.
+    """
+    best = c.of(own.value)
+    low, high = c.bounds
+    reach = [FLAT, FLAT]
+    if own.interval is not None and own.status != "not_excited":
+        ends = [c.of(min(max(end, c.lower), c.upper)) for end in own.interval]
+        half = max(best - ends[0], ends[1] - best)
+        reach = [REACH * half, REACH * half]
+    sides = [
+        best + sign * size * np.arange(1, STEPS + 1) / STEPS
+        for sign, size in zip((-1.0, 1.0), reach, strict=True)
+    ]
+    every = np.unique(np.clip(np.concatenate([sides[0], [best], sides[1]]), low, high))
+    return every
+
+
+def _profile(
+    c: Coordinate,
+    own: FittedParameter,
+    found: Sequence[tuple[float, float, dict[str, float]]],
+    others: Sequence[str],
+) -> Profile:
+    theta = np.array([one[0] for one in found])
+    cost = np.array([one[1] for one in found])
+    rise = cost - cost.min()
+    best = float(theta[np.argmin(cost)])
+    centre = c.of(own.value)
+    scale = 1.0
+    if own.interval is not None and own.status != "not_excited":
+        ends = [c.of(min(max(end, c.lower), c.upper)) for end in own.interval]
+        half = max(centre - ends[0], ends[1] - centre)
+        near = (np.abs(theta - centre) <= 1.01 * half) & (theta != centre)
+        square = (theta[near] - centre) ** 2
+        curve = float(np.sum(rise[near] * square) / np.sum(square**2)) if near.any() else 0.0
+        scale = LEVEL_95 / half**2 / curve if curve > 0.0 else 1.0
+    rise = scale * rise
+    k = int(np.argmin(rise))
+    low = _crossing(theta[k::-1], rise[k::-1])
+    high = _crossing(theta[k:], rise[k:])
+    ends_found = (None if low is None else c.at(low), None if high is None else c.at(high))
+    return Profile(
+        name=c.name,
+        unit=c.row.unit,
+        best=c.at(best),
+        interval=own.interval,
+        values=tuple(c.at(float(x)) for x in theta),
+        rise=tuple(float(r) for r in rise),
+        ends=ends_found,
+        followed={name: tuple(one[2][name] for one in found) for name in others},
+        shape=_shape(theta, rise, best, (low, high)),
+    )
+
+
+def _crossing(theta: np.ndarray, rise: np.ndarray) -> float | None:
+    """Where the rise first reaches the 95 % level, away from the least; None if it does not."""
+    above = np.flatnonzero(rise >= LEVEL_95)
+    if not above.size or above[0] == 0:
+        return None
+    j = int(above[0])
+    # the root of the rise is straight where it is a parabola
+    a, b, level = math.sqrt(max(rise[j - 1], 0.0)), math.sqrt(rise[j]), math.sqrt(LEVEL_95)
+    return float(theta[j - 1] + (theta[j] - theta[j - 1]) * (level - a) / max(b - a, 1e-300))
+
+
+def _shape(
+    theta: np.ndarray, rise: np.ndarray, best: float, ends: tuple[float | None, float | None]
+) -> str:
+    """``parabola``, ``lopsided``, ``open`` (no end on a side) or ``two valleys``."""
+    inner = rise[1:-1]
+    valleys = np.count_nonzero((inner < rise[:-2] - 0.5) & (inner < rise[2:] - 0.5))
+    if valleys > 1:
+        return "two valleys"
+    low, high = ends
+    if low is None or high is None:
+        return "open"
+    sides = best - low, high - best
+    return "lopsided" if max(sides) > _LOPSIDED * min(sides) else "parabola"

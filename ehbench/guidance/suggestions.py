@@ -1,0 +1,512 @@
+"""What would better a fit: likely changes of model and sensors, each fitted to some windows of the
+logs and compared on the others; the simplest that is not worse than the best comes first.
+
+Every log is cut into windows of equal length, and every other window is left out of a fit: twice,
+so that each is left out once. Simulations run through; only what they are compared on differs. A
+change is kept, and others tried on top of it, as long as what is left out gets smaller."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from ehbench.config.recipe.sensor import WORDS
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.guidance.changes import TURNED, Change, changes, merged
+from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
+from ehbench.identification.output_error import OutputError
+from ehbench.identification.results import Progress
+from ehbench.identification.search import of_sensors
+from ehbench.identification.simulator import Log, Simulator
+from ehbench.signals.series import white_noise
+from ehbench.vocabulary.errors import EhbenchError, InputError
+
+SECONDS = 120.0  # of trying, by default
+LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how many of a log
+HEAD = 10.0  # [s] of a log at least that is looked at
+STEPS = 25  # of a descent
+FINE = 0.005  # share of a channel's spread below which an error does not matter
+SHOWN, WIDE = 10, 96  # rows of the table in a terminal, its width
+COSTLY = ("mount", "sway")  # kinds that are tried where nothing else helps
+ROUNDS = 5  # changes on top of one another, at most
+QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
+WORTH = 0.05  # share of what is left out, by which a change must lessen it to be worth its numbers
+# what a change promises to leave to first order, as a power of the least that another was found to
+# leave, beyond which it is not tried beside that
+HOPE = 0.1
+UNEQUAL = 0.1  # logarithm of a channel's mean square by which one fold may gain less than the other
+# no such rig, or no such fit
+IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
+UNSURE = 1.0  # standard errors within which a fit is not worse than the best
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A fit to try: its rig, parameters and options, and the changes that made it."""
+
+    rig: Rig
+    parameters: tuple[str, ...]
+    options: FitOptions
+    changes: tuple[Change, ...] = ()
+
+    def with_change(self, change: Change) -> Setup:
+        """This with one change more.
+
+        Raises:
+            ValueError: there is no such rig.
+        """
+        upper = {**self.options.upper, **change.upper}
+        sensors = merged(self.options.sensors, change.sensors)
+        return Setup(
+            change.altered(self.rig),
+            (*self.parameters, *(n for n in change.parameters if n not in self.parameters)),
+            replace(self.options, upper=upper, sensors=sensors),
+            (*self.changes, change),
+        )
+
+    @property
+    def freedom(self) -> int:
+        """How many numbers its changes free."""
+        return sum(one.freedom for one in self.changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A fit that was tried: mean squares of what is left out [SI²] by (log, window) and channel,
+    the numbers it came to, a fold each, and what these cost."""
+
+    setup: Setup
+    left: dict[tuple[str, int], dict[str, float]]
+    found: tuple[dict[str, float], ...]
+    costs: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A row of the table: ``changes`` in words, how many numbers they free, what is left out
+    relative to the recipe's own fit (mean square, 1 for that), the standard error of its
+    difference from the best, whether it is ``not_worse`` than that; the lines to write."""
+
+    changes: tuple[str, ...]
+    freedom: int
+    misfit: float
+    std: float
+    not_worse: bool
+    recipe_lines: tuple[str, ...]
+    rig_lines: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """Its changes in a sentence."""
+        return " and ".join(self.changes) or "the recipe as it is"
+
+    def as_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestions:
+    """The table, simplest that is not worse first; ``setups`` are the fits behind its rows;
+    ``untried`` names what there was no time for on top of the best."""
+
+    rows: tuple[Suggestion, ...]
+    setups: tuple[Setup, ...]
+    untried: tuple[str, ...]
+
+    def lines(self, most: int = SHOWN) -> list[str]:
+        """The table as people read it, what to write below its first row."""
+        table = ["what windows left out show, mean square relative to the recipe as it is:", ""]
+        table.append(f"{'left out':>16}  {'numbers':>7}  what")
+        for row in self.rows[:most]:
+            mark = "*" if row.not_worse else " "
+            off = f" ± {100.0 * row.std:.2g}" if row.std else ""
+            size = f"{100.0 * row.misfit:.3g}{off} %"
+            table.append(f"{mark}{size:>15}  {row.freedom:>7}  {row.words}")
+            if row is self.rows[0]:
+                table += [f"{'':>27}recipe  {line}" for line in row.recipe_lines]
+                table += [f"{'':>27}rig     {line}" for line in row.rig_lines]
+        table.append("")
+        table.append("* not worse than the best; the simplest of these first")
+        if len(self.rows) > most:
+            table.append(f"{len(self.rows) - most} more rows: --json")
+        if len(self.rows) == 1:
+            table.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
+        if self.untried:
+            untried = "no time for " + ", ".join(self.untried) + "; --seconds gives more"
+            table += wrap(untried, WIDE, subsequent_indent="  ", break_on_hyphens=False)
+        return table
+
+
+def suggest(
+    prepared: PreparedFit,
+    records: Sequence[tuple[str, Record]],
+    progress: Progress | None = None,
+    seconds: float = SECONDS,
+    rounds: int = ROUNDS,
+) -> Suggestions:
+    """Try what is likely on a fit.
+
+    Args:
+        prepared: the fit.
+        records: its logs.
+        progress: told what is tried, and the share done.
+        seconds: after which nothing more is begun.
+        rounds: how many changes are tried on top of one another, at most.
+
+    Raises:
+        InsufficientData: the logs tell nothing about any parameter of the fit itself.
+        InputError: the fit compares frequency responses.
+    """
+    if prepared.options.response is not None:
+        raise InputError(
+            "windows left out of a log have no frequency response to compare",
+            hint="ask --suggest of a recipe without [response]",
+        )
+    return _Trials(prepared, records, progress or (lambda text, share: None), seconds).run(rounds)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """A fit with some windows left out: its numbers, and mean squares of what it leaves [SI²] by
+    (log, window) left out and channel.
+    """
+
+    cost: float
+    found: dict[str, float]
+    left: dict[tuple[str, int], dict[str, float]]
+
+
+class _Trials:
+    """Trials of changes to one fit."""
+
+    def __init__(
+        self,
+        prepared: PreparedFit,
+        records: Sequence[tuple[str, Record]],
+        tell: Progress,
+        seconds: float,
+    ) -> None:
+        options = replace(prepared.options, method="output_error", max_iterations=STEPS)
+        self.base = Setup(prepared.rig, prepared.parameters, options)
+        self.records, self.maps, self.tell = records, prepared.flow_maps, tell
+        self.begun, self.seconds = time.monotonic(), seconds
+        self.tried: list[Tried] = []
+        self.spread: dict[str, float] = {}
+        self.noise: dict[str, float] = {}
+
+    def run(self, rounds: int) -> Suggestions:
+        """All rounds, and the table."""
+        self.tell("suggest: fitting the recipe as it is", 0.0)
+        now, untried = self._first(), ()
+        for _ in range(rounds):
+            if self._quiet(now):
+                break
+            reached, untried = self._round(now)
+            better = [one for one in reached if self._better(one, now)]
+            if not better:
+                break
+            now = self._simplest(now, min(better, key=lambda one: self._misfit(one, now)))
+        self.tell("suggest: done", 1.0)
+        return self._table(untried)
+
+    def _round(self, now: Tried) -> tuple[list[Tried], tuple[str, ...]]:
+        """(changes on top of a fit; the names of those that there was no time for). What promises
+        most is tried first; what costs much, and on the recipe itself what promises nothing, only
+        where that did not help: a promise is to first order.
+        """
+        left = self._changes(now)
+        promised, untried = self._promised(now, [c for c in left if c.kind not in COSTLY])
+        reached = self._tries(now, promised, untried)
+        if not self._any_better(reached, now):
+            costly, late = self._promised(now, [c for c in left if c.kind in COSTLY])
+            untried += late
+            reached += self._tries(now, costly, untried, hope=0.0)
+        if now is self.tried[0] and not self._any_better(reached, now):
+            rest = [one for one in promised if one[0] > (1.0 - WORTH) ** HOPE]
+            reached += self._tries(now, rest, untried, hope=0.0)
+        self.tried += reached
+        return reached, tuple(untried)
+
+    def _tries(
+        self,
+        now: Tried,
+        promised: Sequence[tuple[float, Change]],
+        untried: list[str],
+        hope: float = HOPE,
+    ) -> list[Tried]:
+        """Changes on top of a fit, one by one, to the first that promises too little beside the
+        best: more than its misfit to the power of ``hope``. Those that there is no time for are
+        added to ``untried``.
+        """
+        reached: list[Tried] = []
+        best = 1.0 - WORTH
+        for promise, change in promised:
+            spent = time.monotonic() - self.begun
+            if promise > best**hope:
+                break
+            if spent > self.seconds:
+                untried.append(change.name)
+                continue
+            self.tell(f"suggest: {change.name}", spent / self.seconds)
+            tried = self._try(now, change)
+            if tried is not None:
+                reached.append(tried)
+                best = min(best, self._misfit(tried, now))
+        return reached
+
+    def _any_better(self, reached: Sequence[Tried], now: Tried) -> bool:
+        return any(self._better(one, now) for one in reached)
+
+    def _promised(
+        self, now: Tried, left: Sequence[Change]
+    ) -> tuple[list[tuple[float, Change]], list[str]]:
+        """(by how much changes on top of a fit should lessen what it leaves, were all linear: mean
+        square with the change relative to that without, the least first; the names of those that
+        there was no time to look at).
+        """
+        found: list[tuple[float, Change]] = []
+        untried, without = [], self._foreseen(now, now.setup, ({},))
+        for change in left:
+            spent = time.monotonic() - self.begun
+            if spent > self.seconds:
+                untried.append(change.name)
+                continue
+            self.tell(f"suggest: what {change.name} promises", spent / self.seconds)
+            try:
+                cost = self._foreseen(now, now.setup.with_change(change), change.starts)
+            except IMPOSSIBLE:
+                continue
+            rise = (cost - min(without, now.costs[0])) / len(self.channels)
+            found.append((math.exp(rise) if rise < 0.0 else 1.0, change))
+        return sorted(found, key=lambda one: one[0]), untried
+
+    def _foreseen(self, now: Tried, setup: Setup, starts: Sequence[Mapping[str, float]]) -> float:
+        """The least cost that a fit should come to, were all linear, from some starts beside the
+        numbers of another.
+
+        Raises:
+            EhbenchError, ValueError, ArithmeticError: there is no such rig, or no such fit.
+        """
+        _, search = self._prepared(setup, 0)
+        with search.simulator.pool:
+            return min(search.foreseen({**now.found[0], **start}) for start in starts)
+
+    def _simplest(self, now: Tried, best: Tried) -> Tried:
+        """The best of the parts of the last change of a fit that are not worse than the whole; the
+        fit itself where there are none.
+        """
+        parts = [self._try(now, one) for one in best.setup.changes[-1].apart()]
+        found = [one for one in parts if one is not None]
+        self.tried += found
+        kept = [one for one in found if self._not_worse(one, best)]
+        return min(kept, key=lambda one: self._misfit(one, best), default=best)
+
+    def _first(self) -> Tried:
+        """The fit as the recipe has it, from a look over the whole range of its parameters."""
+        logs, search = self._prepared(self.base, None)
+        with search.simulator.pool:
+            search.arrive()
+        self.spread = dict(search.spread)
+        for log in logs:
+            for channel, y in zip(log.channels, log.recorded.T, strict=True):
+                self.noise[channel] = max(white_noise(y) ** 2, self.noise.get(channel, 0.0))
+        folds = [self._fold(self.base, which, search.named()) for which in range(2)]
+        self.live = tuple(dict.fromkeys(name for log in logs for name in log.asked))
+        self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))
+        first = _tried(self.base, folds)
+        self.tried.append(first)
+        return first
+
+    def _changes(self, now: Tried) -> list[Change]:
+        """What may be tried on top of a fit."""
+        records, setup = [record for _, record in self.records], now.setup
+        found = now.found[int(np.argmin(now.costs))]
+        fitted = setup.rig.with_values({name: found[name] for name in setup.parameters})
+        given = (self.live, self.channels, records, setup.parameters, setup.options.upper)
+        estimated = {(one.channel, w) for one in setup.options.sensors for w in WORDS if one[w]}
+        used = {one.name for one in setup.changes}
+        astray = any(size > self.spread[c] ** 2 for c, size in self._levels(now).items())
+        return [
+            one
+            for one in changes(fitted, *given)
+            if one.name not in used
+            and not estimated & {(s.channel, w) for s in one.sensors for w in WORDS if s[w]}
+            and (one.kind != TURNED or astray)
+        ]
+
+    def _try(self, now: Tried, change: Change) -> Tried | None:
+        """A change on top of a fit; None where there is no such rig, or no such fit.
+
+        A fold that gains much less than the other is begun again where that ended: it may have come
+        to another minimum.
+        """
+        try:
+            setup = now.setup.with_change(change)
+            folds = []
+            starts = change.starts
+            for which, found in enumerate(now.found):
+                each = [self._fold(setup, which, {**found, **s}) for s in starts]
+                best = min(range(len(each)), key=lambda k: each[k].cost)
+                folds.append(each[best])
+                starts = starts[best : best + 1]
+                if which == 0 and change.kind in COSTLY and not self._gains(now, folds[0]):
+                    return None
+            gains = [old - fold.cost for old, fold in zip(now.costs, folds, strict=True)]
+            less = int(np.argmin(gains))
+            if max(gains) - min(gains) > UNEQUAL * len(self.channels):
+                other = self._fold(setup, less, folds[1 - less].found)
+                folds[less] = min(folds[less], other, key=_by_cost)
+            tried = _tried(setup, folds)
+            same = all(own.keys() == tried.left.get(at, {}).keys() for at, own in now.left.items())
+            return tried if same else None
+        except IMPOSSIBLE:
+            return None
+
+    def _gains(self, now: Tried, first: _Fold) -> bool:
+        """Whether the first fold of a change fits its own windows so much better than the fit
+        before that it may do so with those left out.
+        """
+        gain = now.costs[0] - first.cost
+        return gain > -math.log(1.0 - WORTH) * HOPE * len(self.channels)
+
+    def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], OutputError]:
+        """(the logs, a search over them with the windows of a fold left out)."""
+        fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
+        logs = [log.head(HEAD) for log in fit.logs]
+        kept = logs
+        if which is not None:
+            kept = [
+                replace(log, counts=log.counts & ~_out(log, k, which)[:, None])
+                for k, log in enumerate(logs)
+            ]
+        options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
+        names = [*setup.parameters, *(c.name for c in sensors)]
+        simulator = Simulator(setup.rig, kept, names, self.maps, options.workers, options.step)
+        tell: Progress = lambda text, share: None  # noqa: E731
+        return logs, OutputError(simulator, fit.search, tell, STEPS, options.cutoff)
+
+    def _fold(self, setup: Setup, which: int, begin: Mapping[str, float]) -> _Fold:
+        """A fit from some numbers on, with the windows of a fold left out."""
+        logs, search = self._prepared(setup, which)
+        left: dict[tuple[str, int], dict[str, float]] = {}
+        with search.simulator.pool:
+            cost = search.descend(begin)
+            for k, (log, rest) in enumerate(zip(logs, search.beside(logs), strict=True)):
+                windows = _windows(log)
+                for w in range(int(windows[-1]) + 1):
+                    own = (windows == w) & _out(log, k, which)
+                    if own.any():
+                        left[log.name, w] = {
+                            channel: float(np.mean(rest[own & log.counts[:, i], i] ** 2))
+                            for i, channel in enumerate(log.channels)
+                            if (own & log.counts[:, i]).any()
+                        }
+        return _Fold(cost, search.named(), left)
+
+    def _by_window(self, one: Tried, scale: Tried) -> np.ndarray:
+        """What is left out of each window, channels added up, each in units of what another fit
+        leaves of it in the mean.
+        """
+        level = self._levels(scale)
+        return np.array([sum(y / level[c] for c, y in own.items()) for own in one.left.values()])
+
+    def _levels(self, one: Tried) -> dict[str, float]:
+        """Mean squares of what is left of each channel [SI²]."""
+        found: dict[str, list[float]] = {}
+        for own in one.left.values():
+            for channel, size in own.items():
+                found.setdefault(channel, []).append(size)
+        return {c: max(float(np.mean(y)), (FINE * self.spread[c]) ** 2) for c, y in found.items()}
+
+    def _misfit(self, one: Tried, other: Tried) -> float:
+        """Mean square of what is left, relative to another fit; geometric mean of the channels."""
+        mine, theirs = self._levels(one), self._levels(other)
+        return float(np.exp(np.mean([np.log(mine[c] / theirs[c]) for c in theirs])))
+
+    def _difference(self, one: Tried, other: Tried) -> tuple[float, float]:
+        """(by how much a fit leaves more than another, its standard error), as shares of what that
+        one leaves.
+        """
+        ours, theirs = self._by_window(one, other), self._by_window(other, other)
+        whole = float(np.mean(theirs)) or 1.0
+        off = (ours - theirs) / whole
+        return float(np.mean(off)), float(np.std(off, ddof=1)) / len(off) ** 0.5
+
+    def _quiet(self, one: Tried) -> bool:
+        """Whether a fit leaves little more than white noise, or than what does not matter."""
+        return all(
+            size <= QUIET * (self.noise[c] + (FINE * self.spread[c]) ** 2)
+            for c, size in self._levels(one).items()
+        )
+
+    def _better(self, one: Tried, other: Tried) -> bool:
+        """Whether it is worth while to go on from a fit: what is surely better, the table says."""
+        return self._difference(one, other)[0] < -WORTH
+
+    def _not_worse(self, one: Tried, best: Tried) -> bool:
+        more, std = self._difference(one, best)
+        return more <= max(UNSURE * std, WORTH)
+
+    def _table(self, untried: tuple[str, ...]) -> Suggestions:
+        first = self.tried[0]
+        misfits = [self._misfit(one, first) for one in self.tried]
+        best = self.tried[int(np.argmin(misfits))]
+        fine = [self._not_worse(one, best) for one in self.tried]
+        order = sorted(
+            range(len(self.tried)),
+            key=lambda i: (not fine[i], self.tried[i].setup.freedom if fine[i] else 0, misfits[i]),
+        )
+        rows = []
+        for i in order:
+            setup = self.tried[i].setup
+            rows.append(
+                Suggestion(
+                    tuple(one.name for one in setup.changes),
+                    setup.freedom,
+                    misfits[i],
+                    self._difference(self.tried[i], best)[1] * misfits[i],
+                    fine[i],
+                    tuple(line for c in setup.changes for line in c.recipe_lines(setup.rig)),
+                    tuple(line for c in setup.changes for line in c.rig_lines),
+                )
+            )
+        return Suggestions(tuple(rows), tuple(map(_begun, (self.tried[i] for i in order))), untried)
+
+
+def _begun(one: Tried) -> Setup:
+    """A fit that begins where it was tried."""
+    setup, found = one.setup, one.found[int(np.argmin(one.costs))]
+    start = {name: found[name] for name in setup.parameters}
+    return replace(setup, options=replace(setup.options, start=start))
+
+
+def _by_cost(one: _Fold) -> float:
+    return one.cost
+
+
+def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
+    """A fit by its folds, what is left out by window in one order."""
+    left = {key: own for fold in folds for key, own in fold.left.items()}
+    found, costs = tuple(fold.found for fold in folds), tuple(fold.cost for fold in folds)
+    return Tried(setup, dict(sorted(left.items())), found, costs)
+
+
+def _windows(log: Log) -> np.ndarray:
+    """Number of the window that each sample is in."""
+    size, tick = len(log.recorded), log.sample_time
+    count = min(max(round(size * tick / LONG), FEWEST), MOST)
+    count = max(1, min(count, int(size * tick / SHORT)))
+    return np.arange(size) * count // size
+
+
+def _out(log: Log, index: int, which: int) -> np.ndarray:
+    """Which samples of a log, by its index, a fold leaves out."""
+    return (_windows(log) + index + which) % 2 == 0

@@ -1,0 +1,1 @@
+"""What a log is and must be before a rig is judged on it."""

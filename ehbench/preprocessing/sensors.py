@@ -1,0 +1,184 @@
+"""What sensors and drivers make of a machine, and what that leaves to be estimated.
+
+``reading = scale · late(sign · true) + offset``. What a recipe knows of it is taken out of a log
+before anything else sees it (`known_taken_out`); what it wants estimated, and every lag and delay,
+is a `Term`. Its excess e beyond what is known is zero where nothing is wrong:
+
+    log, known taken out = (1 + e_scale) · late(true) + e_offset"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
+from ehbench.data.record import Record
+from ehbench.plant.ties import tied_words
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.quantities import like_channel
+
+ATMOSPHERE = 101_325.0  # [Pa]
+# standard deviations of what is only said to be estimated: an offset's as a share of the channel's
+# range, a scale's, those of a lag and a delay [s]
+VAGUE = {"offset": 0.25, "scale": 0.2, "lag": 0.01, "delay": 0.01}
+Excess = Mapping[str, float]  # by name of the term
+
+
+@dataclass(frozen=True)
+class Term:
+    """One number of a channel's sensor: ``word`` is offset, scale, lag or delay.
+
+    Its value is ``known`` + ``per`` · excess [SI]; ``std`` is the excess's standard deviation
+    before the logs are asked, 0 where nothing is estimated; ``per_log`` says that each log has its
+    own."""
+
+    channel: str
+    word: str
+    known: float
+    per: float
+    std: float
+    per_log: bool
+
+    @property
+    def name(self) -> str:
+        """Such as ``boom.p_head.offset``."""
+        return f"{self.channel}.{self.word}"
+
+    @property
+    def least(self) -> float:
+        """The least excess: no reading comes before its time has lagged by nothing."""
+        return {"lag": -self.known, "scale": -0.99}.get(self.word, -math.inf)
+
+    def value(self, excess: float) -> float:
+        """The number itself [SI]."""
+        return self.known + self.per * excess
+
+    def excess(self, value: float) -> float:
+        """The excess at which the number is ``value`` [SI]."""
+        return (value - self.known) / self.per
+
+
+def _fixed(sensor: Sensor, word: str, otherwise: float) -> float:
+    given = sensor[word]
+    return float(given) if isinstance(given, Value) else otherwise
+
+
+def _level(sensor: Sensor) -> float:
+    """What a sensor is known to read at zero."""
+    return _fixed(sensor, "offset", 0.0) + ATMOSPHERE * (sensor.pressure == "absolute")
+
+
+def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Record:
+    """A log as sound sensors would have given it, as far as sign, scale and offset are known.
+
+    Raises:
+        InputError: the log has no such channel.
+    """
+    channels = dict(record.channels)
+    for one in sensors:
+        if one.channel not in channels:
+            raise InputError(
+                f"{name}: [[sensor]] names '{one.channel}', which the log does not have",
+                hint=like_channel(one.channel, list(channels)),
+            )
+        scale = one.sign * _fixed(one, "scale", 1.0)
+        channels[one.channel] = (channels[one.channel] - _level(one)) / scale
+    return replace(record, channels=channels) if sensors else record
+
+
+def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term, ...]:
+    """What is left to estimate, and the lags and delays that are known, of logs whose known errors
+    are taken out.
+    """
+    found = []
+    for one in sensors:
+        scale = one.sign * _fixed(one, "scale", 1.0)
+        span = max(float(np.ptp(log[one.channel])) for log in records)
+        span = span or max(float(np.max(np.abs(log[one.channel]))) for log in records) or 1.0
+        for word in WORDS:
+            given = one[word]
+            if given is None:
+                continue
+            known = {"offset": _level(one), "scale": scale}.get(word, 0.0)
+            known = known if word in ("offset", "scale") else _fixed(one, word, 0.0)
+            per = scale if word in ("offset", "scale") else 1.0
+            std = 0.0
+            if given == ESTIMATE:
+                std = VAGUE[word] * (span if word == "offset" else 1.0)
+            elif isinstance(given, Value) and given.std:
+                std = given.std / abs(per)
+            if std > 0.0 or (word in ("lag", "delay") and known > 0.0):
+                _refuse_tied(one.channel, word, records)
+                found.append(Term(one.channel, word, known, per, std, one.per_log))
+    return tuple(found)
+
+
+def _refuse_tied(channel: str, word: str, records: Sequence[Record]) -> None:
+    """Refuse a late sensor of a motion that is given: what comes too late cannot be given."""
+    late, position = word in ("lag", "delay"), channel.rpartition(".")[2] in ("q", "x")
+    if late and position and any("qd" in tied_words(record) for record in records):
+        raise InputError(
+            f"[[sensor]] gives '{channel}' a {word}, and the simulation is tied to its motion",
+            hint='tied = "position" bears a late sensor',
+        )
+
+
+def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:
+    """A log whose known errors are taken out, as sound sensors would have given it by what is
+    estimated as well: commands as the valves get them, readings by their level and scale.
+    """
+    channels = dict(record.channels)
+    for name, own in _by_channel(terms).items():
+        if name not in channels:
+            continue
+        e = {term.word: excess.get(term.name, 0.0) for term in own}
+        true = (channels[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
+        if name.endswith(".command"):
+            true = _late(true, record.sample_time, own, excess)
+        channels[name] = true
+    return replace(record, channels=channels) if terms else record
+
+
+def sensed(replayed: Record, terms: Sequence[Term], excess: Excess) -> Record:
+    """A simulation as the log's sensors would have shown it, known errors taken out."""
+    channels = dict(replayed.channels)
+    for name, own in _by_channel(terms).items():
+        if name not in channels or name.endswith(".command"):
+            continue
+        e = {term.word: excess.get(term.name, 0.0) for term in own}
+        seen = _late(channels[name], replayed.sample_time, own, excess)
+        channels[name] = (1.0 + e.get("scale", 0.0)) * seen + e.get("offset", 0.0)
+    return replace(replayed, channels=channels) if terms else replayed
+
+
+def _by_channel(terms: Sequence[Term]) -> dict[str, list[Term]]:
+    found: dict[str, list[Term]] = {}
+    for term in terms:
+        found.setdefault(term.channel, []).append(term)
+    return found
+
+
+def _late(y: np.ndarray, tick: float, terms: Sequence[Term], excess: Excess) -> np.ndarray:
+    """A series behind the lag and the delay among some terms of its channel."""
+    times = {t.word: t.value(max(excess.get(t.name, 0.0), t.least)) for t in terms}
+    lag, delay = times.get("lag", 0.0), times.get("delay", 0.0)
+    if delay != 0.0:
+        at = np.arange(y.size, dtype=float)
+        y = np.interp(at - delay / tick, at, y)
+    return lagged(y, tick, lag)
+
+
+def lagged(y: np.ndarray, tick: float, lag: float) -> np.ndarray:
+    """A series behind a first-order lag [s], exact for what goes straight from sample to sample."""
+    if lag <= 0.0:
+        return y
+    from scipy.signal import lfilter
+
+    a = tick / lag
+    pole = math.exp(-a)
+    old, new = (1.0 - pole) / a - pole, 1.0 - (1.0 - pole) / a
+    return lfilter([new, old], [1.0, -pole], y, zi=[(1.0 - new) * y[0]])[0]

@@ -1,0 +1,1 @@
+"""The process: compiled kernels, processors, memory, disk and signals."""

@@ -1,0 +1,58 @@
+"""Files read whole: only plain ones, and only as large as can be held."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.text import shortened_path
+
+TEXT = 16 * 2**20  # [bytes] of a recipe, rig or JSON file
+DATA = 4 * 2**30  # [bytes] of a log or table
+
+
+def read_bytes(path: Path, most: int = TEXT, error: type[InputError] = InputError) -> bytes:
+    """The bytes of a plain file of at most ``most`` bytes.
+
+    Raises:
+        FileNotFoundError: there is none.
+        InputError: of the type ``error``: it is a folder, a pipe or a device, too large, not
+            readable, or its name is none that a disk can hold.
+    """
+    try:
+        # a pipe without a writer would keep the process waiting
+        flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(path, os.O_RDONLY | flags)
+        with open(descriptor, "rb") as file:
+            found = os.fstat(descriptor)
+            if stat.S_ISDIR(found.st_mode):
+                raise error("is a folder", file=shortened_path(path), hint="name a file in it")
+            if not stat.S_ISREG(found.st_mode):
+                raise error("is no plain file but a pipe or a device", file=shortened_path(path))
+            if found.st_size > most:
+                raise error(
+                    f"is {found.st_size / 1e6:.4g} MB large, more than the {most / 1e6:.4g} MB "
+                    "that are read",
+                    file=shortened_path(path),
+                )
+            return file.read()
+    except FileNotFoundError:
+        raise
+    except NotADirectoryError:
+        raise FileNotFoundError from None
+    except (OSError, ValueError) as reason:
+        words = getattr(reason, "strerror", None) or reason
+        raise error(f"cannot be read: {words}", file=shortened_path(path)) from None
+
+
+def impossible(path: Path) -> str:
+    """Why a path can be that of no file, or ''."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
+        return ""
+    except (OSError, ValueError) as error:
+        return str(getattr(error, "strerror", None) or error)
+    return ""

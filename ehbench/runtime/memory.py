@@ -1,0 +1,63 @@
+"""What work would take, said before it begins."""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+
+from ehbench.vocabulary.errors import InputError
+
+SHARE = 0.5  # of the memory that one piece of work may fill
+UNSAID = 8e9  # [bytes] where a system does not say how much memory it has
+MOST_ROWS = 10_000_000  # of a trial
+MOST_STEPS = 5e9  # of the integration: hours
+
+
+@lru_cache(maxsize=1)
+def available() -> float:
+    """Memory [bytes] that this process may hold: of the machine, or less where it is given less."""
+    try:
+        sizes = [float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")]
+    except (AttributeError, OSError, ValueError):  # a system that does not say
+        sizes = [UNSAID]
+    try:
+        with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
+            sizes.append(float(file.read()))
+    except (OSError, ValueError):  # no such thing here, or "max"
+        pass
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        sizes += [float(limit)] if limit != resource.RLIM_INFINITY else []
+    except ImportError:
+        pass
+    return min(sizes)
+
+
+def refuse_beyond(needed: float, what: str) -> None:
+    """Refuse work that would fill more than SHARE of the memory; ``needed`` in bytes.
+
+    Raises:
+        InputError: says how much it would take.
+    """
+    if needed > SHARE * available():
+        raise InputError(
+            f"{what} would take {needed / 1e9:.3g} GB of memory",
+            hint=f"up to {SHARE * available() / 1e9:.3g} GB are taken here",
+        )
+
+
+def rows_of(seconds: float, rate: float) -> int:
+    """How many samples a time [s] has at a rate [Hz], without the first.
+
+    Raises:
+        InputError: more than any trial has.
+    """
+    rows = seconds * rate
+    if not rows <= MOST_ROWS:
+        raise InputError(
+            f"{seconds:.4g} s at {rate:g} Hz are {rows:.3g} samples",
+            hint=f"a trial has up to {MOST_ROWS:g}",
+        )
+    return round(rows)

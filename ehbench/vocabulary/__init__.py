@@ -1,0 +1,1 @@
+"""Names, quantities, units, typed values and errors: what all other packages speak."""

@@ -1,0 +1,279 @@
+"""Typed fields of files: a number with unit, source, bounds and standard error.
+
+    mass: Annotated[Value, Q("mass")]
+    com: Annotated[Value, Q("com", 3)]
+
+reads ``"12 kg"`` or ``{ value = "12 kg", source = "datasheet", std = "0.1 kg" }`` by the vocabulary
+row of its name, and writes it back as it was read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Union
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationInfo,
+)
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
+
+from ehbench.vocabulary import units
+from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary.text import shortened
+
+SURENESS = (
+    "printed",
+    "restored",
+    "companion",
+    "assumed",
+    "datasheet",
+    "measured",
+    "weighed",
+    "identified",
+)
+
+
+class FileModel(BaseModel):
+    """Base of all file-backed models: frozen, no unknown keys."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, populate_by_name=True
+    )
+
+
+FROM_FILE = {"from_file": True}  # the context in which a file's tables are read
+
+
+def _unknown_in_files(raw: Any, info: ValidationInfo) -> Any:
+    if info.context == FROM_FILE:
+        raise PydanticKnownError("extra_forbidden")
+    return raw
+
+
+Internal = BeforeValidator(_unknown_in_files)  # a field that the program sets, and no file
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number in SI (or a tuple of them) with where it came from.
+
+    ``sure`` is one of ``SURENESS``; ``source`` the words of the file; ``lower``, ``upper`` bounds
+    and ``std`` the standard error, all SI; ``text`` what the file said, kept so that a rig can be
+    written back as it was read; ``unit`` that in which people see it, empty where any will do."""
+
+    value: float | tuple[float, ...]
+    sure: str = "assumed"
+    source: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    std: float | None = None
+    text: Any = None
+    unit: str = ""
+
+    def like(self, word: str, number: float) -> str:
+        """A number [SI] of the quantity ``word`` as text in the unit in which people see this
+        value, in the vocabulary's where any will do.
+        """
+        row = VOCABULARY[word]
+        unit = self.unit or row.display
+        return f"{float(units.from_si(number, unit, row)):.6g} {unit}"
+
+    def __float__(self) -> float:
+        return float(self.value)  # type: ignore[arg-type]
+
+
+def scalars(model: BaseModel) -> Iterator[tuple[str, Value]]:
+    """The single numbers of a table, by their keys."""
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, Value) and not isinstance(value.value, tuple):
+            yield name, value
+
+
+def one_of(models: Sequence[type[BaseModel]], key: str) -> Any:
+    """The type of a table that is of one of several kinds, told apart by what its ``key`` says."""
+    if len(models) == 1:
+        return models[0]
+    return Annotated[Union[tuple(models)], Field(discriminator=key)]  # noqa: UP007
+
+
+def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
+    """A TOML value as a ``Value``: ``"1000 psi"``, a list of such, or ``{ value, source, sure,
+    lower, upper, std, unit }``.
+
+    Raises:
+        UnitError: no unit, wrong unit, implausible value, bounds that do not hold it.
+        InputError: a key that does not belong there.
+    """
+    if isinstance(raw, Value):
+        return raw
+    table = dict(raw) if isinstance(raw, Mapping) else {"value": raw}
+    unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "unit", "note"}
+    if unknown:
+        raise InputError(
+            f"{row.name} has unknown key '{sorted(map(str, unknown))[0]}'",
+            hint="a value takes value, source, sure, lower, upper, std, unit, note",
+        )
+    if "value" not in table:
+        raise InputError(f"{row.name} has no 'value'")
+
+    raw_value = table["value"]
+    if count == 1:
+        value: float | tuple[float, ...] = _number(raw_value, row, "the value")
+    else:
+        if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
+            raise InputError(
+                f"{row.name} takes a list of {count} values with units, "
+                f"not {shortened(raw_value, 60)}"
+            )
+        value = tuple(_number(item, row, "an entry") for item in raw_value)
+    limits = _limits(table, row)
+    each = value if isinstance(value, tuple) else (value,)
+    lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
+    if not all(lower <= one <= upper for one in each):
+        bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
+        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
+    source = str(table.get("source", ""))
+    first = source.replace(":", " ").replace(",", " ").split(" ")[0]
+    sure = table.get("sure", first if first in SURENESS else "assumed")
+    if sure not in SURENESS:
+        raise InputError(
+            f"{row.name} is {shortened(sure, 40)}", hint="sure is one of " + ", ".join(SURENESS)
+        )
+    return Value(value, sure, source, text=raw, unit=_unit(table, row), **limits)
+
+
+def _unit(table: Mapping[str, Any], row: Quantity) -> str:
+    """The unit in which people see a value: what ``unit`` says, else that of its own text, if it is
+    another than SI.
+
+    Raises:
+        UnitError: no unit of that quantity.
+    """
+    first = table["value"][0] if isinstance(table["value"], (list, tuple)) else table["value"]
+    unit = str(table.get("unit", units.unit_of(first)))
+    if unit:
+        units.to_si(0.0, unit, row)
+    return "" if unit == row.unit else unit
+
+
+def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
+    """A number of a file in SI; ``check`` holds it against the row's plausible range.
+
+    Raises:
+        UnitError: no unit, wrong unit, implausible, not finite.
+    """
+    if isinstance(item, bool) or not isinstance(item, (str, int, float)):
+        raise UnitError(
+            f"{what} of {row.name} is {shortened(item, 60)}, not a number with a unit",
+            hint=f'write "1.5 {row.display}"',
+        )
+    shown = shortened(item, 40) if not isinstance(item, str) else item[:40]
+    if isinstance(item, str):
+        bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
+        result = units.parse(item, row if check else bare)
+    elif row.unit != "dimensionless":
+        raise UnitError(f"{row.name} = {shown} has no unit", hint=f'write "{shown} {row.display}"')
+    else:
+        try:
+            result = float(item)
+        except OverflowError:
+            result = math.inf
+        if check:
+            units.plausible(result, row, shown)
+    if not math.isfinite(result):
+        raise UnitError(f"{row.name} = {shown} is not finite")
+    return result
+
+
+def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
+    """The bounds and the standard error of a value, as far as they are given.
+
+    Raises:
+        UnitError: they are no numbers of the quantity, or the standard error is negative.
+    """
+    found = {
+        key: _number(table[key], row, f"the {key}", check=False)
+        for key in ("lower", "upper")
+        if key in table
+    }
+    if "std" in table:
+        found["std"] = _number(table["std"], row, "the std", check=False)
+        if isinstance(table["std"], str):
+            found["std"] -= units.zero_of(table["std"], row)
+        if found["std"] < 0.0:
+            raise UnitError(
+                f"{row.name} has std = {table['std']}", hint="a standard error is not negative"
+            )
+    return found
+
+
+def write_value(value: Value, row: Quantity) -> Any:
+    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all
+    digits.
+    """
+    if value.text is not None:
+        return dict(value.text) if isinstance(value.text, Mapping) else value.text
+    unit = "" if row.unit == "dimensionless" else f" {row.unit}"
+
+    def show(number: float) -> str:
+        return f"{float(number)!r}{unit}"
+
+    table: dict[str, Any] = {
+        "value": [show(v) for v in value.value]
+        if isinstance(value.value, tuple)
+        else show(value.value)
+    }
+    table["sure"] = value.sure
+    if value.source:
+        table["source"] = value.source
+    for key in ("lower", "upper", "std"):
+        number = getattr(value, key)
+        if number is not None and math.isfinite(number):
+            table[key] = show(number)
+    if value.unit:
+        table["unit"] = value.unit
+    return table
+
+
+@dataclass(frozen=True)
+class Q:
+    """Marks a ``Value`` as one quantity of the vocabulary, or as ``count`` of them in a list;
+    ``word`` may stand in its place.
+    """
+
+    name: str
+    count: int = 1
+    word: str = ""
+
+    @property
+    def row(self) -> Quantity:
+        """The vocabulary's row: symbol, unit, range, meaning."""
+        return VOCABULARY[self.name]
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(
+            self._read,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(self._write),
+        )
+
+    def _read(self, raw: Any) -> Value | str:
+        if self.word and raw == self.word:
+            return self.word
+        try:
+            return read_value(raw, self.row, self.count)
+        except InputError as error:
+            raise ValueError(f'{error}; or "{self.word}"' if self.word else str(error)) from None
+
+    def _write(self, value: Value | str) -> Any:
+        return value if isinstance(value, str) else write_value(value, self.row)
