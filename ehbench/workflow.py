@@ -179,10 +179,10 @@ def suggest(
         )
     session = replace(session, under_way=(*session.under_way, recipe.path))
     prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), session))
-    found = suggested(prepared, session.tell(recipe.name), SECONDS if seconds is None else seconds)
+    result = suggested(prepared, session.tell(recipe.name), SECONDS if seconds is None else seconds)
     if session.out is not None:
-        write_suggested(prepared, found, session.out)
-    return found
+        write_suggested(prepared, result, session.out)
+    return result
 
 
 @one_thread()
@@ -196,14 +196,14 @@ def next_test(folder: Path, name: str | None = None, session: Session | None = N
     from ehbench.report.bearing import Made
     from ehbench.stages.planning import fit_behind, plan
 
-    made = Made(folder)
-    recipe, session = fit_behind(made), session or Session()
+    built = Made(folder)
+    recipe, session = fit_behind(built), session or Session()
     within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
     inputs = Inputs(recipe, Findings(recipe), within)
-    found = plan(made, inputs, name, session.tell(recipe.name))
+    result = plan(built, inputs, name, session.tell(recipe.name))
     if session.out is not None:
-        found.write(session.out)
-    return found
+        result.write(session.out)
+    return result
 
 
 @one_thread()

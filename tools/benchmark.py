@@ -110,11 +110,11 @@ def radau_error(
             return dy
 
         at = tick * np.arange(first, last + 1)
-        found = solve_ivp(
+        result = solve_ivp(
             slope, (at[0], at[-1]), y, method="Radau", rtol=rtol, atol=rtol * scale, t_eval=at
         )
-        worst = np.maximum(worst, np.abs(log[first : last + 1] - found.y.T).max(axis=0))
-        y = found.y[:, -1]
+        worst = np.maximum(worst, np.abs(log[first : last + 1] - result.y.T).max(axis=0))
+        y = result.y[:, -1]
     return {
         label: float(e / s)
         for label, e, s, span in zip(names.state_names, worst, scale, spans, strict=True)
@@ -152,9 +152,9 @@ def chosen_steps(rig: Rig, repeats: int = 10) -> Iterator[Row]:
     fixed = _best(lambda: model.run(start, table), repeats)
     chosen = _best(lambda: model.run(start, table, step=AUTO), repeats)
     yield Row("10 s trial, steps chosen by the guard", chosen / fixed, 0.8, "of fixed ones' time")
-    fine, found = (model.run(start, table, step=step)[:, : start.size] for step in (FINE, AUTO))
+    fine, result = (model.run(start, table, step=step)[:, : start.size] for step in (FINE, AUTO))
     spans = np.ptp(fine, axis=0)
-    share = np.abs(found - fine).max(axis=0)[spans > 1e-6] / spans[spans > 1e-6]
+    share = np.abs(result - fine).max(axis=0)[spans > 1e-6] / spans[spans > 1e-6]
     yield Row("their error against a fine step", float(share.max()), 1e-5, "of range")
     models = [
         Model.of(rig.with_values({"bulk_modulus": float(value)}))
@@ -249,11 +249,11 @@ def together(rig: Rig, repeats: int = 5) -> Iterator[Row]:
     recipe = load_recipe(RECIPES / "trials" / "tip_line.toml")
     if not isinstance(recipe, TrialSetRecipe):
         raise AssertionError("tip_line.toml is no set of trials")
-    one = recipe.cases()[0][2].model_copy(update={"on": "model", "bench": None})
-    _, facts = run_trial(rig, one)
+    item = recipe.cases()[0][2].model_copy(update={"on": "model", "bench": None})
+    _, facts = run_trial(rig, item)
     if facts.stopped:
         raise AssertionError(f"{recipe.name}: {facts.stopped}")
-    best = _best(lambda: run_trial(rig, one), repeats)
+    best = _best(lambda: run_trial(rig, item), repeats)
     what = f"{facts.duration:.3g} s along a path, 1 kHz, three cylinders under adaptive control"
     yield Row(what, facts.duration / best, 80.0, "× real time", lower=False)
 
@@ -289,14 +289,14 @@ def fitting(rig: Rig) -> Iterator[Row]:
     rng = np.random.default_rng(1)
     logs = []
     for index, command in enumerate(commands):
-        made = simulate(rig, command, 3.0)
+        built = simulate(rig, command, 3.0)
         channels = {
             name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in made.channels.items()
+            for name, y in built.channels.items()
             if "command" not in name
         }
-        kept = {name: made[name] for name in made.channels if name.endswith(".command")}
-        logs.append((f"log_{index}", type(made)(made.t, channels | kept, made.meta)))
+        retained = {name: built[name] for name in built.channels if name.endswith(".command")}
+        logs.append((f"log_{index}", type(built)(built.t, channels | retained, built.meta)))
     truth = {
         name: float(rig.parameters()[name])
         for name in ("bulk_modulus", *(f"{joint}.joint_damping" for joint in rig.joint_names))
@@ -333,14 +333,14 @@ def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
         volts = {"boom.sh": 4.0 * up, "boom.rt": 5.0 * up, "boom.sr": 3.0 * down}
         volts["boom.ht"] = 3.5 * down
         given = {"posture": {"boom": "250 mm"}, "payload": load, "rate": rate, "step": AUTO}
-        made = simulate(rig, volts, 31.0, **given)
+        built = simulate(rig, volts, 31.0, **given)
         channels = {
             name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
-            for name, y in made.channels.items()
+            for name, y in built.channels.items()
             if "command" not in name
         }
-        kept = {f"{name}.command": made[f"{name}.command"] for name in volts}
-        logs.append((f"log {load}", type(made)(made.t, channels | kept, made.meta)))
+        retained = {f"{name}.command": built[f"{name}.command"] for name in volts}
+        logs.append((f"log {load}", type(built)(built.t, channels | retained, built.meta)))
     known = rig.parameters()
     gains = [f"boom.{valve}.flow_gain" for valve in ("sh", "rt", "sr", "ht")]
     names = ["bulk_modulus", "boom.joint_damping", *gains]
@@ -445,14 +445,14 @@ def _overhead(where: str, pool: Pool, prepared: PreparedStudy) -> Iterator[Row]:
         came.append((time.perf_counter(), some))
     first = len(came) // 4
     wall = came[-1][0] - came[first][0]
-    made = [one.seconds for _, some in came[first + 1 :] for one in some]
+    built = [item.seconds for _, some in came[first + 1 :] for item in some]
     yield Row(
         f"study of trials of 0.5 s {where}, {WORKERS} workers: time beside the samples",
-        100.0 * (1.0 - sum(made) / (WORKERS * wall)),
+        100.0 * (1.0 - sum(built) / (WORKERS * wall)),
         5.0,
         "%",
     )
-    yield Row(f"the same: a sample {where}", 1e3 * float(np.median(made)), 20.0, "ms")
+    yield Row(f"the same: a sample {where}", 1e3 * float(np.median(built)), 20.0, "ms")
 
 
 @contextmanager
@@ -464,8 +464,8 @@ def _workers() -> Iterator[str]:
         yield ""
         return
     where = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
-    made: Any = LocalCluster(n_workers=WORKERS, threads_per_worker=1, **where)
-    with made as cluster:
+    built: Any = LocalCluster(n_workers=WORKERS, threads_per_worker=1, **where)
+    with built as cluster:
         yield cluster.scheduler_address
 
 
@@ -499,8 +499,8 @@ def _kept(prepared: PreparedStudy, folder: Path) -> Iterator[Row]:
     journal.close()
     for name in ("rows.jsonl", "samples.csv", "samples.parquet"):
         yield Row(f"a sample in {name}", (folder / name).stat().st_size / ROWS, 500.0, "B")
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    yield Row(f"memory with {ROWS} rows", most, 1.0, "GB")
+    maximum = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    yield Row(f"memory with {ROWS} rows", maximum, 1.0, "GB")
 
 
 def _best(call: Callable[[], object], repeats: int) -> float:
@@ -534,7 +534,7 @@ def _three_at_once() -> TrialRecipe:
     recipe = load_recipe(RECIPES / "trials" / "disturbed_boom.toml")
     if not isinstance(recipe, TrialSetRecipe):
         raise AssertionError("disturbed_boom.toml is no set of trials")
-    moving = next(one for _, _, one in recipe.cases() if one.motion and one.motion.also)
+    moving = next(item for _, _, item in recipe.cases() if item.motion and item.motion.also)
     return moving.model_copy(update={"duration": Value(TRIAL), "on": "model", "bench": None})
 
 
@@ -582,11 +582,11 @@ def main(arguments: Sequence[str] = ()) -> None:
         with console.status("measuring"):
             rows = list(part())
         for row in rows:
-            wanted = f"{'at most' if row.lower else 'at least'} {row.limit:g} {row.unit}"
+            required = f"{'at most' if row.lower else 'at least'} {row.limit:g} {row.unit}"
             table.add_row(
                 row.what,
                 f"{row.value:.3g} {row.unit}",
-                wanted,
+                required,
                 "kept" if row.kept else "[red]missed",
             )
     console.print(table)

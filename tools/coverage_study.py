@@ -127,12 +127,12 @@ def random_rig(kind: Kind, rng: np.random.Generator) -> tuple[Rig, dict[str, flo
     leakage = math.exp(rng.uniform(0.0, math.log(60.0))) * MINUTES
     values[f"{kind.cylinder}.leakage_internal"] = leakage if leaks else 0.0
     values[f"{kind.cylinder}.friction_coulomb"] = rng.uniform(50.0, 600.0) if rubs else 0.0
-    asked = ["bulk_modulus", kind.damping, f"{kind.cylinder}.leakage_internal"]
+    requested = ["bulk_modulus", kind.damping, f"{kind.cylinder}.leakage_internal"]
     if rng.random() < 0.5:
-        asked.append(f"{kind.cylinder}.friction_coulomb")
+        requested.append(f"{kind.cylinder}.friction_coulomb")
     if rng.random() < 0.3:
-        asked.append(f"{dynamics}.natural_frequency")
-    return rig.with_values(values), {name: values[name] for name in asked}
+        requested.append(f"{dynamics}.natural_frequency")
+    return rig.with_values(values), {name: values[name] for name in requested}
 
 
 def random_log(kind: Kind, rig: Rig, index: int, pole: float, rng: np.random.Generator) -> Record:
@@ -149,14 +149,14 @@ def random_log(kind: Kind, rig: Rig, index: int, pole: float, rng: np.random.Gen
     stroke = float(rig.cylinder_named(kind.cylinder).stroke)
     posture = {kind.cylinder: f"{stroke * rng.uniform(0.35, 0.6)!r} m"}
     load = kind.loads[index % len(kind.loads)]
-    made = simulate(rig, commands, SECONDS, posture=posture, payload=load)
+    built = simulate(rig, commands, SECONDS, posture=posture, payload=load)
     dropped = ("qd", "v") if rng.random() < 0.5 else ()
     channels = {}
-    for name, y in made.channels.items():
+    for name, y in built.channels.items():
         word = name.rsplit(".", 1)[-1]
         if word not in ("flow", "opening", "flow_supply", *dropped):
             channels[name] = y + NOISE.get(word, 0.0) * _noise(y.size, pole, rng)
-    return Record(made.t, channels, made.meta)
+    return Record(built.t, channels, built.meta)
 
 
 def _noise(count: int, pole: float, rng: np.random.Generator) -> np.ndarray:
@@ -182,17 +182,17 @@ def fitted(case: Case) -> Outcome:
         if name.endswith("friction_coulomb"):
             start[name] = 200.0
     start["bulk_modulus"] = min(start["bulk_modulus"], 1.7e9)
-    asked, prior = list(truth), {}
+    requested, prior = list(truth), {}
     if case.gain:
         gains = {n: float(v) for n, v in rig.parameters().items() if n.endswith(".flow_gain")}
         wrong = rng.choice(sorted(gains))
         rig = rig.with_values({wrong: gains[wrong] * (1.0 + WRONG * rng.choice([-1.0, 1.0]))})
-        asked += list(gains)
+        requested += list(gains)
         prior = dict.fromkeys(gains, f"{100.0 * WRONG:g} %")
     began = time.process_time()
     try:
         given = FitOptions(start=start, prior=prior, workers=1)
-        fit = identify_hydraulics(rig, logs, asked, given)
+        fit = identify_hydraulics(rig, logs, requested, given)
     except EhbenchError as error:
         return Outcome(case, kind.file, {}, {}, failure=str(error))
     seconds = time.process_time() - began
@@ -239,19 +239,21 @@ def table(outcomes: Sequence[Outcome]) -> str:
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     groups: dict[tuple[int, str, bool], list[Outcome]] = {}
-    for one in outcomes:
-        groups.setdefault((one.case.logs, one.case.noise, one.case.gain), []).append(one)
+    for outcome in outcomes:
+        groups.setdefault((outcome.case.logs, outcome.case.noise, outcome.case.gain), []).append(
+            outcome
+        )
     for (logs, noise, gain), some in groups.items():
-        done = [one for one in some if not one.failure]
-        holds = [hold for one in done for hold in one.holds.values()]
-        widths = [one.width["bulk_modulus"] for one in done if "bulk_modulus" in one.width]
+        done = [item for item in some if not item.failure]
+        holds = [hold for item in done for hold in item.holds.values()]
+        widths = [item.width["bulk_modulus"] for item in done if "bulk_modulus" in item.width]
         share, n = 100.0 * float(np.mean(holds)), len(holds)
         lines.append(
             f"| {logs} | {noise}{', one gain 3 % off' if gain else ''} | {len(done)} | {n} | "
             f"{share:.1f} ± {100.0 * math.sqrt(share * (100.0 - share) / n) / 100.0:.1f} % | "
             f"{100.0 * float(np.median(widths)):.3f} % | "
-            f"{np.median([one.evaluations for one in done]):.0f} | "
-            f"{np.median([one.seconds for one in done]):.2f} s |"
+            f"{np.median([item.evaluations for item in done]):.0f} | "
+            f"{np.median([item.seconds for item in done]):.2f} s |"
         )
     return "\n".join(lines)
 
@@ -261,9 +263,12 @@ def main(arguments: Sequence[str] = ()) -> int:
     rigs = int(arguments[0]) if arguments else 50
     outcomes = study(rigs, int(os.environ.get("CORES", "2")))
     print(table(outcomes))
-    for one in outcomes:
-        if one.failure:
-            print(f"rig {one.case.seed}, {one.case.logs} logs, {one.case.noise}: {one.failure}")
+    for outcome in outcomes:
+        if outcome.failure:
+            print(
+                f"rig {outcome.case.seed}, {outcome.case.logs} logs, {outcome.case.noise}: "
+                f"{outcome.failure}"
+            )
     return 0
 
 

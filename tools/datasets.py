@@ -50,11 +50,11 @@ def flowmeter_csv(
     rng = np.random.default_rng(seed)
     commands = [float(read_value(text, VOCABULARY["command"])) for text in plan.commands]
     drops = [float(read_value(text, VOCABULARY["pressure_drop"])) for text in plan.pressure_drops]
-    u, wanted, trial = (
+    u, required, trial = (
         a.ravel() for a in np.meshgrid(commands, drops, np.arange(plan.trials) + 1, indexing="ij")
     )
     size = u.size
-    drop = wanted * (1 + plan.drop_scatter * rng.uniform(-1, 1, size))
+    drop = required * (1 + plan.drop_scatter * rng.uniform(-1, 1, size))
     flow = bench.static_flow(edge, u, -drop if reverse else drop) * (-1 if reverse else 1)
     flow = flow * (1 + plan.repeat_scatter * rng.standard_normal(size))
     within = flow <= float(

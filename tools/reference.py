@@ -51,7 +51,7 @@ class Key:
 
 def parts(annotation: Any) -> list[Any]:
     """An annotation and all that it is made of."""
-    return [annotation, *(found for part in get_args(annotation) for found in parts(part))]
+    return [annotation, *(result for part in get_args(annotation) for result in parts(part))]
 
 
 def marks(field: FieldInfo) -> Iterator[Any]:
@@ -73,32 +73,32 @@ def models_in(annotation: Any) -> list[type[BaseModel]]:
 
 def models(roots: Iterable[type[BaseModel]]) -> list[type[BaseModel]]:
     """The models of files that ``roots`` are, with those they inherit from and hold, each once."""
-    found: list[type[BaseModel]] = []
+    results: list[type[BaseModel]] = []
 
     def add(model: type[BaseModel]) -> None:
-        if model in found or model is BaseModel or not model.model_fields:
+        if model in results or model is BaseModel or not model.model_fields:
             return
         for base in model.__bases__:
             if issubclass(base, BaseModel):
                 add(base)
-        found.append(model)
+        results.append(model)
         for field in model.model_fields.values():
             for inner in () if field.exclude else models_in(field.annotation):
                 add(inner)
 
     for root in roots:
         add(root)
-    return [model for model in found if own_fields(model)]
+    return [model for model in results if own_fields(model)]
 
 
 def own_fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
     """The fields that a file may have and that a model does not inherit, or says anew."""
     inherited = {name for base in model.__bases__ for name in getattr(base, "model_fields", {})}
-    said = inherited - set(model.__annotations__)
+    message = inherited - set(model.__annotations__)
     return {
         name: field
         for name, field in model.model_fields.items()
-        if not field.exclude and name not in said
+        if not field.exclude and name not in message
     }
 
 
@@ -241,7 +241,7 @@ def gain_tables() -> dict[str, list[Key]]:
         ("shaping", {name: VOCABULARY[name] for name in SHAPING_NAMES}),
     ):
         tables[title] = [gain_key(*item) for item in rows.items()]
-    choices = ", ".join(f"`{one}`" for one in CHOICES)
+    choices = ", ".join(f"`{choice}`" for choice in CHOICES)
     tables["rules"].insert(-1, Key("`choice`", "", "choice", choices, "", ""))
     return tables
 
@@ -314,16 +314,16 @@ def made(text: str, tables: Mapping[str, list[Key]], name: str) -> str:
     Raises:
         InputError: a table of the page is of nothing that there is, or a key has no words.
     """
-    seen = {found[1] for found in _BLOCK.finditer(text)}
+    seen = {result[1] for result in _BLOCK.finditer(text)}
     if gone := sorted(seen - set(tables)):
         raise InputError(f"{name}: there is nothing called '{gone[0]}' any more")
     for missing in tables:
         if missing not in seen:
             text += f"\n## {missing}\n\n<!-- {missing} -->\n"
 
-    def table(found: re.Match[str]) -> str:
-        place = f"{name}, {found[1]}"
-        return f"<!-- {found[1]} -->\n" + write_table(tables[found[1]], place, read_table(found[2]))
+    def table(match: re.Match[str]) -> str:
+        place = f"{name}, {match[1]}"
+        return f"<!-- {match[1]} -->\n" + write_table(tables[match[1]], place, read_table(match[2]))
 
     return _BLOCK.sub(table, text)
 
@@ -349,17 +349,17 @@ def usual_units() -> str:
     named = {row.display for row in VOCABULARY.values()} | {"", *UNITS.split(), *si}
     lines = []
     for unit in sorted(named):
-        told = {one: asked(unit, one) for one in si}
-        kept = {
-            one: what
-            for one, what in told.items()
+        messages = {item: asked(unit, item) for item in si}
+        retained = {
+            item: what
+            for item, what in messages.items()
             if not isinstance(what, str) or "cannot be turned" not in what
         }
         name = json.dumps(unit, ensure_ascii=False)
-        if not kept:
+        if not retained:
             lines.append(f"    {name}: {{}},")
             continue
-        rows = (f'        "{one}": {_literal(what)},' for one, what in kept.items())
+        rows = (f'        "{item}": {_literal(what)},' for item, what in retained.items())
         lines += [f"    {name}: {{", *rows, "    },"]
     head = [
         '"""How many SI units one usual unit is, by the registry of all units: to import it takes',
@@ -370,7 +370,7 @@ def usual_units() -> str:
         "",
         "SI = frozenset(",
         "    {",
-        *(f'        "{one}",' for one in si),
+        *(f'        "{item}",' for item in si),
         "    }",
         ")",
         "# by unit and SI unit (factor, offset): value_si = factor·value + offset; or why there",

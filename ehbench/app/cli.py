@@ -133,8 +133,8 @@ class Says(NamedTuple):
         return cls(loud is False, loud is True, as_json)
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(required: bool) -> None:
+    if required:
         from importlib.metadata import version
 
         print(f"ehbench {version('ehbench')}")
@@ -158,9 +158,9 @@ def init(
     """Make a workspace: a commented rig file and recipes that run as they are."""
     from ehbench.app import starter
 
-    made = starter.init(folder)
-    print(f"made {made}/")
-    print(f"next: ehbench check {made}/rig.toml, then the commands in {made}/README.md")
+    built = starter.init(folder)
+    print(f"made {built}/")
+    print(f"next: ehbench check {built}/rig.toml, then the commands in {built}/README.md")
 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
@@ -175,12 +175,12 @@ def check(
     What only a run can tell is said."""
     from ehbench.app import inspection
 
-    found = inspection.check(file)
-    for line in found.lines:
+    result = inspection.check(file)
+    for line in result.lines:
         print(line)
-    for error in found.errors:
+    for error in result.errors:
         print(f"error: {error}", file=sys.stderr)
-    raise typer.Exit(found.code)
+    raise typer.Exit(result.code)
 
 
 def _runner(command: Command) -> Callable[..., None]:
@@ -278,8 +278,8 @@ def report(
     from ehbench import workflow
 
     with _progress(quiet) as tell:
-        made = workflow.report(runs, workflow.Session(out=out, progress=tell))
-    _leave(made, Says(quiet), "report.html")
+        built = workflow.report(runs, workflow.Session(out=out, progress=tell))
+    _leave(built, Says(quiet), "report.html")
 
 
 @app.command(epilog="Example:  ehbench reproduce thesis")
@@ -300,11 +300,11 @@ def reproduce(
 
     recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
     with _progress(quiet) as tell:
-        made = workflow.run(
+        built = workflow.run(
             recipe,
             workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
         )
-    _leave(made, Says(quiet), "report.html")
+    _leave(built, Says(quiet), "report.html")
 
 
 @app.command(epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b")
@@ -346,13 +346,13 @@ def next_test(
 
     _say_first(quiet)
     with _progress(quiet) as tell:
-        found = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
+        result = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
     if as_json:
         import json
 
-        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+        print(json.dumps(result.as_json(), ensure_ascii=False, indent=1))
     else:
-        print("\n".join(found.lines(shutil.get_terminal_size((100, 24)).columns)))
+        print("\n".join(result.lines(shutil.get_terminal_size((100, 24)).columns)))
         if out is not None:
             print(out)
 
@@ -369,14 +369,14 @@ def why(
     rig line; exit 3 where these no longer bear it."""
     from ehbench.report.why import why as origin_of
 
-    found = origin_of(name, run)
+    result = origin_of(name, run)
     if as_json:
         import json
 
-        print(json.dumps(found.as_json(), ensure_ascii=False, indent=1))
+        print(json.dumps(result.as_json(), ensure_ascii=False, indent=1))
     else:
-        print("\n".join(found.lines()))
-    raise typer.Exit(3 if found.marks else 0)
+        print("\n".join(result.lines()))
+    raise typer.Exit(3 if result.marks else 0)
 
 
 @app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
@@ -426,10 +426,10 @@ def map_columns(
 
     if rig is None and Path("rig.toml").is_file():
         rig = Path("rig.toml")
-    made = mapping.draft(file, out, None if rig is None else load_rig(rig))
-    print("\n".join(made.lines))
-    print(made.picture)
-    print(made.path)
+    built = mapping.draft(file, out, None if rig is None else load_rig(rig))
+    print("\n".join(built.lines))
+    print(built.picture)
+    print(built.path)
 
 
 class Format(StrEnum):
@@ -477,13 +477,13 @@ def _run(
     with _progress(says.quiet) as tell:
         session = workflow.Session(out=out, progress=tell, **settings)
         if recipe is None:
-            made = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
-            recipe = workflow.expect_stage(made.path, command)
+            built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
+            recipe = workflow.expect_stage(built.path, command)
         if profile is None:
-            made = workflow.run(recipe, session)
+            built = workflow.run(recipe, session)
         else:
-            made = workflow.profile(recipe, profile, session)
-    _leave(made, says)
+            built = workflow.profile(recipe, profile, session)
+    _leave(built, says)
 
 
 def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
@@ -492,14 +492,14 @@ def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
     recipe = workflow.expect_stage(file, "identify")
     _say_first(says.quiet)
     with _progress(says.quiet) as tell:
-        found = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
+        result = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
     if says.as_json:
         import json
 
-        rows = [row.as_json() for row in found.rows]
-        print(json.dumps({"rows": rows, "untried": found.untried}, ensure_ascii=False, indent=1))
+        rows = [row.as_json() for row in result.rows]
+        print(json.dumps({"rows": rows, "untried": result.untried}, ensure_ascii=False, indent=1))
     else:
-        print("\n".join(found.lines(len(found.rows)) if says.verbose else found.lines()))
+        print("\n".join(result.lines(len(result.rows)) if says.verbose else result.lines()))
     if out is not None and not says.as_json:
         print(out / recipe.path.name)
 
@@ -521,7 +521,7 @@ def _say_first(quiet: bool) -> None:
         _BESIDE.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
 
 
-def _leave(made: Outcome, says: Says, page: str = "") -> None:
+def _leave(built: Outcome, says: Says, page: str = "") -> None:
     """Say what the run noted on stderr, what it found and where it lies on stdout, and leave with
     its code.
     """
@@ -529,19 +529,19 @@ def _leave(made: Outcome, says: Says, page: str = "") -> None:
 
     # a campaign's notes begin with their run: what follows may be of another trial
     each = says.verbose or bool(page)
-    for note in dict.fromkeys(made.notes) if each else folded(made.notes):
+    for note in dict.fromkeys(built.notes) if each else folded(built.notes):
         print(f"note: {note}", file=sys.stderr)
     if says.as_json:
         import json
 
-        about = {"folder": str(made.folder), "code": made.code, "notes": list(made.notes)}
-        print(json.dumps(about | terminal.values(made.folder), ensure_ascii=False, indent=1))
-        raise typer.Exit(made.code)
+        about = {"folder": str(built.folder), "code": built.code, "notes": list(built.notes)}
+        print(json.dumps(about | terminal.values(built.folder), ensure_ascii=False, indent=1))
+        raise typer.Exit(built.code)
     if not (says.quiet or page):
         width = shutil.get_terminal_size((100, 24)).columns
-        print("\n".join(terminal.lines(made.folder, width, says.verbose)))
-    print(made.folder / page)
-    raise typer.Exit(made.code)
+        print("\n".join(terminal.lines(built.folder, width, says.verbose)))
+    print(built.folder / page)
+    raise typer.Exit(built.code)
 
 
 @contextmanager
@@ -597,16 +597,16 @@ def main() -> None:
         _end_by(error, ended())
 
 
-def _end_by(error: BaseException, asked: int) -> NoReturn:
+def _end_by(error: BaseException, requested: int) -> NoReturn:
     """End the process by what came out of a command; ``asked`` is the signal that it was asked to
     end by, which libraries may have turned into errors of theirs.
     """
-    if asked and isinstance(error, (Terminated, Exception)):
-        if asked == signal.SIGINT:
+    if requested and isinstance(error, (Terminated, Exception)):
+        if requested == signal.SIGINT:
             print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
         for note in getattr(error, "__notes__", []):
             print(note, file=sys.stderr)
-        sys.exit(128 + asked)
+        sys.exit(128 + requested)
     if isinstance(error, EhbenchError):
         print(f"error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -95,29 +95,29 @@ def _mat(path: Path, record: Record) -> None:
             f"{record.t.size} samples are more than a MAT file takes", hint="write Parquet"
         )
     variables = dict(zip(record.channels, _variables(list(record.channels))))
-    found: dict[str, object] = {"t": record.t[:, None]}
+    results: dict[str, object] = {"t": record.t[:, None]}
     if (clock := moments(record)) is not None:
-        found["posix_time"] = clock.astype(np.int64)[:, None] / 1e9
-    found |= {variables[name]: values[:, None] for name, values in record.channels.items()}
-    found["units"] = {"t": "s", **{v: quantity(name).unit for name, v in variables.items()}}
-    found["names"] = {"t": "t", **{v: name for name, v in variables.items()}}
+        results["posix_time"] = clock.astype(np.int64)[:, None] / 1e9
+    results |= {variables[name]: values[:, None] for name, values in record.channels.items()}
+    results["units"] = {"t": "s", **{v: quantity(name).unit for name, v in variables.items()}}
+    results["names"] = {"t": "t", **{v: name for name, v in variables.items()}}
     about = {key: text for key, text in record.meta.items() if len(text) < 1000}
-    found["meta"] = dict(zip(_variables(list(about)), about.values())) or {"none": ""}
+    results["meta"] = dict(zip(_variables(list(about)), about.values())) or {"none": ""}
     if record.losses:
-        found["losses"] = np.array(record.losses, object)
+        results["losses"] = np.array(record.losses, object)
     with path.open("wb") as file:
-        savemat(file, found, do_compression=True, long_field_names=True)
+        savemat(file, results, do_compression=True, long_field_names=True)
 
 
 def _variables(names: list[str]) -> list[str]:
     """Names as MATLAB takes them, each once and none of those taken."""
-    found: list[str] = []
+    results: list[str] = []
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST]
         plain = plain if plain[:1].isalpha() else f"c{plain}"
         again, count = plain, 1
-        while again in (*found, "t", "names", "units", "meta", "losses", "posix_time"):
+        while again in (*results, "t", "names", "units", "meta", "losses", "posix_time"):
             count += 1
             again = f"{plain}_{count}"
-        found.append(again)
-    return found
+        results.append(again)
+    return results

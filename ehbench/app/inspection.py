@@ -70,24 +70,24 @@ def check(path: Path, look: Look | None = None) -> Inspection:
 
 
 def _recipe(path: Path, look: Look) -> Inspection:
-    found = look.at(load_recipe(path))
-    recipe = found.recipe
+    result = look.at(load_recipe(path))
+    recipe = result.recipe
     stage, what = recipe.kind()
     what = f"{stage} {what.replace('_', ' ')}" if what else stage
     lines = [f"recipe '{recipe.name}': {what}" + (f", '{recipe.title}'" if recipe.title else "")]
-    lines += [f"  it {found.does}"] if found.does else []
+    lines += [f"  it {result.does}"] if result.does else []
     for word, texts in (
-        ("runs" if isinstance(recipe, Campaign) else "reads", found.reads),
-        ("runs first", [", ".join(found.first)]),
-        ("writes", [found.writes]),
-        ("note", [*found.losses, *found.notes]),
-        ("not checked", found.open),
+        ("runs" if isinstance(recipe, Campaign) else "reads", result.reads),
+        ("runs first", [", ".join(result.first)]),
+        ("writes", [result.writes]),
+        ("note", [*result.losses, *result.notes]),
+        ("not checked", result.open),
     ):
         lines += [f"  {word}: {text}" for text in texts if text]
-    if found.errors:
-        lines.append(counted(found.errors, "mistake"))
-        return Inspection(tuple(lines), found.errors[0].exit_code, tuple(found.errors))
-    return Inspection((*lines, "ok"), 3 if found.losses else 0)
+    if result.errors:
+        lines.append(counted(result.errors, "mistake"))
+        return Inspection(tuple(lines), result.errors[0].exit_code, tuple(result.errors))
+    return Inspection((*lines, "ok"), 3 if result.losses else 0)
 
 
 def _rig(path: Path) -> Inspection:
@@ -105,11 +105,11 @@ def _rig(path: Path) -> Inspection:
     }
     if fixed := [*rig.fixed_edges()]:
         parts["fixed edge"] = fixed
-    most = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
+    maximum = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
     lines = [f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else "")]
     counts = ", ".join(counted(items, word) for word, items in parts.items())
     kind = "" if rig.supply.constant else f", {rig.supply.kind}"
-    lines.append(f"  {counts}, supply {in_rig_unit(rig, 'pressure', supply)} up to {most}{kind}")
+    lines.append(f"  {counts}, supply {in_rig_unit(rig, 'pressure', supply)} up to {maximum}{kind}")
     notes = _cut_off(rig)
     loads: list[str | None] = [None, *rig.payload]
     for load in loads:
@@ -147,8 +147,8 @@ def _rig(path: Path) -> Inspection:
             sure[value.sure] = sure.get(value.sure, 0) + 1
     bare = sum(not value.source and value.text is not None for value in rig.parameters().values())
     words = [f"{n} {word}" for word, n in sorted(sure.items())]
-    said = ", ".join(words + [f"{bare} without a source"] * (bare > 0)) or "no sources given"
-    lines.append(f"  how sure the numbers are: {said}")
+    message = ", ".join(words + [f"{bare} without a source"] * (bare > 0)) or "no sources given"
+    lines.append(f"  how sure the numbers are: {message}")
     return Inspection((*lines, "ok"))
 
 
@@ -198,11 +198,13 @@ def _flowmeter(path: Path) -> Inspection:
     lines = [f"flowmeter readings: {data.flow.size} rows"]
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
-        found = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
+        result = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
         drops = "no pressures"
-        if found.size:
-            least, most = (rows.shown("pressure_drop", drop) for drop in (found.min(), found.max()))
-            drops = f"drops {least} to {most}"
+        if result.size:
+            minimum, maximum = (
+                rows.shown("pressure_drop", drop) for drop in (result.min(), result.max())
+            )
+            drops = f"drops {minimum} to {maximum}"
         lines.append(
             f"  {valve} {direction}: {counted(rows.flow, 'reading')} "
             f"at {counted(set(rows.command.tolist()), 'command')}, "
@@ -234,10 +236,10 @@ def _log(path: Path) -> Inspection:
         )
         return Inspection((*lines, "ok, with losses"), 3)
     parts, gaps = parts_of(path.name, record)
-    lines += [f"  {said}" for said in gaps]
+    lines += [f"  {gap}" for gap in gaps]
     try:
         for part in parts:
-            lines += [f"  {said}" for said in evened(part.name, part.record)[1]]
+            lines += [f"  {message}" for message in evened(part.name, part.record)[1]]
     except LogError as error:
         lines.append(f"  unfit for identification: {error}")
         return Inspection((*lines, "ok, with losses"), 3)

@@ -22,7 +22,7 @@ def find_campaign(name: str) -> Path:
     for candidate in (Path(name), *(place / here for place in places)):
         if not impossible(candidate) and candidate.is_file():
             return candidate
-    known = sorted({one.parent.name for place in places for one in place.glob("*/campaign.toml")})
+    known = sorted({item.parent.name for place in places for item in place.glob("*/campaign.toml")})
     near = get_close_matches(name, known, 1)
     hint = "give a campaign's TOML file, or a name for recipes/<name>/campaign.toml"
     raise InputError(

@@ -291,7 +291,7 @@ def flow_along(path, drop, opening, circuit):
 
 
 @kernel
-def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
+def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
     """`Flows` of the one opening at which a spool gives ``head_gain·Q1 + rod_gain·Q2 = wanted``.
 
     False position with Illinois weights over the opening, in which both flows grow. What even the
@@ -299,15 +299,15 @@ def spool_flows(function: int, wanted, head_gain, rod_gain, p, circuit):
     way = DIRECTION[function]
     head_path = SUPPLY_HEAD if way > 0 else HEAD_TANK
     rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
-    if way * wanted <= 0.0:  # against the function's direction: the valve level shuts, says so
-        return Flows(wanted / head_gain, wanted / rod_gain)
+    if way * required <= 0.0:  # against the function's direction: the valve level shuts, says so
+        return Flows(required / head_gain, required / rod_gain)
     drop_one, drop_two = (
         metering_drop(head_path, p, circuit),
         metering_drop(rod_path, p, circuit),
     )
     along = circuit.along[head_path]
     low, high = 0.0, widest(circuit, circuit.paths[head_path], along * drop_one)
-    goal = way * wanted
+    goal = way * required
     at_low, at_high, flow_one, flow_two = -goal, 0.0, 0.0, 0.0
     side = 0
     for turn in range(19):
@@ -524,11 +524,11 @@ def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
     k2 = robust(gains.speed_bandwidth, unsure, gains.speed_tolerance, gains.robust_limit)
     pushed = stroke.a_eq - kappa - k2 * stroke.z2
     need = load.mass * pushed + share * load.pull + offset
-    wanted = force + need / inverse
+    required = force + need / inverse
     return ForceLaw(
         load_force,
-        wanted,
-        load_force - wanted,
+        required,
+        load_force - required,
         pushed,
         need,
         k2,
@@ -637,21 +637,21 @@ def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
 
 
 @kernel
-def asked_speed(reference, found, gains):
+def asked_speed(reference, result, gains):
     """The speed [m/s] that valves are asked for so that they give the desired one: ahead by their
     lag, and by what is ``found`` of flows, that they are later or less than known.
 
     That counts for the desired motion alone, so that the loop's gain is not theirs."""
-    soon = reference.v + (gains.valve_lead + found.later) * reference.a
-    return soon * (1.0 + found.more[0 if reference.v >= 0.0 else 1])
+    soon = reference.v + (gains.valve_lead + result.later) * reference.a
+    return soon * (1.0 + result.more[0 if reference.v >= 0.0 else 1])
 
 
 @kernel
-def feed_forward(asked, v, oil, circuit):
+def feed_forward(requested, v, oil, circuit):
     """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``; ``asked`` [m/s] is what
     the desired speed is asked for by beyond itself.
     """
-    speed = v + asked
+    speed = v + requested
     return oil.head * (circuit.area_head * speed + oil.lost_head) + oil.rod * (
         circuit.area_rod * speed + oil.lost_rod
     )
@@ -748,7 +748,7 @@ def make_room(choice, soon, p, circuit, gains, memory):
     if path == SUPPLY_ROD:
         area, other = other, area
     fastest = max(soon[1] if way > 0 else -soon[0], 0.0)
-    wanted = (1.0 + gains.flow_reserve) * area * fastest / (1.0 - lacking(way, memory.oil))
+    required = (1.0 + gains.flow_reserve) * area * fastest / (1.0 - lacking(way, memory.oil))
     filled = ((p.tank + gains.low_pressure) * other + way * choice.load) / area
     supply = supply_pressure(filled, p, circuit)
     less = min(SMALLER * p.supply, 0.5 * (supply - filled))
@@ -757,8 +757,8 @@ def make_room(choice, soon, p, circuit, gains, memory):
         return
     plain = carried(path, supply - filled, circuit)
     wide = carried(path, supply - filled - less, circuit)
-    if wide > plain and wanted > plain:
-        state.raised = min((wanted - plain) / (wide - plain), 1.0) * less * area / other
+    if wide > plain and required > plain:
+        state.raised = min((required - plain) / (wide - plain), 1.0) * less * area / other
 
 
 @kernel
@@ -794,7 +794,7 @@ def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
 
 
 @kernel
-def share_flows(choice, reference, wanted, oil, p, opened, axis, memory):
+def share_flows(choice, reference, required, oil, p, opened, axis, memory):
     """Valve level: the `Flows` whose ``head·Q1 + rod·Q2`` is what is ``wanted`` [1/s].
 
     The off-side chamber's flow follows its pressure, the rest is the metered chamber's; a spool
@@ -805,7 +805,7 @@ def share_flows(choice, reference, wanted, oil, p, opened, axis, memory):
         wait(choice.load, p, state)
         return Flows(0.0, 0.0)
     if choice.spool:
-        return spool_flows(function, wanted, oil.head, oil.rod, opened, circuit)
+        return spool_flows(function, required, oil.head, oil.rod, opened, circuit)
     stiff = oil.bulk / state.estimates[INVERSE_BULK]
     extra = off_side(
         choice, reference.v, stiff * oil.head, stiff * oil.rod, p, circuit, gains, state
@@ -816,10 +816,10 @@ def share_flows(choice, reference, wanted, oil, p, opened, axis, memory):
     way = DIRECTION[function]
     if METERED[function] == HEAD:
         off = forward(way, circuit.area_rod * piston + oil.lost_rod)
-        metered = (wanted - oil.rod * off) / oil.head
+        metered = (required - oil.rod * off) / oil.head
         return Flows(led_back(metered, circuit.area_head, way, choice), off)
     off = forward(way, circuit.area_head * piston + oil.lost_head)
-    metered = (wanted - oil.head * off) / oil.rod
+    metered = (required - oil.head * off) / oil.rod
     return Flows(off, led_back(metered, circuit.area_rod, way, choice))
 
 
@@ -939,17 +939,17 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     state.slow_pull += slow * (load.pull - state.slow_pull)
     acceleration = corner * (v - state.slow_speed) - load.curve * v * v
     per = state.slow_pull + load.mass * ratio * acceleration
-    found = state.slow_force - load.mass * acceleration
+    result = state.slow_force - load.mass * acceleration
     if starting:
         state.information = per * per + NOTHING
         state.evidence = (
             state.estimates[PAYLOAD_SHARE] / state.estimates[INVERSE_INERTIA] * state.information
         )
     news = slow / FORGETS * per * per / (per * per + FAINTLY)
-    state.evidence += news * (per * found - state.evidence)
+    state.evidence += news * (per * result - state.evidence)
     state.information += news * (per * per - state.information)
     state.payload = state.evidence / state.information
-    left = found - per * state.payload
+    left = result - per * state.payload
     state.scatter += news * (left * left - state.scatter)
     doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
     doubt += OFFSET * gains.upper[DISTURBANCE]
@@ -971,12 +971,12 @@ def feel_oil(choice, flows, limits, load_force, v, oil, axis, memory):
     given = oil.bulk * (oil.head * flows.head + oil.rod * flows.rod)
     per_speed = oil.bulk * (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     moved = per_speed * v + oil.bulk * (oil.head * oil.lost_head + oil.rod * oil.lost_rod)
-    most = per_speed * gains.speed_correction
+    maximum = per_speed * gains.speed_correction
     bound = gains.upper[PAYLOAD_SHARE]
     if memory.state.half < 0.5 * bound:
         other = memory.state.half + ANOTHER * bound
         weigh_anew(memory.state.payload, other, memory.oil)
-    learn_oil(quiet, given, moved, most, load_force, gains, memory.oil)
+    learn_oil(quiet, given, moved, maximum, load_force, gains, memory.oil)
 
 
 @kernel
@@ -988,8 +988,8 @@ def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
         learn_maps(
             quiet, choice.resting, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps
         )
-        oil, told = seen.oil, memory.maps.told
-        told_already(oil.bulk * (oil.head * told[0] - oil.rod * told[1]), memory.oil)
+        oil, message = seen.oil, memory.maps.told
+        told_already(oil.bulk * (oil.head * message[0] - oil.rod * message[1]), memory.oil)
 
 
 @kernel
@@ -1074,14 +1074,14 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    wanted = feed_forward(asked_speed(desired, memory.oil, gains) - desired.v, v, oil, circuit)
-    wanted += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
+    required = feed_forward(asked_speed(desired, memory.oil, gains) - desired.v, v, oil, circuit)
+    required += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
-    spool_speed = wanted / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
+    spool_speed = required / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
     make_room(choice, speeds_soon(reference), p, circuit, gains, memory)
     opened = opened_by(starting, p, rates[1], choice, oil, circuit, gains, state)
-    flows = share_flows(choice, desired, wanted, oil, p, opened, axis, memory)
+    flows = share_flows(choice, desired, required, oil, p, opened, axis, memory)
     edges = COLUMNS + circuit.count
     edge_flows, edge_limits = telemetry[COLUMNS:edges], telemetry[edges : edges + circuit.count]
     limits = allocate(
@@ -1123,11 +1123,11 @@ def eased_gains(used: Mapping[str, Any], law: Controller) -> dict[str, Any]:
     share, table = 1.0 - float(state.eased), rows_of(GAINS, None)
     slowed(law.gains, share, table)
     under = table[0]
-    found = {name: float(under[name]) for name in GAIN_NAMES if under[name] != law.gains[name]}
-    found |= {name: share * used["gains"][name] for name in ("adaptation", "adaptation_bulk")}
+    results = {name: float(under[name]) for name in GAIN_NAMES if under[name] != law.gains[name]}
+    results |= {name: share * used["gains"][name] for name in ("adaptation", "adaptation_bulk")}
     return {
         "eased": {"share": share, "payload": float(state.heaviest)},
-        "gains_under_load": found,
+        "gains_under_load": results,
     }
 
 

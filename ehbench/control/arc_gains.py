@@ -277,13 +277,13 @@ class _Place(NamedTuple):
 
 def _places(axis: Axis) -> list[_Place]:
     """The axis's posture, then those along its stroke, the other joints as they are."""
-    found = []
-    for one in (axis, *_along(axis)):
-        load, ratio = reference_load(one)
+    results = []
+    for item in (axis, *_along(axis)):
+        load, ratio = reference_load(item)
         damping = load.damping + float(axis.cylinder.friction_viscous)
-        swing = hydraulic_frequency(one, load)
-        found.append(_Place(load, ratio, swing, damping / load.mass))
-    return found
+        swing = hydraulic_frequency(item, load)
+        results.append(_Place(load, ratio, swing, damping / load.mass))
+    return results
 
 
 def _bounds(site: Site, unsure: Adaptation, place: _Place) -> _Bounds:
@@ -312,11 +312,11 @@ def _total(site: Site, unsure: Adaptation, places: Sequence[_Place]) -> float:
     lag = site.valve_lag + site.tick
     if unsure.lag_budget is not None:
         return unsure.lag_budget / lag
-    total = most = BUDGET / lag
+    total = maximum = BUDGET / lag
     for place in places:
         taken = -math.cos(min(place.swing * (lag + RESERVE), math.pi))
         if taken > 0.0:
-            total = min(total, max(OWN * place.damping / taken, LEAST * most))
+            total = min(total, max(OWN * place.damping / taken, LEAST * maximum))
     return total
 
 
@@ -347,7 +347,7 @@ def _learning(
     width = (bounds.upper - bounds.lower)[:3]
     variance = (width * SHARES) ** 2
     # where along the stroke an error shows most, so that nowhere they learn faster than is said
-    shown = max(one.answer * float(one.phi**2 @ variance) for one in each)
+    shown = max(item.answer * float(item.phi**2 @ variance) for item in each)
     late = site.valve_lag + site.tick + RESERVE
     turned = late * max(place.swing for place in places)
     gamma = LEARNS * k1 * min(1.0, 0.5 * math.pi / turned)
@@ -355,8 +355,8 @@ def _learning(
     # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
     slow = 0.02 * gamma if unsure.adaptation_bulk is None else unsure.adaptation_bulk
     rate, per = (
-        np.array([*(one * variance / shown), bulk * k3 * (middle.omega / 10.0) ** 2])
-        for one, bulk in ((gamma, slow), (1.0, 1.0))
+        np.array([*(item * variance / shown), bulk * k3 * (middle.omega / 10.0) ** 2])
+        for item, bulk in ((gamma, slow), (1.0, 1.0))
     )
     return _Learning(rate, per, middle.answer, float(np.abs(middle.phi) @ width))
 

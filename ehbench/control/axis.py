@@ -101,11 +101,11 @@ def load_at(axis, q, own, work):
     turn_joint(mechanism.links, j, q, work)
     plumb(mechanism.kind, mechanism.links, mechanism.gravity, work)
     weigh_turned(mechanism.kind, mechanism.links, mechanism.gravity, j, torque, work)
-    held = torque[j] * per
+    fixed = torque[j] * per
     weigh_turned(mechanism.kind, axis.tip, mechanism.gravity, j, torque, work)
     return Load(
         own * per * per,
-        held,
+        fixed,
         mechanism.links[j].damping * per * per,
         curve * per * per,
         torque[j] * per,

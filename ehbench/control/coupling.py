@@ -34,12 +34,12 @@ def _moved(axis, links, joints, mass, work):
     j, n, mechanism = axis.cylinder.joint, links.shape[0], axis.mechanism
     torque = work[work.shape[0] - n :]
     bias_turned(mechanism.kind, links, mechanism.gravity, joints.rates, torque, work)
-    held = torque[j] - links[j].damping * joints.rates[j]
+    fixed = torque[j] - links[j].damping * joints.rates[j]
     mass_matrix_turned(mechanism.kind, links, mass, work)
     for k in range(n):
         if k != j:
-            held += mass[j, k] * joints.accelerations[k]
-    return mass[j, j], held
+            fixed += mass[j, k] * joints.accelerations[k]
+    return mass[j, j], fixed
 
 
 @kernel
@@ -49,11 +49,11 @@ def _load_among(axis, joints, mass, work):
     _, lever, curve = linkage_of(axis.cylinder, joints.angles[j])
     per = 1.0 / lever
     turn(mechanism.links, joints.angles, work)
-    own, held = _moved(axis, mechanism.links, joints, mass, work)
+    own, fixed = _moved(axis, mechanism.links, joints, mass, work)
     _, pull = _moved(axis, axis.tip, joints, mass, work)
     return Load(
         own * per * per,
-        held * per,
+        fixed * per,
         mechanism.links[j].damping * per * per,
         curve * per * per,
         pull * per,

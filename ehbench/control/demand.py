@@ -40,7 +40,7 @@ def torques(mechanism: Mechanism, q: np.ndarray, joints: np.ndarray) -> np.ndarr
     """
     n = q.shape[1]
     out, mass, work = np.empty(q.shape), np.empty((n, n)), np.empty(work_size(n))
-    rates, accelerations = (np.ascontiguousarray(one) for one in joints[:2])
+    rates, accelerations = (np.ascontiguousarray(joint) for joint in joints[:2])
     _torques(mechanism, np.ascontiguousarray(q), rates, accelerations, mass, work, out)
     return out
 

@@ -199,13 +199,13 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
     full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`."""
     if path_drop(METERING[function], p, circuit) <= 0.0:
         return False
-    most = most_pressure(p.supply, circuit.supply[0])
+    maximum = most_pressure(p.supply, circuit.supply[0])
     cross = CROSS[function]
     if cross < 0:
         metered = circuit.area_head if METERED[function] == HEAD else circuit.area_rod
-        return OVERRUNNING[function] == 1 or abs(load_force) < metered * most
+        return OVERRUNNING[function] == 1 or abs(load_force) < metered * maximum
     if function == EXTEND_RESISTIVE_REGENERATION:
-        return seventh_feasible(active, v_d, load_force, most, circuit, rules)
+        return seventh_feasible(active, v_d, load_force, maximum, circuit, rules)
     room = 1.0 if active else 1.0 + rules.reserve
     drop = path_drop(cross, p, circuit)
     return drop > (rules.drop_stop if active else rules.drop_start) and capacity(
@@ -268,9 +268,9 @@ def carries(function, active, v_d, plan, circuit, rules):
     is ``active`` is held more easily.
     """
     room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
-    least = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
+    minimum = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
     left = rules.supply_margin + (0.0 if active else rules.supply_band)
-    if not (plan.head >= least and plan.rod >= least):
+    if not (plan.head >= minimum and plan.rod >= minimum):
         return False
     for path in range(len(PATHS)):
         share = PATH_FLOWS[function, path, 0] * circuit.area_head
@@ -303,7 +303,7 @@ def least_power(now, way, v_d, load_force, p, circuit, rules):
 
     The load may be along the motion or against it: what counts are the planned pressures. A
     function that is at work stays until another takes less by ``power_band`` of it."""
-    best, least = HOLD, math.inf
+    best, minimum = HOLD, math.inf
     for function in range(1, len(FUNCTIONS)):
         if not suits(function, way, OVERRUNNING[function], circuit, rules):
             continue
@@ -314,8 +314,8 @@ def least_power(now, way, v_d, load_force, p, circuit, rules):
         if path_drop(METERING[function], p, circuit) <= 0.0:
             continue
         cost = pump_force(function, plan, circuit) * (1.0 - (rules.power_band if active else 0.0))
-        if cost < least:
-            best, least = function, cost
+        if cost < minimum:
+            best, minimum = function, cost
     return best
 
 
@@ -327,15 +327,17 @@ def ranked(now, way, v_d, load_force, p, circuit, rules):
     same = DIRECTION[now] == way
     band = 0.0 if not same else (-rules.force_band if OVERRUNNING[now] == 1 else rules.force_band)
     along = 1 if -way * load_force > band else 0
-    best, least, plain, most = HOLD, math.inf, HOLD, -1.0
+    best, minimum, plain, maximum = HOLD, math.inf, HOLD, -1.0
     for function in range(1, len(FUNCTIONS)):
         if not suits(function, way, along, circuit, rules):
             continue
         draw = supply_draw(function, circuit)
-        if draw > most:
-            plain, most = function, draw
-        if draw < least and feasible(function, function == now, v_d, load_force, p, circuit, rules):
-            best, least = function, draw
+        if draw > maximum:
+            plain, maximum = function, draw
+        if draw < minimum and feasible(
+            function, function == now, v_d, load_force, p, circuit, rules
+        ):
+            best, minimum = function, draw
     if best == HOLD:
         return plain, UNABLE if plain == HOLD else STALLED
     return best, OK
@@ -577,7 +579,7 @@ def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tup
     """(edge that carries most from one node to another, 1 MPa beyond what cracks it, its
     direction); −1 for none.
     """
-    serving, along, most = -1, 1.0, 0.0
+    serving, along, maximum = -1, 1.0, 0.0
     edges = circuit.edges
     ends = list(zip(edges.from_node.tolist(), edges.to_node.tolist(), strict=True))
     for edge in own.tolist():
@@ -588,8 +590,8 @@ def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tup
         drop = 1.0e6 + preload(edges[edge]) if forward else -1.0e6
         opening = widest(circuit, edge, drop)
         flow = way * edge_flow(drop, opening, edges[edge], circuit.maps)
-        if flow > most:
-            serving, along, most = edge, way, flow
+        if flow > maximum:
+            serving, along, maximum = edge, way, flow
     return serving, along
 
 
@@ -605,7 +607,8 @@ def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
             min(chosen, default=0) >= 0
             and len({valve for valve, _ in opened}) == len(opened)
             and not any(
-                touching[e] and one in opened and e not in chosen for e, one in enumerate(commands)
+                touching[e] and command in opened and e not in chosen
+                for e, command in enumerate(commands)
             )
         )
     return able
@@ -625,10 +628,10 @@ def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np
                 f"edge {edge} follows a flow map whose measured range is not given",
                 hint="pass its maps in `measured`",
             )
-        for side, one in enumerate((pair.forward, pair.reverse)):
-            if one is not None:
+        for side, item in enumerate((pair.forward, pair.reverse)):
+            if item is not None:
                 part = np.concatenate(
-                    [[one.hull_command.size], one.hull_command, one.hull_low, one.hull_high]
+                    [[item.hull_command.size], item.hull_command, item.hull_low, item.hull_high]
                 )
                 at[edge, side] = size
                 parts.append(part)
@@ -642,8 +645,8 @@ def _plays(own: np.ndarray, measured: Sequence | None) -> np.ndarray:
     play = np.zeros(count)
     for i in range(count):
         pair = None if measured is None else measured[own[0] + i]
-        for one in () if pair is None else (pair.forward, pair.reverse):
-            play[i] = max(play[i], 0.0 if one is None else one.hysteresis)
+        for item in () if pair is None else (pair.forward, pair.reverse):
+            play[i] = max(play[i], 0.0 if item is None else item.hysteresis)
     return play
 
 

@@ -150,21 +150,23 @@ def learn_maps(quiet, resting, seen, allocated, command, axis, gains, maps):
     slow /= 1.0 + slow
     circuit = axis.circuit
     for side in range(2):
-        held = maps.chambers[side]
+        fixed = maps.chambers[side]
         area = circuit.area_head if side == 0 else circuit.area_rod
         rate = oil.bulk * (oil.head if side == 0 else oil.rod)
         passed = area * v + oil.lost_head if side == 0 else -(area * v + oil.lost_rod)
         pressure = p.head if side == 0 else p.rod
-        held[FLOW] += slow * (passed - held[FLOW])
-        held[PRESSURE] += slow * (pressure - held[PRESSURE])
-        pressed = area / rate * corner * (pressure - held[PRESSURE])
+        fixed[FLOW] += slow * (passed - fixed[FLOW])
+        fixed[PRESSURE] += slow * (pressure - fixed[PRESSURE])
+        pressed = area / rate * corner * (pressure - fixed[PRESSURE])
         if not ready:
             continue
-        most = area * gains.speed_correction
-        doubt = (SCATTER * most) ** 2 + (SQUEEZED * pressed) ** 2
-        doubt += (UNSTEADY * (passed - held[FLOW])) ** 2
-        doubt /= corner * gains.tick * min(STEADY + abs(changed(side, maps)) / (APART * most), 1.0)
-        correct(side, held[FLOW] + pressed, doubt, LEAST * most, maps)
+        maximum = area * gains.speed_correction
+        doubt = (SCATTER * maximum) ** 2 + (SQUEEZED * pressed) ** 2
+        doubt += (UNSTEADY * (passed - fixed[FLOW])) ** 2
+        doubt /= (
+            corner * gains.tick * min(STEADY + abs(changed(side, maps)) / (APART * maximum), 1.0)
+        )
+        correct(side, fixed[FLOW] + pressed, doubt, LEAST * maximum, maps)
     approach(ready, gains.position_bandwidth if resting else gains.map_bandwidth, gains, maps)
 
 
@@ -222,13 +224,13 @@ def within(row, gains):
     ``deadband_error``: what one of them may not take the other does, as far as they show only
     together.
     """
-    widest, most = 1.0 + gains.map_error, gains.deadband_error
+    widest, maximum = 1.0 + gains.map_error, gains.deadband_error
     gain = min(max(row[BEST_GAIN], 1.0 / widest), widest)
     shift = row[BEST_SHIFT]
     shift += row[COVARIANCE] / max(row[VAR_GAIN], SURE) * (gain - row[BEST_GAIN])
-    held = min(max(shift, -most), most)
-    gain += row[COVARIANCE] / max(row[VAR_SHIFT], SURE) * (held - shift)
-    return min(max(gain, 1.0 / widest), widest), held
+    fixed = min(max(shift, -maximum), maximum)
+    gain += row[COVARIANCE] / max(row[VAR_SHIFT], SURE) * (fixed - shift)
+    return min(max(gain, 1.0 / widest), widest), fixed
 
 
 @kernel

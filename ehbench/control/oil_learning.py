@@ -93,7 +93,7 @@ def pass_twice(held, value, slow):
 
 
 @kernel
-def learn_oil(quiet, given, moved, most, load, gains, memory):
+def learn_oil(quiet, given, moved, maximum, load, gains, memory):
     """Move what is known of the oil, and what the law takes of it.
 
     Args:
@@ -116,7 +116,7 @@ def learn_oil(quiet, given, moved, most, load, gains, memory):
     if memory.quiet > QUIET / corner:
         rate = corner * (memory.load[0] - memory.load[1])
         turn = corner * (memory.passed[0] - memory.passed[1])
-        doubt = (SCATTER * most) ** 2 / (corner * tick)
+        doubt = (SCATTER * maximum) ** 2 / (corner * tick)
         correct_oil(memory.pressed[1] - rate, rate, turn, memory.passed[1], doubt, tick, memory)
     take(min(FOLLOWS * gains.position_bandwidth * tick, 1.0), memory)
 
@@ -126,10 +126,10 @@ def take(part, memory):
     """Let the law take over ``part`` of what is found beyond what it has. It leads by no less than
     the design's lag: it would ask less of a load where it speeds up.
     """
-    found = memory.found
-    softer = min(max(found[SOFTER], 1.0 / SOFTEST - 1.0), SOFTEST - 1.0)
+    result = memory.found
+    softer = min(max(result[SOFTER], 1.0 / SOFTEST - 1.0), SOFTEST - 1.0)
     memory.softer += part * (softer - memory.softer)
-    memory.later += part * (min(max(found[LATER], 0.0), LATEST) - memory.later)
+    memory.later += part * (min(max(result[LATER], 0.0), LATEST) - memory.later)
     for way in range(2):
         lacks = lacking(1 if way == 0 else -1, memory)
         memory.more[way] += part * (lacks / (1.0 - lacks) - memory.more[way])
@@ -152,9 +152,9 @@ def told_already(mended, memory):
     passed = memory.passed[1]
     if passed != 0.0 and memory.quiet >= 0.0:
         way, other = (MORE, BACK) if passed > 0.0 else (BACK, MORE)
-        told = min(max(mended / passed, -OWN), OWN)
-        memory.found[way] += told
-        memory.found[other] += told * memory.sure[way, other] / memory.sure[way, way]
+        message = min(max(mended / passed, -OWN), OWN)
+        memory.found[way] += message
+        memory.found[other] += message * memory.sure[way, other] / memory.sure[way, way]
 
 
 @kernel
@@ -162,7 +162,7 @@ def correct_oil(lacking, rate, turn, passed, doubt, tick, memory):
     """One step of least squares: what is ``lacking`` [N/s] is SOFTER·``rate`` + LATER·``turn`` +
     MORE·``passed``, or BACK in retraction, give or take the variance ``doubt``.
     """
-    found, sure, moves, part = memory.found, memory.sure, memory.moves, memory.part
+    result, sure, moves, part = memory.found, memory.sure, memory.moves, memory.part
     for i in range(COUNT):
         first = FIRST[i] * FIRST[i]
         sure[i, i] = min(sure[i, i] + tick / FORGETS * first, max(first, sure[i, i]))
@@ -174,8 +174,8 @@ def correct_oil(lacking, rate, turn, passed, doubt, tick, memory):
         for j in range(COUNT):
             part[i] += sure[i, j] * moves[j]
         whole += moves[i] * part[i]
-        miss -= found[i] * moves[i]
+        miss -= result[i] * moves[i]
     for i in range(COUNT):
-        found[i] += part[i] / whole * miss
+        result[i] += part[i] / whole * miss
         for j in range(COUNT):
             sure[i, j] -= part[i] * part[j] / whole

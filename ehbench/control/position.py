@@ -56,14 +56,14 @@ def lead_back(x, desired, gains, memory):
     The integral stands still while it is frozen, or where the correction is at its end and z would
     drive it farther."""
     z = x - desired.x
-    most, k = gains.speed_correction, gains.position_bandwidth
+    maximum, k = gains.speed_correction, gains.position_bandwidth
     growth = -k * gains.integral_bandwidth * gains.flow.tick * z
-    asked = -k * z + memory.integral + growth
-    if memory.frozen == 0 and (abs(asked) <= most or asked * growth < 0.0):
+    requested = -k * z + memory.integral + growth
+    if memory.frozen == 0 and (abs(requested) <= maximum or requested * growth < 0.0):
         memory.integral += growth
     correction = memory.integral - k * z
-    if abs(correction) > most:
-        correction = math.copysign(most, correction)
+    if abs(correction) > maximum:
+        correction = math.copysign(maximum, correction)
     return Asked(z, memory.integral, desired.v + correction)
 
 
@@ -83,12 +83,14 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     """
     circuit, desired = axis.circuit, reference_of(reference)
     x, p = sample[entry(circuit.cylinder, OF.x)], pressures(sample, circuit.cylinder)
-    asked = lead_back(x, desired, gains, memory)
-    moved = move(asked.v_asked, p, circuit, gains.flow, memory.flow, command, telemetry[COLUMNS:])
+    requested = lead_back(x, desired, gains, memory)
+    moved = move(
+        requested.v_asked, p, circuit, gains.flow, memory.flow, command, telemetry[COLUMNS:]
+    )
     memory.frozen = 1 if moved.function == HOLD or int(moved.limits) & SATURATED != 0 else 0
     write(desired, telemetry)
-    write(asked, telemetry[len(desired) :])
-    write(moved, telemetry[len(desired) + len(asked) :])
+    write(requested, telemetry[len(desired) :])
+    write(moved, telemetry[len(desired) + len(requested) :])
 
 
 def default_bandwidth(site: Site) -> float:

@@ -87,8 +87,8 @@ def wash(corner, tick, x, last, passed):
     corner·tick."""
     if corner == 0.0:
         return x
-    kept = math.exp(-corner * tick)
-    return kept * passed + 0.5 * (1.0 + kept) * (x - last)
+    retained = math.exp(-corner * tick)
+    return retained * passed + 0.5 * (1.0 + retained) * (x - last)
 
 
 @kernel
@@ -272,14 +272,14 @@ def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
     """K_p of each working function [m³/(s·Pa)], shape (8,)."""
     if not isinstance(gain, Mapping):
         return np.full(len(FUNCTIONS), gain)
-    found = np.zeros(len(FUNCTIONS))
+    result = np.zeros(len(FUNCTIONS))
     for name, value in gain.items():
         if name not in FUNCTIONS[1:]:
             raise InputError(
                 f"no working function '{name}'", hint="there are " + ", ".join(FUNCTIONS[1:])
             )
-        found[FUNCTIONS.index(name)] = value
-    return found
+        result[FUNCTIONS.index(name)] = value
+    return result
 
 
 def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
@@ -309,8 +309,8 @@ def named_gains(packed: np.record, circuit: Circuit) -> dict[str, float]:
         if circuit.able[f] and (packed.rules.allow_seventh or f != EXTEND_RESISTIVE_REGENERATION)
     ]
     by_function = {f"{FUNCTIONS[f]}.feedback_gain": float(packed.feedback_gain[f]) for f in may}
-    one = set(by_function.values())
-    feedback = {"feedback_gain": one.pop()} if len(one) == 1 else by_function
+    item = set(by_function.values())
+    feedback = {"feedback_gain": item.pop()} if len(item) == 1 else by_function
     shaping = numbers(packed.shaping, SHAPING_NAMES)
     return (
         numbers(packed, SCALARS)

@@ -266,14 +266,14 @@ def with_preview(table: np.ndarray, speed: np.ndarray, ahead: float, tick: float
         ahead: that time [s].
         tick: between rows [s].
     """
-    least, largest, seen = speed.copy(), speed.copy(), 1
+    minimum, largest, seen = speed.copy(), speed.copy(), 1
     span = min(round(ahead / tick) + 1, speed.size)
     while seen < span:
         more = min(seen, span - seen)
-        least[:-more] = np.minimum(least[:-more], least[more:])
+        minimum[:-more] = np.minimum(minimum[:-more], minimum[more:])
         largest[:-more] = np.maximum(largest[:-more], largest[more:])
         seen += more
-    return np.ascontiguousarray(np.column_stack([table, least, largest]))
+    return np.ascontiguousarray(np.column_stack([table, minimum, largest]))
 
 
 @kernel
@@ -326,10 +326,10 @@ def limit_speed(v_d, tick, shaping, shaped):
     """One tick of the time-optimal approach within acceleration_max and jerk_max that does not
     overshoot (Han's discrete fhan).
     """
-    most, jerk = shaping.acceleration_max, shaping.jerk_max
+    maximum, jerk = shaping.acceleration_max, shaping.jerk_max
     e = v_d - shaped.speed
     if jerk <= 0.0:
-        shaped.acceleration = math.copysign(min(abs(e) / tick, most), e)
+        shaped.acceleration = math.copysign(min(abs(e) / tick, maximum), e)
         shaped.speed += tick * shaped.acceleration
         return
     step = jerk * tick
@@ -343,7 +343,7 @@ def limit_speed(v_d, tick, shaping, shaped):
     change = -aim * jerk / step if abs(aim) <= step else -math.copysign(jerk, aim)
     shaped.speed += tick * shaped.acceleration
     before = shaped.acceleration
-    shaped.acceleration = min(max(before + tick * change, -most), most)
+    shaped.acceleration = min(max(before + tick * change, -maximum), maximum)
     shaped.jerk = (shaped.acceleration - before) / tick
 
 

@@ -91,11 +91,11 @@ def edge_order(circuit, path, flow, drop, floor):
     flow /= gain
     command = edge_command(along * drop, along * flow, circuit.edges[edge], circuit.maps)
     command += sign * shift
-    most = widest(circuit, edge, along * drop)
+    maximum = widest(circuit, edge, along * drop)
     # a map's inverse stops at its last command by itself, so the flow decides
-    if sign * command >= sign * most:
-        command = most
-        given = edge_flow(along * drop, most - sign * shift, circuit.edges[edge], circuit.maps)
+    if sign * command >= sign * maximum:
+        command = maximum
+        given = edge_flow(along * drop, maximum - sign * shift, circuit.edges[edge], circuit.maps)
         if given * along < flow * (1.0 - 1e-9):
             limits += SATURATED
     return command, limits
@@ -113,7 +113,7 @@ def rest(circuit, command, flows, limits):
 
 
 @kernel
-def allocate(function, wanted, p, floor, circuit, command, flows, limits):
+def allocate(function, required, p, floor, circuit, command, flows, limits):
     """Write the commands that give a working function its chamber flows; return all limits met,
     or'ed.
 
@@ -144,7 +144,7 @@ def allocate(function, wanted, p, floor, circuit, command, flows, limits):
         edge = circuit.paths[path]
         # 0·NaN stays NaN: a channel withheld from the controller shows in every command that it
         # could have touched
-        flow = share_head * wanted.head + share_rod * wanted.rod
+        flow = share_head * required.head + share_rod * required.rod
         drop = metering_drop(path, p, circuit)
         order, bits = edge_order(circuit, path, flow, drop, floor)
         valve = circuit.edges[edge].valve

@@ -71,8 +71,8 @@ class Record:
         for name, values in self.channels.items():
             row = quantity(name)
             ends = (values.min(), values.max()) if values.size else (None, None)
-            least, most = (shown(end, name, row.display) for end in ends)
-            rows.append((name, label(row.display), least, most, row.meaning))
+            minimum, maximum = (shown(end, name, row.display) for end in ends)
+            rows.append((name, label(row.display), minimum, maximum, row.meaning))
         header = ("channel", "unit", "least", "most", "meaning")
         span = f"{self.t[0]:g} … {self.t[-1]:g} s, " if self.t.size else ""
         return table(header, rows, span + plural(self.t.size, "sample"))
@@ -89,10 +89,10 @@ class Record:
         Raises:
             LogError: no such channel, where there is no value for it.
         """
-        made = np.empty((self.t.size, len(columns)))
+        built = np.empty((self.t.size, len(columns)))
         for i, (name, value) in enumerate(columns):
-            made[:, i] = self[name] if value is None or name in self else value
-        return made
+            built[:, i] = self[name] if value is None or name in self else value
+        return built
 
     @cached_property
     def sample_time(self) -> float:
@@ -174,10 +174,10 @@ def payloads_of(record: Record) -> list[tuple[float, str | None]]:
     except (ValueError, TypeError):
         raise LogError("the log does not say when its payload changed") from None
     first, last = float(record.t[0]), float(record.t[-1])
-    found: list[tuple[float, str | None]] = []
+    results: list[tuple[float, str | None]] = []
     for at, name in steps:
         if at <= first:
-            found.clear()
+            results.clear()
         if at <= last:
-            found.append((max(at, first), None if name in ("", "none") else name))
-    return found
+            results.append((max(at, first), None if name in ("", "none") else name))
+    return results

@@ -98,11 +98,11 @@ def ask(cases: Sequence[Case]) -> Structure:
     groups: dict[tuple[str, ...], list[tuple[Case, np.ndarray]]] = {}
     for case, left in known:
         groups.setdefault(case.cylinders, []).append((case, left))
-    asked = [_Search(group).findings()[:MOST] for group in groups.values()]
+    requested = [_Search(group).findings()[:MOST] for group in groups.values()]
     unique: dict[tuple[str, str], Finding] = {}
-    for row in zip_longest(*asked):  # the first of each cylinder before the second of any
-        for one in filter(None, row):
-            unique.setdefault((one.kind, one.about), one)
+    for row in zip_longest(*requested):  # the first of each cylinder before the second of any
+        for item in filter(None, row):
+            unique.setdefault((item.kind, item.about), item)
     return Structure((*findings, *unique.values()), tuple(follows))
 
 
@@ -141,21 +141,21 @@ class _Search:
                 else (1, 0, -gains[cure])
             ),
         )
-        found = [self._finding(cure, reached[cure][0], gains[cure]) for cure in shown]
-        beside = self._beside(shown, reached[shown[0]][2], slopes)
-        kinds = [one.kind for one in found]
-        few = [one for i, one in enumerate(found) if kinds[:i].count(one.kind) < OF_A_KIND]
-        return [*few[:2], *beside, *few[2:]]
+        results = [self._finding(cure, reached[cure][0], gains[cure]) for cure in shown]
+        additional = self._beside(shown, reached[shown[0]][2], slopes)
+        kinds = [item.kind for item in results]
+        few = [item for i, item in enumerate(results) if kinds[:i].count(item.kind) < OF_A_KIND]
+        return [*few[:2], *additional, *few[2:]]
 
     def _cures(self) -> list[Cure]:
         case = self.cases[0]
-        cylinders = [name for one in self.cases for name in one.cylinders]
+        cylinders = [name for item in self.cases for name in item.cylinders]
         channels = [
-            name if name in one.record else position_of(name)
-            for one in self.cases
-            for name in one.channels
+            name if name in item.record else position_of(name)
+            for item in self.cases
+            for name in item.channels
         ]
-        played = all("p_supply" in one.record for one in self.cases)
+        played = all("p_supply" in item.record for item in self.cases)
         unique = list(dict.fromkeys(channels))
         return cures(case.model.rig, list(dict.fromkeys(cylinders)), unique, played)
 
@@ -168,7 +168,7 @@ class _Search:
 
     def _at_once(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:
         """`_at` for no more points than go side by side."""
-        found: list[list[np.ndarray] | None] = [list(self.left) for _ in points]
+        results: list[list[np.ndarray] | None] = [list(self.left) for _ in points]
         for k, case in enumerate(self.cases):
             runs: dict[int, Run] = {}
             for i, (cure, delta) in enumerate(points):
@@ -177,15 +177,15 @@ class _Search:
                 try:
                     runs[i] = case.run_of(*cure.vary(case, delta))
                 except EhbenchError:
-                    found[i] = None
-            made = replays_fixed(list(runs.values()), STEP)
-            for i, replayed in zip(runs, made, strict=True):
-                left, own = self._left(case, points[i], replayed), found[i]
+                    results[i] = None
+            built = replays_fixed(list(runs.values()), STEP)
+            for i, replayed in zip(runs, built, strict=True):
+                left, own = self._left(case, points[i], replayed), results[i]
                 if left is None or own is None:
-                    found[i] = None
+                    results[i] = None
                 else:
                     own[k] = left
-        return found
+        return results
 
     @staticmethod
     def _left(case: Case, point: Point, replayed: Record | None) -> np.ndarray | None:
@@ -207,13 +207,13 @@ class _Search:
             if cure.step != 0.0
         }
         moved = dict(zip(steps, self._at(list(steps.items())), strict=True))
-        found: dict[Cure, list[np.ndarray] | None] = {}
+        results: dict[Cure, list[np.ndarray] | None] = {}
         for cure in every:
             there = moved.get(cure)
-            found[cure] = there and [
+            results[cure] = there and [
                 (to - at) / steps[cure] for to, at in zip(there, self.left, strict=True)
             ]
-        return found
+        return results
 
     def _promise(self, cure: Cure, slope: list[np.ndarray] | None) -> float:
         """By how much a cure lowers the sum of squares, if what is left is linear in it."""

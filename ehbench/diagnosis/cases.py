@@ -78,7 +78,7 @@ class Case:
     @cached_property
     def channels(self) -> tuple[str, ...]:
         """Rate and pressures of each cylinder, as far as the log has them moving."""
-        found = []
+        results = []
         for cylinder in self.cylinders:
             rates = [f"{cylinder}.{word}" for word in ("v", "qd")]
             rate = next((name for name in rates if name in self.record), None)
@@ -88,10 +88,10 @@ class Case:
             ends = [f"{cylinder}.{word}" for word in ("p_head", "p_rod")]
             ends = [name for name in ends if self._moves(name)]
             gauges = [f"{cylinder}.{word}" for word in GAUGES]
-            found += [rate] if rate and self._moves(rate) else []
-            found += ends or [name for name in gauges if self._moves(name)]
+            results += [rate] if rate and self._moves(rate) else []
+            results += ends or [name for name in gauges if self._moves(name)]
         given = tied_words(self.record)
-        return tuple(name for name in found if name.rpartition(".")[2] not in given)
+        return tuple(name for name in results if name.rpartition(".")[2] not in given)
 
     def _moves(self, channel: str) -> bool:
         values = column(self.record, channel, self.record)
@@ -118,25 +118,25 @@ class Case:
     @cached_property
     def recorded(self) -> dict[str, np.ndarray]:
         """Blocks of each channel, as recorded."""
-        found = {}
+        results = {}
         for channel in self.channels:
             values = column(self.record, channel, self.record)
             assert values is not None  # `channels` has only those
-            found[channel] = self.blocks(values)
-        return found
+            results[channel] = self.blocks(values)
+        return results
 
     @cached_property
     def scales(self) -> dict[str, float]:
         """What an error of each channel is measured by: the noise of a block, and a share of the
         channel's spread.
         """
-        found = {}
+        results = {}
         for channel, values in self.recorded.items():
             raw = column(self.record, channel, self.record)
             assert raw is not None
             noise = white_noise(raw) / math.sqrt(self.block)
-            found[channel] = math.hypot(noise, FINE * float(np.std(values)))
-        return found
+            results[channel] = math.hypot(noise, FINE * float(np.std(values)))
+        return results
 
     def left(self, simulated: Record) -> np.ndarray:
         """Blocks of simulated minus recorded of all channels, one after the other, in their scales;
@@ -158,15 +158,15 @@ class Case:
 
 def commanded(model: Model, record: Record) -> tuple[str, ...]:
     """The cylinders whose recorded commands change or stand off rest."""
-    found = []
+    results = []
     for cylinder, valve in model.rig.valves():
         channel = f"{cylinder.name}.{valve.name}.command"
-        if channel in record and cylinder.name not in found:
+        if channel in record and cylinder.name not in results:
             span = least_change(valve)
             off = float(np.max(np.abs(record[channel] - valve.rest)))
             if float(np.ptp(record[channel])) > span or off > 2.0 * span:
-                found.append(cylinder.name)
-    return tuple(found)
+                results.append(cylinder.name)
+    return tuple(results)
 
 
 def total(parts: Sequence[np.ndarray]) -> float:

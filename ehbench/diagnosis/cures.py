@@ -67,17 +67,17 @@ def cures(rig: Rig, cylinders: Sequence[str], channels: Sequence[str], played: b
         channels: that are compared.
         played: whether the logs have the supply's pressure, which is then known.
     """
-    found: list[Cure] = []
+    results: list[Cure] = []
     for cylinder in rig.cylinder:
         if cylinder.name in cylinders:
             own = [*_valves(rig, cylinder), *_commands(rig, cylinder), *_cylinder(rig, cylinder)]
-            found += [
+            results += [
                 cure if cure.kind in WIDE else replace(cure, cylinder=cylinder.name) for cure in own
             ]
-    found += _shared(rig, played)
+    results += _shared(rig, played)
     for channel in channels:
-        found += [replace(one, cylinder=channel.partition(".")[0]) for one in _sensor(channel)]
-    return list({(cure.kind, cure.about): cure for cure in found}.values())
+        results += [replace(item, cylinder=channel.partition(".")[0]) for item in _sensor(channel)]
+    return list({(cure.kind, cure.about): cure for cure in results}.values())
 
 
 def _share(delta: float) -> str:
@@ -141,7 +141,7 @@ def _valves(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
         yield from _bands(valve, f"{cylinder.name}.{valve.name}", bands, rig)
         every += gains
         shut += bands
-    lags = (f"{one}.natural_frequency" for valve in cylinder.valve for one in valve.series)
+    lags = (f"{item}.natural_frequency" for valve in cylinder.valve for item in valve.series)
     for name in dict.fromkeys(lags):
         if name in known:
             yield _lag(name, known)
@@ -184,7 +184,7 @@ def _bands(valve: Valve, about: str, names: Sequence[str], rig: Rig) -> Iterator
 def _band(about: str, names: Sequence[str], unit: float, rig: Rig, rank: int) -> Cure:
     """Of dead bands, or of underlaps, in shares of the largest command [V]."""
     known = rig.parameters()
-    least = min((float(known[name]) / unit for name in names), default=0.0)
+    minimum = min((float(known[name]) / unit for name in names), default=0.0)
     lapped = names[0].endswith(".underlap")
     word, way = ("an underlap", -1.0) if lapped else ("a dead band", 1.0)
 
@@ -196,7 +196,7 @@ def _band(about: str, names: Sequence[str], unit: float, rig: Rig, rank: int) ->
         )
 
     vary = _shifted(names, unit)
-    return Cure("deadband", about, 0.01, -least, 0.4, says, _free(names, known), rank, vary)
+    return Cure("deadband", about, 0.01, -minimum, 0.4, says, _free(names, known), rank, vary)
 
 
 def _preload(edge: str, rig: Rig) -> Iterator[Cure]:
@@ -205,16 +205,16 @@ def _preload(edge: str, rig: Rig) -> Iterator[Cure]:
     known, own = rig.parameters(), rig.all_edges()[edge]
     if own.to != "tank" or unit <= 0.0 or name not in known:
         return
-    least = float(known[name])
+    minimum = float(known[name])
 
     def says(delta: float) -> str:
         return (
             f"pressure stands {_more(delta, 'higher', 'lower')} than the model's as long as oil "
-            f"returns: {edge} opens above {rig.shown(name, least + delta * unit, 3)} only"
+            f"returns: {edge} opens above {rig.shown(name, minimum + delta * unit, 3)} only"
         )
 
     line, vary = _free([name], known), _shifted([name], unit)
-    yield Cure("preload", edge, 0.01, -least / unit, 0.8, says, line, 3, vary)
+    yield Cure("preload", edge, 0.01, -minimum / unit, 0.8, says, line, 3, vary)
 
 
 def _with_commands(
@@ -232,8 +232,8 @@ def _with_commands(
 
 
 def _clipped(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
-    most = (1.0 - delta) * float(np.max(np.abs(u)))
-    return np.clip(u, -most, most)
+    maximum = (1.0 - delta) * float(np.max(np.abs(u)))
+    return np.clip(u, -maximum, maximum)
 
 
 def _later(u: np.ndarray, delta: float, case: Case) -> np.ndarray:
@@ -271,8 +271,8 @@ def _commands(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
         )
     whole, given = cylinder.name if groups else names[0], [f"{name}.command" for name in names]
     known = rig.parameters()
-    delays = (f"{one}.delay" for valve in cylinder.valve for one in valve.series)
-    yield _late(whole, given, [one for one in dict.fromkeys(delays) if one in known], known)
+    delays = (f"{item}.delay" for valve in cylinder.valve for item in valve.series)
+    yield _late(whole, given, [delay for delay in dict.fromkeys(delays) if delay in known], known)
     yield Cure(
         "drift",
         whole,
@@ -377,13 +377,13 @@ def _cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Cure]:
 
 
 def _from_zero(known: dict, kind: str, name: str, unit: float, why: str) -> Cure:
-    least = float(known[name]) / unit
+    minimum = float(known[name]) / unit
 
     def says(delta: float) -> str:
         return f"{why}: {name} is {_more(delta, 'larger', 'smaller')}"
 
     line = _free([name], known)
-    return Cure(kind, name, 0.01, -least, 30.0, says, line, 3, _shifted([name], unit))
+    return Cure(kind, name, 0.01, -minimum, 30.0, says, line, 3, _shifted([name], unit))
 
 
 def _scale(

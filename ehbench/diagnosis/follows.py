@@ -39,16 +39,16 @@ def followed(case: Case, simulated: Record) -> Iterator[Follows]:
         for what, cause in _causes(case, channel.rsplit(".", 1)[0]).items():
             if float(np.ptp(cause)) == 0.0 or float(np.ptp(error)) == 0.0:
                 continue
-            found = float(np.corrcoef(error, cause)[0, 1])
+            result = float(np.corrcoef(error, cause)[0, 1])
             band = correlation_band(error, cause)
-            if abs(found) > band:
-                yield Follows(case.name, channel, what, found, band)
+            if abs(result) > band:
+                yield Follows(case.name, channel, what, result, band)
 
 
 def _causes(case: Case, cylinder: str) -> dict[str, np.ndarray]:
     """What an error may follow, in blocks."""
     record = case.record
-    found = {
+    results = {
         f"command of {name.removesuffix('.command')}": case.blocks(record[name])
         for name in record.channels
         if name.startswith(f"{cylinder}.") and name.endswith(".command")
@@ -58,10 +58,10 @@ def _causes(case: Case, cylinder: str) -> dict[str, np.ndarray]:
         if speed is not None:
             slow = case.blocks(speed)
             moving = np.abs(slow) > STILL * float(np.max(np.abs(slow), initial=0.0))
-            found |= {"speed": slow, "direction": np.where(moving, np.sign(slow), 0.0)}
+            results |= {"speed": slow, "direction": np.where(moving, np.sign(slow), 0.0)}
             break
     for what, words in (("position", ("x", "q")), ("pressure", ("p_head", "p_rod", *GAUGES))):
         name = next((f"{cylinder}.{w}" for w in words if f"{cylinder}.{w}" in record), None)
         if name is not None:
-            found[what] = case.blocks(record[name])
-    return found | {"time": case.blocks(record.t)}
+            results[what] = case.blocks(record[name])
+    return results | {"time": case.blocks(record.t)}

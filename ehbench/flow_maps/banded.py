@@ -71,7 +71,7 @@ def normal(cells, span, along_u, along_s, size):
 
 
 @kernel
-def _add_one(of_u, of_s, one, band, right):
+def _add_one(of_u, of_s, item, band, right):
     """Adds a flow to the band of the normal matrix and to its right side.
 
     Args:
@@ -80,7 +80,7 @@ def _add_one(of_u, of_s, one, band, right):
         one: its weight, its flow times that, coefficients along the root, and the number of the
             first that it meets.
     """
-    weight, pull, columns, at = one
+    weight, pull, columns, at = item
     for a in range(of_u.size):
         for b in range(of_s.size):
             low, value = at + a * columns + b, of_u[a] * of_s[b]
@@ -167,7 +167,7 @@ def forward(factor, values):
 @allocating_kernel
 def half_squares(factor, rows):
     """Of each row its squares once it is divided by a Cholesky factor, summed; shape (rows,)."""
-    found = np.zeros(rows.shape[0])
+    result = np.zeros(rows.shape[0])
     for i in range(rows.shape[0]):
         begin = 0  # up to its first number a row stays zero
         while begin < rows.shape[1] - 1 and rows[i, begin] == 0.0:
@@ -175,8 +175,8 @@ def half_squares(factor, rows):
         values = rows[i, begin:].copy()
         forward(factor[begin:], values)
         for value in values:
-            found[i] += value * value
-    return found
+            result[i] += value * value
+    return result
 
 
 @kernel
@@ -272,37 +272,37 @@ def tied(band, right, own):
                     apart = max(apart, abs(own[j] - own[j + k]))
     matrix, pull = np.zeros((count, apart + 1)), np.zeros(count + 1)
     for j in range(size):
-        one = own[j]
-        if one >= 0:
-            pull[one] += right[j]
+        item = own[j]
+        if item >= 0:
+            pull[item] += right[j]
             for k in some[:used]:
                 other = own[j + k] if j + k < size else -1
                 if other >= 0 and band[j, k] != 0.0:
                     # of two coefficients that are one unknown, both orders count
-                    times = 2.0 if k and one == other else 1.0
-                    matrix[min(one, other), abs(one - other)] += times * band[j, k]
+                    times = 2.0 if k and item == other else 1.0
+                    matrix[min(item, other), abs(item - other)] += times * band[j, k]
     fails = factorise(matrix)
     if not fails:
         forward(matrix, pull[:count])
         backward(matrix, pull[:count])
-    found = np.empty(size)
+    result = np.empty(size)
     for j in range(size):
-        found[j] = pull[own[j]] if own[j] >= 0 else 0.0
-    return found, not fails
+        result[j] = pull[own[j]] if own[j] >= 0 else 0.0
+    return result, not fails
 
 
 @allocating_kernel
 def times(band, values):
     """Product of a symmetric matrix, of which the band is given, with a vector."""
     size, lines = band.shape
-    found = np.zeros(size)
+    result = np.zeros(size)
     for j in range(size):
         own = band[j, 0] * values[j]
         for k in range(1, min(lines, size - j)):
             own += band[j, k] * values[j + k]
-            found[j + k] += band[j, k] * values[j]
-        found[j] += own
-    return found
+            result[j + k] += band[j, k] * values[j]
+        result[j] += own
+    return result
 
 
 @allocating_kernel
@@ -314,22 +314,22 @@ def explained(factor, band):
     Chen 1973); the whole inverse would take as many columns as it has to be solved for.
     """
     size, lines = factor.shape
-    inverse, own, found = np.zeros((size, size)), np.empty(lines), 0.0
+    inverse, own, result = np.zeros((size, size)), np.empty(lines), 0.0
     for j in range(size - 1, -1, -1):
-        beside, per = min(lines, size - j), 1.0 / factor[j, 0]
+        additional, per = min(lines, size - j), 1.0 / factor[j, 0]
         own[:] = 0.0
-        for i in range(1, beside):
-            _take_row(factor[j, i], inverse[j + i, j + 1 : j + beside], own[1:beside])
-        for k in range(1, beside):
+        for i in range(1, additional):
+            _take_row(factor[j, i], inverse[j + i, j + 1 : j + additional], own[1:additional])
+        for k in range(1, additional):
             own[k] *= per
             inverse[j, j + k] = inverse[j + k, j] = own[k]
-            found += 2.0 * own[k] * band[j, k]
+            result += 2.0 * own[k] * band[j, k]
         inverse[j, j] = per
-        for k in range(1, beside):
+        for k in range(1, additional):
             inverse[j, j] -= factor[j, k] * own[k]
         inverse[j, j] *= per
-        found += inverse[j, j] * band[j, 0]
-    return found
+        result += inverse[j, j] * band[j, 0]
+    return result
 
 
 @kernel
@@ -350,7 +350,7 @@ def gram(pieces, order, powers, share):
         share: of a node's value in the integral: (by node, by span).
     """
     (spans, splines, size), (by_node, by_span) = pieces.shape, share
-    found, values = np.zeros((splines, splines)), np.empty(size)
+    result, values = np.zeros((splines, splines)), np.empty(size)
     for j in range(spans):
         for g in range(powers.shape[1]):
             for k in range(size):  # of a spline's degree, and one more, meet in a span
@@ -367,5 +367,5 @@ def gram(pieces, order, powers, share):
                 values[k] = even + odd
             for k in range(size):
                 for i in range(size):
-                    found[j + k, j + i] += values[k] * values[i] * by_node[g] * by_span[j]
-    return found
+                    result[j + k, j + i] += values[k] * values[i] * by_node[g] * by_span[j]
+    return result

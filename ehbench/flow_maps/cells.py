@@ -150,6 +150,6 @@ def alone(task: Task, noise: Noise, heard: np.ndarray, flow: np.ndarray) -> np.n
 
 def few(out: np.ndarray, size: np.ndarray) -> np.ndarray:
     """The farthest of the readings ``out``, no more than a small share of all."""
-    most = max(3, int(_MOST_OUTLIERS * out.size))
-    farthest = np.argsort(np.where(out, -size, np.inf), kind="stable")[:most]
+    maximum = max(3, int(_MOST_OUTLIERS * out.size))
+    farthest = np.argsort(np.where(out, -size, np.inf), kind="stable")[:maximum]
     return out & np.isin(np.arange(out.size), farthest)

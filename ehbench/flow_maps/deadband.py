@@ -82,7 +82,7 @@ def start_deadband(task: Task, shape: Shape, cells: Cells, lack: float) -> Shape
         roughly_smoothed(replace(shape, deadband=u, above=above), cells, 0)
         for u in np.linspace(window.low, window.high, 13)
     ]
-    return min(options, key=lambda one: one[1])[0]
+    return min(options, key=lambda item: item[1])[0]
 
 
 def find_deadband(task: Task, shape: Shape, cells: Cells, lack: float) -> tuple[Deadband, Shape]:
@@ -91,7 +91,7 @@ def find_deadband(task: Task, shape: Shape, cells: Cells, lack: float) -> tuple[
     shape = replace(shape, deadband=0.0, above=task.levels[window.opens :])
     if window.high <= window.low:
         return Deadband(), shape
-    least = _LEAST_WIDTH * float(task.levels[-1])
+    minimum = _LEAST_WIDTH * float(task.levels[-1])
     grid, rise = _profile(task, shape, cells, window, soft=False)
     best = int(np.argmin(rise))
     value = round(_lowest(grid, rise, best), 4)
@@ -99,13 +99,13 @@ def find_deadband(task: Task, shape: Shape, cells: Cells, lack: float) -> tuple[
     spread = weight @ (grid - value) ** 2 / weight.sum() + (grid[1] - grid[0]) ** 2 / 12
     level = _LEVEL_999 if window.flows_at_lowest else _LEVEL_95  # an extrapolation is worth less
     lower, upper = (_crossing(grid[best::way], rise[best::way], level) for way in (-1, 1))
-    ends = max(min(lower, value - least), 0.0), max(upper, value + least)
+    ends = max(min(lower, value - minimum), 0.0), max(upper, value + minimum)
     interval = (round(ends[0], 4), round(ends[1], 4))
-    found = Deadband(value, float(np.sqrt(spread)), interval, at_bound=lower <= 0.0)
-    return found, replace(shape, deadband=value)
+    result = Deadband(value, float(np.sqrt(spread)), interval, at_bound=lower <= 0.0)
+    return result, replace(shape, deadband=value)
 
 
-def soften(task: Task, shape: Shape, cells: Cells, found: Deadband, window: Window) -> Deadband:
+def soften(task: Task, shape: Shape, cells: Cells, result: Deadband, window: Window) -> Deadband:
     """Lowers the lower end of the deadband's interval to where a flow with a soft start would
     begin.
 
@@ -114,7 +114,7 @@ def soften(task: Task, shape: Shape, cells: Cells, found: Deadband, window: Wind
     is taken at 99.9 %. It is sought between the grid's points: how far these lie apart hangs on the
     last bits of the readings."""
     if window.high <= window.low:
-        return found
+        return result
     grid, rise = _profile(task, shape, cells, window, soft=True)
     best = int(np.argmin(rise))
 
@@ -131,8 +131,8 @@ def soften(task: Task, shape: Shape, cells: Cells, found: Deadband, window: Wind
     if beyond.size:
         ends = (float(grid[beyond[-1]]), float(grid[beyond[-1] + 1]))
         soft = _root(lambda u: above_least(u) - edge, *ends)
-    lower, upper = found.interval
-    return replace(found, interval=(round(min(lower, soft), 4), upper))
+    lower, upper = result.interval
+    return replace(result, interval=(round(min(lower, soft), 4), upper))
 
 
 def _least(of: Callable[[float], float], low: float, high: float) -> float:

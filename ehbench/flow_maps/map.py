@@ -115,13 +115,13 @@ def fit_flow_map(
             "drop_std": options.drop_std / task.drop_max,
             "command_std": options.command_std,
         }
-        found, leak = _find(replace(task, **shared))
-        more, std = hysteresis_of(found)
-        if not is_sure(found, taken_off + more, std) or abs(more) < 0.1 * std:
+        result, leak = _find(replace(task, **shared))
+        more, std = hysteresis_of(result)
+        if not is_sure(result, taken_off + more, std) or abs(more) < 0.1 * std:
             break
         taken_off += more
     lag = Lag(taken_off + more, std, taken_off > 0.0) if np.any(ready.sweep) else None
-    return _summary(Result(found, leak, lag), (valve, direction), options)
+    return _summary(Result(result, leak, lag), (valve, direction), options)
 
 
 class Result(NamedTuple):
@@ -178,27 +178,27 @@ def _find(task: Task) -> tuple[Found, Leak | None]:
     """
     leak = find_leak(task)
     if leak is None:
-        found = _settle(task, None)
-        _refuse_misfit(found)
-        return found, None
+        result = _settle(task, None)
+        _refuse_misfit(result)
+        return result, None
     ends, goes_on = _settle(task, leak), _settle(without_leak(task, leak), None)
     gain = _misfit(ends, ends) - _misfit(goes_on, ends)
-    found = goes_on if gain > 0 else ends
+    result = goes_on if gain > 0 else ends
     leak = replace(leak, goes_on=gain > 0)
     if abs(gain) < _SURE_GAIN:  # the readings do not tell which: the deadband may be either's
         low, high = np.array([ends.deadband.interval, goes_on.deadband.interval]).T
         both = float(low.min()), float(high.max())
-        found = replace(found, deadband=replace(found.deadband, interval=both))
-    _refuse_misfit(found)
-    return found, leak
+        result = replace(result, deadband=replace(result.deadband, interval=both))
+    _refuse_misfit(result)
+    return result, leak
 
 
-def _misfit(found: Found, by: Found) -> float:
+def _misfit(result: Found, by: Found) -> float:
     """Squares of the residuals over the noise ``by`` another fit, and twice the parameters."""
-    std = by.noise.std(found.task, by.solution.flow)
-    both = found.keep & by.keep
-    squares = (_residuals(found) / std)[both] ** 2
-    return float(np.sum(squares)) / by.solution.lack + 2.0 * found.solution.parameters
+    std = by.noise.std(result.task, by.solution.flow)
+    both = result.keep & by.keep
+    squares = (_residuals(result) / std)[both] ** 2
+    return float(np.sum(squares)) / by.solution.lack + 2.0 * result.solution.parameters
 
 
 def _settle(task: Task, leak: Leak | None) -> Found:
@@ -264,30 +264,30 @@ def _outliers(sigmas: np.ndarray, kept: np.ndarray, alone: np.ndarray) -> np.nda
     return few(alone & (far > np.where(kept, worst, OUTLIER_SIGMAS)), far)
 
 
-def _refuse_misfit(found: Found) -> None:
+def _refuse_misfit(result: Found) -> None:
     """Refuses a map that says nothing of the readings."""
-    rms = float(np.sqrt(np.mean(_residuals(found)[found.keep] ** 2)))
-    most = _LACK_RMS if np.isinf(found.shape.rising) else _FALL_RMS
-    if rms > _MOST_RMS or (found.solution.widening > _MOST_LACK and rms > most):
+    rms = float(np.sqrt(np.mean(_residuals(result)[result.keep] ** 2)))
+    maximum = _LACK_RMS if np.isinf(result.shape.rising) else _FALL_RMS
+    if rms > _MOST_RMS or (result.solution.widening > _MOST_LACK and rms > maximum):
         raise InsufficientData(
-            f"no map fits the readings of the {found.task.who}: they lie {100 * rms:.2g} % of the "
+            f"no map fits the readings of the {result.task.who}: they lie {100 * rms:.2g} % of the "
             "rated flow from the best one (rms)",
             hint="check the columns, and that the flow grows with the command at every drop, up to "
             "one command above which it may fall",
         )
 
 
-def _residuals(found: Found) -> np.ndarray:
+def _residuals(result: Found) -> np.ndarray:
     """Scaled flow of each reading less the map's."""
-    return found.solution.cells.heard - found.solution.flow
+    return result.solution.cells.heard - result.solution.flow
 
 
 def _to_map(
     result: Result, scatter: float, named: tuple[str, str], outliers: tuple[str, ...]
 ) -> FlowMap:
     """The map of the valve and direction ``named``, with its standard errors."""
-    found, leak = result.found, result.leak
-    task, spline, deadband = found.task, found.solution.spline, found.deadband
+    match, leak = result.found, result.leak
+    task, spline, deadband = match.task, match.solution.spline, match.deadband
     knots = _digits(deadband.value + spline.along_u.breaks * (spline.top - deadband.value), 10)
     knots[0] = deadband.value
     fine_u = np.unique(
@@ -295,21 +295,21 @@ def _to_map(
     )
     even, roots = np.linspace(0.0, 1.0, 2 * task.spans + 1), task.roots
     fine_s = np.unique(np.concatenate([even, roots, 0.5 * (roots[1:] + roots[:-1])]))
-    command, low, high = hull(found)
-    increments = spline.increments(found.solution.coefficients)
-    beside: dict[str, Any] = {}
+    command, low, high = hull(match)
+    increments = spline.increments(match.solution.coefficients)
+    additional: dict[str, Any] = {}
     if leak and leak.goes_on:
-        beside["leakage"] = tuple(_digits([leak.root, leak.drop], 6) * task.rated)
-        beside["leakage_std"] = float(_digits([task.rated * leak.std], 4)[0])
+        additional["leakage"] = tuple(_digits([leak.root, leak.drop], 6) * task.rated)
+        additional["leakage_std"] = float(_digits([task.rated * leak.std], 4)[0])
     if np.any(spline.sign < 0):
-        beside["rising_to"] = float(
+        additional["rising_to"] = float(
             knots[int(np.count_nonzero(spline.sign > 0)) // spline.columns - 1]
         )
     if result.lag is not None and result.lag.taken_off:
-        beside["hysteresis"] = round(result.lag.value, 4)
+        additional["hysteresis"] = round(result.lag.value, 4)
     if task.readings.one_drop:
         increments, low = np.repeat(increments, _LEVEL_SPANS + 2, axis=1), 0.0 * low
-        beside["level"] = True
+        additional["level"] = True
     return FlowMap(
         valve=named[0],
         direction=named[1],
@@ -324,12 +324,12 @@ def _to_map(
         hull_high=high,
         std_command=_digits(fine_u, 10),
         std_root=_digits(fine_s * root_drop(task.drop_max, task.delta), 10),
-        std=_digits(task.rated * flow_std(found, fine_u, fine_s, scatter), 4),
+        std=_digits(task.rated * flow_std(match, fine_u, fine_s, scatter), 4),
         rated_flow=task.rated,
-        samples=int(found.keep.sum()),
+        samples=int(match.keep.sum()),
         outliers=outliers,
         source=", ".join(name for name in np.unique(task.readings.file).tolist() if name),
-        **beside,
+        **additional,
     )
 
 
@@ -341,9 +341,9 @@ def _digits(values, count: int) -> np.ndarray:
     return np.array([float(f"{v:.{count - 1}e}") for v in values.ravel()]).reshape(values.shape)
 
 
-def _left_out(found: Found) -> tuple[Outlier, ...]:
+def _left_out(result: Found) -> tuple[Outlier, ...]:
     """The readings that are not kept, by line."""
-    r, out = found.task.readings, np.flatnonzero(~found.keep)
+    r, out = result.task.readings, np.flatnonzero(~result.keep)
     return tuple(
         Outlier(
             str(r.file[i]),
@@ -351,77 +351,78 @@ def _left_out(found: Found) -> tuple[Outlier, ...]:
             float(r.u[i]),
             float(r.drop[i]),
             float(r.q[i]),
-            round(float(found.sigmas[i]), 2),
+            round(float(result.sigmas[i]), 2),
         )
         for i in out[np.argsort(r.line[out], kind="stable")]
     )
 
 
 def _summary(result: Result, named: tuple[str, str], options: FlowMapOptions) -> FlowMapFit:
-    found, lag = result.found, result.lag
-    task, solution, deadband = found.task, found.solution, found.deadband
-    r, rated, left = task.readings, task.rated, _residuals(found)
-    scatter, outliers = trial_scatter(found), _left_out(found)
-    sentences = tuple(one.sentence(task.show) for one in outliers)
-    made = _to_map(result, scatter, named, sentences)
+    match, lag = result.found, result.lag
+    task, solution, deadband = match.task, match.solution, match.deadband
+    r, rated, left = task.readings, task.rated, _residuals(match)
+    scatter, outliers = trial_scatter(match), _left_out(match)
+    sentences = tuple(outlier.sentence(task.show) for outlier in outliers)
+    built = _to_map(result, scatter, named, sentences)
     residuals, sigmas = np.full((2, r.size), np.nan)
-    residuals[r.row], sigmas[r.row] = rated * left, found.sigmas
-    leakage, ends = _leakage(found)
-    smoothing = found.shape.smoothing / solution.cells.weight.sum()
+    residuals[r.row], sigmas[r.row] = rated * left, match.sigmas
+    leakage, ends = _leakage(match)
+    smoothing = match.shape.smoothing / solution.cells.weight.sum()
     fit = FlowMapFit(
-        map=made,
+        map=built,
         deadband=deadband.value,
         deadband_interval=deadband.interval,
         deadband_std=deadband.std,
-        bracket=found.window.bracket,
-        status=_status(found),
+        bracket=match.window.bracket,
+        status=_status(match),
         noise={
-            name: (rated * floor, share) for name, (floor, share) in found.noise.methods.items()
+            name: (rated * floor, share) for name, (floor, share) in match.noise.methods.items()
         },
-        replicates=found.noise.replicates,
+        replicates=match.noise.replicates,
         lack_of_fit=solution.lack,
         smoothing=(float(smoothing[0]), float(smoothing[1])),
         parameters=solution.parameters,
-        readings=int(found.keep.sum()),
+        readings=int(match.keep.sum()),
         cells=solution.cells.weighed,
         outliers=outliers,
-        rms=rated * float(np.sqrt(np.mean(left[found.keep] ** 2))),
+        rms=rated * float(np.sqrt(np.mean(left[match.keep] ** 2))),
         leakage=rated * leakage,
         leakage_interval=(rated * ends[0], rated * ends[1]),
         hysteresis=lag and round(lag.value, 4),
         hysteresis_interval=(0.0, 0.0) if lag is None else _volts(interval_of(lag.value, lag.std)),
-        kinks=tuple((one.value, *one.interval) for one in found.kinks),
-        falls=_fall(made),
+        kinks=tuple((kink.value, *kink.interval) for kink in match.kinks),
+        falls=_fall(built),
         trial_scatter=scatter,
         calibration=tuple(
-            check_calibration(made, *point, options.reference_drop) for point in options.calibration
+            check_calibration(built, *point, options.reference_drop)
+            for point in options.calibration
         ),
         residuals=residuals,
         sigmas=sigmas,
     )
-    return replace(fit, warnings=tuple([*_warnings(found, fit), *_ways(result, fit)]))
+    return replace(fit, warnings=tuple([*_warnings(match, fit), *_ways(result, fit)]))
 
 
-def _leakage(found: Found) -> tuple[float, tuple[float, float]]:
+def _leakage(result: Found) -> tuple[float, tuple[float, float]]:
     """(mean scaled flow at commands below the deadband, its 95 % interval)."""
-    r = found.task.readings
-    shut = found.keep & (r.u <= found.deadband.interval[0])
+    r = result.task.readings
+    shut = result.keep & (r.u <= result.deadband.interval[0])
     if not shut.any():
         return 0.0, (0.0, 0.0)
-    mean = float(r.q[shut].mean()) / found.task.rated
-    left = (found.task.y - found.solution.flow)[shut]  # the leak is off these
+    mean = float(r.q[shut].mean()) / result.task.rated
+    left = (result.task.y - result.solution.flow)[shut]  # the leak is off these
     return mean, interval_of(mean, float(np.sqrt(np.mean(left**2) / shut.sum())))
 
 
-def _fall(made: FlowMap) -> float:
+def _fall(built: FlowMap) -> float:
     """What the flow falls by from its largest to the largest command at the largest drop read
     there, as a share.
     """
-    if made.rising == made.opening_knots.size - 1:
+    if built.rising == built.opening_knots.size - 1:
         return 0.0
-    drop = float(made.hull_high[-1])
-    most = np.max(made.flow(drop, np.linspace(made.deadband, made.command_max, 400)))
-    return round(float(1.0 - made.flow(drop, made.command_max) / most), 4)
+    drop = float(built.hull_high[-1])
+    maximum = np.max(built.flow(drop, np.linspace(built.deadband, built.command_max, 400)))
+    return round(float(1.0 - built.flow(drop, built.command_max) / maximum), 4)
 
 
 def _volts(interval: tuple[float, float]) -> tuple[float, float]:
@@ -434,7 +435,7 @@ def _shown(volts: float) -> float:
 
 def _ways(result: Result, fit: FlowMapFit) -> Iterator[str]:
     """Sentences on what a valve does beside opening smoothly with its command."""
-    found, show = result.found, result.found.task.show
+    match, show = result.found, result.found.task.show
     if result.leak and fit.leakage:
         low, high = (show.flow(end, 3) for end in fit.leakage_interval)
         leak = f"{show.flow(fit.leakage, 3)} pass below the deadband ({low} to {high})"
@@ -460,29 +461,29 @@ def _ways(result: Result, fit: FlowMapFit) -> Iterator[str]:
             f"rising commands lie {result.lag.value:.3g} V above falling ones of the same flow "
             f"({low:.3g} to {high:.3g} V): hysteresis; the map is the middle of both"
         )
-    if found.task.readings.one_drop:
+    if match.task.readings.one_drop:
         yield (
             "no pressures: the map is one-dimensional, the flow by the command alone at the loads "
             "measured, and says nothing of others"
         )
 
 
-def _status(found: Found) -> str:
-    if found.window.flows_at_lowest and found.task.levels[0] > 0:
+def _status(result: Found) -> str:
+    if result.window.flows_at_lowest and result.task.levels[0] > 0:
         return "not_excited"
-    return "at_bound" if found.deadband.at_bound else "estimated"
+    return "at_bound" if result.deadband.at_bound else "estimated"
 
 
-def _warnings(found: Found, fit: FlowMapFit) -> Iterator[str]:
-    show, n = found.task.show, found.sigmas.size
+def _warnings(result: Found, fit: FlowMapFit) -> Iterator[str]:
+    show, n = result.task.show, result.sigmas.size
     if fit.outliers:
-        worst = max(fit.outliers, key=lambda one: abs(one.sigmas)).sentence(show)
+        worst = max(fit.outliers, key=lambda item: abs(item.sigmas)).sentence(show)
         yield (
             f"{len(fit.outliers)} of {n} readings were left out, over {OUTLIER_SIGMAS:g} sigma "
             f"from the map; the worst: {worst}"
         )
-    yield from _lone_sentences(found)
-    far = int(np.count_nonzero(found.keep & (np.abs(found.sigmas) > OUTLIER_SIGMAS)))
+    yield from _lone_sentences(result)
+    far = int(np.count_nonzero(result.keep & (np.abs(result.sigmas) > OUTLIER_SIGMAS)))
     if far > 0.01 * n:
         yield (
             f"{far} of {n} readings lie over {OUTLIER_SIGMAS:g} sigma from the map, but repeats "
@@ -494,15 +495,15 @@ def _warnings(found: Found, fit: FlowMapFit) -> Iterator[str]:
             "no repeats: the noise was taken from the residuals, so lack of fit cannot be told "
             "from noise"
         )
-    if found.solution.widening > 2.0:
-        times = f"{found.solution.widening**0.5:.1f}"
+    if result.solution.widening > 2.0:
+        times = f"{result.solution.widening**0.5:.1f}"
         yield (
             f"the cells' means miss the map by {times} times what repeats explain; the intervals "
             "are widened by that"
         )
     if fit.status == "not_excited":
         yield (
-            f"flow at the lowest command, {show.volts(found.task.levels[0])}: the deadband is an "
+            f"flow at the lowest command, {show.volts(result.task.levels[0])}: the deadband is an "
             "extrapolation; measure below it"
         )
     if fit.trial_scatter > 2e-3:
@@ -512,14 +513,16 @@ def _warnings(found: Found, fit: FlowMapFit) -> Iterator[str]:
         )
 
 
-def _lone_sentences(found: Found) -> Iterator[str]:
+def _lone_sentences(result: Found) -> Iterator[str]:
     """One sentence for each cell that stands alone."""
-    r, show = found.task.readings, found.task.show
-    for cell in np.flatnonzero(found.solution.lone):
-        at = found.keep & (r.cell == cell)
+    r, show = result.task.readings, result.task.show
+    for cell in np.flatnonzero(result.solution.lone):
+        at = result.keep & (r.cell == cell)
         if at.any():
             where = f"{show.volts(r.u[at].mean())} and {show.drop(r.drop[at].mean())}"
-            off = 100.0 * (r.q[at].mean() / (found.task.rated * found.solution.flow[at].mean()) - 1)
+            off = 100.0 * (
+                r.q[at].mean() / (result.task.rated * result.solution.flow[at].mean()) - 1
+            )
             yield (
                 f"{at.sum()} readings at {where} agree and lie {off:+.2g} % from the map that all "
                 "others make: the map goes by the others, and the intervals are wider there"

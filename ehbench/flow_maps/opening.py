@@ -51,13 +51,13 @@ def let_fall(shape: Shape, cells: Cells) -> Shape:
     band, right = normal_equations(spline, cells)
     _, gain, determinant = spline.free(band, right, shape.smoothing, whole=False)
     total = cells.total
-    least = deviance(max(total - gain, 1e-12), cells) + determinant
+    minimum = deviance(max(total - gain, 1e-12), cells) + determinant
     risen = solve(replace(shape, rising=np.inf), spline, cells)[1]
-    if risen - least < _FALL_GAIN:
+    if risen - minimum < _FALL_GAIN:
         return replace(shape, rising=np.inf)
     breaks = spline.deadband + spline.along_u.breaks * (spline.top - spline.deadband)
     options = [replace(shape, rising=float(volts)) for volts in breaks[1:-1]]
-    values = np.array([solve(one, one.spline(), cells)[1] for one in options])
+    values = np.array([solve(option, option.spline(), cells)[1] for option in options])
     if risen - values.min() < _FALL_GAIN:
         return replace(shape, rising=np.inf)
     return options[int(np.flatnonzero(values < values.min() + _LEVEL_95)[-1])]
@@ -76,16 +76,16 @@ def find_kinks(
     plain, value = _settled(task, replace(shape, rising=np.inf), cells, lack)
     while len(kinks) < _MOST_KINKS:
         options = [_bent(plain, cells, gap) for gap in _gaps(shape.above, kinks)]
-        best, score = min(options, key=lambda one: one[1])
+        best, score = min(options, key=lambda item: item[1])
         if value - score < _LOOK_GAIN:
             break
         bent, _ = _settled(task, best, cells, lack)
-        found = _place(bent, cells)
-        bent, score = _settled(task, _with(plain, found.value), cells, lack)
+        result = _place(bent, cells)
+        bent, score = _settled(task, _with(plain, result.value), cells, lack)
         if value - score < _KINK_GAIN:
             break
         plain, value = bent, score
-        kinks = (*kinks, found)
+        kinks = (*kinks, result)
     if not kinks:
         return shape, kinks
     return let_fall(plain, cells), tuple(sorted(kinks, key=lambda kink: kink.value))

@@ -244,8 +244,8 @@ def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
     lines within a trial; all 0 where nearly all go one way: that is an order, not a sweep.
     """
     sweep = np.zeros(u.size, int)
-    for one in np.unique(trial):
-        at = np.flatnonzero(trial == one)
+    for item in np.unique(trial):
+        at = np.flatnonzero(trial == item)
         at = at[np.argsort(line[at], kind="stable")]
         step = np.sign(np.diff(u[at], prepend=u[at[0]]))
         last = np.maximum.accumulate(np.where(step != 0, np.arange(at.size), 0))
@@ -312,10 +312,10 @@ def make_task(who: str, readings: Sorted, rated: float | None, show: Units) -> T
         )
     y = readings.q / rated
     drop_max = float(readings.drop.max())
-    least = float(np.quantile(readings.drop, 0.02))
+    minimum = float(np.quantile(readings.drop, 0.02))
     # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
     # the bend out of sight
-    delta = float(np.clip(least / 5.0, 1e-3 * drop_max, 1e-2 * drop_max))
+    delta = float(np.clip(minimum / 5.0, 1e-3 * drop_max, 1e-2 * drop_max))
     s = root_drop(readings.drop, delta) / root_drop(drop_max, delta)
     cluster = _drop_clusters(readings.drop)
     _refuse_idle(who, show, readings, y, cluster)

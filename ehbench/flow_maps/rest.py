@@ -79,31 +79,31 @@ def without_leak(task: Task, leak: Leak) -> Task:
     return replace(task, y=task.y - leak.at(task.s))
 
 
-def hysteresis_of(found: Found) -> tuple[float, float]:
+def hysteresis_of(result: Found) -> tuple[float, float]:
     """(what the commands of rising readings lie above those of falling ones at the same flow [V],
     beyond what was taken off them already, its standard error); 0 and 0 without both.
 
     A reading on the way up stands at an opening that is lower by half of it: a residual of −½·h
     times the slope of the map."""
-    task, r = found.task, found.task.readings
+    task, r = result.task, result.task.readings
     step = 1e-3 * float(task.levels[-1])
-    slope = found.solution.at(r.u + step, task.s) - found.solution.at(r.u - step, task.s)
-    slope = np.where(r.u > found.deadband.value, slope / (2.0 * step), 0.0)
-    use = found.keep & ~r.silent & (r.sweep != 0) & ~found.solution.lone[r.cell]
+    slope = result.solution.at(r.u + step, task.s) - result.solution.at(r.u - step, task.s)
+    slope = np.where(r.u > result.deadband.value, slope / (2.0 * step), 0.0)
+    use = result.keep & ~r.silent & (r.sweep != 0) & ~result.solution.lone[r.cell]
     lever = -0.5 * (r.sweep * slope)[use]
-    weight = 1.0 / found.noise.std(task, found.solution.flow)[use] ** 2
+    weight = 1.0 / result.noise.std(task, result.solution.flow)[use] ** 2
     power = float(weight @ lever**2)
     if not power > 0 or np.unique(r.sweep[use]).size < 2:
         return 0.0, 0.0
-    left = found.solution.cells.heard[use] - found.solution.flow[use]
+    left = result.solution.cells.heard[use] - result.solution.flow[use]
     lag = float((weight * lever) @ left) / power
     scatter = float(weight @ (left - lag * lever) ** 2) / max(int(use.sum()) - 1, 1)
     return lag, float(np.sqrt(max(scatter, 1.0) / power))
 
 
-def is_sure(found: Found, lag: float, std: float) -> bool:
+def is_sure(result: Found, lag: float, std: float) -> bool:
     """Whether a hysteresis [V] is more than chance."""
-    return lag > max(_SURE * std, _LEAST_LAG * float(found.task.levels[-1]))
+    return lag > max(_SURE * std, _LEAST_LAG * float(result.task.levels[-1]))
 
 
 def interval_of(value: float, std: float) -> tuple[float, float]:

@@ -88,8 +88,8 @@ class Calibration:
             if self.drop_low == self.drop_high
             else f"from {drops} to {show.drop(self.drop_high)}"
         )
-        asked = f"asked {target} ± {100 * self.tolerance:.3g} %"
-        return f"{gives} {drops}, {asked}: {self.verdict}"
+        requested = f"asked {target} ± {100 * self.tolerance:.3g} %"
+        return f"{gives} {drops}, {requested}: {self.verdict}"
 
 
 @dataclass(frozen=True)
@@ -150,8 +150,8 @@ class FlowMapFit:
         plain = {
             name: getattr(self, name) for name in self.__dataclass_fields__ if name not in skip
         }
-        plain["outliers"] = [asdict(one) for one in self.outliers]
-        plain["calibration"] = [asdict(one) for one in self.calibration]
+        plain["outliers"] = [asdict(outlier) for outlier in self.outliers]
+        plain["calibration"] = [asdict(item) for item in self.calibration]
         return {
             "valve": self.map.valve,
             "direction": self.map.direction,
@@ -161,7 +161,7 @@ class FlowMapFit:
 
 
 def check_calibration(
-    found: FlowMap,
+    result: FlowMap,
     command: float,
     target: float,
     tolerance: float,
@@ -169,19 +169,19 @@ def check_calibration(
 ) -> Calibration:
     """A calibration point against the map, over the reference drops."""
     low, high = (
-        float(np.interp(command, found.hull_command, side))
-        for side in (found.hull_low, found.hull_high)
+        float(np.interp(command, result.hull_command, side))
+        for side in (result.hull_low, result.hull_high)
     )
     if reference is None:
         low = 0.5 * (low + high)
     else:
         low, high = reference if isinstance(reference, tuple) else (reference, reference)
     drops = np.linspace(low, high, 21)
-    flows = found.flow(drops, command)
-    flow, std = float(np.mean(flows)), float(np.mean(found.flow_std(drops, command)))
+    flows = result.flow(drops, command)
+    flow, std = float(np.mean(flows)), float(np.mean(result.flow_std(drops, command)))
     bounds = flow - Z95 * std, flow + Z95 * std
     band = target * (1 - tolerance), target * (1 + tolerance)
-    if not found.hull_command[0] <= command <= found.hull_command[-1]:
+    if not result.hull_command[0] <= command <= result.hull_command[-1]:
         verdict = "not_measured"
     elif band[0] <= bounds[0] and bounds[1] <= band[1]:
         verdict = "met"

@@ -102,8 +102,8 @@ class Axis:
         root = np.sqrt(weights * (share * self.stiffness)[:, None])
         rows = (root[..., None] * values[..., 1:]).reshape(-1, self.size)
         factor = np.linalg.cholesky(self.mass)
-        found = np.linalg.svd(np.linalg.solve(factor, rows.T), compute_uv=False)[::-1] ** 2
-        return np.concatenate([np.zeros(self.size - found.size), found])
+        result = np.linalg.svd(np.linalg.solve(factor, rows.T), compute_uv=False)[::-1] ** 2
+        return np.concatenate([np.zeros(self.size - result.size), result])
 
     def bent(self, k: int) -> Axis:
         """The same axis, free to bend sharply at its inner break k."""
@@ -232,13 +232,13 @@ class Spline:
         Raises:
             LinAlgError: the penalised normal matrix is not positive definite.
         """
-        found, gain, determinant = banded.least(band, self.penalties, smoothing, right, whole)
+        result, gain, determinant = banded.least(band, self.penalties, smoothing, right, whole)
         if math.isnan(determinant):
             raise np.linalg.LinAlgError("the normal matrix is not positive definite")
         prior = (
             smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
         ).ravel()[1:]
-        return found, gain, determinant - self.mass - float(np.log(prior).sum())
+        return result, gain, determinant - self.mass - float(np.log(prior).sum())
 
     def solve(
         self,
@@ -285,10 +285,10 @@ class Spline:
         at = np.arange(size).reshape(own.shape)
         last = np.maximum.accumulate(np.where(own >= 0, at, -1), axis=0).ravel()
         own = np.append(own.ravel(), -1)[last]  # which unknown each coefficient is, −1 for zero
-        found, sound = banded.tied(band, right, own)
+        result, sound = banded.tied(band, right, own)
         if not sound:
             raise np.linalg.LinAlgError("the normal matrix of what grows is not positive definite")
-        return found
+        return result
 
     def _by_nnls(self, band: np.ndarray, right: np.ndarray) -> np.ndarray:
         """What `solve` looks for, above the floor, by an active set: slow, but it comes to an
@@ -322,9 +322,9 @@ class Spline:
 
     def increments(self, coefficients: np.ndarray) -> np.ndarray:
         """What the coefficients grow by along u, shape (rows, columns)."""
-        found = coefficients.reshape(self.rows, self.columns).copy()
-        found[1:] -= found[:-1].copy()
-        return found
+        result = coefficients.reshape(self.rows, self.columns).copy()
+        result[1:] -= result[:-1].copy()
+        return result
 
 
 @cache
@@ -342,8 +342,8 @@ def _kinked(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
     """Inner breaks with a narrow span about a kink, and no other between the commands beside it."""
     k = int(np.searchsorted(above, kink))
     reach = _NARROW * (above[k] - above[k - 1])
-    kept = inner[(inner <= above[k - 1]) | (inner >= above[k])]
-    return np.sort(np.append(kept, (kink - reach, kink + reach)))
+    retained = inner[(inner <= above[k - 1]) | (inner >= above[k])]
+    return np.sort(np.append(retained, (kink - reach, kink + reach)))
 
 
 @cache
@@ -402,10 +402,10 @@ def pivoted(
         slope: derivatives by the steps at a point.
         zero: a first guess of the steps that are zero.
     """
-    least = 1e-12 * np.abs(slope(np.zeros(zero.size))).max()
+    minimum = 1e-12 * np.abs(slope(np.zeros(zero.size))).max()
     for _ in range(50):
         point = solve(zero)
-        wrong = np.where(zero, slope(point) < -least, steps(point) < 0.0)
+        wrong = np.where(zero, slope(point) < -minimum, steps(point) < 0.0)
         if not wrong.any():
             return point, zero
         zero = zero ^ wrong

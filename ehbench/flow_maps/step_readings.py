@@ -84,7 +84,10 @@ def step_readings(
             continue
         for trial, window in enumerate(_stretches(model, index, record, settle)):
             for block in _blocks(model, index, record, window, span):
-                rows += [(*one, trial, block.first + 1) for one in _readings(model, record, block)]
+                rows += [
+                    (*reading, trial, block.first + 1)
+                    for reading in _readings(model, record, block)
+                ]
     if not rows:
         raise InsufficientData(
             f"{name}: no flow can be told: nowhere do the commands stand for "
@@ -93,7 +96,7 @@ def step_readings(
             "end at a time",
         )
     valve, way, command, drop, flow, trial, line = (
-        np.array(one) for one in zip(*rows, strict=True)
+        np.array(item) for item in zip(*rows, strict=True)
     )
     return FlowmeterData(
         valve,
@@ -129,13 +132,13 @@ def _ways(model: Model, record: Record) -> list[_Way]:
 def _stretches(model: Model, index: int, record: Record, settle: float) -> Iterator[slice]:
     """Where the commands of a cylinder's valves stand, after they have settled."""
     cylinder = model.rig.cylinder[index]
-    least = {f"{cylinder.name}.{v.name}.command": least_change(v) for v in cylinder.valve}
-    present = [channel for channel in least if channel in record]
+    minimum = {f"{cylinder.name}.{v.name}.command": least_change(v) for v in cylinder.valve}
+    present = [channel for channel in minimum if channel in record]
     if not present:
         return
     table = np.column_stack([record[channel] for channel in present])
     skip = round(settle / record.sample_time)
-    for window in transients(record.t, table, least=np.array([least[one] for one in present])):
+    for window in transients(record.t, table, least=np.array([minimum[item] for item in present])):
         yield slice(window.start + skip, window.stop)
 
 
@@ -158,7 +161,7 @@ def _blocks(
         empty = EMPTY * row.cavitation_pressure
         if np.min(own) < empty or np.max(own) > row.relief_pressure:
             continue
-        mean, tank = [float(weight @ one) for one in own], float(weight @ pressure[TANK])
+        mean, tank = [float(weight @ item) for item in own], float(weight @ pressure[TANK])
         inflow = {}
         for side, node in enumerate(nodes):
             _, area, _, leakage = chamber_of(row, side)
@@ -233,13 +236,13 @@ def _readings(
             continue
         way = opened[0]
         seen.add(way.name)
-        one, other = way.ends
-        drops = block.pressure[one] - block.pressure[other]
+        item, other = way.ends
+        drops = block.pressure[item] - block.pressure[other]
         weight, _ = _weights(drops.size)
         root = float(weight @ (np.sign(drops) * np.sqrt(np.abs(drops))))
         drop = root * abs(root)
-        least = LEAST_DROP * float(model.rig.supply.pressure)
-        if abs(drop) < least or float(np.std(drops)) > STEADY * abs(drop):
+        minimum = LEAST_DROP * float(model.rig.supply.pressure)
+        if abs(drop) < minimum or float(np.std(drops)) > STEADY * abs(drop):
             continue
         flow = inflow if way.ends[1] == node else -inflow
         side = "forward" if drop > 0.0 else "reverse"

@@ -64,16 +64,16 @@ class KeptSpline(Spline):
 
 
 @lru_cache(_SPLINES)
-def _spline(asked: Asked) -> KeptSpline:
+def _spline(requested: Asked) -> KeptSpline:
     """The spline of these arguments: one look after another asks for the same."""
-    deadband, above, along_s, soft, kinks, rising = asked
-    made = KeptSpline(deadband, np.array(above), along_s, soft, kinks, rising)
-    made.asked = asked
-    return made
+    deadband, above, along_s, soft, kinks, rising = requested
+    built = KeptSpline(deadband, np.array(above), along_s, soft, kinks, rising)
+    built.asked = requested
+    return built
 
 
 @lru_cache(_LIKELIHOODS)
-def _known(asked: Asked, cells: Cells) -> tuple[dict[Point, float], dict[Point, Solved]]:
+def _known(requested: Asked, cells: Cells) -> tuple[dict[Point, float], dict[Point, Solved]]:
     """What has been found of a spline on some cells, for each pair of penalties: −2 log likelihood,
     and what `solve` gives. A fit asks twice of one in five.
     """
@@ -173,8 +173,8 @@ def valley(of: Callable[[int], float], size: int, begin: int) -> int:
     """The index of the least of a row of values with one valley: walks down from ``begin``."""
     known, at = cache(of), begin
     while True:
-        beside = (i for i in (at - 1, at + 1) if 0 <= i < size)
-        better = min(beside, key=known, default=at)
+        additional = (i for i in (at - 1, at + 1) if 0 <= i < size)
+        better = min(additional, key=known, default=at)
         if known(better) >= known(at):
             return at
         at = better
@@ -189,13 +189,13 @@ def _score(
     spline = shape.spline()
     total, unit = cells.total, float(cells.weight.sum())
     known, _ = _known(spline.asked, cells)
-    made: list[Normal] = [] if normal is None else [normal]
+    built: list[Normal] = [] if normal is None else [normal]
 
     def score(point: Point) -> float:
         if point not in known:
-            if not made:
-                made.append(normal_equations(spline, cells))
-            known[point] = found(point, *made[0])
+            if not built:
+                built.append(normal_equations(spline, cells))
+            known[point] = found(point, *built[0])
         return known[point]
 
     def found(point: Point, band: np.ndarray, right: np.ndarray) -> float:
@@ -222,13 +222,13 @@ def bend(shape: Shape, cells: Cells) -> Shape:
         graded = replace(shape, along_s=shape.along_s.graded(power))
         graded, value = likeliest_smoothing(graded, cells, normal=normal)
         options.append((value + _GRADED_GAIN * (power > 0), graded))
-    plain, straight = min(options, key=lambda one: one[0])
+    plain, straight = min(options, key=lambda item: item[0])
     kinks = (
         replace(straight, along_s=straight.along_s.bent(k))
         for k in range(1, straight.along_s.breaks.size - 1)
     )
     bent = [roughly_smoothed(kink, cells, 1, normal) for kink in kinks]
-    sharp, value = likeliest_smoothing(min(bent, key=lambda one: one[1])[0], cells, normal=normal)
+    sharp, value = likeliest_smoothing(min(bent, key=lambda item: item[1])[0], cells, normal=normal)
     return straight if value > plain - _BEND_GAIN else sharp
 
 
@@ -313,9 +313,9 @@ def lone_cells(task: Task, shape: Shape, cells: Cells) -> np.ndarray:
     shift of its own is worth that much. The cell that lies farthest off by the others' account
     (externally studentised) is tried first."""
     lone = np.zeros(cells.weight.size, bool)
-    most = max(3, int(_MOST_LONE * cells.weighed))
+    maximum = max(3, int(_MOST_LONE * cells.weighed))
     shape, value = likeliest_smoothing(shape, cells)
-    while lone.sum() < most:
+    while lone.sum() < maximum:
         far = _studentised(task, shape, cells, lone)
         worst = int(np.argmax(far))
         if far[worst] < OUTLIER_SIGMAS:
@@ -331,9 +331,9 @@ def lone_cells(task: Task, shape: Shape, cells: Cells) -> np.ndarray:
 
 def _studentised(task: Task, shape: Shape, cells: Cells, lone: np.ndarray) -> np.ndarray:
     """Distance of each backed cell from the map that the others make, in standard errors."""
-    found = judge(task, shape, cells, lone)
+    result = judge(task, shape, cells, lone)
     used = (cells.weight > 0) & (cells.u > shape.deadband) & (cells.count > 1) & ~lone
-    design = found.spline.design(cells.u, cells.s)
-    own = np.minimum(found.variance(design) * cells.weight, 0.999)  # a cell's part in its own fit
-    miss = np.abs(cells.y - design @ found.coefficients) * np.sqrt(cells.weight / (1.0 - own))
-    return np.where(used, miss / np.sqrt(found.widening), 0.0)
+    design = result.spline.design(cells.u, cells.s)
+    own = np.minimum(result.variance(design) * cells.weight, 0.999)  # a cell's part in its own fit
+    miss = np.abs(cells.y - design @ result.coefficients) * np.sqrt(cells.weight / (1.0 - own))
+    return np.where(used, miss / np.sqrt(result.widening), 0.0)

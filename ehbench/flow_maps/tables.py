@@ -118,15 +118,15 @@ def prepare_readings(
             replace(rows, command=sign * rows.command + 0.0)
         )
     edges = []
-    for (name, side, sign), found in groups.items():
-        rows = found[0] if len(found) == 1 else merge_flowmeter(found)
-        said = [
+    for (name, side, sign), group in groups.items():
+        rows = group[0] if len(group) == 1 else merge_flowmeter(group)
+        messages = [
             text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())
         ]  # of a file once
         show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
-        said += _flow_doubts(rig, rows, show)
-        said += warmed(rows, show, rig.unit_of("temperature"))
-        edges.append(EdgeReadings(name, side, sign, rows, tuple(said)))
+        messages += _flow_doubts(rig, rows, show)
+        messages += warmed(rows, show, rig.unit_of("temperature"))
+        edges.append(EdgeReadings(name, side, sign, rows, tuple(messages)))
     return PreparedReadings(rig, tuple(edges), tuple(losses))
 
 
@@ -147,11 +147,11 @@ def run_readings(
         InsufficientData: too few readings for a map.
     """
     rig, fits = prepared.rig, []
-    for index, one in enumerate(prepared.edges):
+    for index, edge in enumerate(prepared.edges):
         if progress is not None:
-            progress(f"{one.edge} {one.side}", index / len(prepared.edges))
-        rows = one.rows
-        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), one.sign)
+            progress(f"{edge.edge} {edge.side}", index / len(prepared.edges))
+        rows = edge.rows
+        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), edge.sign)
         options = FlowMapOptions(
             meter_limit=meter_limit,
             calibration=calibration,
@@ -161,9 +161,9 @@ def run_readings(
             nominal_drop=float(rig.supply.pressure),
             show=show,
         )
-        fit = fit_flow_map(one.edge, one.side, rows, options)
-        fit = replace(fit, warnings=(*one.doubts, *warm_flow(fit, rows), *fit.warnings))
-        fits.append(EdgeFit(fit, rows, one.sign))
+        fit = fit_flow_map(edge.edge, edge.side, rows, options)
+        fit = replace(fit, warnings=(*edge.doubts, *warm_flow(fit, rows), *fit.warnings))
+        fits.append(EdgeFit(fit, rows, edge.sign))
     return fits
 
 
@@ -188,16 +188,16 @@ def _file_doubts(part: FlowmeterData) -> list[str]:
             seen.add(tuple(row))
         elif row[-1] != 0.0:  # a meter at rest reads zero again and again
             again.append(line)
-    said = [text.replace(str(part.file[0]), name) for text in part.warnings]
+    messages = [text.replace(str(part.file[0]), name) for text in part.warnings]
     if again:
         first = ", ".join(map(str, again[:5])) + (", …" if len(again) > 5 else "")
         count = f"{len(again)} rows repeat" if len(again) > 1 else "1 row repeats"
-        said.append(
+        messages.append(
             f"{name}: {count} an earlier one in command, drop, flow and trial (line {first}); if "
             "copied by mistake, "
             "delete them: they make the noise look smaller than it is"
         )
-    return said
+    return messages
 
 
 def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
@@ -206,17 +206,17 @@ def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
         float(rig.supply.flow_limit),
         float(np.quantile(rows.flow, 0.9)),
     )  # a slip of unit is in all rows
-    most = float(rows.flow.max())
+    maximum = float(rows.flow.max())
     if (
         not 0.0 < limit < np.inf
-        or _FLOW_SHARES[0] * limit <= most
+        or _FLOW_SHARES[0] * limit <= maximum
         and high <= _FLOW_SHARES[1] * limit
     ):
         return []
-    times = f"{high / limit:.3g} times" if high > limit else f"{most / limit:.2g} of"
-    most = high if high > limit else most
+    times = f"{high / limit:.3g} times" if high > limit else f"{maximum / limit:.2g} of"
+    maximum = high if high > limit else maximum
     return [
-        f"the flows reach {show.flow(most)}, {times} the supply's limit of {show.flow(limit)}: "
+        f"the flows reach {show.flow(maximum)}, {times} the supply's limit of {show.flow(limit)}: "
         "check the unit in the header"
     ]
 
@@ -243,8 +243,16 @@ def _edge_of(
     side = direction
     if "->" in direction:
         upstream, downstream = (end.strip() for end in direction.split("->", 1))
-        along = [one for one in options if (one[2].from_, one[2].to) == (upstream, downstream)]
-        against = [one for one in options if (one[2].to, one[2].from_) == (upstream, downstream)]
+        along = [
+            option
+            for option in options
+            if (option[2].from_, option[2].to) == (upstream, downstream)
+        ]
+        against = [
+            option
+            for option in options
+            if (option[2].to, option[2].from_) == (upstream, downstream)
+        ]
         if not along and not against:
             there = ", ".join(f"{e.from_}->{e.to}" for _, _, e in options)
             raise InputError(f"'{valve}' has no edge {direction}", hint=f"it has {there}", **where)
@@ -285,10 +293,10 @@ def _commanded(
         ),
     )
     left_out, keep = LeftOut(leave_out), np.ones(len(rows), bool)
-    for wrong, said, hint in doubts:
+    for wrong, message, hint in doubts:
         for at in np.flatnonzero(wrong & keep):
             where = {"file": str(rows.file[at]), "line": int(rows.line[at])}
-            error = InputError(f"{said} {rows.command[at]:g} V", hint=hint, **where)
+            error = InputError(f"{message} {rows.command[at]:g} V", hint=hint, **where)
             left_out.take(valve, error)
             keep[at] = False
     losses += left_out.sentences([valve] * int(keep.sum()))
@@ -297,7 +305,7 @@ def _commanded(
 
 def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:
     """Sign of the commands that open the edge, by name and direction of its map."""
-    return {(one.fit.map.valve, one.fit.map.direction): one.sign for one in fits}
+    return {(fit.fit.map.valve, fit.fit.map.direction): fit.sign for fit in fits}
 
 
 def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
@@ -307,11 +315,11 @@ def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
     Commands and deadbands are openings [V], zero or positive, and the driver gets ``sign`` times
     them. The sentences speak of the driver's volts."""
     rows = []
-    for one in fits:
-        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), one.sign)
-        plain = one.fit.to_dict() | {"sign": one.sign}
-        plain["outlier_sentences"] = [outlier.sentence(show) for outlier in one.fit.outliers]
-        plain["calibration_sentences"] = [check.sentence(show) for check in one.fit.calibration]
+    for fit in fits:
+        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), fit.sign)
+        plain = fit.fit.to_dict() | {"sign": fit.sign}
+        plain["outlier_sentences"] = [outlier.sentence(show) for outlier in fit.fit.outliers]
+        plain["calibration_sentences"] = [check.sentence(show) for check in fit.fit.calibration]
         rows.append(plain)
     return rows
 
@@ -328,8 +336,8 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
     )
     lines = [f"valve,direction,{units},method,outlier,file,line"]
     flow_row, drop_row = VOCABULARY["flow"], VOCABULARY["pressure_drop"]
-    for one in fits:
-        rows, fit = one.readings, one.fit
+    for item in fits:
+        rows, fit = item.readings, item.fit
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
         drop = np.where(np.isnan(rows.pressure_drop), fit.map.drop_max, rows.pressure_drop)
         fitted = _fitted(fit, rows, drop)
@@ -338,7 +346,7 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
                 fit.map.valve,
                 fit.map.direction,
                 f"{rows.command[i]:.6g}",
-                f"{one.sign * rows.command[i] + 0.0:.6g}",
+                f"{item.sign * rows.command[i] + 0.0:.6g}",
                 f"{from_si(drop[i], drop_unit, drop_row):.6g}",
                 f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}",
                 f"{from_si(fitted[i], flow_unit, flow_row):.6g}",

@@ -35,7 +35,7 @@ def warmed(rows: FlowmeterData, show: Units, unit: str) -> Iterator[str]:
     warm = rows.temperature[known]
     drop, command = rows.pressure_drop[known], rows.command[known]
     # an orifice, and so what heats the oil, goes with the root of the drop
-    for values, said, which in (
+    for values, message, which in (
         (np.sqrt(drop), "drop", tuple(map(show.drop, (drop.min(), drop.max())))),
         (command, "command", tuple(map(show.volts, (command.min(), command.max())))),
     ):
@@ -49,10 +49,10 @@ def warmed(rows: FlowmeterData, show: Units, unit: str) -> Iterator[str]:
                 f"{from_si(end, unit, VOCABULARY['temperature']):.3g} {unit}" for end in ends
             )
             yield (
-                f"the oil's temperature goes with the {said} (correlation {along:+.2f}): {low} at "
-                f"{which[0]}, {high} at {which[1]}; what the oil's viscosity does to the flow is "
-                f"in the map as if the {said} did it. Take some of these readings again in the "
-                "other order, or at one temperature"
+                f"the oil's temperature goes with the {message} (correlation {along:+.2f}): "
+                f"{low} at {which[0]}, {high} at {which[1]}; what the oil's viscosity does to "
+                f"the flow is in the map as if the {message} did it. Take some of "
+                "these readings again in the other order, or at one temperature"
             )
 
 

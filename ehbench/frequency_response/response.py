@@ -160,7 +160,7 @@ class Curve:
             column(response.gain),
             column(np.degrees(response.phase)),
             column(response.coherence),
-            tuple(bool(one) for one in response.coherent[shown]),
+            tuple(bool(item) for item in response.coherent[shown]),
         )
 
 
@@ -280,8 +280,8 @@ def estimate(signals: Signals) -> Response:
     at = np.flatnonzero(coherent)
     fallen = [curve[at] for curve in (gain, curves["gain_low"], curves["gain_high"])]
     turned = [curve[at] for curve in (phase, curves["phase_low"], curves["phase_high"])]
-    starts = [one[0] / math.sqrt(2.0) for one in fallen]
-    found = Response(
+    starts = [item[0] / math.sqrt(2.0) for item in fallen]
+    result = Response(
         frequency=frequency,
         gain=gain,
         phase=phase,
@@ -296,13 +296,13 @@ def estimate(signals: Signals) -> Response:
         warnings=(*signals.warnings, *_warnings(signals, frequency, powered, coherent), *crooked),
         **curves,
     )
-    if delay is not None and delay.value > LATE * found.segment:
+    if delay is not None and delay.value > LATE * result.segment:
         late = (
-            f"the delay, {1e3 * delay.value:.3g} ms, is {100 * delay.value / found.segment:.0f} % "
+            f"the delay, {1e3 * delay.value:.3g} ms, is {100 * delay.value / result.segment:.0f} % "
             "of a segment: gain and coherence come out too low; take longer segments"
         )
-        return replace(found, warnings=(*found.warnings, late))
-    return found
+        return replace(result, warnings=(*result.warnings, late))
+    return result
 
 
 def transfer_of(signals: Signals) -> np.ndarray:
@@ -327,20 +327,20 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     total = np.zeros((3, transform.f_pts), complex)
     for pair, count in zip(signals.pairs, signals.segments, strict=True):
         if count:
-            x, y = (transform.stft_detrend(one, p1=count, **where) for one in pair)
+            x, y = (transform.stft_detrend(item, p1=count, **where) for item in pair)
             for i, density in enumerate((_power(x), _power(y), y * np.conj(x))):
                 total[i] += count * np.mean(density, axis=-1)
     total[:, 1 : -1 if size % 2 == 0 else None] *= 2.0
     frequency = transform.f
-    kept = (frequency > 0.0) & (frequency <= signals.choice.frequency)
-    if not kept.any():
+    retained = (frequency > 0.0) & (frequency <= signals.choice.frequency)
+    if not retained.any():
         raise InsufficientData(
             f"no frequency up to {signals.choice.frequency:g} Hz in segments of "
             f"{signals.size / signals.rate:.4g} s",
             hint="a larger frequency_max, or longer segments",
         )
-    gxx, gyy, gxy = total[:, kept] / sum(signals.segments)
-    return frequency[kept], gxx.real, gyy.real, gxy
+    gxx, gyy, gxy = total[:, retained] / sum(signals.segments)
+    return frequency[retained], gxx.real, gyy.real, gxy
 
 
 def _power(transformed: np.ndarray) -> np.ndarray:
@@ -461,13 +461,13 @@ def _share(marked: np.ndarray) -> str:
     return f"{int(marked.sum())} of {marked.size}"
 
 
-def _ranges(frequency: np.ndarray, marked: np.ndarray, most: int = 3) -> str:
+def _ranges(frequency: np.ndarray, marked: np.ndarray, maximum: int = 3) -> str:
     """``2 … 5 Hz, 30 … 500 Hz``; the widest ones, in order."""
     key: Callable[[int], bool] = lambda i: bool(marked[i])
     runs = [list(run) for yes, run in groupby(range(marked.size), key) if yes]
-    widest = sorted(sorted(runs, key=len, reverse=True)[:most])
+    widest = sorted(sorted(runs, key=len, reverse=True)[:maximum])
     words = [
         f"{frequency[run[0]]:.4g}" + (f" … {frequency[run[-1]]:.4g}" if len(run) > 1 else "")
         for run in widest
     ]
-    return ", ".join(f"{word} Hz" for word in words) + (", …" if len(runs) > most else "")
+    return ", ".join(f"{word} Hz" for word in words) + (", …" if len(runs) > maximum else "")

@@ -63,12 +63,16 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
         pairs: input and output of each log.
         rate: samples per second.
     """
-    found = [_fitted(form, pairs, rate) for form in FORMS]
-    level = {one.form: float(np.mean(one.fit_percent)) for one in found}
-    close = [one for one in found if level[one.form] >= max(level.values()) - CLOSE]
-    fewest = min(one.numbers for one in close)
-    best = max((one for one in close if one.numbers == fewest), key=lambda one: level[one.form])
-    rest = sorted((one for one in found if one is not best), key=lambda one: -level[one.form])
+    results = [_fitted(form, pairs, rate) for form in FORMS]
+    level = {item.form: float(np.mean(item.fit_percent)) for item in results}
+    close = [item for item in results if level[item.form] >= max(level.values()) - CLOSE]
+    fewest = min(item.numbers for item in close)
+    best = max(
+        (item for item in close if item.numbers == fewest), key=lambda entry: level[entry.form]
+    )
+    rest = sorted(
+        (item for item in results if item is not best), key=lambda entry: -level[entry.form]
+    )
     return (Transfer(**{**asdict(best), "preferred": True}), *rest)
 
 
@@ -94,7 +98,7 @@ def _fitted(form: str, pairs: Pairs, rate: float) -> Transfer:
     begins = [np.array([w + k * math.log(SPREAD) for k in range(poles)]) for w in starts]
     if late:
         begins = [np.append(begin, 1.0) for begin in begins]  # [samples]
-    begin = min(begins, key=lambda one: float(np.sum(left(one) ** 2)))
+    begin = min(begins, key=lambda item: float(np.sum(left(item) ** 2)))
     bounds = (
         [math.log(low)] * poles + [0.0] * late,
         [math.log(high)] * poles + [0.5 * rate] * late,
@@ -131,8 +135,8 @@ def _seen(
         for pole in own:
             s = lagged(s, 1.0 / rate, 1.0 / float(pole))
         # what the log's own offset and start add: a constant, and a decay of each pole
-        beside = np.exp(-np.outer(at / rate, [0.0, *own]))
-        ways, _ = np.linalg.qr(beside)
+        additional = np.exp(-np.outer(at / rate, [0.0, *own]))
+        ways, _ = np.linalg.qr(additional)
         bases.append((s - ways @ (ways.T @ s), y - ways @ (ways.T @ y), y))
     along = sum(float(s @ s) for s, _, _ in bases)
     gain = sum(float(s @ y) for s, y, _ in bases) / along if along > 0.0 else 0.0

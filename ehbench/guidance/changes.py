@@ -63,8 +63,8 @@ class Change:
     @property
     def freedom(self) -> int:
         """How many numbers it frees."""
-        asked = sum(one[word] is not None for one in self.sensors for word in WORDS)
-        return len(self.parameters) + asked
+        requested = sum(sensor[word] is not None for sensor in self.sensors for word in WORDS)
+        return len(self.parameters) + requested
 
     def altered(self, rig: Rig) -> Rig:
         """The rig with it.
@@ -82,13 +82,15 @@ class Change:
         """What it adds to the recipe."""
         lines = []
         if self.parameters:
-            lines.append("parameters: add " + ", ".join(f'"{one}"' for one in self.parameters))
+            lines.append(
+                "parameters: add " + ", ".join(f'"{parameter}"' for parameter in self.parameters)
+            )
         for name, value in self.upper.items():
             lines.append(f'[upper] "{name}" = "{rig.shown(name, value, 5)}"')
-        for one in self.sensors:
-            words = ", ".join(f'{word} = "{ESTIMATE}"' for word in WORDS if one[word])
-            words = words or f"sign = {one.sign}"
-            lines.append(f'[[sensor]] channel = "{one.channel}", {words}')
+        for sensor in self.sensors:
+            words = ", ".join(f'{word} = "{ESTIMATE}"' for word in WORDS if sensor[word])
+            words = words or f"sign = {sensor.sign}"
+            lines.append(f'[[sensor]] channel = "{sensor.channel}", {words}')
         return tuple(lines)
 
     def apart(self) -> Iterator[Change]:
@@ -107,17 +109,17 @@ def _lists(tables: Any) -> Any:
     """Nested plain values whose lists can be altered."""
     if isinstance(tables, Mapping):
         return {key: _lists(value) for key, value in tables.items()}
-    return [_lists(one) for one in tables] if isinstance(tables, list | tuple) else tables
+    return [_lists(table) for table in tables] if isinstance(tables, list | tuple) else tables
 
 
 def merged(sensors: Sequence[Sensor], more: Sequence[Sensor]) -> tuple[Sensor, ...]:
     """Sensors with what others say of them, one table a channel."""
-    found = {one.channel: one for one in sensors}
-    for one in more:
-        given = {key: getattr(one, key) for key in one.model_fields_set}
-        old = found.get(one.channel)
-        found[one.channel] = one if old is None else old.model_copy(update=given)
-    return tuple(found.values())
+    results = {sensor.channel: sensor for sensor in sensors}
+    for item in more:
+        given = {key: getattr(item, key) for key in item.model_fields_set}
+        old = results.get(item.channel)
+        results[item.channel] = item if old is None else old.model_copy(update=given)
+    return tuple(results.values())
 
 
 def changes(
@@ -139,43 +141,45 @@ def changes(
         uppers: bounds that the recipe has.
     """
     known = rig.parameters()
-    found: list[Change] = []
-    for cylinder in (one for one in rig.cylinder if one.name in cylinders):
+    results: list[Change] = []
+    for cylinder in (item for item in rig.cylinder if item.name in cylinders):
         moved = [valve for valve in cylinder.valve if _moves(cylinder, valve, records)]
         for valve in moved:
-            alike = [one for one in moved if one.series == valve.series]
-            found += _of_valve(rig, cylinder, valve, alike, records)
-        found += _together(found, [f"{cylinder.name}.{one.name}" for one in moved])
-        found += _drives(cylinder, moved, records)
-        found += _of_cylinder(rig, cylinder)
-    found += _of_oil(rig, records)
-    found += _of_sensors(rig, cylinders, channels, records)
-    found += [_mount(rig, c) for c in rig.cylinder if c.name in cylinders and c.mount is None]
-    found += [_sway(rig, c) for c in rig.cylinder if c.name in cylinders and c.sway is None]
-    kept: list[Change] = []
-    for one in found:
-        names = tuple(name for name in one.parameters if name not in given)
-        bare = not names and not one.sensors
-        again = one.alter is None and any(
-            (one.kind, names, one.sensors) == (old.kind, old.parameters, old.sensors)
-            for old in kept
+            alike = [item for item in moved if item.series == valve.series]
+            results += _of_valve(rig, cylinder, valve, alike, records)
+        results += _together(results, [f"{cylinder.name}.{item.name}" for item in moved])
+        results += _drives(cylinder, moved, records)
+        results += _of_cylinder(rig, cylinder)
+    results += _of_oil(rig, records)
+    results += _of_sensors(rig, cylinders, channels, records)
+    results += [_mount(rig, c) for c in rig.cylinder if c.name in cylinders and c.mount is None]
+    results += [_sway(rig, c) for c in rig.cylinder if c.name in cylinders and c.sway is None]
+    retained: list[Change] = []
+    for item in results:
+        names = tuple(name for name in item.parameters if name not in given)
+        bare = not names and not item.sensors
+        again = item.alter is None and any(
+            (item.kind, names, item.sensors) == (old.kind, old.parameters, old.sensors)
+            for old in retained
         )
-        if bare or again or any(name not in known for name in names if one.alter is None):
+        if bare or again or any(name not in known for name in names if item.alter is None):
             continue
-        bounded = {name: one.upper[name] for name in names if name in one.upper}
+        bounded = {name: item.upper[name] for name in names if name in item.upper}
         bounded = {
-            name: most
-            for name, most in bounded.items()
+            name: maximum
+            for name, maximum in bounded.items()
             if name not in uppers and (name not in known or known[name].upper is None)
         }
-        simpler = next((old for old in kept if one.simpler and old.name == one.simpler.name), None)
-        kept.append(replace(one, parameters=names, upper=bounded, simpler=simpler))
-    return kept
+        simpler = next(
+            (old for old in retained if item.simpler and old.name == item.simpler.name), None
+        )
+        retained.append(replace(item, parameters=names, upper=bounded, simpler=simpler))
+    return retained
 
 
 def _table_of(tables: dict[str, Any], cylinder: str, valve: str = "") -> dict[str, Any]:
-    own = next(one for one in tables["cylinder"] if one["name"] == cylinder)
-    return next(one for one in own["valve"] if one["name"] == valve) if valve else own
+    own = next(item for item in tables["cylinder"] if item["name"] == cylinder)
+    return next(item for item in own["valve"] if item["name"] == valve) if valve else own
 
 
 def _moves(cylinder: Cylinder, valve: Valve, records: Sequence[Record]) -> bool:
@@ -194,25 +198,25 @@ def _of_valve(
     known, about = rig.parameters(), f"{cylinder.name}.{valve.name}"
     channel = f"{about}.command"
     logs = [log[channel] for log in records if channel in log]
-    edges = [(f"{cylinder.name}.{valve.edge_name(one)}", one) for one in valve.edge]
+    edges = [(f"{cylinder.name}.{valve.edge_name(item)}", item) for item in valve.edge]
     gains = [f"{name}.{key}" for name, _ in edges for key in GAINS if f"{name}.{key}" in known]
-    maps = [f"{name}.map_factor" for name, one in edges if one.law == "map"]
+    maps = [f"{name}.map_factor" for name, item in edges if item.law == "map"]
     if gains or maps:
         yield Change("gain", about, tuple(gains or maps))
     reach = {sign: max((float((sign * y).max()) for y in logs), default=0.0) for sign in (1, -1)}
     bands = {f"{name}.deadband": SHUTS * reach[e.sign] for name, e in edges if e.law != "map"}
-    bands = {name: most for name, most in bands.items() if name in known and most > 0.0}
+    bands = {name: band for name, band in bands.items() if name in known and band > 0.0}
     if bands:
-        start = {name: max(float(known[name]), 0.02 * most) for name, most in bands.items()}
+        start = {name: max(float(known[name]), 0.02 * band) for name, band in bands.items()}
         yield Change("deadband", about, tuple(bands), (start,), bands)
     yield from _underlap(cylinder.name, valve, reach)
     yield from _preload(rig, cylinder, about, [name for name, e in edges if e.to == "tank"])
     plain = [(i, name, e) for i, (name, e) in enumerate(edges) if e.law == "orifice"]
-    plain = [one for one in plain if reach[one[2].sign] > 0.0]
+    plain = [item for item in plain if reach[item[2].sign] > 0.0]
     if plain:
         yield _saturation(rig, cylinder.name, valve, plain, reach)
     bent = [(i, name, e) for i, (name, e) in enumerate(edges) if e.law == "saturating"]
-    bent = [one for one in bent if one[2].saturation_softness is None]
+    bent = [item for item in bent if item[2].saturation_softness is None]
     if bent:
         yield _softness(cylinder.name, valve, bent)
     if valve is alike[0]:
@@ -225,11 +229,11 @@ def _of_valve(
 
 def _preload(rig: Rig, cylinder: Cylinder, about: str, edges: Sequence[str]) -> Iterator[Change]:
     """A valve that a spring holds shut in the ways of a valve to the tank."""
-    known, most = rig.parameters(), PRELOADS * _reached(rig, cylinder)
-    names = [f"{one}.cracking_pressure" for one in edges if _metering(rig, one)]
+    known, maximum = rig.parameters(), PRELOADS * _reached(rig, cylinder)
+    names = [f"{edge}.cracking_pressure" for edge in edges if _metering(rig, edge)]
     if names:
-        start = {name: max(float(known[name]), 0.1 * most) for name in names}
-        upper = dict.fromkeys(names, most)
+        start = {name: max(float(known[name]), 0.1 * maximum) for name in names}
+        upper = dict.fromkeys(names, maximum)
         yield Change("preload", about, tuple(names), (start,), upper)
 
 
@@ -247,12 +251,12 @@ def _underlap(cylinder: str, valve: Valve, reach: Mapping[int, float]) -> Iterat
 
     def alter(tables: dict[str, Any]) -> None:
         table = _table_of(tables, cylinder, valve.name)
-        for i, most in names.values():
-            table["edge"][i]["underlap"] = f"{LAPS * most!r} V"
+        for i, maximum in names.values():
+            table["edge"][i]["underlap"] = f"{LAPS * maximum!r} V"
 
     lines = tuple(f"edge {name.rpartition('.')[0]}: underlap = … V" for name in names)
-    upper = {name: most for name, (_, most) in names.items()}
-    start = {name: LAPS * most for name, most in upper.items()}
+    upper = {name: maximum for name, (_, maximum) in names.items()}
+    start = {name: LAPS * maximum for name, maximum in upper.items()}
     about = f"{cylinder}.{valve.name}"
     yield Change("underlap", about, tuple(names), (start,), upper, alter=alter, rig_lines=lines)
 
@@ -262,35 +266,37 @@ def _metering(rig: Rig, edge: str) -> bool:
     return edge_law(rig.all_edges()[edge].law).metering
 
 
-def _together(found: Sequence[Change], valves: Sequence[str]) -> Iterator[Change]:
+def _together(result: Sequence[Change], valves: Sequence[str]) -> Iterator[Change]:
     """What may be wrong with every valve of a cylinder at once, as where all are of one make or on
     one driver: of each kind that all of several have, one change for all of them.
     """
-    own = [one for one in found if one.about in valves and one.parameters]
-    for kind in dict.fromkeys(one.kind for one in own):
-        same = [one for one in own if one.kind == kind]
-        if len(valves) > 1 and [one.about for one in same] == list(valves):
+    own = [item for item in result if item.about in valves and item.parameters]
+    for kind in dict.fromkeys(item.kind for item in own):
+        same = [item for item in own if item.kind == kind]
+        if len(valves) > 1 and [item.about for item in same] == list(valves):
             yield _joined(same)
 
 
 def _joined(several: Sequence[Change]) -> Change:
     """Several changes of one kind as one, each search from the same start of all."""
-    first, alters = several[0], [one.alter for one in several if one.alter is not None]
+    first, alters = several[0], [item.alter for item in several if item.alter is not None]
 
     def alter(tables: dict[str, Any]) -> None:
         for each in alters:
             each(tables)
 
     cylinder = first.about.partition(".")[0]
-    begun = zip(*(one.starts for one in several), strict=True)
+    begun = zip(*(item.starts for item in several), strict=True)
     return Change(
         first.kind,
-        f"{cylinder}.{'+'.join(one.about.partition('.')[2] for one in several)}",
-        tuple(name for one in several for name in one.parameters),
-        tuple({name: value for one in starts for name, value in one.items()} for starts in begun),
-        {name: most for one in several for name, most in one.upper.items()},
+        f"{cylinder}.{'+'.join(item.about.partition('.')[2] for item in several)}",
+        tuple(name for item in several for name in item.parameters),
+        tuple(
+            {name: value for start in starts for name, value in start.items()} for starts in begun
+        ),
+        {name: maximum for item in several for name, maximum in item.upper.items()},
         alter=alter if alters else None,
-        rig_lines=tuple(line for one in several for line in one.rig_lines),
+        rig_lines=tuple(line for item in several for line in item.rig_lines),
     )
 
 
@@ -301,13 +307,15 @@ def _saturation(
 
     def alter(tables: dict[str, Any]) -> None:
         table = _table_of(tables, cylinder, valve.name)
-        for i, most in names.values():
-            table["edge"][i] |= {"law": "saturating", "opening_max": f"{OPENS[0] * most!r} V"}
+        for i, maximum in names.values():
+            table["edge"][i] |= {"law": "saturating", "opening_max": f"{OPENS[0] * maximum!r} V"}
 
-    starts = tuple({name: share * most for name, (_, most) in names.items()} for share in OPENS)
+    starts = tuple(
+        {name: share * maximum for name, (_, maximum) in names.items()} for share in OPENS
+    )
     line = 'law = "saturating", opening_max = … V'
     lines = tuple(f"edge {name.rpartition('.')[0]}: {line}" for name in names)
-    upper = {name: 1.2 * most for name, (_, most) in names.items()}
+    upper = {name: 1.2 * maximum for name, (_, maximum) in names.items()}
     about = f"{cylinder}.{valve.name}"
     return Change("saturation", about, tuple(names), starts, upper, alter=alter, rig_lines=lines)
 
@@ -326,8 +334,8 @@ def _drives(
         sizes = np.concatenate(logs)
         reach[name] = float(sizes.max())
         less, more = (share * reach[name] for share in BETWEEN)
-        told = np.mean((sizes > less) & (sizes < more)) > SOME * np.mean(sizes > less)
-        if told and valve.drive_limit is None and valve.given[0] <= 0.0 <= valve.given[1]:
+        message = np.mean((sizes > less) & (sizes < more)) > SOME * np.mean(sizes > less)
+        if message and valve.drive_limit is None and valve.given[0] <= 0.0 <= valve.given[1]:
             plain.append(name)
     each = [_drive([name], reach) for name in plain]
     yield from each
@@ -346,13 +354,13 @@ def _drive(valves: Sequence[str], reach: Mapping[str, float]) -> Change:
             table["drive_limit"] = f"{OPENS[0] * reach[valve]!r} V"
 
     cylinder = valves[0].partition(".")[0]
-    about = f"{cylinder}.{'+'.join(one.partition('.')[2] for one in valves)}"
+    about = f"{cylinder}.{'+'.join(item.partition('.')[2] for item in valves)}"
     return Change(
         "saturation",
         f"the drive of {about}",
         tuple(names),
-        tuple({name: share * most for name, most in names.items()} for share in OPENS),
-        {name: 1.2 * most for name, most in names.items()},
+        tuple({name: share * maximum for name, maximum in names.items()} for share in OPENS),
+        {name: 1.2 * maximum for name, maximum in names.items()},
         alter=alter,
         rig_lines=tuple(f"valve {valve}: drive_limit = … V" for valve in valves),
     )
@@ -360,20 +368,20 @@ def _drive(valves: Sequence[str], reach: Mapping[str, float]) -> Change:
 
 def _softness(cylinder: str, valve: Valve, edges: Sequence[tuple]) -> Change:
     """Edges that saturate bit by bit."""
-    most = {
+    maximum = {
         f"{name}.saturation_softness": (i, float(e.opening_max) - float(e.deadband))
         for i, name, e in edges
     }
 
     def alter(tables: dict[str, Any]) -> None:
         table = _table_of(tables, cylinder, valve.name)
-        for i, wide in most.values():
+        for i, wide in maximum.values():
             table["edge"][i]["saturation_softness"] = f"{SOFT * wide!r} V"
 
-    lines = tuple(f"edge {name.rpartition('.')[0]}: saturation_softness = … V" for name in most)
-    upper = {name: 0.5 * wide for name, (_, wide) in most.items()}
+    lines = tuple(f"edge {name.rpartition('.')[0]}: saturation_softness = … V" for name in maximum)
+    upper = {name: 0.5 * wide for name, (_, wide) in maximum.items()}
     about = f"{cylinder}.{valve.name}"
-    return Change("softness", about, tuple(most), upper=upper, alter=alter, rig_lines=lines)
+    return Change("softness", about, tuple(maximum), upper=upper, alter=alter, rig_lines=lines)
 
 
 def _times(rig: Rig, cylinder: str, valves: Sequence[Valve]) -> Iterator[Change]:
@@ -396,19 +404,19 @@ def _times(rig: Rig, cylinder: str, valves: Sequence[Valve]) -> Iterator[Change]
 def _element(cylinder: str, valves: Sequence[Valve], word: str, kind: str, value: float) -> Change:
     """An element that comes behind those which valves have, one for all of them."""
     several, series = len(valves) > 1, valves[0].series
-    about = f"{cylinder}.{'+'.join(one.name for one in valves)}"
+    about = f"{cylinder}.{'+'.join(valve.name for valve in valves)}"
     name = f"{cylinder}_{word}" if several else f"{cylinder}_{valves[0].name}_{word}"
 
     def alter(tables: dict[str, Any]) -> None:
         dynamics = tables.setdefault("dynamics", {})
         dynamics[name] = {"kind": kind, word: f"{value!r} s"}
-        for one in valves:
-            _table_of(tables, cylinder, one.name)["dynamics"] = [*series, name]
+        for valve in valves:
+            _table_of(tables, cylinder, valve.name)["dynamics"] = [*series, name]
 
-    listed = ", ".join(f'"{one}"' for one in (*series, name))
+    listed = ", ".join(f'"{item}"' for item in (*series, name))
     lines = (
         f'[dynamics.{name}] kind = "{kind}", {word} = "{1e3 * value:g} ms"',
-        *(f"valve {cylinder}.{one.name}: dynamics = [{listed}]" for one in valves),
+        *(f"valve {cylinder}.{valve.name}: dynamics = [{listed}]" for valve in valves),
     )
     free = f"{name}.{word}"
     upper = {free: LONGEST}
@@ -418,18 +426,18 @@ def _element(cylinder: str, valves: Sequence[Valve], word: str, kind: str, value
 def _of_cylinder(rig: Rig, cylinder: Cylinder) -> Iterator[Change]:
     known, name = rig.parameters(), cylinder.name
     area, pressure = cylinder.areas()[0], _reached(rig, cylinder)
-    most, rubs = LEAKS * area * 0.01 / pressure, RUBS * area * pressure
+    maximum, rubs = LEAKS * area * 0.01 / pressure, RUBS * area * pressure
     for key in LOSSES:
-        upper = {f"{name}.{key}": most}
+        upper = {f"{name}.{key}": maximum}
         yield Change("leakage", f"{name}.{key}", (f"{name}.{key}",), upper=upper)
     coulomb = f"{name}.friction_coulomb"
     some = {coulomb: max(float(cylinder.friction_coulomb), 0.02 * rubs)}
     friction = Change("friction", name, (coulomb,), (some,), {coulomb: rubs})
     yield friction
     for key in ("damping", "joint_damping"):
-        if (one := f"{cylinder.joint}.{key}") in known:
-            start = {} if float(known[one]) > 0.0 else {one: 1.0}
-            yield Change("damping", cylinder.joint, (one,), (start,))
+        if (item := f"{cylinder.joint}.{key}") in known:
+            start = {} if float(known[item]) > 0.0 else {item: 1.0}
+            yield Change("damping", cylinder.joint, (item,), (start,))
     yield Change("load", cylinder.joint, (f"{cylinder.joint}.mass",))
     if cylinder.friction is None:
         yield replace(_stribeck(rig, cylinder, rubs), simpler=friction)
@@ -443,8 +451,8 @@ def _reached(rig: Rig, cylinder: Cylinder) -> float:
     return supply if cylinder.pump is None or relief is None else max(supply, float(relief))
 
 
-def _stribeck(rig: Rig, cylinder: Cylinder, most: float) -> Change:
-    name, level = cylinder.name, max(float(cylinder.friction_coulomb), 0.02 * most)
+def _stribeck(rig: Rig, cylinder: Cylinder, maximum: float) -> Change:
+    name, level = cylinder.name, max(float(cylinder.friction_coulomb), 0.02 * maximum)
 
     def alter(tables: dict[str, Any]) -> None:
         table = _table_of(tables, name)
@@ -461,7 +469,7 @@ def _stribeck(rig: Rig, cylinder: Cylinder, most: float) -> Change:
         f'[cylinder.friction] of {name}: law = "stribeck", friction_static = "{static}", '
         'stribeck_speed = "20 mm/s"',
     )
-    upper = dict.fromkeys(parameters, most)
+    upper = dict.fromkeys(parameters, maximum)
     return Change("friction law", name, parameters, upper=upper, alter=alter, rig_lines=lines)
 
 
@@ -483,7 +491,7 @@ def _no_faster(value: float, unit: str, faster: int) -> dict[str, str]:
     """
     down, up = (WIDE, STIFFER) if faster > 0 else (STIFFER, WIDE)
     each = {"value": value, "lower": value / down, "upper": value * up}
-    return {key: f"{one!r} {unit}" for key, one in each.items()}
+    return {key: f"{item!r} {unit}" for key, item in each.items()}
 
 
 def _oil_spring(rig: Rig, cylinder: Cylinder) -> float:
@@ -520,7 +528,7 @@ def _sway(rig: Rig, cylinder: Cylinder) -> Change:
         "sway",
         name,
         tuple(f"{name}.sway.{key}" for key in units),
-        tuple({f"{name}.sway.{key}": value for key, value in one.items()} for one in values),
+        tuple({f"{name}.sway.{key}": value for key, value in item.items()} for item in values),
         alter=alter,
         rig_lines=(f"[cylinder.sway] of {name}: {said_of}",),
     )
@@ -543,8 +551,10 @@ def _of_oil(rig: Rig, records: Sequence[Record]) -> Iterator[Change]:
 def _of_sensors(
     rig: Rig, cylinders: Sequence[str], channels: Sequence[str], records: Sequence[Record]
 ) -> Iterator[Change]:
-    recorded = [one if all(one in log for log in records) else position_of(one) for one in channels]
-    for channel in dict.fromkeys(one for one in recorded if all(one in log for log in records)):
+    recorded = [
+        item if all(item in log for log in records) else position_of(item) for item in channels
+    ]
+    for channel in dict.fromkeys(item for item in recorded if all(item in log for log in records)):
         words = ("offset", "scale", "lag") if channel in channels else ("scale", "lag")
         for word in words:
             sensor = Sensor.model_validate({"channel": channel, word: ESTIMATE})

@@ -93,10 +93,10 @@ def widest(fitted: Sequence[Known], search: Sequence[Coordinate]) -> str:
     units.
     """
 
-    def width(one: Known, c: Coordinate) -> float:
-        if one.interval is None or one.status == "not_excited":
+    def width(item: Known, c: Coordinate) -> float:
+        if item.interval is None or item.status == "not_excited":
             return math.inf
-        return c.of(max(one.interval[1], c.lower)) - c.of(max(one.interval[0], c.lower))
+        return c.of(max(item.interval[1], c.lower)) - c.of(max(item.interval[0], c.lower))
 
     return max(zip(fitted, search, strict=True), key=lambda pair: width(*pair))[0].name
 
@@ -133,7 +133,7 @@ def propose(
     tell = progress or (lambda sentence, share: None)
     tell("what the logs say", 0.0)
     planner = _Planner(prepared, fitted, names.index(name))
-    found: list[Proposal] = []
+    results: list[Proposal] = []
     firsts = [
         trial
         for drive in planner.drives
@@ -143,31 +143,31 @@ def propose(
     ]
     for number, trial in enumerate(firsts):
         tell("trying tests", 0.1 + 0.5 * number / len(firsts))
-        found += planner.judged(trial)
-    found.sort(key=_width)
+        results += planner.judged(trial)
+    results.sort(key=_width)
     loads = (None, *prepared.rig.payload)
     drives = {drive.cylinder: drive for drive in planner.drives}
     more = [
         trial
-        for one in found[:BEST]
+        for item in results[:BEST]
         for trial in planner.trials(
-            drives[one.trial.cylinder], one.trial.wave, one.trial.amplitude, POSTURES, loads
+            drives[item.trial.cylinder], item.trial.wave, item.trial.amplitude, POSTURES, loads
         )
-        if trial != one.trial
+        if trial != item.trial
     ]
     for number, trial in enumerate(more):
         tell("trying postures and loads", 0.6 + 0.4 * number / len(more))
-        found += planner.judged(trial)
-    if not found:
+        results += planner.judged(trial)
+    if not results:
         raise InsufficientData(
             "every test that was tried runs into an end of the stroke or beyond the pressures",
             hint="check the stroke, the supply pressure and the relief pressure of the rig file",
         )
-    return sorted(found, key=_width)
+    return sorted(results, key=_width)
 
 
-def _width(one: Proposal) -> float:
-    return one.interval[1] - one.interval[0]
+def _width(item: Proposal) -> float:
+    return item.interval[1] - item.interval[0]
 
 
 class _Planner:
@@ -179,12 +179,12 @@ class _Planner:
 
     def __init__(self, prepared: PreparedFit, fitted: Sequence[Known], which: int) -> None:
         self.prepared, self.fitted, self.which = prepared, fitted, which
-        self.values = [one.value for one in fitted]
+        self.values = [item.value for item in fitted]
         self.rig = prepared.rig.with_values(
-            {one.name: one.value for one in fitted if one.status != "not_excited"}
+            {item.name: item.value for item in fitted if item.status != "not_excited"}
         )
         # with dead bands as wide as the logs leave them: what a test must open for sure
-        ends = {one.name: one.interval[1] for one in fitted if one.interval is not None}
+        ends = {item.name: item.interval[1] for item in fitted if item.interval is not None}
         self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
         search = self._search(prepared.logs)
         with search.simulator.pool:
@@ -194,17 +194,19 @@ class _Planner:
         self.scales, self.weight = search.scales, search.weight
         self.normal = np.sum([eliminate(b, self.weight).normal for b in blocks], axis=0)
         self.normal = self.normal + prior.normal
-        self.live = [i for i, one in enumerate(fitted) if one.status != "not_excited" or i == which]
+        self.live = [
+            i for i, item in enumerate(fitted) if item.status != "not_excited" or i == which
+        ]
         self.live += range(len(fitted), len(self.normal))
         self.widening = self._widening()
         self.drives = list(drives_of(self.rig, prepared.logs))
         self.noise = _noise_of(prepared.logs)
 
     def _search(self, logs: Sequence[Log]) -> OutputError:
-        one, asked = self.prepared, self.prepared.options
-        simulator = simulator_of(one, logs)
+        item, requested = self.prepared, self.prepared.options
+        simulator = simulator_of(item, logs)
         tell = lambda sentence, share: None  # noqa: E731
-        return OutputError(simulator, one.search, tell, asked.max_iterations, asked.cutoff)
+        return OutputError(simulator, item.search, tell, requested.max_iterations, requested.cutoff)
 
     def _error(self, normal: np.ndarray) -> np.ndarray:
         """Standard errors of the live parameters in search coordinates, for white residuals."""
@@ -218,15 +220,15 @@ class _Planner:
         the median stands for those without.
         """
         errors = dict(zip(self.live, self._error(self.normal), strict=True))
-        found = {}
+        results = {}
         for i in (i for i in self.live if i < len(self.fitted)):
             c, ends = self.prepared.search[i], self.fitted[i].interval
             if ends is not None and self.fitted[i].status != "not_excited":
                 low, high = (c.of(min(max(end, c.lower), c.upper)) for end in ends)
                 middle = c.of(self.values[i])
-                found[i] = max(high - middle, middle - low) / max(errors[i], 1e-300)
-        usual = float(np.median(list(found.values()))) if found else 2.0
-        return {i: found.get(i, usual) for i in self.live}
+                results[i] = max(high - middle, middle - low) / max(errors[i], 1e-300)
+        usual = float(np.median(list(results.values()))) if results else 2.0
+        return {i: results.get(i, usual) for i in self.live}
 
     def trials(
         self,
@@ -278,7 +280,7 @@ class _Planner:
         """
         tick = self.prepared.logs[0].record.sample_time
         t = np.arange(round(trial.seconds / tick) + 1) * tick
-        made = simulate(
+        built = simulate(
             self.rig,
             commands_of(trial.commands, t),
             float(t[-1]),
@@ -287,29 +289,29 @@ class _Planner:
             flow_maps=self.prepared.flow_maps,
             rate=1.0 / tick,
         )
-        _refuse_ends(self.rig, trial.cylinder, made)
+        _refuse_ends(self.rig, trial.cylinder, built)
         rng = np.random.default_rng(0)
         measured = {name for log in self.prepared.logs for name in log.record.channels}
         channels = {
             name: y + self.noise.get(name.rsplit(".", 1)[-1], 0.0) * rng.standard_normal(y.size)
-            for name, y in made.channels.items()
+            for name, y in built.channels.items()
             if name in measured
         }
-        record = Record(made.t, channels, {"payload": trial.payload or "none"})
+        record = Record(built.t, channels, {"payload": trial.payload or "none"})
         model = Model.of(self.rig, self.prepared.flow_maps, trial.payload)
         terms = self.prepared.logs[0].start.terms
         channels, each = self.prepared.options.channels, self.prepared.logs[0].each
         log = prepare(model, record, "test", channels, terms, each)
-        clean = Record(made.t, made.channels, record.meta)
+        clean = Record(built.t, built.channels, record.meta)
         return replace(log, recorded=channels_of(log, clean))
 
 
-def _refuse_ends(rig: Rig, name: str, made: Record) -> None:
+def _refuse_ends(rig: Rig, name: str, built: Record) -> None:
     """Refuses a test that a careful person would not run."""
     cylinder = rig.cylinder_named(name)
     stroke, supply = float(cylinder.stroke), float(rig.supply.pressure)
-    x = made[f"{name}.x"]
-    pressures = [made[f"{name}.{word}"] for word in ("p_head", "p_rod")]
+    x = built[f"{name}.x"]
+    pressures = [built[f"{name}.{word}"] for word in ("p_head", "p_rod")]
     if np.min(x) < MARGIN * stroke or np.max(x) > (1.0 - MARGIN) * stroke:
         raise InsufficientData(f"{name} runs into an end of its stroke")
     if np.max(pressures) > MOST_PRESSURE * supply or np.min(pressures) < LEAST_PRESSURE:
@@ -318,13 +320,13 @@ def _refuse_ends(rig: Rig, name: str, made: Record) -> None:
 
 def drives_of(rig: Rig, logs: Sequence[Log]) -> list[Drive]:
     """What drove each cylinder out and back in the logs, by its speed."""
-    found: dict[str, Drive] = {}
+    results: dict[str, Drive] = {}
     for log in logs:
         for name in log.asked:
             sides = _sides(rig, log.record, name)
-            if name not in found and sides is not None:
-                found[name] = Drive(name, *sides)
-    return list(found.values())
+            if name not in results and sides is not None:
+                results[name] = Drive(name, *sides)
+    return list(results.values())
 
 
 def _sides(rig: Rig, record: Record, name: str) -> tuple[dict[str, float], dict[str, float]] | None:
@@ -379,20 +381,20 @@ def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict
 
 def commands_of(entries: Sequence[Mapping[str, Any]], t: np.ndarray) -> dict[str, np.ndarray]:
     """Commands [V] by valve of steps, at times ``t`` [s]."""
-    found: dict[str, np.ndarray] = {}
+    results: dict[str, np.ndarray] = {}
     for entry in entries:
         on = (t >= entry["start"] - 1e-9) & (t < entry["stop"] - 1e-9)
-        found.setdefault(entry["valve"], np.zeros_like(t))
-        found[entry["valve"]] += entry["amplitude"] * on
-    return found
+        results.setdefault(entry["valve"], np.zeros_like(t))
+        results[entry["valve"]] += entry["amplitude"] * on
+    return results
 
 
 def _noise_of(logs: Sequence[Log]) -> dict[str, float]:
     """Noise of the sensors [SI] by quantity, from how consecutive samples differ."""
-    found: dict[str, list[float]] = {}
+    results: dict[str, list[float]] = {}
     for log in logs:
         for name, y in log.record.channels.items():
             if not name.endswith("command"):
                 spread = 1.4826 * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0)
-                found.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
-    return {word: float(np.median(sizes)) for word, sizes in found.items()}
+                results.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
+    return {word: float(np.median(sizes)) for word, sizes in results.items()}

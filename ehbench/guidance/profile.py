@@ -61,26 +61,28 @@ def profile(
         InsufficientData: as the fit.
     """
     names = [c.name for c in prepared.search]
-    asked, tell = prepared.options, progress or (lambda sentence, share: None)
+    requested, tell = prepared.options, progress or (lambda sentence, share: None)
     if name not in names:
         raise InputError(f"'{name}' is not among the parameters", hint=", ".join(names))
-    if asked.method != "output_error":
+    if requested.method != "output_error":
         raise InputError("a profile needs method 'output_error'", hint="the recipe says another")
     simulator = simulator_of(prepared, prepared.logs)
     with simulator.pool:
-        search = OutputError(simulator, prepared.search, tell, asked.max_iterations, asked.cutoff)
+        search = OutputError(
+            simulator, prepared.search, tell, requested.max_iterations, requested.cutoff
+        )
         fit = search.fit()
         which = names.index(name)
         own, c = fit[name], prepared.search[which]
         thetas = _values(c, own)
-        stands, found = (search.theta, search.shifts), []
+        stands, result = (search.theta, search.shifts), []
         for side in (thetas[thetas < c.of(own.value)][::-1], thetas[thetas >= c.of(own.value)]):
             search.theta, search.shifts = stands
             for theta in side:
-                tell(f"profile of {name}", 0.5 + 0.5 * len(found) / thetas.size)
-                found.append((float(theta), *search.held_at(which, float(theta))))
-    found.sort(key=lambda one: one[0])
-    return fit, _profile(c, own, found, [n for n in names if n != name])
+                tell(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
+                result.append((float(theta), *search.held_at(which, float(theta))))
+    result.sort(key=lambda item: item[0])
+    return fit, _profile(c, own, result, [n for n in names if n != name])
 
 
 def _values(c: Coordinate, own: FittedParameter) -> np.ndarray:
@@ -105,11 +107,11 @@ def _values(c: Coordinate, own: FittedParameter) -> np.ndarray:
 def _profile(
     c: Coordinate,
     own: FittedParameter,
-    found: Sequence[tuple[float, float, dict[str, float]]],
+    result: Sequence[tuple[float, float, dict[str, float]]],
     others: Sequence[str],
 ) -> Profile:
-    theta = np.array([one[0] for one in found])
-    cost = np.array([one[1] for one in found])
+    theta = np.array([item[0] for item in result])
+    cost = np.array([item[1] for item in result])
     rise = cost - cost.min()
     best = float(theta[np.argmin(cost)])
     centre = c.of(own.value)
@@ -134,7 +136,7 @@ def _profile(
         values=tuple(c.at(float(x)) for x in theta),
         rise=tuple(float(r) for r in rise),
         ends=ends_found,
-        followed={name: tuple(one[2][name] for one in found) for name in others},
+        followed={name: tuple(item[2][name] for item in result) for name in others},
         shape=_shape(theta, rise, best, (low, high)),
     )
 

@@ -74,7 +74,7 @@ class Setup:
     @property
     def freedom(self) -> int:
         """How many numbers its changes free."""
-        return sum(one.freedom for one in self.changes)
+        return sum(change.freedom for change in self.changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +121,11 @@ class Suggestions:
     setups: tuple[Setup, ...]
     untried: tuple[str, ...]
 
-    def lines(self, most: int = SHOWN) -> list[str]:
+    def lines(self, maximum: int = SHOWN) -> list[str]:
         """The table as people read it, what to write below its first row."""
         table = ["what windows left out show, mean square relative to the recipe as it is:", ""]
         table.append(f"{'left out':>16}  {'numbers':>7}  what")
-        for row in self.rows[:most]:
+        for row in self.rows[:maximum]:
             mark = "*" if row.not_worse else " "
             off = f" ± {100.0 * row.std:.2g}" if row.std else ""
             size = f"{100.0 * row.misfit:.3g}{off} %"
@@ -135,8 +135,8 @@ class Suggestions:
                 table += [f"{'':>27}rig     {line}" for line in row.rig_lines]
         table.append("")
         table.append("* not worse than the best; the simplest of these first")
-        if len(self.rows) > most:
-            table.append(f"{len(self.rows) - most} more rows: --json")
+        if len(self.rows) > maximum:
+            table.append(f"{len(self.rows) - maximum} more rows: --json")
         if len(self.rows) == 1:
             table.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
         if self.untried:
@@ -210,10 +210,10 @@ class _Trials:
             if self._quiet(now):
                 break
             reached, untried = self._round(now)
-            better = [one for one in reached if self._better(one, now)]
+            better = [item for item in reached if self._better(item, now)]
             if not better:
                 break
-            now = self._simplest(now, min(better, key=lambda one: self._misfit(one, now)))
+            now = self._simplest(now, min(better, key=lambda entry: self._misfit(entry, now)))
         self.tell("suggest: done", 1.0)
         return self._table(untried)
 
@@ -230,7 +230,7 @@ class _Trials:
             untried += late
             reached += self._tries(now, costly, untried, hope=0.0)
         if now is self.tried[0] and not self._any_better(reached, now):
-            rest = [one for one in promised if one[0] > (1.0 - WORTH) ** HOPE]
+            rest = [item for item in promised if item[0] > (1.0 - WORTH) ** HOPE]
             reached += self._tries(now, rest, untried, hope=0.0)
         self.tried += reached
         return reached, tuple(untried)
@@ -263,7 +263,7 @@ class _Trials:
         return reached
 
     def _any_better(self, reached: Sequence[Tried], now: Tried) -> bool:
-        return any(self._better(one, now) for one in reached)
+        return any(self._better(item, now) for item in reached)
 
     def _promised(
         self, now: Tried, left: Sequence[Change]
@@ -272,7 +272,7 @@ class _Trials:
         square with the change relative to that without, the least first; the names of those that
         there was no time to look at).
         """
-        found: list[tuple[float, Change]] = []
+        results: list[tuple[float, Change]] = []
         untried, without = [], self._foreseen(now, now.setup, ({},))
         for change in left:
             spent = time.monotonic() - self.begun
@@ -285,8 +285,8 @@ class _Trials:
             except IMPOSSIBLE:
                 continue
             rise = (cost - min(without, now.costs[0])) / len(self.channels)
-            found.append((math.exp(rise) if rise < 0.0 else 1.0, change))
-        return sorted(found, key=lambda one: one[0]), untried
+            results.append((math.exp(rise) if rise < 0.0 else 1.0, change))
+        return sorted(results, key=lambda item: item[0]), untried
 
     def _foreseen(self, now: Tried, setup: Setup, starts: Sequence[Mapping[str, float]]) -> float:
         """The least cost that a fit should come to, were all linear, from some starts beside the
@@ -303,11 +303,11 @@ class _Trials:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
         fit itself where there are none.
         """
-        parts = [self._try(now, one) for one in best.setup.changes[-1].apart()]
-        found = [one for one in parts if one is not None]
-        self.tried += found
-        kept = [one for one in found if self._not_worse(one, best)]
-        return min(kept, key=lambda one: self._misfit(one, best), default=best)
+        parts = [self._try(now, item) for item in best.setup.changes[-1].apart()]
+        results = [part for part in parts if part is not None]
+        self.tried += results
+        retained = [item for item in results if self._not_worse(item, best)]
+        return min(retained, key=lambda entry: self._misfit(entry, best), default=best)
 
     def _first(self) -> Tried:
         """The fit as the recipe has it, from a look over the whole range of its parameters."""
@@ -328,18 +328,20 @@ class _Trials:
     def _changes(self, now: Tried) -> list[Change]:
         """What may be tried on top of a fit."""
         records, setup = [record for _, record in self.records], now.setup
-        found = now.found[int(np.argmin(now.costs))]
-        fitted = setup.rig.with_values({name: found[name] for name in setup.parameters})
+        result = now.found[int(np.argmin(now.costs))]
+        fitted = setup.rig.with_values({name: result[name] for name in setup.parameters})
         given = (self.live, self.channels, records, setup.parameters, setup.options.upper)
-        estimated = {(one.channel, w) for one in setup.options.sensors for w in WORDS if one[w]}
-        used = {one.name for one in setup.changes}
+        estimated = {
+            (sensor.channel, w) for sensor in setup.options.sensors for w in WORDS if sensor[w]
+        }
+        used = {change.name for change in setup.changes}
         astray = any(size > self.spread[c] ** 2 for c, size in self._levels(now).items())
         return [
-            one
-            for one in changes(fitted, *given)
-            if one.name not in used
-            and not estimated & {(s.channel, w) for s in one.sensors for w in WORDS if s[w]}
-            and (one.kind != TURNED or astray)
+            change
+            for change in changes(fitted, *given)
+            if change.name not in used
+            and not estimated & {(s.channel, w) for s in change.sensors for w in WORDS if s[w]}
+            and (change.kind != TURNED or astray)
         ]
 
     def _try(self, now: Tried, change: Change) -> Tried | None:
@@ -352,8 +354,8 @@ class _Trials:
             setup = now.setup.with_change(change)
             folds = []
             starts = change.starts
-            for which, found in enumerate(now.found):
-                each = [self._fold(setup, which, {**found, **s}) for s in starts]
+            for which, result in enumerate(now.found):
+                each = [self._fold(setup, which, {**result, **s}) for s in starts]
                 best = min(range(len(each)), key=lambda k: each[k].cost)
                 folds.append(each[best])
                 starts = starts[best : best + 1]
@@ -365,7 +367,9 @@ class _Trials:
                 other = self._fold(setup, less, folds[1 - less].found)
                 folds[less] = min(folds[less], other, key=_by_cost)
             tried = _tried(setup, folds)
-            same = all(own.keys() == tried.left.get(at, {}).keys() for at, own in now.left.items())
+            same = all(
+                item.keys() == tried.left.get(at, {}).keys() for at, item in now.left.items()
+            )
             return tried if same else None
         except IMPOSSIBLE:
             return None
@@ -381,15 +385,15 @@ class _Trials:
         """(the logs, a search over them with the windows of a fold left out)."""
         fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
         logs = [log.head(HEAD) for log in fit.logs]
-        kept = logs
+        retained = logs
         if which is not None:
-            kept = [
+            retained = [
                 replace(log, counts=log.counts & ~_out(log, k, which)[:, None])
                 for k, log in enumerate(logs)
             ]
         options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
         names = [*setup.parameters, *(c.name for c in sensors)]
-        simulator = Simulator(setup.rig, kept, names, self.maps, options.workers, options.step)
+        simulator = Simulator(setup.rig, retained, names, self.maps, options.workers, options.step)
         tell: Progress = lambda text, share: None  # noqa: E731
         return logs, OutputError(simulator, fit.search, tell, STEPS, options.cutoff)
 
@@ -411,55 +415,57 @@ class _Trials:
                         }
         return _Fold(cost, search.named(), left)
 
-    def _by_window(self, one: Tried, scale: Tried) -> np.ndarray:
+    def _by_window(self, item: Tried, scale: Tried) -> np.ndarray:
         """What is left out of each window, channels added up, each in units of what another fit
         leaves of it in the mean.
         """
         level = self._levels(scale)
-        return np.array([sum(y / level[c] for c, y in own.items()) for own in one.left.values()])
+        return np.array(
+            [sum(y / level[c] for c, y in entry.items()) for entry in item.left.values()]
+        )
 
-    def _levels(self, one: Tried) -> dict[str, float]:
+    def _levels(self, item: Tried) -> dict[str, float]:
         """Mean squares of what is left of each channel [SI²]."""
-        found: dict[str, list[float]] = {}
-        for own in one.left.values():
-            for channel, size in own.items():
-                found.setdefault(channel, []).append(size)
-        return {c: max(float(np.mean(y)), (FINE * self.spread[c]) ** 2) for c, y in found.items()}
+        results: dict[str, list[float]] = {}
+        for entry in item.left.values():
+            for channel, size in entry.items():
+                results.setdefault(channel, []).append(size)
+        return {c: max(float(np.mean(y)), (FINE * self.spread[c]) ** 2) for c, y in results.items()}
 
-    def _misfit(self, one: Tried, other: Tried) -> float:
+    def _misfit(self, item: Tried, other: Tried) -> float:
         """Mean square of what is left, relative to another fit; geometric mean of the channels."""
-        mine, theirs = self._levels(one), self._levels(other)
+        mine, theirs = self._levels(item), self._levels(other)
         return float(np.exp(np.mean([np.log(mine[c] / theirs[c]) for c in theirs])))
 
-    def _difference(self, one: Tried, other: Tried) -> tuple[float, float]:
+    def _difference(self, item: Tried, other: Tried) -> tuple[float, float]:
         """(by how much a fit leaves more than another, its standard error), as shares of what that
         one leaves.
         """
-        ours, theirs = self._by_window(one, other), self._by_window(other, other)
+        ours, theirs = self._by_window(item, other), self._by_window(other, other)
         whole = float(np.mean(theirs)) or 1.0
         off = (ours - theirs) / whole
         return float(np.mean(off)), float(np.std(off, ddof=1)) / len(off) ** 0.5
 
-    def _quiet(self, one: Tried) -> bool:
+    def _quiet(self, item: Tried) -> bool:
         """Whether a fit leaves little more than white noise, or than what does not matter."""
         return all(
             size <= QUIET * (self.noise[c] + (FINE * self.spread[c]) ** 2)
-            for c, size in self._levels(one).items()
+            for c, size in self._levels(item).items()
         )
 
-    def _better(self, one: Tried, other: Tried) -> bool:
+    def _better(self, item: Tried, other: Tried) -> bool:
         """Whether it is worth while to go on from a fit: what is surely better, the table says."""
-        return self._difference(one, other)[0] < -WORTH
+        return self._difference(item, other)[0] < -WORTH
 
-    def _not_worse(self, one: Tried, best: Tried) -> bool:
-        more, std = self._difference(one, best)
+    def _not_worse(self, item: Tried, best: Tried) -> bool:
+        more, std = self._difference(item, best)
         return more <= max(UNSURE * std, WORTH)
 
     def _table(self, untried: tuple[str, ...]) -> Suggestions:
         first = self.tried[0]
-        misfits = [self._misfit(one, first) for one in self.tried]
+        misfits = [self._misfit(item, first) for item in self.tried]
         best = self.tried[int(np.argmin(misfits))]
-        fine = [self._not_worse(one, best) for one in self.tried]
+        fine = [self._not_worse(item, best) for item in self.tried]
         order = sorted(
             range(len(self.tried)),
             key=lambda i: (not fine[i], self.tried[i].setup.freedom if fine[i] else 0, misfits[i]),
@@ -469,7 +475,7 @@ class _Trials:
             setup = self.tried[i].setup
             rows.append(
                 Suggestion(
-                    tuple(one.name for one in setup.changes),
+                    tuple(change.name for change in setup.changes),
                     setup.freedom,
                     misfits[i],
                     self._difference(self.tried[i], best)[1] * misfits[i],
@@ -481,22 +487,22 @@ class _Trials:
         return Suggestions(tuple(rows), tuple(map(_begun, (self.tried[i] for i in order))), untried)
 
 
-def _begun(one: Tried) -> Setup:
+def _begun(item: Tried) -> Setup:
     """A fit that begins where it was tried."""
-    setup, found = one.setup, one.found[int(np.argmin(one.costs))]
-    start = {name: found[name] for name in setup.parameters}
+    setup, result = item.setup, item.found[int(np.argmin(item.costs))]
+    start = {name: result[name] for name in setup.parameters}
     return replace(setup, options=replace(setup.options, start=start))
 
 
-def _by_cost(one: _Fold) -> float:
-    return one.cost
+def _by_cost(item: _Fold) -> float:
+    return item.cost
 
 
 def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
     """A fit by its folds, what is left out by window in one order."""
-    left = {key: own for fold in folds for key, own in fold.left.items()}
-    found, costs = tuple(fold.found for fold in folds), tuple(fold.cost for fold in folds)
-    return Tried(setup, dict(sorted(left.items())), found, costs)
+    left = {key: item for fold in folds for key, item in fold.left.items()}
+    result, costs = tuple(fold.found for fold in folds), tuple(fold.cost for fold in folds)
+    return Tried(setup, dict(sorted(left.items())), result, costs)
 
 
 def _windows(log: Log) -> np.ndarray:

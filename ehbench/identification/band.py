@@ -34,16 +34,16 @@ class Band:
         for y, error in zip(columns.T, self.errors.T, strict=True):
             signals = band_signals(record, self.command, y, self.choice)
             parts.append(transfer_of(signals)[self.at] / error)
-        made = np.column_stack(parts)
-        return np.concatenate([np.real(made), np.imag(made)])
+        built = np.column_stack(parts)
+        return np.concatenate([np.real(built), np.imag(built)])
 
     def behind(self, simulated: np.ndarray, recorded: np.ndarray) -> tuple[float, float]:
         """(by how much a channel's recorded response is behind the simulated one [s], standard
         error), by the slope of their phases' difference, weighted by what is known of each.
         """
-        made, seen = (y[: self.at.size] + 1j * y[self.at.size :] for y in (simulated, recorded))
+        built, seen = (y[: self.at.size] + 1j * y[self.at.size :] for y in (simulated, recorded))
         omega, size = 2.0 * np.pi * self.frequency, np.abs(seen)
-        off = np.angle(made * np.conj(seen))
+        off = np.angle(built * np.conj(seen))
         known = float(np.sum((size * omega) ** 2))
         late = float(np.sum(size**2 * omega * off)) / max(known, 1e-300)
         left = size * (off - late * omega)

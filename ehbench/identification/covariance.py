@@ -115,14 +115,14 @@ class Covariance:
         """
         from scipy.special import stdtrit  # scipy.stats is half a second to import
 
-        found = [
+        results = [
             (math.sqrt(max(matrix[k, k], 0.0)), self.quantile, source)
             for matrix, source in ((self.hac, "hac"), (self.acf, "acf"))
         ]
         if self.jackknife is not None:
             quantile = float(stdtrit(self.logs - 1, 0.5 + 0.5 * LEVEL))
-            found.append((math.sqrt(max(self.jackknife[k, k], 0.0)), quantile, "jackknife"))
-        return max(found, key=lambda one: one[0] * one[1])
+            results.append((math.sqrt(max(self.jackknife[k, k], 0.0)), quantile, "jackknife"))
+        return max(results, key=lambda item: item[0] * item[1])
 
     @property
     def correlation(self) -> np.ndarray:
@@ -143,17 +143,17 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     (``jackknife``); directions that one log alone informs are left to the sandwich.
     """
     solved = [eliminate(block, prior.weight) for block in blocks]
-    data = np.sum([one.normal for one in solved], axis=0)
+    data = np.sum([item.normal for item in solved], axis=0)
     total = data + prior.normal
     root = _inverse_root(total)
     inverse = root @ root.T
-    known_starts = _inverse_root(np.sum([one.known for one in solved], axis=0) + prior.normal)
+    known_starts = _inverse_root(np.sum([item.known for item in solved], axis=0) + prior.normal)
     free = [
-        block.slopes - block.nudges @ one.gain for block, one in zip(blocks, solved, strict=True)
+        block.slopes - block.nudges @ item.gain for block, item in zip(blocks, solved, strict=True)
     ]
     scores = [np.einsum("tci,tc->ti", j, b.left) for j, b in zip(free, blocks, strict=True)]
     reaches = [_reach(score) for score in scores]
-    own = [prior.weight**2 * one.gain.T @ one.gain for one in solved]
+    own = [prior.weight**2 * item.gain.T @ item.gain for item in solved]
     meats = [
         _weighed(score, 1.0 - np.arange(reach + 1) / (reach + 1.0)) + known
         for score, reach, known in zip(scores, reaches, own, strict=True)
@@ -162,7 +162,7 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     hac = np.sum(meats, axis=0) + known
     acf = _by_autocovariance(free, blocks) + np.sum(own, axis=0) + known
     b = float(np.mean([r / len(s) for r, s in zip(reaches, scores, strict=True)]))
-    pulls = [one.gradient for one in solved]
+    pulls = [item.gradient for item in solved]
     informed = np.maximum(np.diag(total), 1e-300)
     ideal = np.sum(known_starts**2, axis=1) / np.maximum(np.diag(inverse), 1e-300)
     return Covariance(
@@ -184,8 +184,8 @@ def _inverse_root(normal: np.ndarray) -> np.ndarray:
     diagonal = np.diag(normal)
     size = np.sqrt(np.maximum(diagonal, 1e-30 * np.max(diagonal, initial=1e-270)))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    least = 1e-12 * np.max(values, initial=0.0) or 1.0  # 1: nothing counts, or there is nothing
-    return vectors / np.sqrt(np.maximum(values, least)) / size[:, None]
+    minimum = 1e-12 * np.max(values, initial=0.0) or 1.0  # 1: nothing counts, or there is nothing
+    return vectors / np.sqrt(np.maximum(values, minimum)) / size[:, None]
 
 
 class Release(NamedTuple):
@@ -205,15 +205,15 @@ def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
     than ``least``.
     """
     solved = [eliminate(block, prior.weight) for block in blocks]
-    normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
-    pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
+    normal = np.sum([item.normal for item in solved], axis=0) + prior.normal
+    pull = np.sum([item.gradient for item in solved], axis=0) + prior.gradient
     step, without = _step(normal, pull), _step(normal[:-1, :-1], pull[:-1])
     gain, follow = float(pull[:-1] @ without - pull @ step), step[:-1] - without
     if gain < least:
         return Release(float(step[-1]), math.inf, gain, follow)
     after = []
-    for block, one in zip(blocks, solved, strict=True):
-        left = block.left + block.slopes @ step + block.nudges @ (one.move - one.gain @ step)
+    for block, item in zip(blocks, solved, strict=True):
+        left = block.left + block.slopes @ step + block.nudges @ (item.move - item.gain @ step)
         after.append(replace(block, left=left))
     std = covariance_of(after, prior).error(len(pull) - 1)[0]
     return Release(float(step[-1]), std, gain, follow)
@@ -224,16 +224,16 @@ def gains_of(blocks: Sequence[Block], prior: Prior) -> np.ndarray:
     prior, were it freed alone of them, to first order; shape (parameters behind,).
     """
     solved, own = [eliminate(block, prior.weight) for block in blocks], len(prior.sharpness)
-    normal = np.sum([one.normal for one in solved], axis=0)
-    pull = np.sum([one.gradient for one in solved], axis=0)
+    normal = np.sum([item.normal for item in solved], axis=0)
+    pull = np.sum([item.gradient for item in solved], axis=0)
     normal[:own, :own] += prior.normal
     pull[:own] += prior.gradient
-    without, found = -float(pull[:own] @ _step(normal[:own, :own], pull[:own])), []
+    without, result = -float(pull[:own] @ _step(normal[:own, :own], pull[:own])), []
     for k in range(own, len(pull)):
         which = [*range(own), k]
         step = _step(normal[np.ix_(which, which)], pull[which])
-        found.append(-float(pull[which] @ step) - without)
-    return np.array(found)
+        result.append(-float(pull[which] @ step) - without)
+    return np.array(result)
 
 
 def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
@@ -281,21 +281,21 @@ def _flat_top(series: Sequence[np.ndarray]) -> np.ndarray:
     """Autocovariances of series that share them, from lag 0 on, tapered: whole up to the last
     significant lag, then down to nothing at twice it.
     """
-    most = max(1, min(len(one) for one in series) // 4)
-    total, count = np.zeros(most + 1), 0
-    for one in series:
-        size = 1 << (2 * len(one) - 1).bit_length()
-        power = np.abs(np.fft.rfft(one, size)) ** 2
-        total += np.fft.irfft(power, size)[: most + 1]
-        count += int(np.count_nonzero(one))
+    maximum = max(1, min(len(item) for item in series) // 4)
+    total, count = np.zeros(maximum + 1), 0
+    for item in series:
+        size = 1 << (2 * len(item) - 1).bit_length()
+        power = np.abs(np.fft.rfft(item, size)) ** 2
+        total += np.fft.irfft(power, size)[: maximum + 1]
+        count += int(np.count_nonzero(item))
     if total[0] <= 0.0:
         return np.zeros(1)
     small = np.abs(total / total[0]) < 2.0 * math.sqrt(math.log10(max(count, 10)) / count)
     quiet = np.convolve(small[1:], np.ones(5), "valid") >= 5.0
-    last = int(np.argmax(quiet)) if quiet.any() else most // 2
+    last = int(np.argmax(quiet)) if quiet.any() else maximum // 2
     if last == 0:
         return total[:1] / count
-    lags = np.arange(min(2 * last, most) + 1)
+    lags = np.arange(min(2 * last, maximum) + 1)
     return total[: len(lags)] / count * np.minimum(1.0, 2.0 - lags / last)
 
 
@@ -325,9 +325,9 @@ def _jackknife(solved: Sequence[Eliminated], root: np.ndarray) -> np.ndarray:
     """
     count, p = len(solved), len(root)
     moves = np.empty((count, p))
-    for k, one in enumerate(solved):
-        keep, turned = np.linalg.eigh(np.eye(p) - root.T @ one.normal @ root)
-        held = np.where(keep > 0.05, 1.0 / np.maximum(keep, 0.05), 0.0)
-        moves[k] = root @ (turned @ (held * (turned.T @ (root.T @ one.gradient))))
+    for k, item in enumerate(solved):
+        keep, turned = np.linalg.eigh(np.eye(p) - root.T @ item.normal @ root)
+        fixed = np.where(keep > 0.05, 1.0 / np.maximum(keep, 0.05), 0.0)
+        moves[k] = root @ (turned @ (fixed * (turned.T @ (root.T @ item.gradient))))
     moves -= moves.mean(axis=0)
     return (count - 1) / count * moves.T @ moves

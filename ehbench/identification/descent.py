@@ -56,7 +56,7 @@ class _Grid:
 
     def serves(self, theta: np.ndarray, shifts: Shifts) -> bool:
         """Whether a point is so near that its simulations may take the same steps."""
-        off = [np.abs(one - own) for one, own in zip(shifts, self.shifts, strict=False)]
+        off = [np.abs(shift - item) for shift, item in zip(shifts, self.shifts, strict=False)]
         return (
             float(np.max(np.abs(theta - self.theta), initial=0.0)) <= SAME_STEPS
             and float(np.max(np.concatenate(off), initial=0.0)) <= SAME_STARTS
@@ -111,7 +111,7 @@ class Descent:
         simulator: Simulator,
         search: list[Coordinate],
         tell: Progress,
-        most: int,
+        maximum: int,
         cutoff: float | None,
         watched: Sequence[Coordinate] = (),
         journal: Journal | None = None,
@@ -119,7 +119,7 @@ class Descent:
         self.journal = journal or Journal()
         sensors = of_sensors(simulator.logs[0].start.terms)
         self.simulator, self.search, self.tell = simulator, [*search, *sensors, *watched], tell
-        self.most, self.cutoff = most, cutoff
+        self.most, self.cutoff = maximum, cutoff
         self.asked, self.fitted = len(search), len(search) + len(sensors)
         search = self.search
         names = sorted({channel for log in simulator.logs for channel in log.channels})
@@ -153,12 +153,12 @@ class Descent:
 
     def pooled(self, channel: str, parts: Sequence[np.ndarray]) -> float:
         """rms of a channel's column over all logs that have it, where it counts."""
-        found = []
+        results = []
         for log, part in zip(self.simulator.logs, parts, strict=True):
             if channel in log.channels:
                 i = log.channels.index(channel)
-                found.append(part[log.counts[:, i], i])
-        return rms(np.concatenate(found))
+                results.append(part[log.counts[:, i], i])
+        return rms(np.concatenate(results))
 
     def per(self, sizes: Mapping[str, float], log: Log) -> np.ndarray:
         """Sizes by channel as those of a log's columns, shape (channels,)."""
@@ -178,7 +178,7 @@ class Descent:
         logs = self.simulator.chosen(chosen)
         return [
             None
-            if any(one is None for one in row)
+            if any(item is None for item in row)
             else [self.left_of(*pair) for pair in zip(logs, row, strict=True)]
             for row in rows
         ]
@@ -198,8 +198,8 @@ class Descent:
         """
         if simulated is None:
             return np.tile(10.0 * self.per(self.spread, log), (len(log.recorded), 1)) * log.counts
-        most = FARTHEST * self.per(self.spread, log)
-        left = np.clip(simulated - log.recorded, -most, most)
+        maximum = FARTHEST * self.per(self.spread, log)
+        left = np.clip(simulated - log.recorded, -maximum, maximum)
         left = lowpass(left, log.sample_time, self.cutoff) if self.cutoff else left
         return left * log.counts
 
@@ -217,7 +217,7 @@ class Descent:
             row, meshes = self.simulator.begin(values, shifts, self.slack)
             grid = self.grid = _Grid(theta, shifts, logs, meshes, self.slack)
         else:
-            points = [(values, k, own) for k, own in enumerate(shifts)]
+            points = [(values, k, shift) for k, shift in enumerate(shifts)]
             row = self.simulator.each(points, grid.meshes)
         left = [self.left_of(*pair) for pair in zip(logs, row, strict=True)]
         self.last = Point(theta, shifts, left, grid)
@@ -239,19 +239,19 @@ class Descent:
         """
         logs, known = self.simulator.logs, here.slopes
         every = [(i, k) for i in which for k in range(len(logs))]
-        asked = [pair for pair in every if pair not in known and self.touches[pair]]
+        requested = [pair for pair in every if pair not in known and self.touches[pair]]
         for side in (1.0, -1.0):
             steps = {i: side * self._inward(here.theta, i) * DIFFERENCE for i in which}
             points = []
-            for i, k in asked:
+            for i, k in requested:
                 theta = here.theta + steps[i] * np.eye(len(here.theta))[i]
                 points.append((self.values(theta), k, here.shifts[k]))
-            done = zip(asked, self.simulator.each(points, here.grid.meshes), strict=True)
+            done = zip(requested, self.simulator.each(points, here.grid.meshes), strict=True)
             for (i, k), simulated in done:
                 if simulated is not None:
                     known[i, k] = (self.left_of(logs[k], simulated) - here.left[k]) / steps[i]
             # where there is no such rig, the other side is asked
-            asked = [pair for pair in asked if pair not in known]
+            requested = [pair for pair in requested if pair not in known]
         return [
             _stacked([known.get((i, k)) for i in which], left) / self.per(self.scales, log)[:, None]
             for k, (log, left) in enumerate(zip(logs, here.left, strict=True))
@@ -266,7 +266,7 @@ class Descent:
         for logs that begin at rest while the search is coarse.
         """
         logs, known, values = self.simulator.logs, here.nudges, self.values(here.theta)
-        asked = [
+        requested = [
             (k, j, doubt.share)
             for k, log in enumerate(logs)
             for j, doubt in enumerate(log.start.doubts)
@@ -274,10 +274,10 @@ class Descent:
         ]
         points = [
             (values, k, here.shifts[k] + share * np.eye(len(here.shifts[k]))[j])
-            for k, j, share in asked
+            for k, j, share in requested
         ]
         done = self.simulator.each(points, here.grid.meshes)
-        for (k, j, share), simulated in zip(asked, done, strict=True):
+        for (k, j, share), simulated in zip(requested, done, strict=True):
             if simulated is not None:
                 known[k, j] = (self.left_of(logs[k], simulated) - here.left[k]) / share
         return [
@@ -291,7 +291,7 @@ class Descent:
         logs, grid = self.simulator.logs, self.grid
         names = [(c.name, c.bounds, c.start) for c in self.search]
         sizes = sorted(self.scales.items())
-        held = (
+        fixed = (
             self.free,
             sizes,
             self.weight,
@@ -301,18 +301,18 @@ class Descent:
         )
         chosen = () if grid is None else (grid.theta, *grid.shifts)
         at = (self.theta, self.touches, *self.shifts, *chosen)
-        return (names, held, *(own.tobytes() for own in at))
+        return (names, fixed, *(item.tobytes() for item in at))
 
     def _standing(self, theta: np.ndarray) -> dict[str, object]:
         """Where the search stands, for who reads the journal: evaluations, and parameters [SI]."""
         values = dict(zip((c.name for c in self.search), self.values(theta), strict=True))
-        asked = {c.name: values[c.name] for c in self.search[: self.asked]}
-        return {"evaluations": self.simulator.evaluations, "parameters": asked}
+        requested = {c.name: values[c.name] for c in self.search[: self.asked]}
+        return {"evaluations": self.simulator.evaluations, "parameters": requested}
 
     def cost(self, point: Point) -> float:
         """What is minimised: scaled residuals and what priors are missed by, squared."""
         left = sum(float(np.sum(part**2)) for part in self.scaled(point.left))
-        known = sum(float(np.sum(own**2)) for own in point.shifts)
+        known = sum(float(np.sum(shift**2)) for shift in point.shifts)
         known += float(np.sum((self.sharpness * (point.theta - self.centre)) ** 2))
         return left + self.weight * known
 
@@ -436,17 +436,17 @@ class Descent:
         """((theta, shifts) after a step, what it should gain of the cost)."""
         solved = [eliminate(block, self.weight) for block in blocks]
         prior, count = self.prior(here.theta, free.tolist()), len(free)
-        normal = np.sum([one.normal for one in solved], axis=0) + prior.normal
-        pull = np.sum([one.gradient for one in solved], axis=0) + prior.gradient
+        normal = np.sum([item.normal for item in solved], axis=0) + prior.normal
+        pull = np.sum([item.gradient for item in solved], axis=0) + prior.gradient
         theta, move = here.theta.copy(), np.zeros(count)
         if count:
             move = bounded_step(normal, pull, damping, *(bounds - theta[free][:, None]).T)
             theta[free] = np.clip(theta[free] + move, *bounds.T)
         shifts, gain = [], -float(2.0 * pull @ move + move @ normal @ move)
-        for own, one, block in zip(here.shifts, solved, blocks, strict=True):
-            shifts.append(own + one.move - one.gain @ move)
-            inner = np.einsum("tcn,tc->n", block.nudges, block.left) + self.weight * own
-            gain -= float(inner @ one.move)
+        for shift, item, block in zip(here.shifts, solved, blocks, strict=True):
+            shifts.append(shift + item.move - item.gain @ move)
+            inner = np.einsum("tcn,tc->n", block.nudges, block.left) + self.weight * shift
+            gain -= float(inner @ item.move)
         return (theta, shifts), gain
 
     def weigh(self, here: Point, scales: bool = True) -> None:
@@ -537,7 +537,7 @@ class Descent:
 
 def _place(theta: np.ndarray, shifts: Shifts) -> dict[str, Any]:
     """A point as the journal keeps it."""
-    return {"theta": theta.tolist(), "shifts": [own.tolist() for own in shifts]}
+    return {"theta": theta.tolist(), "shifts": [shift.tolist() for shift in shifts]}
 
 
 def _kept(point: Point) -> dict[str, Any]:
@@ -548,13 +548,13 @@ def _kept(point: Point) -> dict[str, Any]:
 
 def _placed(kept: Mapping[str, Any]) -> tuple[np.ndarray, Shifts]:
     """(parameters, shifts) of a point that the journal kept."""
-    return np.array(kept["theta"]), [np.array(own, dtype=float) for own in kept["shifts"]]
+    return np.array(kept["theta"]), [np.array(shift, dtype=float) for shift in kept["shifts"]]
 
 
 def _stacked(columns: Sequence[np.ndarray | None], like: np.ndarray) -> np.ndarray:
     """Columns side by side along a last axis, zero where there is none."""
-    found = [np.zeros_like(like) if one is None else one for one in columns]
-    return np.stack(found, axis=-1) if found else np.zeros((*like.shape, 0))
+    results = [np.zeros_like(like) if column is None else column for column in columns]
+    return np.stack(results, axis=-1) if results else np.zeros((*like.shape, 0))
 
 
 def bounded_step(

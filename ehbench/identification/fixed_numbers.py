@@ -28,31 +28,31 @@ def counts_on(
         fitted: names of the parameters with an interval.
         replays: simulated logs by cylinder that moves in them.
     """
-    found = []
+    results = []
     for name in fitted:
         if name.rpartition(".")[2] != WORD:
             continue
         own = [c for c in rig.cylinder if c.name in replays and _oil_of(c) == name]
-        held = [
+        fixed = [
             volume
             for c in own
             for volume in (f"{c.name}.volume_head", f"{c.name}.volume_rod")
             if volume not in fitted
         ]
         on, more = [], []
-        if held:
-            on.append(f"{' and '.join(held)} of the rig file")
-            share = 100.0 * MORE * _share(own, replays, held)
+        if fixed:
+            on.append(f"{' and '.join(fixed)} of the rig file")
+            share = 100.0 * MORE * _share(own, replays, fixed)
             more.append(f"with {100.0 * MORE:g} % more oil there it would come out {share:.2g} %")
         if any(c.linkage is not None or f"{c.joint}.mass" not in fitted for c in own):
             on.append("the inertia that moves")
             more.append(f"with {100.0 * MORE:g} % more inertia up to {100.0 * MORE:g} %")
         if on:
-            found.append(
+            results.append(
                 f"{name} counts on {' and on '.join(on)}: {', '.join(more)} higher, which its "
                 "interval does not hold"
             )
-    return tuple(found)
+    return tuple(results)
 
 
 def _oil_of(cylinder: Cylinder) -> str:
@@ -67,7 +67,9 @@ def _share(
     stiff, moved = 0.0, 0.0
     for cylinder in cylinders:
         head, rod = cylinder.areas()
-        x = float(np.mean([np.mean(one[f"{cylinder.name}.x"]) for one in replays[cylinder.name]]))
+        x = float(
+            np.mean([np.mean(replay[f"{cylinder.name}.x"]) for replay in replays[cylinder.name]])
+        )
         for key, area, sign in (("volume_head", head, 1.0), ("volume_rod", rod, -1.0)):
             own = float(getattr(cylinder, key))
             volume = max(own + sign * area * x, 1e-9)

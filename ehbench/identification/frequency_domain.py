@@ -53,20 +53,20 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
             hint="take a part of the log in which it does not (start, stop)",
         )
     log = replace(log, channels=names, recorded=log.recorded[:, own])
-    found = [
+    results = [
         _estimated(band_signals(log.record, command, y, choice), f"{log.name}: {channel}")
         for channel, y in zip(log.channels, log.recorded.T, strict=True)
     ]
-    coherent = np.column_stack([one.coherent for one in found])
+    coherent = np.column_stack([item.coherent for item in results])
     at = np.flatnonzero(coherent.any(axis=1))
     if at.size < LEAST_LINE:
         raise InsufficientData(
             f"{log.name}: only {at.size} frequencies answer {command} coherently",
             hint="a log in which it sweeps, or a smaller coherence_min",
         )
-    errors = np.column_stack([_error(one) for one in found])[at]
+    errors = np.column_stack([_error(item) for item in results])[at]
     errors = np.where(coherent[at], errors, np.inf)
-    band = Band(command, choice, at, found[0].frequency[at], errors)
+    band = Band(command, choice, at, results[0].frequency[at], errors)
     counts = np.concatenate([coherent[at]] * 2)
     return replace(log, band=band, recorded=band.seen(log.record, log.recorded), counts=counts)
 
@@ -94,37 +94,37 @@ def followed(log: Log, replayed: Record) -> tuple[ResponseFit, ...]:
             choice._replace(coherence=0.0),
         ),
     )
-    found = []
+    results = []
     for k, channel in enumerate(log.channels):
         curves: list[Curve | None] = []
-        for columns, asked in sides:
+        for columns, requested in sides:
             try:
-                one = estimate(band_signals(log.record, command, columns[:, k], asked))
+                item = estimate(band_signals(log.record, command, columns[:, k], requested))
             except InsufficientData:
                 curves.append(None)
             else:
-                curves.append(Curve.of(one, highest))
+                curves.append(Curve.of(item, highest))
         recorded, simulated = curves
         if recorded is not None:
-            found.append(ResponseFit(command, channel, choice.coherence, recorded, simulated))
-    return tuple(found)
+            results.append(ResponseFit(command, channel, choice.coherence, recorded, simulated))
+    return tuple(results)
 
 
 def late_responses(log: Log, simulated: np.ndarray) -> list[str]:
     """A warning of each channel whose recorded response is behind the model's by a delay."""
     assert log.band is not None
-    found = []
-    for channel, made, seen in zip(log.channels, simulated.T, log.recorded.T, strict=True):
-        late, error = log.band.behind(made, seen)
+    results = []
+    for channel, built, seen in zip(log.channels, simulated.T, log.recorded.T, strict=True):
+        late, error = log.band.behind(built, seen)
         if abs(late) > max(LATE * log.record.sample_time, SURELY * error):
             word = "behind" if late > 0 else "ahead of"
-            found.append(
+            results.append(
                 f"{log.name}: {channel} answers {log.band.command} {1e3 * abs(late):.2g} ± "
                 f"{1e3 * Z95 * error:.1g} ms {word} the model, by the slope of its phase: a delay "
                 f'that is not modelled? [[sensor]] channel = "{log.band.command}", delay = '
                 '"estimate"'
             )
-    return found
+    return results
 
 
 def _estimated(signals: Signals, where: str) -> Response:
@@ -134,7 +134,7 @@ def _estimated(signals: Signals, where: str) -> Response:
         raise InsufficientData(f"{where}: {error.message}", hint=error.hint) from None
 
 
-def _error(one: Response) -> np.ndarray:
+def _error(item: Response) -> np.ndarray:
     """Standard errors [SI] of the real and of the imaginary part."""
-    share = np.nan_to_num((one.gain_high / one.gain - 1.0) / Z95, nan=np.inf)
-    return one.gain * np.maximum(share, SURE)
+    share = np.nan_to_num((item.gain_high / item.gain - 1.0) / Z95, nan=np.inf)
+    return item.gain * np.maximum(share, SURE)

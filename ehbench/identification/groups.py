@@ -84,10 +84,10 @@ def _leaders(covariance: np.ndarray) -> list[int]:
     """The parameters that would have to be known for all others to be: one at a time, that whose
     knowledge would sharpen another one most.
     """
-    left, found = covariance.copy(), []
+    left, result = covariance.copy(), []
     own = np.diag(covariance)
-    while len(found) < len(own) - 1:
-        rest = [i for i in range(len(own)) if i not in found and left[i, i] > 1e-9 * own[i]]
+    while len(result) < len(own) - 1:
+        rest = [i for i in range(len(own)) if i not in result and left[i, i] > 1e-9 * own[i]]
         best, gain = -1, 1.0 / _MUCH_BETTER**2
         for i in rest:
             after = np.diag(left) - left[:, i] ** 2 / left[i, i]
@@ -100,8 +100,8 @@ def _leaders(covariance: np.ndarray) -> list[int]:
         if best < 0:
             break
         left = left - np.outer(left[:, best], left[best]) / left[best, best]
-        found.append(best)
-    return sorted(found)
+        result.append(best)
+    return sorted(result)
 
 
 def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
@@ -145,8 +145,8 @@ def _text(powers: dict[str, float]) -> str:
 
 def sentence(groups: Sequence[Group]) -> str:
     """What people read: the products, and that the logs do not know each."""
-    known = " and ".join(f"{one.text} ({_percent(one.std)})" for one in groups)
-    alone = {name: std for one in groups for name, std in one.alone.items()}
+    known = " and ".join(f"{group.text} ({_percent(group.std)})" for group in groups)
+    alone = {name: std for group in groups for name, std in group.alone.items()}
     each = ", ".join(f"{name} {_percent(std)}" for name, std in alone.items())
     return f"the logs know {known}, and not each so well: {each}"
 

@@ -162,14 +162,16 @@ def prepare_fit(
         InputError: as in `identify_hydraulics`.
         InsufficientData: a log in which nothing is commanded, or none in which a valve opens.
     """
-    asked = options or FitOptions()
-    _refuse_together(records, asked, where)
-    _refuse_unknown(asked.channels, where)
+    requested = options or FitOptions()
+    _refuse_together(records, requested, where)
+    _refuse_unknown(requested.channels, where)
     _refuse_inert(rig, parameters, flow_maps, where)
-    search = coordinates(rig, parameters, asked.start, asked.lower, asked.upper, where, asked.prior)
-    records = [(name, known_taken_out(name, record, asked.sensors)) for name, record in records]
-    terms = terms_of(asked.sensors, [record for _, record in records])
-    decimate = _decimate(records, asked, where)
+    search = coordinates(
+        rig, parameters, requested.start, requested.lower, requested.upper, where, requested.prior
+    )
+    records = [(name, known_taken_out(name, record, requested.sensors)) for name, record in records]
+    terms = terms_of(requested.sensors, [record for _, record in records])
+    decimate = _decimate(records, requested, where)
     logs, closed = [], []
     for index, (name, record) in enumerate(records):
         try:
@@ -179,15 +181,17 @@ def prepare_fit(
                 f"{name}: {error.message}", **where("data", index), hint=error.hint
             ) from None
         model = Model.of(rig, flow_maps, payload_of(record))
-        log = prepare(model, record, name, asked.channels, terms, decimate, asked.cutoff)
-        if (why := shut(model, log)) and not any(one.endswith(".deadband") for one in parameters):
+        log = prepare(model, record, name, requested.channels, terms, decimate, requested.cutoff)
+        if (why := shut(model, log)) and not any(
+            parameter.endswith(".deadband") for parameter in parameters
+        ):
             closed.append(f"{name}: {why}: no valve opens")
             log = replace(log, warnings=(*log.warnings, closed[-1]))
-        logs.append(log if asked.response is None else on_response(log, *asked.response))
-        if asked.cutoff is not None and asked.cutoff * log.sample_time >= 0.5:
+        logs.append(log if requested.response is None else on_response(log, *requested.response))
+        if requested.cutoff is not None and requested.cutoff * log.sample_time >= 0.5:
             half = 0.5 / log.sample_time
             raise InputError(
-                f"a cutoff of {asked.cutoff:g} Hz is not below half the rate of {name}, "
+                f"a cutoff of {requested.cutoff:g} Hz is not below half the rate of {name}, "
                 f"{half:.4g} Hz",
                 **where("cutoff"),
             )
@@ -197,18 +201,18 @@ def prepare_fit(
             hint="use larger steps; where the log shows motion, the rig's dead band is too wide: "
             "correct it, or add it to the parameters",
         )
-    if asked.method == "thesis":
-        _refuse_for_matching(search, [log.record for log in logs], asked, terms, where)
-    return PreparedFit(rig, tuple(parameters), search, tuple(logs), asked, flow_maps)
+    if requested.method == "thesis":
+        _refuse_for_matching(search, [log.record for log in logs], requested, terms, where)
+    return PreparedFit(rig, tuple(parameters), search, tuple(logs), requested, flow_maps)
 
 
 def _refuse_together(
-    records: Sequence[tuple[str, Record]], asked: FitOptions, where: Where
+    records: Sequence[tuple[str, Record]], requested: FitOptions, where: Where
 ) -> None:
     """Refuse an unknown method, options that do not go together, and logs that no name tells."""
-    if asked.method not in ("output_error", "thesis"):
-        raise InputError(f"unknown method '{asked.method}'", hint="output_error or thesis")
-    if asked.response is not None and asked.cutoff is not None:
+    if requested.method not in ("output_error", "thesis"):
+        raise InputError(f"unknown method '{requested.method}'", hint="output_error or thesis")
+    if requested.response is not None and requested.cutoff is not None:
         raise InputError(
             "a frequency response is compared without a low-pass",
             **where("cutoff"),
@@ -218,14 +222,16 @@ def _refuse_together(
         raise InputError("identification needs at least one log, each with a name of its own")
 
 
-def _decimate(records: Sequence[tuple[str, Record]], asked: FitOptions, where: Where) -> Decimate:
+def _decimate(
+    records: Sequence[tuple[str, Record]], requested: FitOptions, where: Where
+) -> Decimate:
     """How many samples of a log are compared as one mean; one where a method needs every sample.
 
     Raises:
         InputError: a given number is none, or leaves a log too few, or the method needs them all.
     """
-    whole = asked.method == "thesis" or asked.response is not None
-    given = asked.decimate
+    whole = requested.method == "thesis" or requested.response is not None
+    given = requested.decimate
     if given == "auto":
         return 1 if whole else given
     if isinstance(given, bool) or not isinstance(given, int) or given < 1:
@@ -235,8 +241,8 @@ def _decimate(records: Sequence[tuple[str, Record]], asked: FitOptions, where: W
             hint='a whole number from 1 on, or "auto"',
         )
     if whole and given > 1:
-        what = "method 'thesis' looks for ringing" if asked.method == "thesis" else "[response]"
-        what += "" if asked.method == "thesis" else " looks at frequencies"
+        what = "method 'thesis' looks for ringing" if requested.method == "thesis" else "[response]"
+        what += "" if requested.method == "thesis" else " looks at frequencies"
         raise InputError(
             f"{what} in every sample, so there are no means of {given} to compare",
             **where("decimate"),
@@ -250,17 +256,17 @@ def _decimate(records: Sequence[tuple[str, Record]], asked: FitOptions, where: W
 def _refuse_for_matching(
     search: Sequence[Coordinate],
     records: Sequence[Record],
-    asked: FitOptions,
+    requested: FitOptions,
     terms: Sequence[Term],
     where: Where,
 ) -> None:
     """Refuse what the thesis's way cannot fit, and what it cannot know."""
     refuse_unmatched(search)
-    if asked.prior:
+    if requested.prior:
         raise InputError(
             "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
         )
-    if asked.response is not None:
+    if requested.response is not None:
         raise InputError(
             "method 'thesis' compares ringing after steps, no response to a sweep",
             **where("response"),
@@ -297,7 +303,9 @@ def _refuse_inert(
     """
     for edge_name, edge in rig.all_edges().items():
         measured = map_of(flow_maps, edge_name) is not None
-        for name in (one for one in parameters if one.rpartition(".")[0] == edge_name):
+        for name in (
+            parameter for parameter in parameters if parameter.rpartition(".")[0] == edge_name
+        ):
             word = name.rpartition(".")[2]
             if measured and word not in ("map_factor", "cracking_pressure"):
                 why, right = f"goes by its measured flow map, not by its {word}", "map_factor"
@@ -322,17 +330,19 @@ def run_fit(
     Raises:
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
-    one, asked = prepared, prepared.options
-    held = []
-    if asked.method == "output_error":
-        held = watched(one.rig, one.parameters, one.flow_maps)
-    simulator = simulator_of(one, one.logs, held)
+    item, requested = prepared, prepared.options
+    fixed = []
+    if requested.method == "output_error":
+        fixed = watched(item.rig, item.parameters, item.flow_maps)
+    simulator = simulator_of(item, item.logs, fixed)
     tell = progress or (lambda sentence, share: None)
-    most = asked.max_iterations
+    maximum = requested.max_iterations
     with simulator.pool:
-        if asked.method == "thesis":
-            return Matching(simulator, one.search, tell, most).fit()
-        search = OutputError(simulator, one.search, tell, most, asked.cutoff, held, journal)
+        if requested.method == "thesis":
+            return Matching(simulator, item.search, tell, maximum).fit()
+        search = OutputError(
+            simulator, item.search, tell, maximum, requested.cutoff, fixed, journal
+        )
         return search.fit()
 
 
@@ -342,10 +352,10 @@ def simulator_of(
     """Logs simulated at the parameters of a fit, what is shared of their sensors, and the held
     ones that are watched.
     """
-    one, asked = prepared, prepared.options
+    item, requested = prepared, prepared.options
     sensors = of_sensors(logs[0].start.terms)
-    names = [*one.parameters, *(c.name for c in (*sensors, *held))]
-    return Simulator(one.rig, logs, names, one.flow_maps, asked.workers, asked.step)
+    names = [*item.parameters, *(c.name for c in (*sensors, *held))]
+    return Simulator(item.rig, logs, names, item.flow_maps, requested.workers, requested.step)
 
 
 @dataclass(frozen=True)
@@ -391,7 +401,7 @@ def compare_dynamics(
     """
     rigs = with_each_dynamics(rig, variants)
     given = (records, parameters, options, flow_maps, progress, where)
-    return ranked({name: identify_hydraulics(one, *given) for name, one in rigs.items()})
+    return ranked({name: identify_hydraulics(item, *given) for name, item in rigs.items()})
 
 
 def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
@@ -438,17 +448,17 @@ def ranked(fits: Mapping[str, HydraulicsFit]) -> tuple[Variant, ...]:
     return tuple(variants)
 
 
-def _doubt(one: HydraulicsFit, other: HydraulicsFit) -> float:
+def _doubt(item: HydraulicsFit, other: HydraulicsFit) -> float:
     """Standard error of the mean over all logs and channels of ln(rms/rms of the other).
 
     A sample moves ln(rms_a/rms_b) by ½ (e_a²/rms_a² − e_b²/rms_b²) over their number; those of all
     channels of a log go together, and neighbours as far as their correlation time reaches."""
     variance, count = 0.0, 0
-    for (_, a), (_, b), log in zip(one.recordings, other.recordings, one.logs, strict=True):
+    for (_, a), (_, b), log in zip(item.recordings, other.recordings, item.logs, strict=True):
         moves = 0.0
         for name in log.residual_rms:
-            for made, sign in ((a, 0.5), (b, -0.5)):
-                square = np.nan_to_num(made[name] - made[f"simulated.{name}"]) ** 2
+            for built, sign in ((a, 0.5), (b, -0.5)):
+                square = np.nan_to_num(built[name] - built[f"simulated.{name}"]) ** 2
                 mean = float(square.mean())
                 moves = moves + sign * (square / mean if mean > 0.0 else np.zeros(square.size))
         count += len(log.residual_rms)

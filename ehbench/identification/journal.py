@@ -56,13 +56,13 @@ class Journal:
         name, at = digest.hexdigest(), len(self.steps)
         if at < len(self.known) and self.known[at].get("from") != name:
             self.known = self.known[:at]
-        found = dict(self.known[at]) if at < len(self.known) else {}
-        self.steps.append(found or {"from": name})
-        return found | {"left": len(self.known) - at - 1} if found else {}
+        result = dict(self.known[at]) if at < len(self.known) else {}
+        self.steps.append(result or {"from": name})
+        return result | {"left": len(self.known) - at - 1} if result else {}
 
-    def keep(self, stands: Mapping[str, Any], **found: Any) -> None:
+    def keep(self, stands: Mapping[str, Any], **result: Any) -> None:
         """Note what the step that was begun last has come to, and where the search stands."""
-        self.steps[-1] = self.steps[-1] | found
+        self.steps[-1] = self.steps[-1] | result
         self.stands = dict(stands)
         if time.monotonic() - self._written > EVERY:
             self.write()

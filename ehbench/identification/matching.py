@@ -78,21 +78,21 @@ def find_windows(simulator: Simulator, tell: Progress) -> list[_Window]:
     Raises:
         InsufficientData: none does; says why the first do not.
     """
-    found: list[_Window] = []
+    results: list[_Window] = []
     reasons: list[str] = []
     for k, log in enumerate(simulator.logs):
         valves = [
             (c.name, f"{c.name}.{v.name}.command", least_change(v))
             for c, v in simulator.rig.valves()
         ]
-        cylinders, names, least = zip(
+        cylinders, names, minimum = zip(
             *(valve for valve in valves if valve[1] in log.record), strict=True
         )
         commands = np.column_stack([log.record[name] for name in names])
         tell("thesis: looking for ringing", 0.2 * k / len(simulator.logs))
-        for span in transients(log.record.t, commands, least=np.array(least)):
+        for span in transients(log.record.t, commands, least=np.array(minimum)):
             before = max(0, span.start - 1 - round(TOGETHER / log.record.sample_time))
-            changed = np.abs(commands[before] - np.median(commands[span], axis=0)) > least
+            changed = np.abs(commands[before] - np.median(commands[span], axis=0)) > minimum
             moved = (c for c, moved in zip(cylinders, changed, strict=True) if moved)
             for cylinder in dict.fromkeys(moved):
                 part, columns, ring = _ringing_of(log, span, cylinder)
@@ -106,13 +106,13 @@ def find_windows(simulator: Simulator, tell: Progress) -> list[_Window]:
                     reasons.append(f"{log.name} at {log.record.t[span.start]:.6g} s: {reason}")
                 else:
                     joint = simulator.rig.cylinder_named(cylinder).joint
-                    found.append(_Window(k, part, cylinder, joint, columns, ring))
-    if not found:
+                    results.append(_Window(k, part, cylinder, joint, columns, ring))
+    if not results:
         raise InsufficientData(
             "no transient of these logs rings clearly, so there is no frequency to match",
             hint="; ".join(reasons[:3]) or None,
         )
-    return found
+    return results
 
 
 def _ringing_of(log: Log, span: slice, cylinder: str) -> tuple[slice, tuple[int, ...], Ringing]:
@@ -145,9 +145,9 @@ class Matching:
     """
 
     def __init__(
-        self, simulator: Simulator, search: list[Coordinate], tell: Progress, most: int
+        self, simulator: Simulator, search: list[Coordinate], tell: Progress, maximum: int
     ) -> None:
-        self.simulator, self.search, self.tell, self.most = simulator, search, tell, most
+        self.simulator, self.search, self.tell, self.most = simulator, search, tell, maximum
         refuse_unmatched(search)
         self.windows = find_windows(simulator, tell)
         recorded = [window.recorded for window in self.windows]
@@ -192,20 +192,20 @@ class Matching:
         )
 
     def fit(self) -> HydraulicsFit:
-        stand, found, converged = None, {}, False
+        stand, results, converged = None, {}, False
         while self.live and self.rounds < self.most:
             stand = self._stand(stand.rings if stand else None)
             converged = stand.converged
-            found = {
+            results = {
                 i: self._scatter(i, stand.error[i], stand.slope[b, b])
                 for b, i in enumerate(self.live)
             }
-            vague = [i for i in self.live if not found[i][0] < VAGUE[self.search[i].log]]
+            vague = [i for i in self.live if not results[i][0] < VAGUE[self.search[i].log]]
             self._drop(vague)
             if converged and not vague:
                 break
         self.tell("thesis: done", 1.0)
-        return self._result(stand, found, converged)
+        return self._result(stand, results, converged)
 
     def _drop(self, which: Sequence[int]) -> None:
         """Put parameters back to their start and leave them out."""
@@ -220,8 +220,8 @@ class Matching:
         A simulation that does not ring at all is damped less first.
         """
         low, high = np.array([c.bounds for c in self.search]).T
-        found = _Stand(False, np.zeros((0, 0)), {}, [], [])
-        slope = found.slope
+        result = _Stand(False, np.zeros((0, 0)), {}, [], [])
+        slope = result.slope
         for fresh in range(1, ROUNDS + 1):
             self.rounds += 1
             share = 0.2 + 0.8 * self.rounds / (self.rounds + 4.0)
@@ -230,12 +230,12 @@ class Matching:
             error = {i: self.aim[i] - self._measure(i, rings) for i in self.live}
             silent = [i for i in self.live if not np.isfinite(error[i]).any()]
             if silent and fresh <= TAMING and self._tame(low):
-                found = replace(found, error=error, rings=rings)
+                result = replace(result, error=error, rings=rings)
                 continue
             self._drop(silent)
             live = self.live
             if not live:
-                return replace(found, error=error, rings=rings)
+                return replace(result, error=error, rings=rings)
             miss = np.array([np.nanmedian(error[i]) for i in live])
             if silent or fresh <= FRESH_SLOPES:
                 slope = self._slopes(self.theta, live, rings)
@@ -251,13 +251,13 @@ class Matching:
                 abs(moves[b]) < max(STAND, LITTLE * self._scatter(i, error[i], slope[b, b])[0])
                 for b, i in enumerate(live)
             )
-            found = _Stand(stands, slope, error, at_bound, rings)
+            result = _Stand(stands, slope, error, at_bound, rings)
             if stands:
                 break
             self.theta[live] = np.clip(
                 self.theta[live] + np.clip(moves, -0.7, 0.7), low[live], high[live]
             )
-        return found
+        return result
 
     def _tame(self, low: np.ndarray) -> bool:
         """Damp the simulation less; whether it can be."""
@@ -292,7 +292,7 @@ class Matching:
         return slope
 
     def _result(
-        self, stand: _Stand | None, found: dict[int, tuple[float, float, int]], converged: bool
+        self, stand: _Stand | None, result: dict[int, tuple[float, float, int]], converged: bool
     ) -> HydraulicsFit:
         warnings = []
         if not converged:
@@ -302,12 +302,12 @@ class Matching:
             )
         fitted = []
         for i, c in enumerate(self.search):
-            one = not_excited(c, 0)
+            entry = not_excited(c, 0)
             if stand is not None and i in self.live:
-                std, quantile, count = found[i]
+                std, quantile, count = result[i]
                 real, ends = c.spread(self.theta[i], std, quantile)
-                one = replace(
-                    one,
+                entry = replace(
+                    entry,
                     value=c.at(self.theta[i]),
                     std=real,
                     interval=ends,
@@ -315,8 +315,8 @@ class Matching:
                     samples=count,
                     error_from="windows",
                 )
-            fitted.append(one)
-        if stand is None or all(one.status == "not_excited" for one in fitted):
+            fitted.append(entry)
+        if stand is None or all(item.status == "not_excited" for item in fitted):
             names = ", ".join(c.name for c in self.search)
             raise InsufficientData(
                 f"no transient that rings tells anything about {names}",
@@ -328,8 +328,8 @@ class Matching:
             warnings.append(
                 f"in {lost} of {len(matches)} transients the recording rings and the model does not"
             )
-        made = Estimate("thesis", fitted, warnings, self.rounds, matches=matches)
-        return finish(self.simulator, made)
+        built = Estimate("thesis", fitted, warnings, self.rounds, matches=matches)
+        return finish(self.simulator, built)
 
     def _matches(self, rings: Sequence[Ringing]) -> list[Match]:
         """Each window with how it rings in the recording and in the simulation."""

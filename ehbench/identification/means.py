@@ -55,8 +55,12 @@ def refuse_few(name: str, record: Record, each: int, where: Where) -> None:
     """
     count = record.t.size
     if each > 1 and count < FEWEST * each:
-        most = count // FEWEST
-        some = f"at most {most} samples a mean" if most > 1 else "decimate = 1 compares each sample"
+        maximum = count // FEWEST
+        some = (
+            f"at most {maximum} samples a mean"
+            if maximum > 1
+            else "decimate = 1 compares each sample"
+        )
         raise InputError(
             f"{name}: means of {each} of its {count} samples are {count // each}, and a log is "
             f"compared by {FEWEST} at least",
@@ -95,15 +99,15 @@ def _states(model: Model, record: Record) -> list[np.ndarray]:
         for end in (lambda y: y[0], np.min, np.max)
     ]
     command = model.commands_of(record)[0] if model.layout.played else None
-    found = []
-    for own in seen:
-        y = model.posed(own, command)
+    results = []
+    for item in seen:
+        y = model.posed(item, command)
         n = model.plant.at.rates
         for index, row in enumerate(model.plant.cylinders):
             low, high = sorted(model.stroke_range(index))
             y[n + row.joint] = high - low
-        found.append(y)
-    return found
+        results.append(y)
+    return results
 
 
 def _jacobian(model: Model, y: np.ndarray) -> np.ndarray:
@@ -119,8 +123,8 @@ def _jacobian(model: Model, y: np.ndarray) -> np.ndarray:
         return dy
 
     columns = [
-        (slope(y + step * own) - slope(y - step * own)) / (2.0 * step)
-        for step, own in zip(steps, np.eye(y.size), strict=True)
+        (slope(y + step * item) - slope(y - step * item)) / (2.0 * step)
+        for step, item in zip(steps, np.eye(y.size), strict=True)
     ]
     return np.column_stack(columns)
 

@@ -180,11 +180,11 @@ class MultiStart(Descent):
         """Logarithms of the mean squares that are left of the channels, which weighing them by what
         is left makes least; below the floor of the scales straight.
         """
-        found = 0.0
+        result = 0.0
         for channel, spread in self.spread.items():
             share = (self.pooled(channel, here.left) / (SCALE_FLOOR * spread)) ** 2
-            found += math.log(share) if share > 1.0 else share - 1.0
-        return found
+            result += math.log(share) if share > 1.0 else share - 1.0
+        return result
 
     def arrive(self) -> None:
         """Coarsely to the best that a look over the range of the parameters leads to, or that lies
@@ -215,9 +215,9 @@ class MultiStart(Descent):
         (theta, shifts), _ = self.step(here, blocks, free, bounds, LEAST_DAMPING)
         move = (theta - here.theta)[free]
         left = [
-            (block.left + block.slopes @ move + block.nudges @ (own - old))
+            (block.left + block.slopes @ move + block.nudges @ (shift - old))
             * self.per(self.scales, log)
-            for block, log, own, old in zip(
+            for block, log, shift, old in zip(
                 blocks, self.simulator.logs, shifts, here.shifts, strict=True
             )
         ]

@@ -55,19 +55,19 @@ class OutputError(MultiStart):
         converged = self.settle(1e-6)
         self.free, self.ranged = sorted({*self.free, *self.ranged}), {}
         for _ in range(self.fitted):
-            found = errors_of(self)
-            lost = [i for i, error in found.by_index.items() if error.kind == "not_excited"]
-            near = self._near_bounds(found.by_index)
+            result = errors_of(self)
+            lost = [i for i, error in result.by_index.items() if error.kind == "not_excited"]
+            near = self._near_bounds(result.by_index)
             if not lost and not near:
                 break
             self._range(lost)
             self._hold({i: bound for i, bound in near.items() if i not in lost})
             converged = self.settle(1e-6)
         else:
-            found = errors_of(self)
-        doubts = doubts_of(self, found)
+            result = errors_of(self)
+        doubts = doubts_of(self, result)
         self.tell("output error: done", 1.0)
-        return result_of(self, found, converged, *doubts)
+        return result_of(self, result, converged, *doubts)
 
     def _range(self, which: Sequence[int]) -> None:
         """Ask the whole range of parameters whose effect here is faint: go where the logs would
@@ -81,10 +81,10 @@ class OutputError(MultiStart):
             every = np.linspace(*self.search[i].bounds, RANGE)
             points = np.unique([*every, self.search[i].begin])
             rises, effect = self._rises(here, i, points)
-            possible, least = np.isfinite(rises).all(), int(np.argmin(rises))
+            possible, minimum = np.isfinite(rises).all(), int(np.argmin(rises))
             if (effect < FAINT and possible) or np.max(rises) < DENIED * self.weight:
                 dropped.append(i)
-            elif not self._gone(here, i, (float(rises[least]), float(points[least]))):
+            elif not self._gone(here, i, (float(rises[minimum]), float(points[minimum]))):
                 ends, lowest = self._ends(here, i, points, rises)
                 if not self._gone(here, i, lowest):
                     self.free = [k for k in self.free if k != i]
@@ -143,7 +143,7 @@ class OutputError(MultiStart):
         the least rise met on the way there, and where). Between the last point at which it does
         nothing and the first that is denied may lie the one that the logs know.
         """
-        ends, least = [], (0.0, float(here.theta[i]))
+        ends, minimum = [], (0.0, float(here.theta[i]))
         for side in (-1, 1):
             beyond = [k for k in range(len(points)) if (points[k] - here.theta[i]) * side > 0.0]
             inner, outer = float(here.theta[i]), None
@@ -155,10 +155,10 @@ class OutputError(MultiStart):
             for _ in range(HALVINGS if outer is not None else 0):
                 middle = 0.5 * (inner + float(outer or 0.0))
                 rise = float(self._rises(here, i, np.array([middle]))[0][0])
-                least = min(least, (rise, middle))
+                minimum = min(minimum, (rise, middle))
                 inner, outer = (inner, middle) if rise > DENIED * self.weight else (middle, outer)
             ends.append(self.search[i].bounds[side > 0] if outer is None else outer)
-        return (ends[0], ends[1]), least
+        return (ends[0], ends[1]), minimum
 
     def _drop(self, which: Sequence[int]) -> None:
         """Put parameters back to their start and leave them out.
@@ -171,19 +171,19 @@ class OutputError(MultiStart):
         self.free = [i for i in self.free if i not in which]
         self.bound = [i for i in self.bound if i not in which]
         if not any(i < self.asked for i in (*self.free, *self.bound, *self.ranged)):
-            asked = [c.name for c in self.search[: self.asked]]
-            found = {read_off(name, self.simulator.logs) for name in asked}
+            requested = [c.name for c in self.search[: self.asked]]
+            result = {read_off(name, self.simulator.logs) for name in requested}
             hint = "use logs in which the commands excite them"
-            if None not in found:
-                channels = " and ".join(sorted(filter(None, found)))
+            if None not in result:
+                channels = " and ".join(sorted(filter(None, result)))
                 hint = f"each log goes by its own {channels} instead: read it there"
-            raise InsufficientData(f"the logs tell nothing about {', '.join(asked)}", hint=hint)
+            raise InsufficientData(f"the logs tell nothing about {', '.join(requested)}", hint=hint)
 
     def _near_bounds(self, errors: Mapping[int, Error]) -> dict[int, float]:
         """Bounds, by index, that free parameters come near and that their intervals do not exclude:
         the cost grows by less than 3.84 correlation times there.
         """
-        found = {}
+        results = {}
         for i in self.free:
             c, error = self.search[i], errors.get(i)
             if error is None:
@@ -191,8 +191,8 @@ class OutputError(MultiStart):
             for bound in c.bounds:
                 off = abs(self.theta[i] - bound)
                 if 0.0 < off < min(NEAR * c.reach, error.quantile * error.std):
-                    found[i] = bound
-        return found
+                    results[i] = bound
+        return results
 
     def _hold(self, at: Mapping[int, float]) -> None:
         """Put parameters on their bounds and leave them there."""

@@ -202,9 +202,9 @@ class HydraulicsFit:
         Raises:
             KeyError: it was not fitted.
         """
-        for one in self.parameters:
-            if one.name == name:
-                return one
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
         raise KeyError(name)
 
     def as_json(self) -> dict[str, Any]:
@@ -265,21 +265,23 @@ def not_excited(c: Coordinate, samples: int) -> FittedParameter:
     )
 
 
-def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
+def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     """The result: the rig with its new values, and how each log fits at them.
 
     Raises:
         InsufficientData: the fitted model follows no channel of any log better than its mean.
     """
     warnings = [text for log in simulator.logs for text in log.warnings]
-    warnings += [*found.warnings, *_statuses(found.fitted, simulator)]
+    warnings += [*result.warnings, *_statuses(result.fitted, simulator)]
     logs, recordings = [], []
-    shifts = simulator.unshifted() if found.shifts is None else found.shifts
-    starts, replays = simulator.replay([*(one.value for one in found.fitted), *found.held], shifts)
+    shifts = simulator.unshifted() if result.shifts is None else result.shifts
+    starts, replays = simulator.replay(
+        [*(item.value for item in result.fitted), *result.held], shifts
+    )
     for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)
-        fit = _log_fit(log, simulated, found.cutoff)
-        if found.shifts is not None:
+        fit = _log_fit(log, simulated, result.cutoff)
+        if result.shifts is not None:
             fit = replace(fit, start=starts[k], start_shift=log.start.moved(shifts[k]))
         if log.band is None:
             warnings += [*_late(log, simulated), *_turned(log, simulated)]
@@ -291,31 +293,31 @@ def finish(simulator: Simulator, found: Estimate) -> HydraulicsFit:
         logs.append(fit)
         recordings.append((log.name, _recording(log, seen_as(log, replayed))))
     return HydraulicsFit(
-        rig=_identified(simulator.rig, found, len(simulator.logs)),
-        method=found.method,
-        parameters=tuple(found.fitted),
-        correlated_names=tuple(found.names),
-        correlation=tuple(tuple(map(float, row)) for row in found.correlation),
+        rig=_identified(simulator.rig, result, len(simulator.logs)),
+        method=result.method,
+        parameters=tuple(result.fitted),
+        correlated_names=tuple(result.names),
+        correlation=tuple(tuple(map(float, row)) for row in result.correlation),
         logs=tuple(logs),
-        matches=tuple(found.matches),
-        scales=dict(found.scales),
+        matches=tuple(result.matches),
+        scales=dict(result.scales),
         warnings=tuple(_poor(logs) + warnings),
         evaluations=simulator.evaluations,
-        iterations=found.iterations,
+        iterations=result.iterations,
         recordings=tuple(recordings),
-        sensors=tuple(found.sensors),
-        groups=tuple(found.groups),
+        sensors=tuple(result.sensors),
+        groups=tuple(result.groups),
         counts_on=counts_on(
             simulator.rig,
-            [one.name for one in found.fitted if one.interval is not None],
+            [item.name for item in result.fitted if item.interval is not None],
             {
-                name: [one for log, one in zip(simulator.logs, replays) if name in log.live]
+                name: [replay for log, replay in zip(simulator.logs, replays) if name in log.live]
                 for name in {name for log in simulator.logs for name in log.live}
             },
         ),
         left_over=_left_over(simulator.logs, logs),
         compared=_compared(simulator.logs),
-        leans=tuple(found.leans),
+        leans=tuple(result.leans),
     )
 
 
@@ -329,37 +331,37 @@ def read_off(name: str, logs: Sequence[Log]) -> str | None:
 def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[str]:
     """A warning of each parameter that is not excited or at a bound."""
     warnings, rig = [], simulator.rig
-    for one in fitted:
-        value = rig.shown(one.name, one.value)
-        if one.status == "not_excited" and (channel := read_off(one.name, simulator.logs)):
+    for item in fitted:
+        value = rig.shown(item.name, item.value)
+        if item.status == "not_excited" and (channel := read_off(item.name, simulator.logs)):
             warnings.append(
-                f"{one.name} stays at {value}: each log goes by its own {channel} instead"
+                f"{item.name} stays at {value}: each log goes by its own {channel} instead"
             )
-        elif one.status == "not_excited":
-            warnings.append(f"{one.name} is not excited by these logs; it stays at {value}")
-        elif one.status == "at_bound":
-            side = "lower" if one.value - one.lower < one.upper - one.value else "upper"
-            warnings.append(f"{one.name} ran into its {side} bound, {value}")
-            if one.name.endswith(".deadband") and one.value == 0.0:
+        elif item.status == "not_excited":
+            warnings.append(f"{item.name} is not excited by these logs; it stays at {value}")
+        elif item.status == "at_bound":
+            side = "lower" if item.value - item.lower < item.upper - item.value else "upper"
+            warnings.append(f"{item.name} ran into its {side} bound, {value}")
+            if item.name.endswith(".deadband") and item.value == 0.0:
                 warnings[-1] += ": where the edge is open at rest, write underlap in its place"
     return warnings
 
 
-def _identified(rig: Rig, found: Estimate, count: int) -> Rig:
+def _identified(rig: Rig, result: Estimate, count: int) -> Rig:
     """The rig with the values that ``count`` logs tell."""
-    source = f"identified from {count} log{'s' if count > 1 else ''}, {found.method}"
+    source = f"identified from {count} log{'s' if count > 1 else ''}, {result.method}"
     return rig.with_values(
         {
-            one.name: Value(
-                one.value,
+            item.name: Value(
+                item.value,
                 sure="identified",
                 source=source,
-                std=one.std,
-                lower=one.lower,
-                upper=one.upper,
+                std=item.std,
+                lower=item.lower,
+                upper=item.upper,
             )
-            for one in found.fitted
-            if one.status != "not_excited"
+            for item in result.fitted
+            if item.status != "not_excited"
         }
     )
 
@@ -392,28 +394,28 @@ def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
     shown = [f"{cylinder}.{word}" for cylinder in log.live for word in SHOWN]
     shown = [channel for channel in shown if channel in log.seen and channel in replayed]
     given = tied_words(log.record)
-    made = [channel for channel in shown if channel.rpartition(".")[2] not in given]
+    built = [channel for channel in shown if channel.rpartition(".")[2] not in given]
     return (
         {"t": log.seen.t}
         | {channel: log.seen[channel] for channel in shown}
-        | {f"simulated.{channel}": replayed[channel] for channel in made}
+        | {f"simulated.{channel}": replayed[channel] for channel in built}
     )
 
 
 def _turned(log: Log, simulated: np.ndarray) -> list[str]:
     """A warning of each channel that goes the other way than the fitted model has it."""
-    found = []
+    results = []
     for channel, y, model, counts in zip(
         log.channels, log.recorded.T, simulated.T, log.counts.T, strict=True
     ):
-        seen, made = (one[counts] - np.mean(one[counts]) for one in (y, model))
-        size = rms(seen) * rms(made) if counts.any() else 0.0
-        if size > 0.0 and (likeness := float(np.mean(seen * made)) / size) < OPPOSITE:
-            found.append(
+        seen, built = (item[counts] - np.mean(item[counts]) for item in (y, model))
+        size = rms(seen) * rms(built) if counts.any() else 0.0
+        if size > 0.0 and (likeness := float(np.mean(seen * built)) / size) < OPPOSITE:
+            results.append(
                 f"{log.name}: {channel} goes the other way than the model (correlation "
                 f"{likeness:.2f}): is its sign turned, or a command's?"
             )
-    return found
+    return results
 
 
 def _poor(logs: Sequence[LogFit]) -> list[str]:

@@ -183,7 +183,7 @@ def _refuse_unknown(
 def _coordinate(
     rig: Rig, name: str, value: Value, given: Mapping[str, Given], where: Where
 ) -> Coordinate:
-    row, least = parameter_row(name), _least(rig, name)
+    row, minimum = parameter_row(name), _least(rig, name)
 
     def bound(key: str, own: float | None) -> float | None:
         return _number(given[key][name], name, where(key, name)) if name in given[key] else own
@@ -192,8 +192,8 @@ def _coordinate(
     low, high = bound("lower", value.lower), bound("upper", value.upper)
     bounded = high is not None
     if first > 0.0 and row.lower >= 0.0 and low is None and high is None:
-        low, high = max(row.lower, first / WIDE, least), min(row.upper, first * WIDE)
-    low = max(row.lower, least) if low is None else low
+        low, high = max(row.lower, first / WIDE, minimum), min(row.upper, first * WIDE)
+    low = max(row.lower, minimum) if low is None else low
     high = row.upper if high is None else high
     own = where("start", name) if name in given["start"] else where("parameters")
     if not low < high:

@@ -63,30 +63,30 @@ def watched(rig: Rig, parameters: Sequence[str], flow_maps: Maps | None) -> list
         elif law.metering and law.needs:
             names.append(f"{edge_name}.{law.needs[0]}")
     for cylinder in rig.cylinder:
-        names += [f"{one}.{key}" for v in cylinder.valve for one in v.series for key in TIMES]
+        names += [f"{item}.{key}" for v in cylinder.valve for item in v.series for key in TIMES]
         names += [f"{cylinder.name}.{key}" for key in ("volume_head", "volume_rod")]
         names += [f"{cylinder.name}.{line.name}.volume" for line in cylinder.line]
         names.append(f"{cylinder.joint}.mass")
-    held = [
+    fixed = [
         name
         for name in dict.fromkeys(names)
         if name in known and name not in parameters and float(known[name]) > 0.0
     ]
-    return coordinates(rig, held) if held else []
+    return coordinates(rig, fixed) if fixed else []
 
 
-def doubts_of(fit: Descent, found: Errors) -> tuple[list[str], tuple[Lean, ...]]:
+def doubts_of(fit: Descent, result: Errors) -> tuple[list[str], tuple[Lean, ...]]:
     """(a warning of the held gain whose release would better the fit most, if it is surely wrong:
     the recipe's line that frees it; what the fit leans on, the likeliest first).
     """
-    live, cost = sorted(fit.free + fit.bound), fit.cost(found.here)
-    prior, least = fit.prior(found.here.theta, live), WORTH * cost
+    live, cost = sorted(fit.free + fit.bound), fit.cost(result.here)
+    prior, minimum = fit.prior(result.here.theta, live), WORTH * cost
     known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
     gains, suspects = [], []
-    every = [*_searched(fit, found), *_late_commands(fit, found), *_late_sensors(fit, found)]
-    promised = gains_of(_with(found, every), prior)
-    for one in [one for one, gain in zip(every, promised, strict=True) if gain >= least]:
-        release = release_of(_with(found, [one]), known, least)
+    every = [*_searched(fit, result), *_late_commands(fit, result), *_late_sensors(fit, result)]
+    promised = gains_of(_with(result, every), prior)
+    for one in [one for one, gain in zip(every, promised, strict=True) if gain >= minimum]:
+        release = release_of(_with(result, [one]), known, minimum)
         there, share = one.here + one.unit * release.move, release.gain / cost
         if not abs(release.move) > SURELY * release.std:
             continue
@@ -95,45 +95,45 @@ def doubts_of(fit: Descent, found: Errors) -> tuple[list[str], tuple[Lean, ...]]
                 (share, one.name, there / one.here - 1.0, one.unit * release.std / one.here)
             )
         if there >= one.least:
-            moved = _moved(fit, found, found.here.theta[live] + release.follow, live)
+            moved = _moved(fit, result, result.here.theta[live] + release.follow, live)
             std = one.unit * release.std
             lean = Lean(one.name, one.here, there, std, share, moved, one.cure)
             suspects.append((lean, one.index))
-    return _gain_warnings(gains), _leans(fit, found, suspects)
+    return _gain_warnings(gains), _leans(fit, result, suspects)
 
 
-def _with(found: Errors, some: Sequence[_Suspect]) -> list[Block]:
+def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
     """What each log says, with some held numbers behind those that are fitted."""
     return [
         replace(
             block,
             slopes=np.concatenate(
-                [block.slopes, *(one.columns[k][..., None] for one in some)], axis=-1
+                [block.slopes, *(item.columns[k][..., None] for item in some)], axis=-1
             ),
         )
-        for k, block in enumerate(found.blocks)
+        for k, block in enumerate(result.blocks)
     ]
 
 
 def _leans(
-    fit: Descent, found: Errors, suspects: Sequence[tuple[Lean, int | None]]
+    fit: Descent, result: Errors, suspects: Sequence[tuple[Lean, int | None]]
 ) -> tuple[Lean, ...]:
     """Those suspects that explain most and with which estimates come out beyond their intervals.
 
     Nothing is said where no suspect promises to move an estimate that far; else those that promise
     to explain most are freed in fits of their own."""
     promising = sorted(suspects, key=lambda pair: -pair[0].explains)[:TRIED]
-    if not any(one.beyond > BEYOND for one, _ in suspects):
+    if not any(item.beyond > BEYOND for item, _ in suspects):
         return ()
     tried = [
-        lean if index is None else _refitted(fit, found, lean, index) for lean, index in promising
+        lean if index is None else _refitted(fit, result, lean, index) for lean, index in promising
     ]
-    leans = sorted(filter(None, tried), key=lambda one: -one.explains)
+    leans = sorted(filter(None, tried), key=lambda entry: -entry.explains)
     rig = fit.simulator.rig
     return tuple(
-        replace(one, sentence=_sentence(rig, one))
-        for one in leans
-        if one.explains >= NEAR * leans[0].explains and one.beyond > BEYOND
+        replace(item, sentence=_sentence(rig, item))
+        for item in leans
+        if item.explains >= NEAR * leans[0].explains and item.beyond > BEYOND
     )
 
 
@@ -149,17 +149,17 @@ def _gain_warnings(gains: Sequence[tuple[float, str, float, float]]) -> list[str
     ]
 
 
-def _searched(fit: Descent, found: Errors) -> Iterator[_Suspect]:
+def _searched(fit: Descent, result: Errors) -> Iterator[_Suspect]:
     """The held numbers of the rig that change something."""
     which = list(range(fit.fitted, len(fit.search)))
-    names = {one.name for one in fit.simulator.rig.cylinder}
+    names = {item.name for item in fit.simulator.rig.cylinder}
     for i in which:  # what belongs to a cylinder changes nothing where that stands
         owner = fit.search[i].name.partition(".")[0]
         fit.touches[i] = [owner not in names or owner in log.asked for log in fit.simulator.logs]
-    slopes = fit.slopes(found.here, which) if which else []
+    slopes = fit.slopes(result.here, which) if which else []
     effects = fit.effects(slopes, which) if which else {}
     for n, i in enumerate(which):
-        c, theta = fit.search[i], float(found.here.theta[i])
+        c, theta = fit.search[i], float(result.here.theta[i])
         if effects[i] >= FAINT:
             columns = [part[..., n] for part in slopes]
             here = c.at(theta)
@@ -167,52 +167,54 @@ def _searched(fit: Descent, found: Errors) -> Iterator[_Suspect]:
             yield _Suspect(c.name, here, columns, here if c.log else c.unit, cure, i, c.lower)
 
 
-def _late_commands(fit: Descent, found: Errors) -> Iterator[_Suspect]:
+def _late_commands(fit: Descent, result: Errors) -> Iterator[_Suspect]:
     """A delay of the commands of each cylinder, of whose valves the rig file has none."""
-    rig, logs, here = fit.simulator.rig, fit.simulator.logs, found.here
+    rig, logs, here = fit.simulator.rig, fit.simulator.logs, result.here
     known = rig.parameters()
     for cylinder in rig.cylinder:
-        series = [one for valve in cylinder.valve for one in valve.series]
+        series = [item for valve in cylinder.valve for item in valve.series]
         given = [f"{cylinder.name}.{valve.name}.command" for valve in cylinder.valve]
         terms = {f"{term.channel}.{term.word}" for log in logs for term in log.start.terms}
-        delays = {f"{one}.delay" for one in series if float(known.get(f"{one}.delay", 0.0)) > 0.0}
-        if delays or not given or terms & {f"{one}.delay" for one in given}:
+        delays = {
+            f"{item}.delay" for item in series if float(known.get(f"{item}.delay", 0.0)) > 0.0
+        }
+        if delays or not given or terms & {f"{item}.delay" for item in given}:
             continue
-        late = tuple(Term(one, "delay", LATE, 1.0, 0.0, False) for one in given)
+        late = tuple(Term(item, "delay", LATE, 1.0, 0.0, False) for item in given)
         moved = copy.copy(fit.simulator)
         moved.logs = tuple(
             replace(log, start=replace(log.start, terms=(*log.start.terms, *late))) for log in logs
         )
         which = [k for k, log in enumerate(logs) if cylinder.name in log.asked]
-        made = moved.each(
+        built = moved.each(
             [(fit.values(here.theta), k, here.shifts[k]) for k in which], here.grid.meshes
         )
         columns = [np.zeros_like(left) for left in here.left]
-        for k, simulated in zip(which, made, strict=True):
+        for k, simulated in zip(which, built, strict=True):
             if simulated is not None:
                 left = fit.left_of(logs[k], simulated)
                 columns[k] = (left - here.left[k]) / (LATE * fit.per(fit.scales, logs[k]))
-        one = f'add [[sensor]] channel = "{given[0]}", delay = "estimate"'
+        entry = f'add [[sensor]] channel = "{given[0]}", delay = "estimate"'
         several = f'put kind = "delay" among the dynamics of the valves of {cylinder.name}'
         about = given[0] if len(given) == 1 else f"{cylinder.name}.command"
-        yield _Suspect(f"{about}.delay", 0.0, columns, 1.0, one if len(given) == 1 else several)
+        yield _Suspect(f"{about}.delay", 0.0, columns, 1.0, entry if len(given) == 1 else several)
 
 
-def _late_sensors(fit: Descent, found: Errors) -> Iterator[_Suspect]:
+def _late_sensors(fit: Descent, result: Errors) -> Iterator[_Suspect]:
     """A lag of the sensor of each channel that is compared, which the recipe does not have."""
-    logs, here = fit.simulator.logs, found.here
+    logs, here = fit.simulator.logs, result.here
     if any(log.band is not None for log in logs):
         return
     values = fit.values(here.theta)
-    made = fit.simulator.each(
-        [(values, k, own) for k, own in enumerate(here.shifts)], here.grid.meshes
+    built = fit.simulator.each(
+        [(values, k, shift) for k, shift in enumerate(here.shifts)], here.grid.meshes
     )
     known = {term.channel for log in logs for term in log.start.terms if term.word != "scale"}
     for channel in dict.fromkeys(name for log in logs for name in log.channels):
         if channel in known or position_of(channel) in known:
             continue
         columns = [np.zeros_like(left) for left in here.left]
-        for k, (log, simulated) in enumerate(zip(logs, made, strict=True)):
+        for k, (log, simulated) in enumerate(zip(logs, built, strict=True)):
             if simulated is not None and channel in log.channels:
                 i = log.channels.index(channel)
                 late = simulated.copy()
@@ -225,33 +227,33 @@ def _late_sensors(fit: Descent, found: Errors) -> Iterator[_Suspect]:
 
 
 def _moved(
-    fit: Descent, found: Errors, theta: np.ndarray, live: Sequence[int]
+    fit: Descent, result: Errors, theta: np.ndarray, live: Sequence[int]
 ) -> tuple[Moved, ...]:
     """How far estimates would be off by their intervals with other search coordinates."""
     moved = []
     for i, there in zip(live, theta, strict=True):
-        error, c = found.by_index[i], fit.search[i]
+        error, c = result.by_index[i], fit.search[i]
         if i >= fit.asked or error.kind == "not_excited" or error.std <= 0.0:
             continue
-        here = float(found.here.theta[i])
+        here = float(result.here.theta[i])
         there = min(max(float(there), c.bounds[0]), c.bounds[1])
         halves = abs(there - here) / (error.quantile * error.std)
         moved.append(Moved(c.name, c.at(here), c.at(there), halves))
-    return tuple(sorted(moved, key=lambda one: -one.halves))
+    return tuple(sorted(moved, key=lambda item: -item.halves))
 
 
-def _refitted(fit: Descent, found: Errors, lean: Lean, index: int) -> Lean | None:
+def _refitted(fit: Descent, result: Errors, lean: Lean, index: int) -> Lean | None:
     """What a fit leans on by a fit in which it is free; None where that has it otherwise."""
-    kept = fit.theta, fit.shifts, fit.free, fit.bound, fit.last, fit.grid, fit.iterations
+    retained = fit.theta, fit.shifts, fit.free, fit.bound, fit.last, fit.grid, fit.iterations
     live = sorted(fit.free + fit.bound)
     fit.free, fit.bound = [*live, index], []
     fit.solve(1e-4)
     there = errors_of(fit)
-    cost, before = fit.cost(there.here), fit.cost(found.here)
-    fit.theta, fit.shifts, fit.free, fit.bound, fit.last, fit.grid, fit.iterations = kept
+    cost, before = fit.cost(there.here), fit.cost(result.here)
+    fit.theta, fit.shifts, fit.free, fit.bound, fit.last, fit.grid, fit.iterations = retained
     c, error = fit.search[index], there.by_index[index]
-    moved = _moved(fit, found, there.here.theta[live], live)
-    off = abs(float(there.here.theta[index] - found.here.theta[index]))
+    moved = _moved(fit, result, there.here.theta[live], live)
+    off = abs(float(there.here.theta[index] - result.here.theta[index]))
     if off <= SURELY * error.std or before - cost < WORTH * before:
         return None
     value = c.at(there.here.theta[index])
@@ -259,19 +261,20 @@ def _refitted(fit: Descent, found: Errors, lean: Lean, index: int) -> Lean | Non
     return Lean(lean.name, lean.here, value, std, 1.0 - cost / before, moved, lean.cure)
 
 
-def _sentence(rig: Rig, one: Lean) -> str:
+def _sentence(rig: Rig, item: Lean) -> str:
     """What a fit leans on, what becomes of its estimates without, and what to do."""
-    most = one.moved[0]
-    if one.name in rig.parameters():
-        held = f"{one.name} is held at {rig.shown(one.name, one.here, 4)}"
-        wide = 100.0 * Z95 * one.std / abs(one.there)
-        would = f"{rig.shown(one.name, one.there, 4)} (± {wide:.2g} %)"
+    maximum = item.moved[0]
+    if item.name in rig.parameters():
+        fixed = f"{item.name} is held at {rig.shown(item.name, item.here, 4)}"
+        wide = 100.0 * Z95 * item.std / abs(item.there)
+        would = f"{rig.shown(item.name, item.there, 4)} (± {wide:.2g} %)"
     else:
-        channel, _, word = one.name.rpartition(".")
-        held = f"{channel} is held to have no {word}"
-        would = f"one of {1e3 * one.there:.2g} ± {1e3 * Z95 * one.std:.1g} ms"
+        channel, _, word = item.name.rpartition(".")
+        fixed = f"{channel} is held to have no {word}"
+        would = f"one of {1e3 * item.there:.2g} ± {1e3 * Z95 * item.std:.1g} ms"
     return (
-        f"{held}, and these logs would have {would}: {most.name} would then come out "
-        f"{rig.shown(most.name, most.there, 4)} in place of {rig.shown(most.name, most.here, 4)}, "
-        f"{most.halves:.2g} times as far off as its interval allows. Measure it, or {one.cure}"
+        f"{fixed}, and these logs would have {would}: {maximum.name} would then come out "
+        f"{rig.shown(maximum.name, maximum.there, 4)} in place of "
+        f"{rig.shown(maximum.name, maximum.here, 4)}, "
+        f"{maximum.halves:.2g} times as far off as its interval allows. Measure it, or {item.cure}"
     )

@@ -140,7 +140,7 @@ def prepare(
     model: Model,
     record: Record,
     name: str,
-    wanted: Sequence[str],
+    required: Sequence[str],
     terms: Sequence[Term] = (),
     decimate: Decimate = 1,
     cutoff: float | None = None,
@@ -157,18 +157,18 @@ def prepare(
     rig = model.rig
     record, doubts = preprocess(name, record, model)
     warnings = [f"{name}: {text}" for text in doubts]
-    asked = [cylinder.name for cylinder in rig.cylinder if _asked(cylinder, record)]
-    live = [c.name for c in rig.cylinder if c.name in asked or _moves(c, record)]
-    if not asked:
+    requested = [cylinder.name for cylinder in rig.cylinder if _asked(cylinder, record)]
+    live = [c.name for c in rig.cylinder if c.name in requested or _moves(c, record)]
+    if not requested:
         raise InsufficientData(
             f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response "
             "to one"
         )
     means = means_of(model, record, decimate, cutoff)
-    columns = _compared(name, record if means is None else means.record, live, wanted)
+    columns = _compared(name, record if means is None else means.record, live, required)
     warnings += [
         f"{name}: nothing is compared by '{word}': the log has none that changes"
-        for word in wanted
+        for word in required
         if word not in CHANNELS and not _columns(record, live, [word])
     ]
     counts, voids = _counts(name, rig, record, list(columns))
@@ -176,7 +176,7 @@ def prepare(
         name,
         record,
         payload_of(record),
-        tuple(asked),
+        tuple(requested),
         tuple(live),
         tuple(columns),
         np.column_stack(list(columns.values())),
@@ -193,7 +193,7 @@ def _counts(
     """(which samples of a log count, shape (samples, channels); a warning of each cylinder of which
     some do not): those of an empty chamber and of a sensor at its end do not.
     """
-    said: list[str] = []
+    messages: list[str] = []
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
     for cylinder in rig.cylinder:
         void = _cavitates(rig, cylinder, record)
@@ -201,22 +201,22 @@ def _counts(
         if own and void.any():
             counts[np.ix_(void, np.array(own))] = False
             when = record.t[int(np.argmax(void))]
-            said.append(
+            messages.append(
                 f"{name}: {cylinder.name} cavitates at {when:.6g} s, which the model has only as a "
                 f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
             )
     for i, channel in enumerate(channels):
         if channel in record and quantity(channel).unit in LIMITED:
             counts[at_limit(record[channel]), i] = False
-    return counts, said
+    return counts, messages
 
 
 def _commands(cylinder: Cylinder, record: Record) -> dict[str, float]:
     """Least change [V] that is one, by recorded command channel of a cylinder."""
-    least = {
+    minimum = {
         f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
     }
-    return {channel: change for channel, change in least.items() if channel in record}
+    return {channel: change for channel, change in minimum.items() if channel in record}
 
 
 def shut(model: Model, log: Log) -> str | None:
@@ -230,19 +230,21 @@ def shut(model: Model, log: Log) -> str | None:
             continue
         onset = edge.sign * edge_onset(edge, plant.maps)
         onset = 0.0 if edge.unmetered else onset
-        most = float(np.max(edge.sign * log.record[channel]))
-        if most > onset:
+        maximum = float(np.max(edge.sign * log.record[channel]))
+        if maximum > onset:
             return None
-        if most > 0.0 and (closest is None or onset - most < closest[0]):
-            why = f"{channel} reaches {most:.3g} V, within the dead band of {name}, {onset:.3g} V"
-            closest = onset - most, why
+        if maximum > 0.0 and (closest is None or onset - maximum < closest[0]):
+            why = (
+                f"{channel} reaches {maximum:.3g} V, within the dead band of {name}, {onset:.3g} V"
+            )
+            closest = onset - maximum, why
     return closest[1] if closest else "every command stays on the side that opens nothing"
 
 
 def _asked(cylinder: Cylinder, record: Record) -> bool:
     """Whether a command of the cylinder changes."""
     commands = _commands(cylinder, record)
-    return any(np.ptp(record[channel]) > least for channel, least in commands.items())
+    return any(np.ptp(record[channel]) > command for channel, command in commands.items())
 
 
 def _moves(cylinder: Cylinder, record: Record) -> bool:
@@ -256,43 +258,43 @@ def _moves(cylinder: Cylinder, record: Record) -> bool:
 
 
 def _compared(
-    name: str, record: Record, live: Sequence[str], wanted: Sequence[str]
+    name: str, record: Record, live: Sequence[str], required: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """What a simulation along a log is compared with: `_columns` but for what is tied.
 
     Raises:
         InputError: nothing.
     """
-    found, given = _columns(record, live, wanted), tied_words(record)
-    free = {channel: y for channel, y in found.items() if channel.rpartition(".")[2] not in given}
-    if found and not free:
+    result, given = _columns(record, live, required), tied_words(record)
+    free = {channel: y for channel, y in result.items() if channel.rpartition(".")[2] not in given}
+    if result and not free:
         raise InputError(
-            f"{name}: {', '.join(wanted)}: being tied, they cannot be compared",
+            f"{name}: {', '.join(required)}: being tied, they cannot be compared",
             hint="add p_head and p_rod to channels",
         )
-    if not found:
+    if not result:
         raise InputError(
-            f"{name}: of {', '.join(live)} the log has none of {', '.join(wanted)} that changes",
-            hint=like_channel(wanted[0] if len(wanted) == 1 else "", list(record.channels)),
+            f"{name}: of {', '.join(live)} the log has none of {', '.join(required)} that changes",
+            hint=like_channel(required[0] if len(required) == 1 else "", list(record.channels)),
         )
     return free
 
 
-def _columns(record: Record, live: Sequence[str], wanted: Sequence[str]) -> dict[str, np.ndarray]:
+def _columns(record: Record, live: Sequence[str], required: Sequence[str]) -> dict[str, np.ndarray]:
     """What the log has of the wanted quantities of the live cylinders and of the channels wanted by
     full name, if it changes: the channel, what stands in for it, or the rate of its position.
     """
     columns: dict[str, np.ndarray] = {}
-    for word in wanted:
-        own = [one for cylinder in live for one in channels_asked(record, cylinder, word)]
+    for word in required:
+        own = [item for cylinder in live for item in channels_asked(record, cylinder, word)]
         for channel in [word] if "." in word else own:
             names = alternatives(channel)
-            found = {name: column(record, name, record) for name in names}
-            present = [name for name in names if found[name] is not None]
+            results = {name: column(record, name, record) for name in names}
+            present = [name for name in names if results[name] is not None]
             choice = next(
                 (name for name in present if name in record), present[0] if present else channel
             )
-            values = found.get(choice)
+            values = results.get(choice)
             if values is not None and np.ptp(values) > 0.0:
                 columns.setdefault(choice, values)
     return columns
@@ -318,9 +320,9 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
         if commands
         else np.zeros((record.t.size, 1))
     )
-    least = np.array(list(commands.values())) if commands else 0.0
+    minimum = np.array(list(commands.values())) if commands else 0.0
     stops = np.array(
-        [window.start for window in transients(record.t, table, least=least)] + [record.t.size]
+        [window.start for window in transients(record.t, table, least=minimum)] + [record.t.size]
     )
     for first in empty:
         if not void[first]:
@@ -330,14 +332,14 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
 
 
 def _needs_flows(log: Log) -> bool:
-    return any(one.endswith(FLOWS) for one in log.channels)
+    return any(channel.endswith(FLOWS) for channel in log.channels)
 
 
 def _simulated_means(log: Log) -> Means | None:
     """The means as which the simulation of a log is wanted; None where they are taken of what it
     makes of every sample.
     """
-    return None if any(one.endswith(BENT) for one in log.channels) else log.means
+    return None if any(channel.endswith(BENT) for channel in log.channels) else log.means
 
 
 def _tempo(log: Log) -> tuple[float, int]:
@@ -348,7 +350,7 @@ def _tempo(log: Log) -> tuple[float, int]:
 
 def _worth_it(part: list[int]) -> list[list[int]]:
     """A set, or its members one by one where they are too few to go side by side."""
-    return [part] if len(part) >= LEAST else [[one] for one in part]
+    return [part] if len(part) >= LEAST else [[item] for item in part]
 
 
 @dataclass
@@ -410,19 +412,19 @@ class _Latest:
 
     def of(self, key: Hashable) -> Simulated | None:
         """What is known, which becomes the latest."""
-        found = self._found[key] = self._found.pop(key)
-        return found
+        result = self._found[key] = self._found.pop(key)
+        return result
 
-    def keep(self, key: Hashable, found: Simulated | None) -> None:
+    def keep(self, key: Hashable, result: Simulated | None) -> None:
         """Remember a simulation, and forget the oldest beyond so many bytes."""
-        self._found[key] = found
-        self._size += _bytes(found)
+        self._found[key] = result
+        self._size += _bytes(result)
         while self._size > REMEMBERED:
             self._size -= _bytes(self._found.pop(next(iter(self._found))))
 
 
-def _bytes(found: Simulated | None) -> int:
-    return ENTRY + (0 if found is None else sum(one.nbytes for one in found))
+def _bytes(result: Simulated | None) -> int:
+    return ENTRY + (0 if result is None else sum(item.nbytes for item in result))
 
 
 class Simulator:
@@ -499,7 +501,7 @@ class Simulator:
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
         points = [(values, k, shifts[k]) for values in vectors for k in which]
-        done = [None if one is None else one[0] for one in self._meshed(points, slack=slack)]
+        done = [None if item is None else item[0] for item in self._meshed(points, slack=slack)]
         return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
 
     def each(
@@ -514,7 +516,7 @@ class Simulator:
             meshes: steps to take, of all logs; chosen by default.
         """
         done = self._meshed(points, meshes)
-        return [None if one is None else one[0] for one in done]
+        return [None if item is None else item[0] for item in done]
 
     def begin(
         self, values: Sequence[float], shifts: Shifts, slack: float = 1.0
@@ -522,9 +524,9 @@ class Simulator:
         """(simulated channels of every log, None where the simulation failed; the steps that were
         chosen with some ``slack``, none where it did).
         """
-        done = self._meshed([(values, k, own) for k, own in enumerate(shifts)], slack=slack)
-        channels = [None if one is None else one[0] for one in done]
-        return channels, [FREE if one is None else one[1] for one in done]
+        done = self._meshed([(values, k, shift) for k, shift in enumerate(shifts)], slack=slack)
+        channels = [None if item is None else item[0] for item in done]
+        return channels, [FREE if item is None else item[1] for item in done]
 
     def _meshed(
         self, points: Sequence[Where], meshes: Meshes | None = None, slack: float = 1.0
@@ -533,8 +535,8 @@ class Simulator:
         again.
         """
         self.evaluations += len(points)
-        found: dict[Hashable, Simulated | None] = {}
-        asked: dict[Hashable, Where] = {}
+        results: dict[Hashable, Simulated | None] = {}
+        requested: dict[Hashable, Where] = {}
         keys = []
         for point in points:
             values, k, shifts = point
@@ -543,27 +545,27 @@ class Simulator:
             key = (*own, _Same(log), None if mesh is None else _Same(mesh))
             keys.append(key)
             if key in self._latest:
-                found[key] = self._latest.of(key)
+                results[key] = self._latest.of(key)
             else:
-                asked[key] = point
-        fresh = self._simulated(list(asked.values()), meshes, slack)
-        for key, one in zip(asked, fresh, strict=True):
-            found[key] = one
-            self._latest.keep(key, one)
-        return [found[key] for key in keys]
+                requested[key] = point
+        fresh = self._simulated(list(requested.values()), meshes, slack)
+        for key, item in zip(requested, fresh, strict=True):
+            results[key] = item
+            self._latest.keep(key, item)
+        return [results[key] for key in keys]
 
     def _simulated(
         self, points: Sequence[Where], meshes: Meshes | None, slack: float
     ) -> list[Simulated | None]:
         """`_meshed`, all of them simulated."""
-        made: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
+        built: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
         firsts: dict[tuple[object, ...], _First] = {}
         tasks = []
         for values, k, shifts in points:
             key, log = tuple(self._by_name(values, False).values()), self.logs[k]
-            if key not in made:
-                made[key] = self.possible_models(values)
-            model, shared = made[key][log.payload], self._by_name(values, True)
+            if key not in built:
+                built[key] = self.possible_models(values)
+            model, shared = built[key][log.payload], self._by_name(values, True)
             # of points that differ in shifts alone, as those that starts are told by
             own = (key, k, *shared.values()) if log.start.alike else (len(tasks),)
             first = firsts.setdefault(own, _First())
@@ -573,44 +575,46 @@ class Simulator:
             return self._all(self._one, tasks)
         sets = self._sets(tasks)
         done: list[Simulated | None] = [None] * len(tasks)
-        several = self._all(self._several, [[tasks[i] for i in own] for own in sets])
-        for own, found in zip(sets, several, strict=True):
-            for i, one in zip(own, found, strict=True):
-                done[i] = one
+        several = self._all(self._several, [[tasks[i] for i in item] for item in sets])
+        for own, result in zip(sets, several, strict=True):
+            for i, item in zip(own, result, strict=True):
+                done[i] = item
         return done
 
     def _all(self, do: Callable[[Asked], Made], tasks: Sequence[Asked]) -> list[Made]:
         """What is done of each task, by this thread and those of the pool: each takes the next one
         that is left, for to hand them over one by one takes long beside a short simulation.
         """
-        found: dict[int, Made] = {}
+        results: dict[int, Made] = {}
         ahead = iter(range(len(tasks)))
 
         def work() -> None:
             for i in ahead:
-                found[i] = do(tasks[i])
+                results[i] = do(tasks[i])
 
-        beside = [self.pool.submit(work) for _ in range(min(self.workers, len(tasks)) - 1)]
+        additional = [self.pool.submit(work) for _ in range(min(self.workers, len(tasks)) - 1)]
         try:
             work()
         finally:
             for _ in ahead:  # nothing more is begun where this was stopped
                 pass
-        for other in beside:
+        for other in additional:
             other.result()
-        return [found[i] for i in range(len(tasks))]
+        return [results[i] for i in range(len(tasks))]
 
     @staticmethod
     def _sets(tasks: Sequence[_Task]) -> list[list[int]]:
         """Tasks in sets that may go side by side: full ones, for a call in lanes takes as long with
         a few of them.
         """
-        beside: dict[Hashable, list[int]] = {}
+        additional: dict[Hashable, list[int]] = {}
         for i, task in enumerate(tasks):
             alone = i if _needs_flows(task.log) else None
-            beside.setdefault((alone, *_tempo(task.log)), []).append(i)
-        parts = [own[i : i + LANES] for own in beside.values() for i in range(0, len(own), LANES)]
-        return [one for part in parts for one in _worth_it(part)]
+            additional.setdefault((alone, *_tempo(task.log)), []).append(i)
+        parts = [
+            item[i : i + LANES] for item in additional.values() for i in range(0, len(item), LANES)
+        ]
+        return [item for part in parts for item in _worth_it(part)]
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
@@ -624,10 +628,10 @@ class Simulator:
             start, true = task.start(model), log.start.true(shifts, shared)
             if self.step == AUTO and not _needs_flows(log):
                 given = task.mesh, task.slack, _simulated_means(log)
-                made, mesh = model.replay_paced(true, start, *given)
+                built, mesh = model.replay_paced(true, start, *given)
             else:
-                made, mesh = model.replay(true, self.step, start=start), FREE
-            return channels_of(log, log.start.seen(made, shifts, shared)), mesh
+                built, mesh = model.replay(true, self.step, start=start), FREE
+            return channels_of(log, log.start.seen(built, shifts, shared)), mesh
         except (EhbenchError, ArithmeticError):
             return None
 
@@ -644,16 +648,16 @@ class Simulator:
                     runs[i] = Run(task.model, true, task.start(task.model), *along)
             except (EhbenchError, ArithmeticError):
                 continue
-        found: list[Simulated | None] = [None] * len(tasks)
-        for i, made in zip(runs, replays_paced(list(runs.values())), strict=True):
+        result: list[Simulated | None] = [None] * len(tasks)
+        for i, built in zip(runs, replays_paced(list(runs.values())), strict=True):
             log, task = tasks[i].log, tasks[i]
             try:
-                if made is not None:
-                    seen = log.start.seen(made[0], task.shifts, task.shared)
-                    found[i] = channels_of(log, seen), made[1]
+                if built is not None:
+                    seen = log.start.seen(built[0], task.shifts, task.shared)
+                    result[i] = channels_of(log, seen), built[1]
             except (EhbenchError, ArithmeticError):
                 continue
-        return found
+        return result
 
     def _replay(self, task: tuple[Model, Log, np.ndarray, dict[str, float]]) -> Record:
         model, log, shifts, shared = task
@@ -671,11 +675,11 @@ class Simulator:
         """
         models, shared = self.models(values), self._by_name(values, True)
         tasks = [
-            (models[log.payload], log, own, shared)
-            for log, own in zip(self.logs, shifts, strict=True)
+            (models[log.payload], log, shift, shared)
+            for log, shift in zip(self.logs, shifts, strict=True)
         ]
         starts = [
-            log.start.numbers(log.start.at(model, own, shared)) for model, log, own, _ in tasks
+            log.start.numbers(log.start.at(model, item, shared)) for model, log, item, _ in tasks
         ]
         return starts, self._all(self._replay, tasks)
 
@@ -690,8 +694,8 @@ def channels_of(log: Log, replayed: Record) -> np.ndarray:
     """What is compared of a replay, of every sample or of means: the log's channels, shape
     (samples, channels); of a log that is compared by its frequency response, that.
     """
-    made = columns_of(log, seen_as(log, replayed))
-    return made if log.band is None else log.band.seen(log.record, made)
+    built = columns_of(log, seen_as(log, replayed))
+    return built if log.band is None else log.band.seen(log.record, built)
 
 
 def seen_as(log: Log, replayed: Record) -> Record:

@@ -60,15 +60,15 @@ def errors_of(fit: Descent) -> Errors:
     here = fit.point(fit.theta, fit.shifts)
     slopes = fit.slopes(here, live)
     blocks = fit.blocks(here, slopes, fit.nudges(here))
-    found = covariance_of(blocks, fit.prior(fit.theta, live))
-    effects, correlation = fit.effects(slopes, live), found.correlation
+    match = covariance_of(blocks, fit.prior(fit.theta, live))
+    effects, correlation = fit.effects(slopes, live), match.correlation
     inside = [k for k, i in enumerate(live) if not _at_bound(fit, i)]
     result = {}
     for k, i in enumerate(live):
-        std, quantile, source = found.error(k)
+        std, quantile, source = match.error(k)
         vague = VAGUE[fit.search[i].log]
         others = np.abs(correlation[k, [j for j in inside if j != k]])
-        if effects[i] < FAINT or found.alone[k] > vague:
+        if effects[i] < FAINT or match.alone[k] > vague:
             kind = "not_excited"
         elif k not in inside:
             kind = "at_bound"
@@ -77,19 +77,19 @@ def errors_of(fit: Descent) -> Errors:
         else:
             kind = "estimated"
         result[i] = Error(
-            std, quantile, source, kind, *map(float, (found.from_data[k], found.from_starts[k]))
+            std, quantile, source, kind, *map(float, (match.from_data[k], match.from_starts[k]))
         )
     names = tuple(fit.search[live[k]].name for k in inside)
     among = correlation[np.ix_(inside, inside)]
-    return Errors(result, names, among, here, blocks, found.hac, found.alone)
+    return Errors(result, names, among, here, blocks, match.hac, match.alone)
 
 
-def _groups(fit: Descent, found: Errors) -> tuple[Group, ...]:
+def _groups(fit: Descent, result: Errors) -> tuple[Group, ...]:
     """The products of parameters that the logs know though they do not know each; one that ran
     into its bound is taken for known there, as the search takes it.
     """
     live = sorted(fit.free + fit.bound)
-    normal = np.sum([eliminate(b, fit.weight).normal for b in found.blocks], axis=0)
+    normal = np.sum([eliminate(b, fit.weight).normal for b in result.blocks], axis=0)
     inside = [k for k, i in enumerate(live) if not _at_bound(fit, i)]
     logs = [k for k in inside if live[k] < fit.asked and fit.search[live[k]].log]
     rest = [k for k in inside if k not in logs]
@@ -99,7 +99,7 @@ def _groups(fit: Descent, found: Errors) -> tuple[Group, ...]:
     own = normal[np.ix_(logs, logs)]
     own = own - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
     ideal = np.sqrt(1.0 / np.maximum(np.diag(normal), 1e-300))
-    widening = [found.alone[k] / ideal[k] for k in logs]
+    widening = [result.alone[k] / ideal[k] for k in logs]
     names = [fit.search[live[k]].name for k in logs]
     values = [fit.search[live[k]].at(fit.theta[live[k]]) for k in logs]
     return groups_of(names, values, own, float(np.median(widening)))
@@ -111,7 +111,7 @@ def _at_bound(fit: Descent, i: int) -> bool:
 
 def result_of(
     fit: Descent,
-    found: Errors,
+    result: Errors,
     converged: bool,
     held: Sequence[str] = (),
     leans: Sequence[Lean] = (),
@@ -120,11 +120,11 @@ def result_of(
     samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in fit.simulator.logs)
     fitted = []
     for i, c in enumerate(fit.search[: fit.asked]):
-        one, error = not_excited(c, samples), found.by_index.get(i)
+        item, error = not_excited(c, samples), result.by_index.get(i)
         if error is not None and error.kind != "not_excited":
             std, ends = c.spread(fit.theta[i], error.std, error.quantile)
-            one = replace(
-                one,
+            item = replace(
+                item,
                 value=c.at(fit.theta[i]),
                 std=std,
                 interval=ends,
@@ -134,17 +134,17 @@ def result_of(
                 from_data=error.from_data,
                 from_starts=error.from_starts,
             )
-        fitted.append(_within(fit, one, i) if i in fit.ranged else one)
+        fitted.append(_within(fit, item, i) if i in fit.ranged else item)
     warnings = [*held, *_flat(fit)]
     if not converged:
         warnings.append(
             f"the fit stopped after {fit.most} evaluations without converging; its numbers "
             "are not final"
         )
-    groups = _groups(fit, found)
+    groups = _groups(fit, result)
     warnings += [sentence(groups)] if groups else []
-    told = [set(one.alone) for one in groups]
-    warnings += together(found.names, found.correlation, told)
+    messages = [set(group.alone) for group in groups]
+    warnings += together(result.names, result.correlation, messages)
     return finish(
         fit.simulator,
         Estimate(
@@ -152,8 +152,8 @@ def result_of(
             fitted=fitted,
             warnings=warnings,
             iterations=fit.iterations,
-            names=found.names,
-            correlation=found.correlation,
+            names=result.names,
+            correlation=result.correlation,
             scales=fit.scales,
             cutoff=fit.cutoff,
             shifts=fit.shifts,
@@ -163,12 +163,12 @@ def result_of(
                 *(c.at(fit.theta[i]) for i, c in _shared(fit)),
                 *(c.start for c in fit.search[fit.fitted :]),
             ],
-            sensors=_sensors(fit, found),
+            sensors=_sensors(fit, result),
         ),
     )
 
 
-def together(names: Sequence[str], correlation: np.ndarray, told: Sequence[set[str]]) -> list[str]:
+def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[str]]) -> list[str]:
     """A warning of each set of parameters that hang together by pairs of strong correlation, but
     for those pairs that a group of ``told`` names already says.
     """
@@ -176,33 +176,35 @@ def together(names: Sequence[str], correlation: np.ndarray, told: Sequence[set[s
         (b, a)
         for a, name in enumerate(names)
         for b, other in enumerate(names[:a])
-        if abs(correlation[a, b]) > CORRELATED and not any({name, other} <= one for one in told)
+        if abs(correlation[a, b]) > CORRELATED and not any({name, other} <= item for item in shown)
     ]
     sets: list[set[int]] = []
     for pair in pairs:
-        met = [one for one in sets if one & {*pair}]
-        sets = [one for one in sets if one not in met] + [set(pair).union(*met)]
+        met = [item for item in sets if item & {*pair}]
+        sets = [item for item in sets if item not in met] + [set(pair).union(*met)]
     sentences = []
     for members in sorted(sets, key=min):
         own = [pair for pair in pairs if members.issuperset(pair)]
         first, second = max(own, key=lambda pair: abs(correlation[pair]))
         by = f"{correlation[first, second]:+.3f}"
         listed = [names[i] for i in sorted(members)]
-        said = f"{', '.join(listed[:-1])} and {listed[-1]} are correlated"
+        message = f"{', '.join(listed[:-1])} and {listed[-1]} are correlated"
         if len(listed) == 2:
-            sentences.append(f"{said} by {by}: the logs tell them only together")
+            sentences.append(f"{message} by {by}: the logs tell them only together")
         else:
-            most = f"{names[first]} and {names[second]} most, by {by}"
-            sentences.append(f"{said} with one another, {most}: the logs tell them only together")
+            maximum = f"{names[first]} and {names[second]} most, by {by}"
+            sentences.append(
+                f"{message} with one another, {maximum}: the logs tell them only together"
+            )
     return sentences
 
 
-def _within(fit: Descent, one: FittedParameter, i: int) -> FittedParameter:
+def _within(fit: Descent, item: FittedParameter, i: int) -> FittedParameter:
     """A parameter of which the logs deny a part of the range, the rest being one to them."""
     c, value = fit.search[i], fit.search[i].at(fit.theta[i])
     low, high = (c.at(end) for end in fit.ranged[i])
     return replace(
-        one,
+        item,
         value=value,
         std=(high - low) / (2.0 * Z95),
         interval=(low, high),
@@ -232,18 +234,18 @@ def _shared(fit: Descent) -> list[tuple[int, Coordinate]]:
     return [(i, fit.search[i]) for i in range(fit.asked, fit.fitted)]
 
 
-def _sensors(fit: Descent, found: Errors) -> list[SensorFit]:
+def _sensors(fit: Descent, match: Errors) -> list[SensorFit]:
     """What was found of the sensors: of all logs, then of each."""
     result = []
     terms = {term.name: term for term in fit.simulator.logs[0].start.terms}
     for i, c in _shared(fit):
-        error, quantile = found.by_index.get(i), 1.96
+        error, quantile = match.by_index.get(i), 1.96
         std = terms[c.name].std
         if error is not None:
             std, quantile = c.unit * error.std, error.quantile
         result.append(SensorFit.of(terms[c.name], "", c.at(fit.theta[i]), std, quantile))
-    for log, shifts, block in zip(fit.simulator.logs, fit.shifts, found.blocks, strict=True):
-        errors = eliminate(block, fit.weight).std(found.covariance)
+    for log, shifts, block in zip(fit.simulator.logs, fit.shifts, match.blocks, strict=True):
+        errors = eliminate(block, fit.weight).std(match.covariance)
         terms = {term.name: term for term in log.start.terms}
         for doubt, shift, error in zip(log.start.doubts, shifts, errors, strict=True):
             if doubt.name in terms:

@@ -135,7 +135,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     used = (
         ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
     )
-    kept = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
+    retained = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
     against, beyond = "", ()
     if ledger is not None and (function := function_of(record, cylinder)) is not None:
         against = _against(function, "seventh" in paid)
@@ -146,8 +146,8 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         cylinder=cylinder,
         travel_out=ways[0],
         travel_in=ways[1],
-        closed=_back(ways) and abs(kept) <= SAME_OIL * paid["standard"],
-        kept=kept,
+        closed=_back(ways) and abs(retained) <= SAME_OIL * paid["standard"],
+        kept=retained,
         carries=load.carries,
         standard=paid["standard"],
         six=paid["six"],
@@ -231,7 +231,7 @@ class _Work(NamedTuple):
 
 
 def _beyond(
-    made: _Work,
+    built: _Work,
     price: tuple[float, float],
     ways: tuple[float, float],
     drawn: dict[str, dict[str, float]],
@@ -239,7 +239,7 @@ def _beyond(
     """What each working function drew against its share of the way out and in, ``ways`` [m], at
     ``price`` [J/m] each.
     """
-    rig, record, item, x, function = made
+    rig, record, item, x, function = built
     squeezed = _squeezed(rig, record, item, x)
     turns = np.flatnonzero(np.diff(function, prepend=-1))
     net, whose = np.add.reduceat(np.diff(x), turns), function[turns]
@@ -247,15 +247,15 @@ def _beyond(
     for sign, way in zip((1.0, -1.0), ways, strict=True):
         gone = np.maximum(sign * net, 0.0)
         shares.append(gone * (way / gone.sum() if gone.sum() > 0.0 else 0.0))
-    found = []
+    results = []
     for f in np.unique(function):
         out, back = (float(share[whose == f].sum()) for share in shares)
         energy = drawn[FUNCTIONS[f]].get(f"{item.name}.drawn", 0.0)
         pressed = float(rig.supply.pressure) * float(squeezed[function == f].sum())
-        found.append(
+        results.append(
             Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
         )
-    return tuple(found)
+    return tuple(results)
 
 
 def _back(ways: tuple[float, float]) -> bool:
@@ -271,11 +271,11 @@ def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.nda
     oil = oil_fields(rig, item.bulk_modulus)
     squeezed = np.zeros(x.size - 1)
     for key, area, volume, sign in zip(("p_head", "p_rod"), areas, dead, (1.0, -1.0), strict=True):
-        held, p = volume + sign * area * x, record[f"{item.name}.{key}"]
+        fixed, p = volume + sign * area * x, record[f"{item.name}.{key}"]
         stiffness = oil["bulk_modulus"]
         if oil["air"]:
             stiffness = np.array([bulk(at, *oil.values()) for at in 0.5 * (p[1:] + p[:-1])])
-        squeezed += 0.5 * (held[1:] + held[:-1]) * np.diff(p) / stiffness
+        squeezed += 0.5 * (fixed[1:] + fixed[:-1]) * np.diff(p) / stiffness
     return squeezed
 
 

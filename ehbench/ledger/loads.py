@@ -25,8 +25,8 @@ class Loads:
     @classmethod
     def of(cls, record: Record, first: str | None = None) -> Loads:
         """Those of a record; ``first`` instead of the one that it names first."""
-        (_, said), *changes = payloads_of(record)
-        return cls(first or said, tuple(changes))
+        (_, message), *changes = payloads_of(record)
+        return cls(first or message, tuple(changes))
 
     def spans(self, model: Model, t: np.ndarray) -> Iterator[tuple[slice, Plant]]:
         """Rows that one payload is carried in, and the plant with it; each begins with the row in
@@ -42,12 +42,12 @@ class Loads:
         """What is stored [J] at each state more than at the first, shape (samples, columns); where
         the payload changes, with a last column of what has gone with it.
         """
-        held = np.empty((t.size, columns))
+        fixed = np.empty((t.size, columns))
         gone = np.zeros((t.size, 1))
         for n, (rows, plant) in enumerate(self.spans(model, t)):
-            before = held[rows.start].sum() if n else 0.0
-            stores_at(states[rows], plant, held[rows])
+            before = fixed[rows.start].sum() if n else 0.0
+            stores_at(states[rows], plant, fixed[rows])
             if n:
-                gone[rows.start :] += before - held[rows.start].sum()
-        held -= held[0].copy()
-        return np.concatenate([held, gone], axis=1) if self.changes else held
+                gone[rows.start :] += before - fixed[rows.start].sum()
+        fixed -= fixed[0].copy()
+        return np.concatenate([fixed, gone], axis=1) if self.changes else fixed

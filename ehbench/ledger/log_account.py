@@ -114,7 +114,7 @@ class Account:
         at = np.array([m.t.size - 1]) if at is None else at
         dt = np.diff(m.t)
         spent = _cumulated(0.5 * dt, power, at)
-        held = self._stored(model, m, states, at)
+        fixed = self._stored(model, m, states, at)
         edges, cylinders = len(model.layout.edges), range(m.x.shape[1])
         for c in cylinders:
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
@@ -134,22 +134,22 @@ class Account:
             railed = spent[:, -2:] if plant.supply.rail > 0.0 else np.zeros((at.size, 2))
             spent[:, PUMP] = spent[:, drawn].sum(axis=1) - railed[:, 0] + pressed
             if plant.supply.gas_volume > 0.0:
-                spent[:, PUMP] += held[:, sheet.stores - 1]
+                spent[:, PUMP] += fixed[:, sheet.stores - 1]
             spent[:, COMPRESSION] = (
                 spent[:, drawn_compression].sum(axis=1)
                 - railed[:, 1]
-                + held[:, SUPPLY_LINE]
+                + fixed[:, SUPPLY_LINE]
                 - pressed
             )
-        rows = sheet.expand(np.concatenate([spent, held], axis=1))
+        rows = sheet.expand(np.concatenate([spent, fixed], axis=1))
         return rows[0] if at.size == 1 else rows
 
     def _stored(self, model: Model, m: Readings, states: np.ndarray, at: np.ndarray) -> np.ndarray:
         """What is stored [J] at the samples ``at`` more than at the first."""
         changes = [int(np.searchsorted(m.t, when - 1e-9)) for when, _ in self.loads.changes]
-        kept = np.unique([0, *changes, *at])
-        stored = self.loads.stored(model, m.t[kept], states[kept], self.sheet.stores)
-        return stored[np.searchsorted(kept, at)]
+        retained = np.unique([0, *changes, *at])
+        stored = self.loads.stored(model, m.t[retained], states[retained], self.sheet.stores)
+        return stored[np.searchsorted(retained, at)]
 
     def __call__(self, model: Model, m: Readings) -> np.ndarray:
         """Energies [J] of all rows at the end, shape (rows,)."""
@@ -220,17 +220,17 @@ def ledger_of_log(
     model = Model.of(rig, maps, load)
     readings, notes = read_log(model, record)
     loads = Loads.of(record, load)
-    said = payload_of(record) if loads.changes else payload
+    shown = payload_of(record) if loads.changes else payload
     sheet = Sheet(model, "unexplained", bool(loads.changes))
     account = Account(sheet, loads)
     states = account.states(model, readings)
     flows = account.flows(model, readings, states)
     power = account.power(model, readings, states, flows)
     base = account.energies(model, readings, states, power)
-    found = Found(model, payload, readings, states, flows, power, base)
+    result = Found(model, payload, readings, states, flows, power, base)
     std, sources = np.zeros_like(base), {}
     if accuracy is not None:
-        effects, more = _effects(rig, maps, account, found, accuracy)
+        effects, more = _effects(rig, maps, account, result, accuracy)
         notes += more
         std = np.sqrt(sum(effect**2 for effect in effects.values()))
         sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
@@ -238,23 +238,25 @@ def ledger_of_log(
     every = np.arange(readings.t.size)
     rest = sheet.facts(record, account.energies(model, readings, states, power, every), points)
     rest |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
-    return sheet.ledger(model, record, said, base, std, sources=sources, notes=tuple(notes), **rest)
+    return sheet.ledger(
+        model, record, shown, base, std, sources=sources, notes=tuple(notes), **rest
+    )
 
 
 def _effects(
-    rig: Rig, maps: Maps | None, account: Account, found: Found, accuracy: Accuracy
+    rig: Rig, maps: Maps | None, account: Account, result: Found, accuracy: Accuracy
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """(what one standard error of each source of doubt does to the energies [J], what had to be
     assumed).
     """
-    model, readings, states = found.model, found.readings, found.states
-    flows, power, base = found.flows, found.power, found.energies
-    effects = _parameter_effects(rig, maps, account, found, accuracy)
+    model, readings, states = result.model, result.readings, result.states
+    flows, power, base = result.flows, result.power, result.energies
+    effects = _parameter_effects(rig, maps, account, result, accuracy)
     flow_effects: dict[str, np.ndarray] = {}
     notes: list[str] = []
     for e, name in enumerate(model.layout.edges):
-        std, said = _flow_std(maps, e, found, accuracy)
-        notes += said
+        std, message = _flow_std(maps, e, result, accuracy)
+        notes += message
         if std.any():
             doubtful = flows.copy()
             doubtful[:, e] += std
@@ -266,8 +268,8 @@ def _effects(
     for name, moved in _doubts(model, readings, accuracy):
         effects[name] = account(model, moved) - base
     if readings.t.size > 4:
-        kept = np.unique(np.append(np.arange(0, readings.t.size, 2), readings.t.size - 1))
-        coarse = account.energies(model, _at(readings, kept), states[kept], power[kept])
+        retained = np.unique(np.append(np.arange(0, readings.t.size, 2), readings.t.size - 1))
+        coarse = account.energies(model, _at(readings, retained), states[retained], power[retained])
         effects["sampling"] = (coarse - base) / 3.0
     scatter = _noise(account, model, readings, accuracy.draws) - base
     effects["noise of the sensors"] = np.sqrt(
@@ -277,14 +279,14 @@ def _effects(
 
 
 def _parameter_effects(
-    rig: Rig, maps: Maps | None, account: Account, found: Found, accuracy: Accuracy
+    rig: Rig, maps: Maps | None, account: Account, result: Found, accuracy: Accuracy
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """(effects of the parameters that state an error, of the lags of valves that do not)."""
-    load = None if found.payload in ("none", "") else found.payload
+    load = None if result.payload in ("none", "") else result.payload
 
     def effect(name: str, value: float) -> np.ndarray:
         changed = Model.of(rig.with_values({name: value}), maps, load)
-        return account(changed, found.readings) - found.energies
+        return account(changed, result.readings) - result.energies
 
     parameters = rig.parameters()
     stated = {
@@ -307,12 +309,12 @@ def _at(m: Readings, kept: np.ndarray) -> Readings:
 
 
 def _flow_std(
-    maps: Maps | None, e: int, found: Found, accuracy: Accuracy
+    maps: Maps | None, e: int, result: Found, accuracy: Accuracy
 ) -> tuple[np.ndarray, list[str]]:
     """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what
     had to be assumed).
     """
-    model, m, states, flow = found.model, found.readings, found.states, found.flows[:, e]
+    model, m, states, flow = result.model, result.readings, result.states, result.flows[:, e]
     plant, name = model.plant, model.layout.edges[e]
     edge = model.rig.all_edges()[name]
     if not flow.any():
@@ -324,7 +326,7 @@ def _flow_std(
             return np.zeros_like(flow), []
         good = f"its flow is taken to be good to {100 * accuracy.flow:g} %"
         return share * np.sign(flow), [f"the law of {name} states no error: {good}"]
-    one: Any = map_of(maps, name)
+    item: Any = map_of(maps, name)
     valve = int(row.valve)
     opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
 
@@ -332,14 +334,16 @@ def _flow_std(
         return m.p_tank if node == TANK else states[:, plant.nodes[node].state]
 
     drop = pressure(int(row.from_node)) - pressure(int(row.to_node))
-    std = np.where(flow == 0.0, 0.0, one.flow_std(drop, opening))
-    outside = (flow != 0.0) & ~one.inside(drop, opening)
+    std = np.where(flow == 0.0, 0.0, item.flow_std(drop, opening))
+    outside = (flow != 0.0) & ~item.inside(drop, opening)
     std = np.where(outside, np.maximum(std, share), std)
     passed = np.abs(flow).sum()
     if np.abs(flow[outside]).sum() > 0.01 * passed:
         beyond = 100 * np.abs(flow[outside]).sum() / passed
-        said = f"{beyond:.0f} % of the oil through {name} went outside of its map's readings"
-        return std * np.sign(flow), [f"{said}: taken to be good to {100 * accuracy.flow:g} % there"]
+        message = f"{beyond:.0f} % of the oil through {name} went outside of its map's readings"
+        return std * np.sign(flow), [
+            f"{message}: taken to be good to {100 * accuracy.flow:g} % there"
+        ]
     return std * np.sign(flow), []
 
 

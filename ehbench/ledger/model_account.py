@@ -90,8 +90,8 @@ def ledger_of_model(
     spent = np.zeros((t.size, sheet.powers))
     if quadrature == "exact":
         ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
-        line, held = line_of(plant, t[1] - t[0]), replace(model, plant=plant)
-        for rows, loaded in loads.spans(held, t):
+        line, fixed = line_of(plant, t[1] - t[0]), replace(model, plant=plant)
+        for rows, loaded in loads.spans(fixed, t):
             out = Integrated(
                 flows[rows], ticks[rows.start : rows.stop - 1], ends[rows.start : rows.stop - 1]
             )

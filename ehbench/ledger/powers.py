@@ -250,8 +250,8 @@ def stores(y, plant, work, out):
     Oil: ``V u(p)``. The mechanism: kinetic and potential energy. An end stop: ``k δ²/2`` of its
     depth δ, a mount as much of its deflection. A spring on the rod: ``k (x − free length)²/2``."""
     n, rates = plant.at.joints, plant.at.rates
-    _, held = _node(SUPPLY, y, plant)
-    out[SUPPLY_LINE] = plant.supply.volume * held
+    _, fixed = _node(SUPPLY, y, plant)
+    out[SUPPLY_LINE] = plant.supply.volume * fixed
     out[KINETIC], out[POTENTIAL] = arm.energy(
         plant.kind, plant.links, plant.gravity, y[:n], y[rates : rates + n], work
     )
@@ -260,8 +260,8 @@ def stores(y, plant, work, out):
         x, _, _ = linkage_of(row, y[row.joint])
         piston = x if row.mount_state < 0 else x + y[row.mount_state]
         for side in range(2):
-            _, held = _node(chamber_of(row, side)[0], y, plant)
-            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, piston) * held
+            _, fixed = _node(chamber_of(row, side)[0], y, plant)
+            out[store_at(c, STORED.head + side)] = chamber_oil(row, side, piston) * fixed
         out[store_at(c, STORED.stop)] = stop_held(row, piston)
         out[store_at(c, STORED.load_spring)] = spring_held(c, x, plant)
     at = store_at(plant.cylinders.shape[0], 0)
@@ -270,8 +270,8 @@ def stores(y, plant, work, out):
             out[at] = friction_held(plant.cylinders[c], y)
             at += 1
     for i in range(plant.lines.shape[0]):
-        _, held = _node(plant.lines[i].node, y, plant)
-        out[at] = plant.lines[i].volume * held
+        _, fixed = _node(plant.lines[i].node, y, plant)
+        out[at] = plant.lines[i].volume * fixed
         at += 1
     for c in range(plant.cylinders.shape[0]):
         if plant.cylinders[c].mount_state >= 0:

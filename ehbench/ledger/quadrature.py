@@ -46,25 +46,25 @@ def integrate(t, states, commands, plant, line, owner, step, out):
         put(states[i], y)
         tick = t[min(i + 1, t.shape[0] - 1)] - t[min(i, t.shape[0] - 2)]
         steps = max(1, math.ceil(tick / step - 1e-6))
-        felt, held = tick / steps, line.held
+        felt, fixed = tick / steps, line.held
         line_felt(line, commands[i], plant, 0.0, felt)
-        rate = derivatives(y, held, plant, k[0], work)
+        rate = derivatives(y, fixed, plant, k[0], work)
         put(work[at:], out.flows[i])
         if i + 1 == t.shape[0]:
             break
         pieces = min(MOST_SUBSTEPS, max(1, math.ceil(max(tick / step - 1e-6, rate * tick / STIFF))))
         h = tick / pieces
-        powers(y, held, work[at:], plant, owner, start)
+        powers(y, fixed, work[at:], plant, owner, start)
         energies[i] = 0.0
         for piece in range(pieces):
             if line.past.shape[0] > 1 and piece > 0:  # what is late may come in between
                 line_felt(line, commands[i], plant, (piece * steps // pieces) * felt, felt)
-                rate = derivatives(y, held, plant, k[0], work)
-                powers(y, held, work[at:], plant, owner, start)
+                rate = derivatives(y, fixed, plant, k[0], work)
+                powers(y, fixed, work[at:], plant, owner, start)
             for half in range(2):
-                advance(y, held, plant, 0.5 * h, k, work, rate)
-                rate = derivatives(y, held, plant, k[0], work)
-                powers(y, held, work[at:], plant, owner, start if half else middle)
+                advance(y, fixed, plant, 0.5 * h, k, work, rate)
+                rate = derivatives(y, fixed, plant, k[0], work)
+                powers(y, fixed, work[at:], plant, owner, start if half else middle)
                 for j in range(columns):
                     middle_part = 0.0 if half else h / 1.5 * middle[j]
                     energies[i, j] += h / 6.0 * start[j] + middle_part

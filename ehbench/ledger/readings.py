@@ -140,7 +140,7 @@ class _Log:
             q = x  # also beyond an end of the stroke, where a stop gives way
         else:
             q = joint_of(row, np.clip(x, 0.0, row.stroke))
-        found, lever = linkage_arrays(row, q)
+        result, lever = linkage_arrays(row, q)
         if f"{name}.qd" in record:
             qd = self.get(f"{name}.qd")
         elif f"{name}.v" in record:
@@ -148,7 +148,7 @@ class _Log:
         else:
             qd = np.gradient(q, record.t)
             self.notes.append(f"no speed of {name}: taken from its position")
-        return q, qd, found if x is None else x
+        return q, qd, result if x is None else x
 
 
 def noise_of(values: np.ndarray) -> float:
@@ -163,5 +163,5 @@ def noise_of(values: np.ndarray) -> float:
     bend = np.minimum(bend, np.quantile(bend, 0.9))
     steps = np.abs(np.diff(values))
     steps = steps[steps > ROUNDING * max(float(np.abs(values).max()), ROUNDING)]
-    least = float(steps.min()) if steps.size else 0.0
-    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), least / math.sqrt(12.0))
+    minimum = float(steps.min()) if steps.size else 0.0
+    return max(float(bend.mean()) / (CUT_MEAN * math.sqrt(6.0)), minimum / math.sqrt(12.0))

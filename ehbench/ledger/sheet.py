@@ -135,10 +135,10 @@ class Sheet:
         working function, and, if asked for, at about ``points`` times; rows that stay zero are left
         out."""
         names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
-        found: dict[str, Any] = {"functions": {}}
+        results: dict[str, Any] = {"functions": {}}
         for cylinder in self.cylinders:
             if (function := function_of(record, cylinder)) is not None:
-                found["functions"][cylinder] = {
+                results["functions"][cylinder] = {
                     FUNCTIONS[f]: {
                         name: float(v)
                         for name, v in zip(
@@ -155,8 +155,8 @@ class Sheet:
                 .astype(int)
             )
             series = {name: table[at, i] for i, name in enumerate(names) if table[at, i].any()}
-            found |= {"t": record.t[at], "series": series}
-        return found
+            results |= {"t": record.t[at], "series": series}
+        return results
 
 
 def _owner(edge: str) -> str:
@@ -259,8 +259,8 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
     """Where the residual may have arisen, each with the rows that it is the difference of."""
     drawn = [f"{name}.{key}" for name in cylinders for key in ("drawn", "drawn_compression")]
     given = [row for row, group, _, owner in rows if group == "supply" and owner is None]
-    kept = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
-    parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *kept))]
+    retained = [row for row, group, *_ in rows if row in ("supply_line", "accumulator")]
+    parts: list[Part] = [(f"{word}.supply_line", "supply line", None, given, (*drawn, *retained))]
     for name in cylinders:
         taken = [
             row
@@ -314,5 +314,5 @@ def must_have_samples(record: Record) -> None:
 def payload_of(record: Record) -> str:
     """The payloads that a record names, and from when on; '' for none."""
     (_, first), *changes = payloads_of(record)
-    said = [first or "none", *(f"{name or 'none'} from {at:g} s" for at, name in changes)]
-    return "" if said == ["none"] else ", ".join(said)
+    messages = [first or "none", *(f"{name or 'none'} from {at:g} s" for at, name in changes)]
+    return "" if messages == ["none"] else ", ".join(messages)

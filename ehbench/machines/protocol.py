@@ -190,7 +190,7 @@ def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
 
     def flow(edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
         row, flows = plant.edges[layout.edges.index(edge)], np.empty(drop.size)
-        drops, openings = (np.ascontiguousarray(one, dtype=float) for one in (drop, command))
+        drops, openings = (np.ascontiguousarray(item, dtype=float) for item in (drop, command))
         edge_flows(drops, openings, row, plant.maps, flows)
         return flows
 

@@ -70,24 +70,24 @@ def violated(rows, i):
     """Whether the present sample or the command of row ``i`` reached a limit; ``rows.found`` then
     says which.
     """
-    sample, command, limits, found = rows.sample, rows.commands[i], rows.limits, rows.found
+    sample, command, limits, result = rows.sample, rows.commands[i], rows.limits, rows.found
     for c in range(rows.strokes.shape[0]):
         for channel in (OF.p_head, OF.p_rod):
             p = sample[entry(c, channel)]
             if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
-                found[0] = PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN
-                found[1], found[2] = c, entry(c, channel)
+                result[0] = PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN
+                result[1], result[2] = c, entry(c, channel)
                 return True
         x = sample[entry(c, OF.x)]
         if x < limits[MARGIN] or x > rows.strokes[c] - limits[MARGIN]:
-            found[0], found[1], found[2] = MARGIN, c, entry(c, OF.x)
+            result[0], result[1], result[2] = MARGIN, c, entry(c, OF.x)
             return True
         if abs(sample[entry(c, OF.v)]) > limits[SPEED]:
-            found[0], found[1], found[2] = SPEED, c, entry(c, OF.v)
+            result[0], result[1], result[2] = SPEED, c, entry(c, OF.v)
             return True
     for v in range(command.shape[0]):
         if abs(command[v]) > limits[COMMAND]:
-            found[0], found[1], found[2] = COMMAND, v, -1
+            result[0], result[1], result[2] = COMMAND, v, -1
             return True
     return False
 

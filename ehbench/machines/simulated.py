@@ -211,11 +211,11 @@ class SimulatedMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
-        own, held = self._own, np.asarray(command, dtype=float)
+        own, fixed = self._own, np.asarray(command, dtype=float)
         if self._pace is None:
-            model_tick(own.y, held, own.plant, own.line, own.steps, own.k, own.work, sample)
+            model_tick(own.y, fixed, own.plant, own.line, own.steps, own.k, own.work, sample)
         else:
-            paced_tick(own, held, self._pace, sample)
+            paced_tick(own, fixed, self._pace, sample)
         if not np.isfinite(self.state).all():
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
         return sample

@@ -94,19 +94,19 @@ def _varied_maps(maps: Maps | None, shift: float) -> Maps | None:
     if not isinstance(maps, FlowMaps) or shift == 0.0:
         return maps
 
-    def later(one: FlowMap) -> FlowMap:
-        low, high = one.deadband_interval
+    def later(entry: FlowMap) -> FlowMap:
+        low, high = entry.deadband_interval
         return replace(
-            one,
-            deadband=one.deadband + shift,
+            entry,
+            deadband=entry.deadband + shift,
             deadband_interval=(low + shift, high + shift),
-            opening_knots=one.opening_knots + shift,
-            hull_command=one.hull_command + shift,
-            std_command=one.std_command + shift,
-            rising_to=one.rising_to + shift,
+            opening_knots=entry.opening_knots + shift,
+            hull_command=entry.hull_command + shift,
+            std_command=entry.std_command + shift,
+            rising_to=entry.rising_to + shift,
         )
 
-    return collect([later(one) for one in maps.each()])
+    return collect([later(item) for item in maps.each()])
 
 
 def _bench(
@@ -150,10 +150,10 @@ def _bench_with(bench: BenchRecipe, change: MachineChange, rig: Rig) -> BenchRec
         number = _changed(name, float(read_value(text, row)), change, powers)
         truth[name] = f"{number!r} {row.unit}"
     valves = {}
-    for name, one in bench.valve.items():
-        if one.natural_frequency is not None:
-            slower = Value(float(one.natural_frequency) / change.valve_lag)
-            one = one.model_copy(update={"natural_frequency": slower})
-        valves[name] = one
+    for name, item in bench.valve.items():
+        if item.natural_frequency is not None:
+            slower = Value(float(item.natural_frequency) / change.valve_lag)
+            item = item.model_copy(update={"natural_frequency": slower})
+        valves[name] = item
     late = Value(float(bench.delay) + float(change.delay))
     return bench.model_copy(update={"truth": truth, "valve": valves, "delay": late})

@@ -40,9 +40,9 @@ def gas_energy(pressure, row):
         return 0.0
     first = math.log(row.precharge + ATMOSPHERE)
     half = 0.5 * (math.log(pressure + ATMOSPHERE) - first)
-    held = 0.0
+    fixed = 0.0
     for i in range(len(_POINTS)):
         p = math.exp(first + half * (1.0 + _POINTS[i])) - ATMOSPHERE
         carried = row.bulk_modulus * math.expm1(p / row.bulk_modulus)
-        held += _WEIGHTS[i] * carried * gas_capacity(p, row) * (p + ATMOSPHERE)
-    return half * held
+        fixed += _WEIGHTS[i] * carried * gas_capacity(p, row) * (p + ATMOSPHERE)
+    return half * fixed

@@ -113,8 +113,8 @@ def drop_for(flow: float, row) -> float:
         return 0.0
     drop = flow * row.resistance + flow * abs(flow) * row.choke
     for _ in range(200):  # flow/conductance(drop) rises less than half as fast as the drop
-        found = flow / line_conductance(drop, row)
-        if abs(found - drop) <= 1e-15 * abs(found):
+        result = flow / line_conductance(drop, row)
+        if abs(result - drop) <= 1e-15 * abs(result):
             break
-        drop = found
+        drop = result
     return drop

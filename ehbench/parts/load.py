@@ -70,12 +70,12 @@ def force_steepness(c, v, plant):
 @part_kernel
 def spring_held(c, x, plant):
     """Energy [J] in the springs on the rod of cylinder ``c`` at stroke x [m]."""
-    held = 0.0
+    fixed = 0.0
     for i in range(plant.forces.shape[0]):
         row = plant.forces[i]
         if row.cylinder == c:
-            held += 0.5 * row.stiffness * (x - row.free_length) ** 2
-    return held
+            fixed += 0.5 * row.stiffness * (x - row.free_length) ** 2
+    return fixed
 
 
 def force_fields(item: Any) -> dict[str, float]:

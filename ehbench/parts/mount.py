@@ -55,10 +55,10 @@ class Mount(FileModel):
     @field_validator("damping")
     @classmethod
     def _is_damped(cls, value: Value | None, info: ValidationInfo) -> Value | None:
-        least = QUICKEST * float(info.data.get("stiffness", 0.0))
-        if value is not None and float(value) < (1.0 - 1e-9) * least:
+        minimum = QUICKEST * float(info.data.get("stiffness", 0.0))
+        if value is not None and float(value) < (1.0 - 1e-9) * minimum:
             raise ValueError(
-                f"a mount without mass needs damping: {least:g} N*s/m at the least, 20 us times "
+                f"a mount without mass needs damping: {minimum:g} N*s/m at the least, 20 us times "
                 "its stiffness"
             )
         return value
@@ -105,14 +105,14 @@ def _slip(row, x, v, y, plant):
     alone would take what is left over there: friction takes its share of that.
     """
     push = push_of(row, y, plant)
-    least = _ROUNDING * (abs(push) + row.mount_stiffness * abs(y[row.mount_state]))
+    minimum = _ROUNDING * (abs(push) + row.mount_stiffness * abs(y[row.mount_state]))
     a, f_a = v, _left(row, x, v, push, v, y, plant)
-    if abs(f_a) <= least:
+    if abs(f_a) <= minimum:
         return v
     step = f_a / row.mount_damping
     b, f_b = v + step, _left(row, x, v, push, v + step, y, plant)
     for _ in range(_TRIES):
-        if abs(f_b) <= least or f_a == f_b:
+        if abs(f_b) <= minimum or f_a == f_b:
             break
         if f_a * f_b > 0.0:  # friction that falls with speed: further on
             step *= 2.0

@@ -121,7 +121,7 @@ def pump_flow(p_supply, demand, set_pressure, supply):
     limit: beyond it the pressure falls, and a pressure above is left until the valves draw it."""
     missing = set_pressure - p_supply
     time = RECOVERY_TIME if supply.margin == 0.0 else supply.lag
-    wanted = demand + supply.volume / (supply.bulk_modulus * time) * missing
+    required = demand + supply.volume / (supply.bulk_modulus * time) * missing
     if supply.gas_volume > 0.0:
-        wanted += gas_capacity(p_supply, supply) / time * missing
-    return min(max(wanted, 0.0), supply.flow_limit)
+        required += gas_capacity(p_supply, supply) / time * missing
+    return min(max(required, 0.0), supply.flow_limit)

@@ -102,28 +102,32 @@ def map_command(pressure_drop, flow, data, at):
 
     0 V (shut) for no flow, for no more than the leak and for flow against the drop; where even the
     largest command of the rising branch passes less, that command."""
-    drop, wanted = abs(pressure_drop), math.copysign(flow, flow * pressure_drop)
-    if flow == 0.0 or (drop > 0.0 and wanted < 0.0):
+    drop, required = abs(pressure_drop), math.copysign(flow, flow * pressure_drop)
+    if flow == 0.0 or (drop > 0.0 and required < 0.0):
         return 0.0
     i, y = _span(drop, data, at)
     spans, rising = int(data[at + _SPANS_U]), int(data[at + _RISING])
     knots = at + _HEADER
     row = knots + spans + 1 + i * (spans + 1) * _PIECE
     leak = _leak(i + y, data, at)
-    wanted = abs(flow) - leak
-    if leak > 0.0 and wanted <= 0.0:
+    required = abs(flow) - leak
+    if leak > 0.0 and required <= 0.0:
         return 0.0
-    if wanted >= _cubic(data, row + rising * _PIECE, y):
+    if required >= _cubic(data, row + rising * _PIECE, y):
         return data[knots + rising]
     low, high = 0, rising
     while high - low > 1:
         middle = (low + high) >> 1
-        if wanted >= _cubic(data, row + middle * _PIECE, y):
+        if required >= _cubic(data, row + middle * _PIECE, y):
             low = middle
         else:
             high = middle
     k = row + low * _PIECE
-    more, slope, curve = wanted - _cubic(data, k, y), _cubic(data, k + 4, y), _cubic(data, k + 8, y)
+    more, slope, curve = (
+        required - _cubic(data, k, y),
+        _cubic(data, k + 4, y),
+        _cubic(data, k + 8, y),
+    )
     root = slope + math.sqrt(max(slope * slope + 4.0 * curve * more, 0.0))
     return data[knots + low] + (2.0 * more / root if root > 0.0 else 0.0 * root)
 
@@ -169,9 +173,9 @@ def bspline_pieces(breaks, degree):
         pieces[j, degree + j, 0] = 1.0
         for k in range(1, degree + 1):
             for i in range(degree + j - k, degree + j + 1):  # those that are not zero in this span
-                one, other = knots[i + k] - knots[i], knots[i + k + 1] - knots[i + 1]
+                item, other = knots[i + k] - knots[i], knots[i + k + 1] - knots[i + 1]
                 # a spline of no width is nowhere
-                rising = 1.0 / one if one > 0.0 else 0.0
+                rising = 1.0 / item if item > 0.0 else 0.0
                 falling = 1.0 / other if other > 0.0 else 0.0
                 before = 0.0, 0.0
                 for p in range(k + 1):
@@ -338,8 +342,8 @@ class FlowMap:
     def reachable(self, pressure_drop, flow):
         """True where some command of the rising branch passes ``flow`` [m³/s] at the drop [Pa]."""
         drop, flow = np.asarray(pressure_drop, float), np.asarray(flow, float)
-        most = np.asarray(self.flow(np.abs(drop), self.opening_knots[self.rising]))
-        return (flow == 0.0) | ((flow * drop > 0.0) & (np.abs(flow) <= most))
+        maximum = np.asarray(self.flow(np.abs(drop), self.opening_knots[self.rising]))
+        return (flow == 0.0) | ((flow * drop > 0.0) & (np.abs(flow) <= maximum))
 
     def flow_std(self, pressure_drop, command):
         """Standard error [m³/s] of ``flow``: repeats, lack of fit and deadband together;
@@ -431,7 +435,7 @@ def pack(maps: list[FlowMap], factors: Sequence[float] = ()) -> tuple[np.ndarray
     """(data, offsets): all maps back to back in one float array, and where each one starts
     (integers); ``factors`` multiply their flows, one each, by default none.
     """
-    parts = [one.data for one in maps]
+    parts = [item.data for item in maps]
     for k, factor in enumerate(factors):
         if factor != 1.0:
             parts[k] = parts[k].copy()
@@ -538,17 +542,17 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
             or only a reverse one.
     """
     grouped: dict[str, dict[str, FlowMap]] = {}
-    for one in maps:
-        sides = grouped.setdefault(one.valve, {})
-        if one.direction not in ("forward", "reverse"):
+    for item in maps:
+        sides = grouped.setdefault(item.valve, {})
+        if item.direction not in ("forward", "reverse"):
             raise InputError(
-                f"'{one.valve}' has a map in direction '{one.direction}'",
+                f"'{item.valve}' has a map in direction '{item.direction}'",
                 file=file,
                 hint="forward or reverse",
             )
-        if one.direction in sides:
-            raise InputError(f"'{one.valve}' has two {one.direction} maps", file=file)
-        sides[one.direction] = one
+        if item.direction in sides:
+            raise InputError(f"'{item.valve}' has two {item.direction} maps", file=file)
+        sides[item.direction] = item
     for name, sides in grouped.items():
         if "forward" not in sides:
             raise InputError(
@@ -573,7 +577,7 @@ def dump_flow_maps(maps: FlowMaps) -> str:
         "format": FORMAT,
         "version": VERSION,
         "units": "SI",
-        "maps": [one.to_dict() for one in maps.each()],
+        "maps": [item.to_dict() for item in maps.each()],
     }
     return json.dumps(content, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
@@ -622,7 +626,7 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
             f"has version {content.get('version')}, this program reads {VERSION}", file=path
         )
     try:
-        return collect([FlowMap.from_dict(one) for one in content["maps"]], str(path))
+        return collect([FlowMap.from_dict(item) for item in content["maps"]], str(path))
     except (InputError, AttributeError, TypeError) as error:
         raise InputError(
             getattr(error, "message", str(error)),
@@ -653,18 +657,18 @@ def table(
         + ("driver_command [V]," if signs else "")
         + f"pressure_drop [{pressure_unit}],flow [{flow_unit}],flow_std [{flow_unit}],inside",
     ]
-    for one in maps.each():
-        drop = np.linspace(0.0, one.drop_max, drops)
-        for command in one.hull_command:
-            flow, std = one.flow(drop, command), one.flow_std(drop, command)
+    for item in maps.each():
+        drop = np.linspace(0.0, item.drop_max, drops)
+        for command in item.hull_command:
+            flow, std = item.flow(drop, command), item.flow_std(drop, command)
             columns: tuple[Any, ...] = (
                 from_si(drop, pressure_unit, VOCABULARY["pressure_drop"]),
                 from_si(flow, flow_unit, VOCABULARY["flow"]),
                 from_si(std, flow_unit, VOCABULARY["flow"]),
-                one.inside(drop, command),
+                item.inside(drop, command),
             )
-            names = f"{quoted(one.valve)},{one.direction},{command:.6g}"
-            names += f",{signs[one.valve, one.direction] * command + 0.0:.6g}" if signs else ""
+            names = f"{quoted(item.valve)},{item.direction},{command:.6g}"
+            names += f",{signs[item.valve, item.direction] * command + 0.0:.6g}" if signs else ""
             lines += [
                 f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}"
                 for p, q, e, i in zip(*columns, strict=True)

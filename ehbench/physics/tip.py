@@ -56,10 +56,10 @@ def _ground(gravity: np.ndarray) -> np.ndarray:
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a × b of vectors in the last axis; for a few of them in a quarter of `numpy.cross`'s time."""
-    made = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    built = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        made[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return made
+        built[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return built
 
 
 class Frames(NamedTuple):
@@ -192,13 +192,13 @@ def _step(
     chain: Chain, q: np.ndarray, jacobian: np.ndarray, error: np.ndarray, damping: float
 ) -> np.ndarray:
     """A damped step from q; joints that it would take out of their range from an end are held."""
-    held = np.zeros(q.size, bool)
+    fixed = np.zeros(q.size, bool)
     for _ in range(q.size + 1):
-        moving = jacobian * ~held
+        moving = jacobian * ~fixed
         square = moving @ moving.T + damping * np.eye(3)
         step = moving.T @ np.linalg.solve(square, error)
         out = ((q >= chain.high) & (step > 0.0)) | ((q <= chain.low) & (step < 0.0))
-        if not (out & ~held).any():
+        if not (out & ~fixed).any():
             return step
-        held |= out
+        fixed |= out
     return np.zeros(q.size)

@@ -104,15 +104,15 @@ class Kept:
 
     def of(self, make: Callable[..., Any], parts: Iterable[Any], *arguments: Any) -> Any:
         """``make(*arguments)``, which hangs on these ``parts`` of a rig."""
-        held = tuple(parts)
-        key = (make, *map(id, held))
-        found = self._made.get(key)
-        if found is None:
+        fixed = tuple(parts)
+        key = (make, *map(id, fixed))
+        result = self._made.get(key)
+        if result is None:
             if len(self._made) >= _KEPT:
                 self._made.clear()
             # with the parts, so that no other comes to have the number of one that is gone
-            found = self._made[key] = (held, make(*arguments))
-        return found[1]
+            result = self._made[key] = (fixed, make(*arguments))
+        return result[1]
 
 
 def build(rig: Rig, names: Layout, maps: Maps | None = None, kept: Kept | None = None) -> Plant:
@@ -276,9 +276,9 @@ def _mobility(kind: int, packed: bytes, pins: PinNumbers, joint: int, stroke: fl
     n = links.shape[0]
     angles = joint_angle(*pins, np.linspace(0.0, stroke, 5))
     mass, work, q = np.empty((angles.size, n, n)), np.empty(arm.work_size(n)), np.zeros(n)
-    for one, angle in zip(mass, angles, strict=True):
+    for item, angle in zip(mass, angles, strict=True):
         q[joint] = angle
-        arm.mass_matrix(kind, links, q, one, work)
+        arm.mass_matrix(kind, links, q, item, work)
     free = np.linalg.inv(mass)[:, joint, joint].tolist()
     levers = (linkage(*pins, angle)[1] for angle in angles.tolist())
     return max(lever**2 * per for lever, per in zip(levers, free, strict=True))
@@ -406,10 +406,10 @@ def _law(
     law = edges.edge_law("map" if given is not None else edge.law)
     row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):
-        one = getattr(given, key, None)
-        if one is not None:
+        item = getattr(given, key, None)
+        if item is not None:
             row[key] = len(packed)
-            packed.append((one, float(edge.map_factor) if isinstance(edge, Edge) else 1.0))
+            packed.append((item, float(edge.map_factor) if isinstance(edge, Edge) else 1.0))
     return row
 
 

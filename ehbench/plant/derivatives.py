@@ -87,8 +87,8 @@ def valves(y, command, plant, dy, work):
     """Rates of the valves' elements; openings into ``work``; the fastest rate [1/s]."""
     fastest = 0.0
     for i in range(plant.valves.shape[0]):
-        wanted = any_wanted(i, command, plant)
-        opening, rate = valve_rates(plant.valves[i], wanted, plant, y, dy)
+        required = any_wanted(i, command, plant)
+        opening, rate = valve_rates(plant.valves[i], required, plant, y, dy)
         work[plant.at.opening + i] = opening
         fastest = max(fastest, rate)
     return fastest
@@ -134,8 +134,8 @@ def _opens(edge, opening, plant):
         drop = plant.supply.margin + preload(edge)
     # what a shut edge leaks senses nothing, nor does a spool that has all but come to rest
     leak = edge_flow(drop, 0.0, edge, plant.maps)
-    least = LEAST_FELT * plant.supply.volume / plant.supply.bulk_modulus * plant.supply.margin
-    return abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak) + least
+    minimum = LEAST_FELT * plant.supply.volume / plant.supply.bulk_modulus * plant.supply.margin
+    return abs(edge_flow(drop, opening, edge, plant.maps)) > abs(leak) + minimum
 
 
 @part_kernel
@@ -257,8 +257,8 @@ def _supply(y, plant, dy, work):
     work[at.pump] = pump
     stiffness = line_stiffness(y[at.supply], supply)
     dy[at.supply] = stiffness * (pump - demand)
-    held = 0.0 < pump < supply.flow_limit
-    return 0.0 if held else stiffness * work[at.slope + SUPPLY]
+    fixed = 0.0 < pump < supply.flow_limit
+    return 0.0 if fixed else stiffness * work[at.slope + SUPPLY]
 
 
 @derivatives_of(Plant)

@@ -39,7 +39,7 @@ def _gauged(states, cylinder, plant):
 
 
 def gauged(
-    plant: Plant, names: Layout, states: np.ndarray, wanted: Iterable[str]
+    plant: Plant, names: Layout, states: np.ndarray, required: Iterable[str]
 ) -> dict[str, np.ndarray]:
     """The wanted channels [SI] among a model's gauges, such as ``ram.rod_force``.
 
@@ -47,10 +47,10 @@ def gauged(
         states: of the plant, shape (samples, states or more).
         wanted: full names, of anything.
     """
-    asked = [(one, *one.rpartition(".")[::2]) for one in wanted]
-    asked = [one for one in asked if one[2] in GAUGES and one[1] in names.cylinders]
-    made = {
+    requested = [(item, *item.rpartition(".")[::2]) for item in required]
+    requested = [item for item in requested if item[2] in GAUGES and item[1] in names.cylinders]
+    built = {
         cylinder: _gauged(states, names.cylinders.index(cylinder), plant)
-        for cylinder in dict.fromkeys(cylinder for _, cylinder, _ in asked)
+        for cylinder in dict.fromkeys(cylinder for _, cylinder, _ in requested)
     }
-    return {channel: made[cylinder][GAUGES.index(word)] for channel, cylinder, word in asked}
+    return {channel: built[cylinder][GAUGES.index(word)] for channel, cylinder, word in requested}

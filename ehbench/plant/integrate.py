@@ -66,14 +66,14 @@ def advance(y, command, plant, h, k, work, rate):
     size, left, taken = y.shape[0], 1.0, 0
     if rate * h > STIFF:
         left = 1.0 * min(MOST_SUBSTEPS, math.ceil(rate * h / STIFF))
-    d, most = h / left, MOST_SUBSTEPS / left
+    d, maximum = h / left, MOST_SUBSTEPS / left
     while left > 0.0:
         if taken > 0:
             any_derivatives(y, command, plant, k[0], work)
         met = d * stages(y, command, plant, d, k, work)
-        if met > STABLE and most >= 2.0:
-            parts = 1.0 * math.ceil(min(met / STIFF, most))
-            d, left, most = d / parts, left * parts, most / parts
+        if met > STABLE and maximum >= 2.0:
+            parts = 1.0 * math.ceil(min(met / STIFF, maximum))
+            d, left, maximum = d / parts, left * parts, maximum / parts
         else:
             for i in range(size):
                 y[i] += d / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
@@ -97,16 +97,16 @@ def run(y, commands, plant, line, steps, log):
     """
     size, at = y.shape[0], plant.at.flow
     k, work = np.empty((5, size)), np.empty(plant.at.work)
-    most, h = 1, line.tick / steps
+    maximum, h = 1, line.tick / steps
     for sample in range(commands.shape[0]):
         line_felt(line, commands[sample], plant, 0.0, h)
         rate = any_derivatives(y, line.held, plant, k[0], work)
         put(y, log[sample])
         put(work[at:], log[sample, size:])
         if sample + 1 < commands.shape[0]:
-            most = max(most, advance(y, line.held, plant, h, k, work, rate))
+            maximum = max(maximum, advance(y, line.held, plant, h, k, work, rate))
             for step in range(1, steps):
                 line_felt(line, commands[sample], plant, step * h, h)
-                most = max(most, rk4(y, line.held, plant, h, k, work))
+                maximum = max(maximum, rk4(y, line.held, plant, h, k, work))
             line_push(line, commands[sample])
-    return most
+    return maximum

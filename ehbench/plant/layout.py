@@ -120,13 +120,16 @@ class Layout:
         """(channel, position) of the states of valves with several dynamics, but for the opening:
         what a command and an opening do not tell.
         """
-        found = []
-        for one in self.elements:
-            for at in range(one.state, one.state + len(valve.LAWS[one.law].states)):
+        results = []
+        for element in self.elements:
+            for at in range(element.state, element.state + len(valve.LAWS[element.law].states)):
                 name = self.state_names[at]
-                if one.valve in self.several and name != f"{self.valves[one.valve]}.opening":
-                    found.append((name.replace(".rate", ".opening_rate"), at))
-        return tuple(found)
+                if (
+                    element.valve in self.several
+                    and name != f"{self.valves[element.valve]}.opening"
+                ):
+                    results.append((name.replace(".rate", ".opening_rate"), at))
+        return tuple(results)
 
     @property
     def friction_states(self) -> tuple[tuple[int, str], ...]:
@@ -166,9 +169,9 @@ def layout(rig: Rig) -> Layout:
     elements: list[Element] = []
     for index, (_, item) in enumerate(rig.valves()):
         series = _series(rig, item)
-        for one, law in series:
-            elements.append(Element(index, law, one, len(names)))
-            owner = valves[index] if one == series[-1][0] else f"{valves[index]}.{one}"
+        for entry, law in series:
+            elements.append(Element(index, law, entry, len(names)))
+            owner = valves[index] if entry == series[-1][0] else f"{valves[index]}.{entry}"
             names += [f"{owner}.{key}" for key in valve.LAWS[law].states]
     frictions = tuple(_friction(c) for c in rig.cylinder)
     for cylinder, law in zip(rig.cylinder, frictions, strict=True):
@@ -196,8 +199,8 @@ def layout(rig: Rig) -> Layout:
 
 def _series(rig: Rig, item: Valve) -> list[tuple[str, int]]:
     """(name, number of its law) of each of a valve's elements, from its command to its opening."""
-    kinds = ((one, type(rig.dynamics[one])) for one in item.series)
-    return [(one, valve.ELEMENTS.index(kind)) for one, kind in kinds if kind in valve.ELEMENTS]
+    kinds = ((entry, type(rig.dynamics[entry])) for entry in item.series)
+    return [(entry, valve.ELEMENTS.index(kind)) for entry, kind in kinds if kind in valve.ELEMENTS]
 
 
 def _friction(item: Cylinder) -> int:

@@ -51,22 +51,22 @@ def run_many(
     """
     workers = workers or cores()
     together = lanes and step != AUTO and has_lanes(run_lanes)
-    held = max(2, AHEAD * workers // 2) if together else AHEAD * workers
+    fixed = max(2, AHEAD * workers // 2) if together else AHEAD * workers
     waiting: deque[Future[list[np.ndarray]]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         for some in _sets(starmap(Job, jobs), LANES if together else 1):
             waiting.append(pool.submit(_runs, some, tick, step))
-            if len(waiting) >= held:
+            if len(waiting) >= fixed:
                 yield from (finite(log, tick) for log in waiting.popleft().result())
         while waiting:
             yield from (finite(log, tick) for log in waiting.popleft().result())
 
 
-def _sets(jobs: Iterable[Job], most: int) -> Iterator[list[Job]]:
+def _sets(jobs: Iterable[Job], maximum: int) -> Iterator[list[Job]]:
     """Jobs in sets that may go side by side, each of its neighbours."""
     some: list[Job] = []
     for job in jobs:
-        if some and (len(some) == most or not go_together(some[0], job)):
+        if some and (len(some) == maximum or not go_together(some[0], job)):
             yield some
             some = []
         some.append(job)

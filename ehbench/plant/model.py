@@ -128,7 +128,7 @@ class Model:
         """Joint angle [rad] (or position [m]) at zero and at full stroke of cylinder ``index``."""
         return joint_range_of(self.plant.cylinders[index])
 
-    def posture(self, wanted: Mapping[str, str | float] | None) -> np.ndarray:
+    def posture(self, required: Mapping[str, str | float] | None) -> np.ndarray:
         """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
 
         A number or text with an angle is a joint angle, a text with a length a stroke; what is not
@@ -137,7 +137,7 @@ class Model:
         Raises:
             InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
         """
-        return starts.posture(self.rig, self.plant, self.layout, wanted)
+        return starts.posture(self.rig, self.plant, self.layout, required)
 
     def trim(
         self, q: np.ndarray, low_side: starts.LowSide = None, command: np.ndarray | None = None
@@ -299,23 +299,23 @@ class Model:
             InputError: a posture outside the stroke.
         """
         plant, names = self.plant, self.layout
-        wanted: dict[str, str | float] = {}
+        required: dict[str, str | float] = {}
         for index, name in enumerate(names.cylinders):
             angle, stroke = seen.get(f"{name}.q"), seen.get(f"{name}.x")
             if angle is not None:
                 low, high = sorted(self.stroke_range(index))
                 slack = 0.01 * (high - low)
-                wanted[name] = (
+                required[name] = (
                     min(max(angle, low), high) if low - slack <= angle <= high + slack else angle
                 )
             elif stroke is not None:
                 row = plant.cylinders[index]
-                wanted[name] = float(joint_of(row, min(max(stroke, 0.0), float(row.stroke))))
+                required[name] = float(joint_of(row, min(max(stroke, 0.0), float(row.stroke))))
         for joint in names.joints:
             angle = seen.get(f"{joint}.q")
-            if joint not in wanted and angle is not None:
-                wanted[joint] = angle
-        y = self.trim(self.posture(wanted), None, command)
+            if joint not in required and angle is not None:
+                required[joint] = angle
+        y = self.trim(self.posture(required), None, command)
         y[plant.at.supply] = seen.get("p_supply", y[plant.at.supply])
         return y
 
@@ -398,9 +398,9 @@ class Model:
         gauges would show.
         """
         t, table = (record.t, commands) if means is None else (means.record.t, None)
-        made = self.record(t, table, log, record.meta, start.tank)
+        built = self.record(t, table, log, record.meta, start.tank)
         shown = gauged(self.plant, self.layout, log, record.channels)
-        return replace(made, channels={**made.channels, **shown}) if shown else made
+        return replace(built, channels={**built.channels, **shown}) if shown else built
 
     def along(self, record: Record, start: Start) -> tuple[Model, np.ndarray, np.ndarray]:
         """(the model at a start's pressures, a recording's commands and the rates of what is tied

@@ -189,9 +189,9 @@ def over_tick(way, command, rate):
 
 
 @part_kernel
-def _same(one, other):
-    for i in range(one.shape[0]):
-        if one[i] != other[i]:
+def _same(item, other):
+    for i in range(item.shape[0]):
+        if item[i] != other[i]:
             return False
     return True
 

@@ -58,7 +58,7 @@ _MOVING = {
 
 
 def posture(
-    rig: Rig, plant: Plant, names: Layout, wanted: Mapping[str, str | float] | None
+    rig: Rig, plant: Plant, names: Layout, required: Mapping[str, str | float] | None
 ) -> np.ndarray:
     """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
 
@@ -68,7 +68,7 @@ def posture(
     q = np.zeros(len(names.joints))
     for row in plant.cylinders:
         q[row.joint] = joint_of(row, 0.5 * row.stroke)
-    for name, value in (wanted or {}).items():
+    for name, value in (required or {}).items():
         joint, index = _joint_called(plant, names, name)
         given = isinstance(value, str)
         number = _coordinate(rig, plant, index, name, value) if given else float(value)
@@ -155,8 +155,8 @@ def trim(
         force = torque[row.joint] / lever
         if plant.forces.shape[0]:
             force -= force_on(index, x, 0.0, played, plant)
-        held = resting(plant, row, force) if low is None else carrying(row, force, low)
-        y[names.state("p_head", index)], y[names.state("p_rod", index)] = held
+        fixed = resting(plant, row, force) if low is None else carrying(row, force, low)
+        y[names.state("p_head", index)], y[names.state("p_rod", index)] = fixed
     for valve, (_, item) in zip(plant.valves, rig.valves(), strict=True):
         valve_settle(valve, item.rest, plant, y)
     y[plant.at.supply] = sensed(plant.tank_pressure, plant.supply)
@@ -168,9 +168,9 @@ def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
     """All of a plant that its start along a given recording hangs on, which begins at rest or
     ``moves`` at first: of plants alike in it, the start of one is that of all.
     """
-    asked = _asked(moves, mounted(plant), bool(open_at_rest(plant).any()))
+    requested = _asked(moves, mounted(plant), bool(open_at_rest(plant).any()))
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
-    parts += [_of_spans(getattr(plant, name), spans) for name, spans in asked]
+    parts += [_of_spans(getattr(plant, name), spans) for name, spans in requested]
     return tuple(parts)
 
 
@@ -179,13 +179,13 @@ def _asked(
     moves: bool, mounts: bool, opens: bool
 ) -> tuple[tuple[str, tuple[tuple[int, int], ...]], ...]:
     """(table of a plant, the bytes of its rows that `asked_at_start` asks for, as spans)."""
-    found = []
+    results = []
     for name, layout in _TABLES.items():
         idle = {*_IDLE.get(name, ()), *(() if moves else _MOVING.get(name, ()))}
         idle = set() if name == "edges" and opens else idle
         idle |= set(_FRICTION) if name == "cylinders" and not mounts else set()
-        found.append((name, _spans(layout, idle)))
-    return tuple(found)
+        results.append((name, _spans(layout, idle)))
+    return tuple(results)
 
 
 def _spans(layout: np.dtype, idle: set[str]) -> tuple[tuple[int, int], ...]:

@@ -53,21 +53,21 @@ def parts_of(
     few, many = (gaps[part] for part in (missing[gaps] <= BRIDGED, missing[gaps] > BRIDGED))
     edges = [0, *(many + 1).tolist(), record.t.size]
     spans = list(zip(edges[:-1], edges[1:], strict=True))
-    kept = _kept(record, spans, driven, within)
-    if not kept:
+    retained = _kept(record, spans, driven, within)
+    if not retained:
         return whole, []
-    found = [
+    results = [
         Part(
-            name if len(kept) == 1 else f"{name}_part{number}",
+            name if len(retained) == 1 else f"{name}_part{number}",
             _bridged(record, start, stop, few, missing),
         )
-        for number, (start, stop) in enumerate(kept, 1)
+        for number, (start, stop) in enumerate(retained, 1)
     ]
-    left_out = [span for span in spans if span not in kept]
-    return found, [
+    left_out = [span for span in spans if span not in retained]
+    return results, [
         *_sentences(name, record, few, missing, "bridged, readings by straight lines"),
         *_sentences(name, record, many, missing, "the log is cut there"),
-        *_taken(name, record, found, left_out),
+        *_taken(name, record, results, left_out),
     ]
 
 
@@ -99,9 +99,9 @@ def _kept(
         for start, stop in spans
         if np.count_nonzero((t[start:stop] >= low) & (t[start:stop] <= high)) > 2
     ]
-    most = max((stop - start for start, stop in inside), default=0)
-    least = max(SHORTEST / record.sample_time, SHARE * most)
-    long = [span for span in inside if span[1] - span[0] >= least]
+    maximum = max((stop - start for start, stop in inside), default=0)
+    minimum = max(SHORTEST / record.sample_time, SHARE * maximum)
+    long = [span for span in inside if span[1] - span[0] >= minimum]
     return [span for span in long if not driven or _changes(record, *span)]
 
 
@@ -123,9 +123,9 @@ def _bridged(
         np.linspace(record.t[gap], record.t[gap + 1], int(missing[gap]) + 2)[1:-1] for gap in own
     ]
     t = np.sort(np.concatenate([part.t, *new]))
-    held = np.searchsorted(part.t, t, side="right") - 1
+    fixed = np.searchsorted(part.t, t, side="right") - 1
     channels = {
-        name: y[held] if name.endswith(".command") else np.interp(t, part.t, y)
+        name: y[fixed] if name.endswith(".command") else np.interp(t, part.t, y)
         for name, y in part.channels.items()
     }
     return replace(part, t=t, channels=channels)
@@ -150,17 +150,19 @@ def _taken(
     name: str, record: Record, parts: Sequence[Part], left_out: Sequence[tuple[int, int]]
 ) -> list[str]:
     """Which parts are taken, and which are not."""
-    found = []
+    results = []
     if len(parts) > 1 or left_out:
         spans = ", ".join(
             f"{part.name} from {part.record.t[0]:.6g} to {part.record.t[-1]:.6g} s"
             for part in parts
         )
         logs = "a log with a start of its own" if len(parts) == 1 else "logs with own starts"
-        found.append(f"{name}: taken as {logs}: {spans}")
+        results.append(f"{name}: taken as {logs}: {spans}")
     if left_out:
         spans = ", ".join(
             f"{record.t[start]:.6g} to {record.t[stop - 1]:.6g} s" for start, stop in left_out
         )
-        found.append(f"{name}: too short, or without a command that changes, so left out: {spans}")
-    return found
+        results.append(
+            f"{name}: too short, or without a command that changes, so left out: {spans}"
+        )
+    return results

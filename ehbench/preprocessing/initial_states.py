@@ -88,15 +88,15 @@ class Starts:
 
     def of(self, model: Model) -> Start:
         """The start of a model, which is for all: its state cannot be written."""
-        asked = model.asked_at_start(self._moves)
-        found = self._known.get(asked)
-        if found is None:
-            found = self._begin(model)
-            found.y.flags.writeable = False
+        requested = model.asked_at_start(self._moves)
+        result = self._known.get(requested)
+        if result is None:
+            result = self._begin(model)
+            result.y.flags.writeable = False
             if len(self._known) >= _KEPT:
                 self._known.clear()
-            self._known[asked] = found
-        return found
+            self._known[requested] = result
+        return result
 
 
 @dataclass(frozen=True)
@@ -252,18 +252,18 @@ def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Doub
     """Doubts about the supply's set pressure, and the tank's pressure where a recording is less
     sure of it than of any supply.
     """
-    most, found = float(model.plant.supply.pressure), []
+    maximum, result = float(model.plant.supply.pressure), []
     for channel in (SUPPLY_CHANNEL, TANK_CHANNEL):
         if channel not in record or (channel == SUPPLY_CHANNEL and supplied(record)):
             continue
         y = record[channel]
         std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
         if channel == SUPPLY_CHANNEL:
-            std = max(std, FINE_SUPPLY * most)
-            found.append(_doubt(channel, model.plant.at.supply, std, most))
-        elif std > FINE_SUPPLY * most:
-            found.append(_doubt(channel, -1, std, most))
-    return found
+            std = max(std, FINE_SUPPLY * maximum)
+            result.append(_doubt(channel, model.plant.at.supply, std, maximum))
+        elif std > FINE_SUPPLY * maximum:
+            result.append(_doubt(channel, -1, std, maximum))
+    return result
 
 
 def mean_error(y: np.ndarray, rest: int) -> float:
@@ -315,7 +315,7 @@ def _of_cylinder(
     its rest creeps.
     """
     names, index = model.layout, model.layout.cylinders.index(cylinder)
-    supply, found = float(model.plant.supply.pressure), []
+    supply, result = float(model.plant.supply.pressure), []
     for side in SIDES:
         channel = f"{cylinder}.p_{side}"
         std = VAGUE_PRESSURE * supply
@@ -324,7 +324,7 @@ def _of_cylinder(
         elif channel in record:
             error = rms(np.diff(record[channel])) if moves else mean_error(record[channel], rest)
             std = error + SENSOR * supply
-        found.append(_doubt(channel, names.state(f"p_{side}", index), std, supply))
+        result.append(_doubt(channel, names.state(f"p_{side}", index), std, supply))
     row = model.plant.cylinders[index]
     low, high = sorted(model.stroke_range(index))
     std = VAGUE_PLACE * (high - low)
@@ -335,16 +335,16 @@ def _of_cylinder(
             std = scale * error + FINE_PLACE * (high - low)
             break
     joint = int(row.joint)
-    found.append(_doubt(f"{cylinder}.q", names.state("q", joint), std, high - low))
+    result.append(_doubt(f"{cylinder}.q", names.state("q", joint), std, high - low))
     speed = rate_of(record, cylinder)
     if speed is not None:
-        most = float(np.abs(speed).max()) or 1.0
-        std = max(VAGUE_SPEED * most, 1e-4 * (high - low))
+        maximum = float(np.abs(speed).max()) or 1.0
+        std = max(VAGUE_SPEED * maximum, 1e-4 * (high - low))
         if not moves:
             std = _creep(record, cylinder, rest, (high - low) / float(row.stroke))
-        if std > CREEPING * most:
-            found.append(_doubt(f"{cylinder}.qd", names.state("qd", joint), std, most))
-    return found
+        if std > CREEPING * maximum:
+            result.append(_doubt(f"{cylinder}.qd", names.state("qd", joint), std, maximum))
+    return result
 
 
 def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
@@ -362,14 +362,14 @@ def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
             creep, error = abs(float(np.mean(y[:rest]))), mean_error(y, rest)
         else:
             error, creep = _rest_errors(record[channel], rest)
-            creep, error = (one / (rest * record.sample_time) for one in (creep, LINE * error))
+            creep, error = (item / (rest * record.sample_time) for item in (creep, LINE * error))
         return scale * creep if creep > CREEPS * error else 0.0
     return 0.0
 
 
 def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Doubt]:
     """Doubts about the openings of the valves of moving cylinders that have been commanded."""
-    found = []
+    results = []
     for index, name in enumerate(model.layout.valves):
         valve, channel = model.plant.valves[index], f"{name}.command"
         if name.partition(".")[0] not in live or valve.output < 0 or channel not in record:
@@ -377,8 +377,8 @@ def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Doubt]
         span = float(valve.highest - valve.lowest)
         if np.ptp(record[channel]) > 0.0 or record[channel][0] != 0.0:
             std = VAGUE_OPENING * span
-            found.append(_doubt(f"{name}.opening", int(valve.output), std, span, index))
-    return found
+            results.append(_doubt(f"{name}.opening", int(valve.output), std, span, index))
+    return results
 
 
 def rate_of(record: Record, cylinder: str) -> np.ndarray | None:
@@ -536,10 +536,10 @@ class _Follow:
             self.weigh(left)
             before = self.cost(shifts, left)
             move, gain = self.step(shifts, left)
-            found = next(self.tries(shifts, move, before), None)
-            if found is None:
+            result = next(self.tries(shifts, move, before), None)
+            if result is None:
                 break
-            shifts, left = found
+            shifts, left = result
             if gain < CONVERGED * before:
                 break
         return shifts
@@ -562,8 +562,8 @@ class _Follow:
         """`left` of several shifts, side by side."""
         for first in range(0, len(every), LANES):
             part = every[first : first + LANES]
-            made = replays_fixed([self.run_of(shifts) for shifts in part], self.step_time)
-            for shifts, replayed in zip(part, made, strict=True):
+            built = replays_fixed([self.run_of(shifts) for shifts in part], self.step_time)
+            for shifts, replayed in zip(part, built, strict=True):
                 # one that failed says why when it runs alone
                 failed = replayed is None
                 yield self.left(shifts) if failed else self.left_by(replayed, shifts)
@@ -621,5 +621,5 @@ def prior_weight(residuals: Sequence[np.ndarray]) -> float:
 
 
 def _columns(record: Record, channels: Sequence[str], like: Record) -> np.ndarray:
-    found = (column(record, channel, like) for channel in channels)
-    return np.column_stack([y for y in found if y is not None] or [np.zeros((record.t.size, 0))])
+    result = (column(record, channel, like) for channel in channels)
+    return np.column_stack([y for y in result if y is not None] or [np.zeros((record.t.size, 0))])

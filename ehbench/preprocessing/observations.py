@@ -69,21 +69,21 @@ def position_of(channel: str) -> str:
 def alternatives(channel: str) -> tuple[str, ...]:
     """A channel, and those that stand in for it."""
     head, word = channel.rsplit(".", 1)
-    return (channel, *(f"{head}.{one}" for one in STAND_INS.get(word, ())))
+    return (channel, *(f"{head}.{item}" for item in STAND_INS.get(word, ())))
 
 
 def channels_asked(record: Record, cylinder: str, word: str) -> list[str]:
     """The channels of a cylinder that a word asks for: one, or of what its valves have (their
     ``opening``) all that were recorded.
     """
-    valves = [one for one in record.channels if one.startswith(f"{cylinder}.")]
-    valves = [one for one in valves if one.count(".") == 2 and one.endswith(f".{word}")]
+    valves = [channel for channel in record.channels if channel.startswith(f"{cylinder}.")]
+    valves = [valve for valve in valves if valve.count(".") == 2 and valve.endswith(f".{word}")]
     return valves if word in OF_VALVES and valves else [f"{cylinder}.{word}"]
 
 
 def stood_for(word: str) -> tuple[str, ...]:
     """A quantity, and those that it may stand in for."""
-    return (word, *(one for one, others in STAND_INS.items() if word in others))
+    return (word, *(item for item, others in STAND_INS.items() if word in others))
 
 
 def least_change(valve: Valve) -> float:
@@ -97,14 +97,14 @@ def payload_of(record: Record) -> str | None:
     Raises:
         InputError: it changed on the way.
     """
-    (_, said), *changes = payloads_of(record)
+    (_, message), *changes = payloads_of(record)
     if changes:
         at, name = changes[0]
         raise InputError(
-            f"the payload changes from {said or 'none'} to {name or 'none'} at t = {at:g} s",
+            f"the payload changes from {message or 'none'} to {name or 'none'} at t = {at:g} s",
             hint="take a window of the log with one payload",
         )
-    return said
+    return message
 
 
 def supply_off(record: Record, simulated: Record, rig: Rig) -> list[str]:

@@ -113,19 +113,19 @@ def _tied(name: str, record: Record, model: Model) -> list[str]:
     if not words:
         return fed
     seen = {c.name: position_channel(record, c.name) for c in rig.cylinder}
-    said = record.meta[TIED]
+    message = record.meta[TIED]
     if not any(seen.values()):
         needed = " or ".join(f"{rig.cylinder[0].name}.{word}" for word in ("x", "q"))
         raise InputError(
-            f'{name}: tied = "{said}", and the log has no position of a cylinder',
+            f'{name}: tied = "{message}", and the log has no position of a cylinder',
             hint=f"it needs one such as {needed}",
         )
     tied = {c.joint for c in rig.cylinder if seen[c.name]}
     lacking = [joint for joint in model.layout.joints if joint not in tied]
     if "qd" in words and lacking:
         raise InputError(
-            f'{name}: tied = "{said}" gives the motion of every joint, and the log has no position '
-            f"that tells that of {', '.join(lacking)}",
+            f'{name}: tied = "{message}" gives the motion of every joint, and the log has no '
+            f"position that tells that of {', '.join(lacking)}",
             hint='tied = "position" needs none of them',
         )
     channels = ", ".join(filter(None, seen.values()))
@@ -141,7 +141,7 @@ def _tied(name: str, record: Record, model: Model) -> list[str]:
 
 def _coarse(record: Record, model: Model) -> list[str]:
     """Warnings of positions whose noise, given as motion, is worth much pressure."""
-    found = []
+    results = []
     for index, row in enumerate(model.plant.cylinders):
         cylinder = model.layout.cylinders[index]
         channel = position_channel(record, cylinder)
@@ -157,12 +157,12 @@ def _coarse(record: Record, model: Model) -> list[str]:
             spread = float(np.std(record[pressure])) if pressure in record else 0.0
             worth = float(row.bulk_modulus * area / volume) * noise
             if worth > WORTH * spread > 0.0:
-                found.append(
+                results.append(
                     f"the noise of {channel} is worth {_shown(model.rig, worth)} of {pressure}, "
                     f"{100.0 * worth / spread:.0f} % of its spread, so the bulk modulus comes out "
                     'too low: tied = "position" does not'
                 )
-    return found
+    return results
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[str]]:
@@ -194,9 +194,9 @@ def evened(name: str, record: Record) -> tuple[Record, list[str]]:
             'write rate = "…" in the map of its columns',
         )
     t = np.linspace(record.t[0], record.t[-1], record.t.size)
-    held = np.searchsorted(record.t, t + (JITTER + EVEN) * even, side="right") - 1
+    fixed = np.searchsorted(record.t, t + (JITTER + EVEN) * even, side="right") - 1
     channels = {
-        channel: values[held] if channel.endswith(".command") else np.interp(t, record.t, values)
+        channel: values[fixed] if channel.endswith(".command") else np.interp(t, record.t, values)
         for channel, values in record.channels.items()
     }
     warning = (
@@ -217,12 +217,12 @@ def _on_beats(record: Record, stamps: Stamps) -> tuple[Record, list[str]]:
     }
     early, late = 1e3 * max(0.0, -stamps.off.min()), 1e3 * max(0.0, stamps.off.max())
     rate = f"{1.0 / stamps.period:.5g} Hz"
-    said = (
+    message = (
         f"its time stamps are up to {early:.3g} ms early and {late:.3g} ms late of an even {rate}: "
         "resampled as if they told when a sample was taken; where a recorder took it on time and "
         f'wrote it late, rate = "{rate}" in the map of columns says so'
     )
-    return replace(record, t=beats, channels=channels), [said]
+    return replace(record, t=beats, channels=channels), [message]
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
@@ -241,11 +241,11 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
 def numbered(names: Sequence[str]) -> list[str]:
     """The names, those that come again numbered from the second on."""
     seen: Counter[str] = Counter()
-    found = []
+    results = []
     for name in names:
         seen[name] += 1
-        found.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
-    return found
+        results.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
+    return results
 
 
 def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
@@ -287,13 +287,13 @@ def _foreign(name: str, record: Record, rig: Rig) -> list[str]:
 def _sample_time(name: str, record: Record, rig: Rig) -> None:
     """Refuse a time that can only be in another unit than it says."""
     tick = record.sample_time
-    used = {one for _, valve in rig.valves() for one in valve.series}
-    periods = [rig.dynamics[one].period() for one in used]
-    most = min([COARSE, *(MOST_PERIODS * period for period in periods)])
-    if tick > most:
+    used = {item for _, valve in rig.valves() for item in valve.series}
+    periods = [rig.dynamics[item].period() for item in used]
+    maximum = min([COARSE, *(MOST_PERIODS * period for period in periods)])
+    if tick > maximum:
         raise InputError(
             f"{name}: {tick:g} s pass between samples, too long to see this rig move; at most "
-            f"{most * 1e3:.3g} ms would do",
+            f"{maximum * 1e3:.3g} ms would do",
             hint="is the time in ms?",
         )
     if tick < FINE:
@@ -345,8 +345,8 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
     supply = float(plant.supply.pressure)
     if "p_supply" in record:
         seen = float(np.percentile(record["p_supply"], 90))
-        least = float(plant.supply.margin) or supply  # which a load-sensing pump may stand at
-        if not least / APART <= seen <= supply * APART:
+        minimum = float(plant.supply.margin) or supply  # which a load-sensing pump may stand at
+        if not minimum / APART <= seen <= supply * APART:
             raise InputError(
                 f"{name}: p_supply is {_shown(rig, seen)}, while the supply of rig '{rig.name}' "
                 f"holds {_shown(rig, supply)}",
@@ -381,13 +381,13 @@ def _pressures(name: str, record: Record, model: Model, rest: int, still: bool) 
         back = 0.0
         if other in seen:
             back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
-        held = float(np.mean(seen[carrying][:rest])) - back
+        fixed = float(np.mean(seen[carrying][:rest])) - back
         # dry friction may hold a light load without oil, but not keep the pressures down in motion
-        if (held < need / APART and peak < supply / APART) or (
-            other in seen and held > need * APART
+        if (fixed < need / APART and peak < supply / APART) or (
+            other in seen and fixed > need * APART
         ):
             raise InputError(
-                f"{name}: at rest {cylinder.name}.{carrying} holds {_shown(rig, held)} against "
+                f"{name}: at rest {cylinder.name}.{carrying} holds {_shown(rig, fixed)} against "
                 f"its other end, while the load of rig '{rig.name}' asks for {_shown(rig, need)}",
                 hint="is the unit right? and does the load hang free?",
             )
@@ -448,7 +448,7 @@ def outside_stroke(record: Record, rig: Rig) -> list[str]:
     """Warnings of recorded strokes most of which lie outside of what their cylinders have: they
     count the other way, or from another zero.
     """
-    found, unit = [], rig.unit_of("x")
+    result, unit = [], rig.unit_of("x")
     for cylinder in rig.cylinder:
         channel, stroke = f"{cylinder.name}.x", float(cylinder.stroke)
         if channel not in record:
@@ -458,22 +458,22 @@ def outside_stroke(record: Record, rig: Rig) -> list[str]:
             continue
         turned = -TRAVEL * stroke <= -high and -low <= (1.0 + TRAVEL) * stroke
         ends = (from_si(float(end), unit, VOCABULARY["x"]) for end in (low, high, stroke))
-        first, last, most = (f"{end:.4g}" for end in ends)
-        asked = "is it counted the other way" if turned else "from where is it counted"
+        first, last, maximum = (f"{end:.4g}" for end in ends)
+        requested = "is it counted the other way" if turned else "from where is it counted"
         key = "sign = -1" if turned else "neutral (offset of a sensor)"
-        found.append(
-            f"{channel} runs from {first} to {last} {unit}, and the stroke from 0 to {most} "
-            f"{unit}: {asked}? Write {key} in the map of columns, or in [[sensor]] channel = "
+        result.append(
+            f"{channel} runs from {first} to {last} {unit}, and the stroke from 0 to {maximum} "
+            f"{unit}: {requested}? Write {key} in the map of columns, or in [[sensor]] channel = "
             f'"{channel}"'
         )
-    return found
+    return result
 
 
 def _stuck(record: Record, rig: Rig) -> list[str]:
     """Warnings of channels that stay constant while their cylinder moves, and of positions that
     stand still while command and pressures move.
     """
-    found = []
+    results = []
     for cylinder in rig.cylinder:
         name, moves = cylinder.name, _travels(record, cylinder)
         pushed = not moves and _pushed(record, rig, cylinder)
@@ -482,29 +482,29 @@ def _stuck(record: Record, rig: Rig) -> list[str]:
                 continue
             way, still = float(np.ptp(record[channel])), word in ("q", "x")
             if moves and way == 0.0:
-                found.append(f"{channel} is constant while {name} moves: is the sensor stuck?")
+                results.append(f"{channel} is constant while {name} moves: is the sensor stuck?")
             elif moves and still and way < STILL * _span(cylinder, word):
-                found.append(f"{channel} stands still while {name} moves: is the sensor stuck?")
+                results.append(f"{channel} stands still while {name} moves: is the sensor stuck?")
             elif pushed and still and way < STILL * _span(cylinder, word):
-                found.append(
+                results.append(
                     f"{channel} stands still while command and pressures of {name} move: is the "
                     "sensor stuck, or the cylinder held?"
                 )
-    return found
+    return results
 
 
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
     """Whether a command of a cylinder changes, and its pressures by a good part of what the supply
     has.
     """
-    asked = any(
+    requested = any(
         (channel := f"{cylinder.name}.{valve.name}.command") in record
         and np.ptp(record[channel]) > ON * (float(valve.command_max) - float(valve.command_min))
         for valve in cylinder.valve
     )
     ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
-    most = max((float(np.ptp(record[one])) for one in ends if one in record), default=0.0)
-    return asked and most > PUSHED * max(float(rig.supply.pressure), 1.0e6)
+    maximum = max((float(np.ptp(record[end])) for end in ends if end in record), default=0.0)
+    return requested and maximum > PUSHED * max(float(rig.supply.pressure), 1.0e6)
 
 
 def at_limit(y: np.ndarray) -> np.ndarray:
@@ -512,13 +512,13 @@ def at_limit(y: np.ndarray) -> np.ndarray:
     (samples,): at their largest or least, the very same one several times in a row, reached in a
     few samples and left again, while elsewhere they do not repeat like that.
     """
-    found = np.zeros(y.size, bool)
+    result = np.zeros(y.size, bool)
     ends = np.flatnonzero(np.diff(y)) + 1
     starts, stops = np.concatenate([[0], ends]), np.concatenate([ends, [y.size]])
     length, level = stops - starts, y[starts]
     steps = np.abs(np.diff(level))
     if not steps.size:
-        return found
+        return result
     for end in (float(np.max(y)), float(np.min(y))):
         here = level == end
         usual = int(length[~here].max(initial=1))
@@ -526,33 +526,33 @@ def at_limit(y: np.ndarray) -> np.ndarray:
         cut = here & (starts > 0) & (stops < y.size) & (length >= LIMIT_RUN)
         cut &= (length > LIMIT_SHARE * usual) & (before > LIMIT_STEPS * steps.min())
         if cut.any():
-            found |= y == end
-    return found
+            result |= y == end
+    return result
 
 
 def _limited(record: Record, rig: Rig) -> list[str]:
     """Warnings of pressures and forces at the end of what their sensors can tell."""
     words = ("p_head", "p_rod", *GAUGES)
     names = [f"{cylinder.name}.{word}" for cylinder in rig.cylinder for word in words]
-    found = []
+    results = []
     for name in [*names, "p_supply"]:
         if name not in record or not (there := at_limit(record[name])).any():
             continue
         first = int(np.argmax(there))
-        found.append(
+        results.append(
             f"{name} stands at {rig.shown(name, record[name][first])} in "
             f"{100 * np.mean(there):.2g} % of its samples, first at {record.t[first]:.6g} s, and "
             "never beyond: is that the end of its sensor's range? A fit does not count them, and a "
             "validation does not ask how far beyond the machine was"
         )
-    return found
+    return results
 
 
 def off_pins(record: Record, model: Model) -> dict[str, float]:
     """By how much a log's stroke is above that of its angle and the rig file's pins [m], by
     cylinder: its level where that is off, else where it is worst; cylinders that agree left out.
     """
-    found = {}
+    results = {}
     for index, cylinder in enumerate(model.rig.cylinder):
         names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
         if cylinder.linkage is None or any(name not in record for name in names):
@@ -560,33 +560,33 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
         x, q = (record[name] for name in names)
         off = x - linkage_arrays(model.plant.cylinders[index], q)[0]
         noise = math.sqrt(float(np.mean(np.diff(off, 3) ** 2)) / 20.0) if off.size > 3 else 0.0
-        level, most = float(np.median(off)), float(off[np.argmax(np.abs(off))])
+        level, maximum = float(np.median(off)), float(off[np.argmax(np.abs(off))])
         allowed = max(OFF_PINS * float(cylinder.stroke), NOISES * noise)
         if abs(level) > allowed:
-            found[cylinder.name] = level
-        elif abs(most) > 2.0 * allowed:
-            found[cylinder.name] = most
-    return found
+            results[cylinder.name] = level
+        elif abs(maximum) > 2.0 * allowed:
+            results[cylinder.name] = maximum
+    return results
 
 
 def _apart(record: Record, model: Model) -> list[str]:
     """Warnings of strokes that disagree with angle and pins."""
-    unit, found = model.rig.unit_of("x"), []
+    unit, result = model.rig.unit_of("x"), []
     for name, off in off_pins(record, model).items():
         shown = f"{abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit}"
         way, by = "above" if off > 0.0 else "below", model.rig.cylinder_named(name).linkage_word
-        found.append(
+        result.append(
             f"{name}.x is {shown} {way} what {name}.q and the {by} make it: check the {by}, "
             f'or give the sensor\'s offset ([[sensor]] channel = "{name}.x")'
         )
-    return found
+    return result
 
 
 def _against(record: Record, rig: Rig) -> list[str]:
     """Warnings of gauges that go down as the pressures beside them push more: friction apart, all
     of `GAUGES` go up with them, so the sign of the one or the ends of the others are turned.
     """
-    found = []
+    results = []
     for cylinder in rig.cylinder:
         ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
         if not all(end in record for end in ends):
@@ -599,18 +599,18 @@ def _against(record: Record, rig: Rig) -> list[str]:
             if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
                 continue
             if np.corrcoef(record[name], pushed)[0, 1] < AGAINST:
-                found.append(
+                results.append(
                     f"{name} falls where p_head and p_rod push more: sign = -1 of it in the map of "
                     "columns, or head and rod are the wrong way round"
                 )
-    return found
+    return results
 
 
 def _backwards(record: Record, rig: Rig) -> list[str]:
     """Warnings of positions and speeds that go down while the commands extend a cylinder, and up
     while they retract it: with a sign turned nothing follows the model, and a fit goes astray.
     """
-    found = []
+    results = []
     for cylinder in rig.cylinder:
         ways = _ways(cylinder, record)
         ends = np.flatnonzero(np.diff(ways, prepend=0.0, append=0.0))
@@ -630,12 +630,12 @@ def _backwards(record: Record, rig: Rig) -> list[str]:
                 float(np.sum(each[each != 0.0] * gone)) < AGAINST * all_
             ):
                 falls = "falls" if turn > 0 else "rises"
-                found.append(
+                results.append(
                     f"{channel} {falls} while the commands extend {cylinder.name}: is its sign "
                     "turned (sign = -1 in the map of columns), that of a command, or are head and "
                     "rod the wrong way round?"
                 )
-    return found
+    return results
 
 
 def _ways(cylinder: Cylinder, record: Record) -> np.ndarray:
@@ -674,7 +674,7 @@ def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
     """Cylinders that move at the first sample, by their rate or by what their position does in the
     first samples, of ``rest`` before a command changes.
     """
-    found = []
+    results = []
     for cylinder in rig.cylinder:
         if not _travels(record, cylinder):
             continue
@@ -683,9 +683,9 @@ def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
             if channel in record:
                 shows = _begins_fast if word in ("qd", "v") else _begins_sloped
                 if shows(record[channel], rest, record.sample_time):
-                    found.append(cylinder.name)
+                    results.append(cylinder.name)
                 break
-    return tuple(found)
+    return tuple(results)
 
 
 def _begins_fast(speed: np.ndarray, rest: int, tick: float) -> bool:
@@ -703,22 +703,24 @@ def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
     if noise == 0.0 and jumps.any():  # an encoder that stands between two of its counts
         noise = 0.5 * float(np.min(jumps[jumps > 0.0]))
     way = float(np.polyfit(np.arange(count), place[:count], 1)[0]) * count
-    most = float(np.abs(place[count:] - place[:-count]).max()) if place.size > count else abs(way)
-    return abs(way) > ONGOING * most + 4.0 * noise
+    maximum = (
+        float(np.abs(place[count:] - place[:-count]).max()) if place.size > count else abs(way)
+    )
+    return abs(way) > ONGOING * maximum + 4.0 * noise
 
 
 def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
     """Commands [V] that are already on at the first sample, by channel."""
-    found = {}
+    results = {}
     for cylinder, valve in rig.valves():
         channel = f"{cylinder.name}.{valve.name}.command"
         if channel not in record:
             continue
         first = float(np.median(record[channel][:rest]))
-        least = ON * (float(valve.command_max) - float(valve.command_min))
-        if any(edge.sign * first > float(edge.deadband) + least for edge in valve.edge):
-            found[channel] = first
-    return found
+        minimum = ON * (float(valve.command_max) - float(valve.command_min))
+        if any(edge.sign * first > float(edge.deadband) + minimum for edge in valve.edge):
+            results[channel] = first
+    return results
 
 
 def _begun(record: Record, rig: Rig, rest: int) -> list[str]:

@@ -79,14 +79,14 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
         InputError: the log has no such channel.
     """
     channels = dict(record.channels)
-    for one in sensors:
-        if one.channel not in channels:
+    for sensor in sensors:
+        if sensor.channel not in channels:
             raise InputError(
-                f"{name}: [[sensor]] names '{one.channel}', which the log does not have",
-                hint=like_channel(one.channel, list(channels)),
+                f"{name}: [[sensor]] names '{sensor.channel}', which the log does not have",
+                hint=like_channel(sensor.channel, list(channels)),
             )
-        scale = one.sign * _fixed(one, "scale", 1.0)
-        channels[one.channel] = (channels[one.channel] - _level(one)) / scale
+        scale = sensor.sign * _fixed(sensor, "scale", 1.0)
+        channels[sensor.channel] = (channels[sensor.channel] - _level(sensor)) / scale
     return replace(record, channels=channels) if sensors else record
 
 
@@ -94,17 +94,17 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
     """What is left to estimate, and the lags and delays that are known, of logs whose known errors
     are taken out.
     """
-    found = []
-    for one in sensors:
-        scale = one.sign * _fixed(one, "scale", 1.0)
-        span = max(float(np.ptp(log[one.channel])) for log in records)
-        span = span or max(float(np.max(np.abs(log[one.channel]))) for log in records) or 1.0
+    results = []
+    for sensor in sensors:
+        scale = sensor.sign * _fixed(sensor, "scale", 1.0)
+        span = max(float(np.ptp(log[sensor.channel])) for log in records)
+        span = span or max(float(np.max(np.abs(log[sensor.channel]))) for log in records) or 1.0
         for word in WORDS:
-            given = one[word]
+            given = sensor[word]
             if given is None:
                 continue
-            known = {"offset": _level(one), "scale": scale}.get(word, 0.0)
-            known = known if word in ("offset", "scale") else _fixed(one, word, 0.0)
+            known = {"offset": _level(sensor), "scale": scale}.get(word, 0.0)
+            known = known if word in ("offset", "scale") else _fixed(sensor, word, 0.0)
             per = scale if word in ("offset", "scale") else 1.0
             std = 0.0
             if given == ESTIMATE:
@@ -112,9 +112,9 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
             elif isinstance(given, Value) and given.std:
                 std = given.std / abs(per)
             if std > 0.0 or (word in ("lag", "delay") and known > 0.0):
-                _refuse_tied(one.channel, word, records)
-                found.append(Term(one.channel, word, known, per, std, one.per_log))
-    return tuple(found)
+                _refuse_tied(sensor.channel, word, records)
+                results.append(Term(sensor.channel, word, known, per, std, sensor.per_log))
+    return tuple(results)
 
 
 def _refuse_tied(channel: str, word: str, records: Sequence[Record]) -> None:
@@ -132,13 +132,13 @@ def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:
     estimated as well: commands as the valves get them, readings by their level and scale.
     """
     channels = dict(record.channels)
-    for name, own in _by_channel(terms).items():
+    for name, item in _by_channel(terms).items():
         if name not in channels:
             continue
-        e = {term.word: excess.get(term.name, 0.0) for term in own}
+        e = {term.word: excess.get(term.name, 0.0) for term in item}
         true = (channels[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
         if name.endswith(".command"):
-            true = _late(true, record.sample_time, own, excess)
+            true = _late(true, record.sample_time, item, excess)
         channels[name] = true
     return replace(record, channels=channels) if terms else record
 
@@ -146,20 +146,20 @@ def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:
 def sensed(replayed: Record, terms: Sequence[Term], excess: Excess) -> Record:
     """A simulation as the log's sensors would have shown it, known errors taken out."""
     channels = dict(replayed.channels)
-    for name, own in _by_channel(terms).items():
+    for name, item in _by_channel(terms).items():
         if name not in channels or name.endswith(".command"):
             continue
-        e = {term.word: excess.get(term.name, 0.0) for term in own}
-        seen = _late(channels[name], replayed.sample_time, own, excess)
+        e = {term.word: excess.get(term.name, 0.0) for term in item}
+        seen = _late(channels[name], replayed.sample_time, item, excess)
         channels[name] = (1.0 + e.get("scale", 0.0)) * seen + e.get("offset", 0.0)
     return replace(replayed, channels=channels) if terms else replayed
 
 
 def _by_channel(terms: Sequence[Term]) -> dict[str, list[Term]]:
-    found: dict[str, list[Term]] = {}
+    results: dict[str, list[Term]] = {}
     for term in terms:
-        found.setdefault(term.channel, []).append(term)
-    return found
+        results.setdefault(term.channel, []).append(term)
+    return results
 
 
 def _late(y: np.ndarray, tick: float, terms: Sequence[Term], excess: Excess) -> np.ndarray:

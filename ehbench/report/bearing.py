@@ -63,8 +63,8 @@ class Made:
     @cached_property
     def recipe(self) -> Source:
         """Its recipe."""
-        said = self.run.facts.get("recipe", {})
-        name, digest = said.get("path", ""), said.get("sha256", "")
+        message = self.run.facts.get("recipe", {})
+        name, digest = message.get("path", ""), message.get("sha256", "")
         typed = self._volatile.get("argv")
         typed = [text for text in typed if isinstance(text, str)] if isinstance(typed, list) else []
         places = [self._noted("recipe"), *(Path(text) for text in typed if Path(text).name == name)]
@@ -77,14 +77,14 @@ class Made:
         noted = self._volatile.get("inputs")
         noted = noted if isinstance(noted, list) else []
         base = self.recipe.place.parent if self.recipe.place else self.folder.parent
-        found = []
-        for index, one in enumerate(self.run.facts.get("inputs", [])):
-            name = one["path"]
+        results = []
+        for index, item in enumerate(self.run.facts.get("inputs", [])):
+            name = item["path"]
             places = [base / name, self.folder.parent / name]
             if index < len(noted) and isinstance(noted[index], str):
                 places.insert(0, Path(noted[index]))
-            found.append(Source(one["role"], name, _first(places), one["sha256"]))
-        return found
+            results.append(Source(item["role"], name, _first(places), item["sha256"]))
+        return results
 
     def _noted(self, key: str) -> Path | None:
         path = self._volatile.get(key)
@@ -105,14 +105,14 @@ def _first(places: list[Path | None]) -> Path | None:
     return next((place for place in places if place is not None and place.exists()), None)
 
 
-def _marks(made: Made, seen: set[Path]) -> Iterator[str]:
-    seen.add(made.folder.resolve())
-    name = made.folder.name
-    yield from _own(made)
-    if made.run.facts["code_sha256"] != rundir.code_version():
-        commit = made.run.facts.get("commit", "unknown")
+def _marks(built: Made, seen: set[Path]) -> Iterator[str]:
+    seen.add(built.folder.resolve())
+    name = built.folder.name
+    yield from _own(built)
+    if built.run.facts["code_sha256"] != rundir.code_version():
+        commit = built.run.facts.get("commit", "unknown")
         yield f"{name}: run from other code than this (commit {commit})"
-    for source in (made.recipe, *made.sources):
+    for source in (built.recipe, *built.sources):
         yield from _changed(name, source)
         folder = source.run
         if folder is not None and folder.resolve() not in seen:
@@ -132,19 +132,19 @@ def _changed(name: str, source: Source) -> Iterator[str]:
         )
 
 
-def _own(made: Made) -> Iterator[str]:
+def _own(built: Made) -> Iterator[str]:
     """What in the run folder is not as the run wrote it."""
-    facts, name = made.run.facts, made.folder.name
+    facts, name = built.run.facts, built.folder.name
     plain = dict(facts.plain())
     digest = hashlib.sha256((facts["recipe"]["sha256"] + facts["code_sha256"]).encode())
-    for one in facts["inputs"]:
-        digest.update(f"{one['role']}:{one['sha256']}\n".encode())
+    for item in facts["inputs"]:
+        digest.update(f"{item['role']}:{item['sha256']}\n".encode())
     if digest.hexdigest()[:8] != facts["hash"]:
         yield f"{name}: run.json names other inputs or other code than its hash"
     if plain.pop("seal", None) != rundir.seal_of(plain):
         yield f"{name}: run.json is not as the run wrote it"
-    for file, wrote in rundir.outputs_of(made.folder / "run.json").items():
-        path = made.folder / file
+    for file, wrote in rundir.outputs_of(built.folder / "run.json").items():
+        path = built.folder / file
         if not path.is_file():
             yield f"{name}: '{file}' is gone"
         elif sha256(path) != wrote:

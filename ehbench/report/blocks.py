@@ -171,12 +171,12 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
 
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, count=1, flags=re.S)
-    body = _ID.sub(lambda found: f'id="{prefix}{found[1]}"', body)
-    body = _LINK.sub(lambda found: f'href="#{prefix}{found[2]}"', body)
-    body = _URL.sub(lambda found: f"url(#{prefix}{found[1]})", body)
+    body = _ID.sub(lambda result: f'id="{prefix}{result[1]}"', body)
+    body = _LINK.sub(lambda result: f'href="#{prefix}{result[2]}"', body)
+    body = _URL.sub(lambda result: f"url(#{prefix}{result[1]})", body)
     if looks is not None:
         body = _STYLE.sub(
-            lambda found: f' class="{looks.setdefault(found[1], f"k{len(looks)}")}"', body
+            lambda result: f' class="{looks.setdefault(result[1], f"k{len(looks)}")}"', body
         )
     box = _WIDE.match(body)
     shape = box[1] if box and _FOUR.fullmatch(box[1].strip()) else "0 0 525 300"

@@ -28,11 +28,11 @@ def plus(rig: Rig, name: str, value: float | None, half: float | None) -> str:
     return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, half)))
 
 
-def as_fitted(rig: Rig, name: str, one: Table) -> str:
+def as_fitted(rig: Rig, name: str, item: Table) -> str:
     """What a fit found of a parameter, in the rig's unit: ``value`` with ± half its ``interval``
     where that lies about the value, else the value alone.
     """
-    ends = (one.number("value"), *(one.get("interval") or (None, None)))
+    ends = (item.number("value"), *(item.get("interval") or (None, None)))
     return estimate(*(None if v is None else float(shown(rig, name, v)) for v in ends))
 
 
@@ -76,12 +76,12 @@ def range_in(row: Table, *path: str | int) -> Sequence[float] | None:
     """The least and the largest of a measure over several runs, by where it stands in its row;
     None of a single run.
     """
-    found: Any = row.get("range")
+    result: Any = row.get("range")
     for key in path:
-        if found is None:
+        if result is None:
             return None
-        found = found[key] if isinstance(key, int) else found.get(key)
-    return found
+        result = result[key] if isinstance(key, int) else result.get(key)
+    return result
 
 
 def sentence(text: str) -> str:

@@ -52,7 +52,7 @@ class Case:
         slower than asked.
         """
         return not self.row.get("stopped") and all(
-            abs(one["steady_error"]) < SLOW for one in self.steps
+            abs(step["steady_error"]) < SLOW for step in self.steps
         )
 
     @property
@@ -109,11 +109,11 @@ def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str, str], list[Case]]:
     return groups
 
 
-def damping(one: Table) -> tuple[float | None, str]:
+def damping(item: Table) -> tuple[float | None, str]:
     """(damping ratio of a step's decay, doubt about it); of a speed that hardly rings it is that of
     the fit.
     """
-    return one.get("damping_ratio_fitted", one.get("damping_ratio")), one["ringing"]
+    return item.get("damping_ratio_fitted", item.get("damping_ratio")), item["ringing"]
 
 
 def true_payload(rig: Rig, payload: str) -> float | None:

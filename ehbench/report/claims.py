@@ -43,20 +43,20 @@ def claim_of(run: Saved, name: str) -> Claim:
         InputError: no number goes by it, or several do; names them.
     """
     claims = list(_claims(run))
-    wanted = _pieces(name)
-    near = [one for one in claims if _has(_pieces(one.path), wanted)]
-    exact = [one for one in near if _pieces(one.path)[-len(wanted) :] == wanted] or near
-    best = min((len(_pieces(one.path)) for one in exact), default=0)
+    required = _pieces(name)
+    near = [claim for claim in claims if _has(_pieces(claim.path), required)]
+    exact = [item for item in near if _pieces(item.path)[-len(required) :] == required] or near
+    best = min((len(_pieces(item.path)) for item in exact), default=0)
     # a parameter's own value comes before what a log says of it
-    short = [one for one in exact if len(_pieces(one.path)) == best]
+    short = [item for item in exact if len(_pieces(item.path)) == best]
     if len(short) == 1:
         return short[0]
     if near:
-        paths = ", ".join(one.path for one in short[:8])
+        paths = ", ".join(item.path for item in short[:8])
         raise InputError(
             f"has {len(short)} numbers that go by '{name}'", file=run.folder, hint=f"say {paths}"
         )
-    known = sorted({one.path for one in claims})
+    known = sorted({claim.path for claim in claims})
     close = get_close_matches(name, known, 3, 0.4)
     raise InputError(
         f"has no number that goes by '{name}'",
@@ -69,10 +69,10 @@ def _pieces(name: str) -> list[str]:
     return [piece for piece in re.split(r"[.\s/]+", name) if piece]
 
 
-def _has(pieces: list[str], wanted: list[str]) -> bool:
+def _has(pieces: list[str], required: list[str]) -> bool:
     """Whether the wanted pieces stand in this order among the pieces."""
     rest = iter(pieces)
-    return all(piece in rest for piece in wanted)
+    return all(piece in rest for piece in required)
 
 
 def _claims(run: Saved) -> Iterator[Claim]:
@@ -107,11 +107,11 @@ def _numbers(file: Path, value: Any, where: list[str]) -> Iterator[Claim]:
                 )
             elif not _is_number(inside):
                 yield from _numbers(file, inside, [*where, key])
-    elif isinstance(value, list) and all(isinstance(one, Mapping) for one in value):
-        for index, one in enumerate(value):
-            named = [str(one[key]) for key in _NAMES if isinstance(one.get(key), str)]
+    elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
+        for index, item in enumerate(value):
+            named = [str(item[key]) for key in _NAMES if isinstance(item.get(key), str)]
             outer = where if where[-1:] != ["parameters"] else where[:-1]
-            yield from _numbers(file, one, [*outer, *(named or [str(index)])])
+            yield from _numbers(file, item, [*outer, *(named or [str(index)])])
 
 
 def _is_number(value: Any) -> bool:
@@ -127,9 +127,9 @@ def _unit(table: Mapping[str, Any], where: list[str]) -> str:
 
 def _interval(table: Mapping[str, Any]) -> tuple[float, float] | None:
     for keys in _ENDS:
-        found = _pair(table.get(keys[0]) if len(keys) == 1 else [table.get(key) for key in keys])
-        if found:
-            return found
+        result = _pair(table.get(keys[0]) if len(keys) == 1 else [table.get(key) for key in keys])
+        if result:
+            return result
     return None
 
 

@@ -71,23 +71,25 @@ def compare(first: Path, second: Path) -> Comparison:
     Raises:
         InputError: no run, or runs of different kinds.
     """
-    (one, found_one), (two, found_two) = found(first), found(second)
-    if one.what != two.what or one.stage != two.stage:
+    (item, found_one), (two, found_two) = found(first), found(second)
+    if item.what != two.what or item.stage != two.stage:
         raise InputError(
             f"is a run of '{words(two.what or two.stage)}', the other of "
-            f"'{words(one.what or one.stage)}'",
+            f"'{words(item.what or item.stage)}'",
             file=second,
             hint="compare runs of one stage",
         )
-    shifts = list(_shifts(_parameters(one), _parameters(two)))
+    shifts = list(_shifts(_parameters(item), _parameters(two)))
     changed = [shift for shift in shifts if shift.first != shift.second]
     changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
-    numbered = one.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
-    heads = [{n.label: n.value for n in findings_of(run).numbers if numbered} for run in (one, two)]
+    numbered = item.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
+    heads = [
+        {n.label: n.value for n in findings_of(run).numbers if numbered} for run in (item, two)
+    ]
     return Comparison(
-        one.what or one.stage,
+        item.what or item.stage,
         (found_one.status, found_two.status),
-        tuple(_changes(_inputs(one), _inputs(two))),
+        tuple(_changes(_inputs(item), _inputs(two))),
         tuple(changed),
         len(shifts) - len(changed),
         tuple(_changes(*heads)),
@@ -98,8 +100,8 @@ def _inputs(run: Saved) -> dict[str, str]:
     """What a run was made from: digests by what they are of, run folders without their hash."""
     facts = run.facts
     known = {"recipe": facts["recipe"]["sha256"]}
-    for one in facts["inputs"]:
-        known[f"{one['role']} {_RUN.sub('', Path(one['path']).name)}"] = one["sha256"]
+    for item in facts["inputs"]:
+        known[f"{item['role']} {_RUN.sub('', Path(item['path']).name)}"] = item["sha256"]
     known["code"] = facts["code_sha256"]
     known |= {f"version of {name}": str(value) for name, value in facts["versions"].items()}
     return known | {f"seed of {k}": str(v) for k, v in facts.get("seeds", {}).items()}
@@ -119,14 +121,14 @@ def _parameters(run: Saved) -> dict[str, Known]:
     path = run.folder / "parameters.json"
     if path.is_file():
         rows = Table(read_json(path), path)["parameters"]
-        return {one["name"]: (one.number("value"), _ends(one.get("interval"))) for one in rows}
+        return {row["name"]: (row.number("value"), _ends(row.get("interval"))) for row in rows}
     if run.what == "flow_map":
         return {
-            f"{one['valve']}.{one['direction']}.deadband": (
-                one.number("deadband"),
-                _ends(one["deadband_interval"]),
+            f"{row['valve']}.{row['direction']}.deadband": (
+                row.number("deadband"),
+                _ends(row["deadband_interval"]),
             )
-            for one in run.rows("summary.json")
+            for row in run.rows("summary.json")
         }
     if not (run.folder / "rig.toml").is_file():
         return {}
@@ -172,22 +174,29 @@ def lines(first: Path, second: Path, width: int = 100) -> list[str]:
     Raises:
         InputError: as `compare`.
     """
-    said, rig = compare(first, second), _rig(first)
-    before, after = (words(status) for status in said.verdicts)
-    out = [f"{words(said.stage)}: {before} in both" if before == after else f"{before} → {after}"]
-    if said.inputs:
-        rows = [[one.what, _short(one.first), _short(one.second)] for one in said.inputs]
+    message, rig = compare(first, second), _rig(first)
+    before, after = (words(status) for status in message.verdicts)
+    out = [
+        f"{words(message.stage)}: {before} in both" if before == after else f"{before} → {after}"
+    ]
+    if message.inputs:
+        rows = [[item.what, _short(item.first), _short(item.second)] for item in message.inputs]
         out += ["", *table(Grid(["input", "first", "second"], rows), width=width)]
     else:
         out.append("the inputs are the same")
-    if said.parameters:
+    if message.parameters:
         head = ["parameter", "first", "second", "unit", "intervals apart"]
         out += ["", "above 1 interval apart, the runs do not agree:"]
-        out += ["", *table(Grid(head, [_row(rig, one) for one in said.parameters]), width=width)]
-    if said.same:
-        out += ["", f"{said.same} parameters are the same"]
-    if said.numbers:
-        rows = [[one.what, one.first or "–", one.second or "–"] for one in said.numbers]
+        out += [
+            "",
+            *table(
+                Grid(head, [_row(rig, parameter) for parameter in message.parameters]), width=width
+            ),
+        ]
+    if message.same:
+        out += ["", f"{message.same} parameters are the same"]
+    if message.numbers:
+        rows = [[item.what, item.first or "–", item.second or "–"] for item in message.numbers]
         out += ["", *table(Grid(["number", "first", "second"], rows), width=width)]
     return out
 
@@ -201,15 +210,15 @@ def _short(text: str) -> str:
     return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or "–"
 
 
-def _row(rig: Rig | None, one: Shift) -> list[Cell | str]:
-    apart = DASH if one.intervals is None else number(one.intervals, 2)
+def _row(rig: Rig | None, item: Shift) -> list[Cell | str]:
+    apart = DASH if item.intervals is None else number(item.intervals, 2)
     if rig is None:
-        return [one.name, num(number(one.first)), num(number(one.second)), "", num(apart)]
+        return [item.name, num(number(item.first)), num(number(item.second)), "", num(apart)]
     cells = [
-        num(_text(rig, one.name, value, ends))
-        for value, ends in ((one.first, one.first_interval), (one.second, one.second_interval))
+        num(_text(rig, item.name, value, ends))
+        for value, ends in ((item.first, item.first_interval), (item.second, item.second_interval))
     ]
-    return [one.name, *cells, pretty(unit_of(rig, one.name)), num(apart)]
+    return [item.name, *cells, pretty(unit_of(rig, item.name)), num(apart)]
 
 
 def _text(rig: Rig, name: str, value: float | None, ends: tuple[float, float] | None) -> str:
@@ -217,6 +226,6 @@ def _text(rig: Rig, name: str, value: float | None, ends: tuple[float, float] | 
         return DASH
     if ends is None:
         return plus(rig, name, value, None)
-    seen = [float(shown(rig, name, one)) for one in (value, *ends)]
+    seen = [float(shown(rig, name, end)) for end in (value, *ends)]
     text = estimate(*seen)
     return text if "±" in text else f"{text} ({range_of(rig, name, ends)})"

@@ -99,17 +99,17 @@ def ringing_table(
         "ζ simulated",
     ]
     rows = []
-    for one in matches:
-        row = _ringing_row(rig, one)
-        rows.append([Cell(words(one.get("log", "")), "name"), *row] if with_log else row)
+    for match in matches:
+        row = _ringing_row(rig, match)
+        rows.append([Cell(words(match.get("log", "")), "name"), *row] if with_log else row)
     return Grid(head, rows, caption)
 
 
-def _ringing_row(rig: Rig, one: Table) -> list[Cell | str]:
-    cells: list[Cell | str] = [one["cylinder"], num(interval(one["start"], one["stop"]))]
+def _ringing_row(rig: Rig, item: Table) -> list[Cell | str]:
+    cells: list[Cell | str] = [item["cylinder"], num(interval(item["start"], item["stop"]))]
     for key in ("natural_frequency", "damping_ratio"):
         for side in ("recorded", "simulated"):
-            ring = one[side]
+            ring = item[side]
             value = ring.get(key)
             std = ring.get(f"{key}_std")
             half = None if std is None else Z95 * std

@@ -97,11 +97,11 @@ class Saving:
     def causes(self) -> dict[str, float]:
         """What was drawn beyond the bound [J], by cause; they add up to ``used − bound``."""
         by_cause = {"compression": 0.0}
-        for one in self.limits.get("beyond", []):
-            more = one["drawn"] - one["bound"]
-            pressed = min(max(one["compression"], 0.0), max(more, 0.0))
+        for item in self.limits.get("beyond", []):
+            more = item["drawn"] - item["bound"]
+            pressed = min(max(item["compression"], 0.0), max(more, 0.0))
             by_cause["compression"] += pressed
-            by_cause[one["function"]] = more - pressed
+            by_cause[item["function"]] = more - pressed
         return by_cause
 
 
@@ -140,11 +140,11 @@ def saved_caption(rig: Rig, savings: Sequence[Saving], controller: str) -> str:
     """What one controller saved over all its cycles, what its bound is, and what ate the
     difference.
     """
-    drawn = _energies(rig, [one.used for one in savings], 4)
-    above = _energies(rig, [one.used - one.bound for one in savings])
+    drawn = _energies(rig, [saving.used for saving in savings], 4)
+    above = _energies(rig, [saving.used - saving.bound for saving in savings])
     text = f"{capital(words(controller))}: {_saved_share(savings)}{_bound_caption(savings)}. "
     text += f"Drawn {drawn}, {above} above its bound"
-    halves = [one.half for one in savings if one.half]
+    halves = [saving.half for saving in savings if saving.half]
     text += f" (± {_energies(rig, halves, 2)})" if halves else ""
     return text + f"; {_eaters(rig, savings)}."
 
@@ -154,25 +154,25 @@ def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
     compared with; empty where none does.
     """
     better = [
-        one
-        for one in savings
-        if one.reference is not None
-        and one.bound < one.limits["standard"]
-        and one.used / one.reference < one.bound / one.limits["standard"]
+        saving
+        for saving in savings
+        if saving.reference is not None
+        and saving.bound < saving.limits["standard"]
+        and saving.used / saving.reference < saving.bound / saving.limits["standard"]
     ]
-    against = {(one.case.row["payload"], one.case.row["motion"]) for one in better}
+    against = {(item.case.row["payload"], item.case.row["motion"]) for item in better}
     spools = [
-        one
-        for one in savings
-        if one.used == one.reference
-        and four_way(one.ledger, one.case.cylinder)
-        and (one.case.row["payload"], one.case.row["motion"]) in against
+        saving
+        for saving in savings
+        if saving.used == saving.reference
+        and four_way(saving.ledger, saving.case.cylinder)
+        and (saving.case.row["payload"], saving.case.row["motion"]) in against
     ]
     if not spools:
         return ""
-    bounds = span([100.0 * (1.0 - one.bound / one.limits["standard"]) for one in better])
-    above = _energies(rig, [one.used - one.bound for one in spools])
-    pressed = _energies(rig, [one.causes["compression"] for one in spools])
+    bounds = span([100.0 * (1.0 - item.bound / item.limits["standard"]) for item in better])
+    above = _energies(rig, [spool.used - spool.bound for spool in spools])
+    pressed = _energies(rig, [spool.causes["compression"] for spool in spools])
     return (
         f"Some save more than the bound's {bounds} %: the four-way valve is above its own bound as "
         f"well, by {above} a cycle. It draws {pressed} to press the oil in its chambers together; "
@@ -184,21 +184,21 @@ def open_caption(rig: Rig, cases: Sequence[Case]) -> str:
     """That no saving is told of ways that end with the oil in another state; empty where none
     does.
     """
-    kept = []
+    retained = []
     for case in cases:
         ledger = None if case.row.get("stopped") else case.energy()
-        for one in ledger.get("bounds", []) if ledger is not None else []:
-            if one["closed"] or one.get("kept") is None:
+        for bound in ledger.get("bounds", []) if ledger is not None else []:
+            if bound["closed"] or bound.get("kept") is None:
                 continue
-            ways = (one["travel_out"], one["travel_in"])
+            ways = (bound["travel_out"], bound["travel_in"])
             if abs(ways[0] - ways[1]) <= SAME_WAY * max(ways):
-                kept.append(one["kept"])
-    if not kept:
+                retained.append(bound["kept"])
+    if not retained:
         return ""
     return (
-        f"No saving is told of {count(len(kept), 'trial')} that came back with the oil in another "
-        f"state, {_energies(rig, kept)} more pressed into it than at the beginning: let the motion "
-        "make 2 cycles."
+        f"No saving is told of {count(len(retained), 'trial')} that came back with the oil in "
+        f"another state, {_energies(rig, retained)} more pressed into it than at the beginning: "
+        "let the motion make 2 cycles."
     )
 
 
@@ -211,40 +211,42 @@ def _energies(rig: Rig, values: Sequence[float], digits: int = 3) -> str:
 def _saved_share(savings: Sequence[Saving]) -> str:
     """How much less than a four-way valve: the one that ran, or the least that any must draw."""
     against = [
-        1.0 - one.used / one.reference
-        for one in savings
-        if one.reference is not None and not four_way(one.ledger, one.case.cylinder)
+        1.0 - saving.used / saving.reference
+        for saving in savings
+        if saving.reference is not None and not four_way(saving.ledger, saving.case.cylinder)
     ]
     if against:
         return f"{_less(against)} than the four-way valve"
-    return f"{_less([one.limits['saving'] for one in savings])} than a four-way valve must draw"
+    return (
+        f"{_less([saving.limits['saving'] for saving in savings])} than a four-way valve must draw"
+    )
 
 
 def _bound_caption(savings: Sequence[Saving]) -> str:
     """The bound of its functions, where it is another than the four-way valve's."""
-    if all(one.limits.get("against", "standard") == "standard" for one in savings):
+    if all(saving.limits.get("against", "standard") == "standard" for saving in savings):
         return ""
     limits = " or ".join(
-        dict.fromkeys(_BOUNDS[one.limits.get("against") or "standard"] for one in savings)
+        dict.fromkeys(_BOUNDS[saving.limits.get("against") or "standard"] for saving in savings)
     )
-    bound = span([100.0 * (1.0 - one.bound / one.limits["standard"]) for one in savings])
+    bound = span([100.0 * (1.0 - saving.bound / saving.limits["standard"]) for saving in savings])
     return f"; the bound of {limits} is {bound} % less"
 
 
 def _eaters(rig: Rig, savings: Sequence[Saving]) -> str:
     """What ate the difference to the bound, the largest causes first, each at its worst."""
     worst = {
-        name: max(savings, key=lambda one, n=name: one.causes.get(n, 0.0))
-        for one in savings
-        for name in one.causes
+        name: max(savings, key=lambda entry, n=name: saving.causes.get(n, 0.0))
+        for saving in savings
+        for name in saving.causes
     }
-    eaten = [(one.causes.get(name, 0.0), name, one) for name, one in worst.items()]
+    eaten = [(item.causes.get(name, 0.0), name, item) for name, item in worst.items()]
     eaten = sorted((e for e in eaten if e[0] > TELLING * e[2].used), key=lambda e: -e[0])
     if not eaten:
         return f"no single cause takes more than {percent(TELLING, 1)} of what was drawn"
     return "the difference is " + ", ".join(
-        f"{_cause(name)} (up to {_energies(rig, [most])}, {_where(one.case)})"
-        for most, name, one in eaten[:3]
+        f"{_cause(name)} (up to {_energies(rig, [maximum])}, {_where(item.case)})"
+        for maximum, name, item in eaten[:3]
     )
 
 
@@ -267,8 +269,8 @@ def _where(case: Case) -> str:
 
 def went_caption(savings: Sequence[Saving], controller: str) -> str:
     """Where one controller's energy was lost, the largest shares first."""
-    tables = [went(one.ledger, one.case.cylinder) for one in savings]
-    given = [one.given for one in savings]
+    tables = [went(saving.ledger, saving.case.cylinder) for saving in savings]
+    given = [saving.given for saving in savings]
     shares = {
         name: [
             100.0 * table.get(name, 0.0) / whole for table, whole in zip(tables, given, strict=True)
@@ -284,8 +286,8 @@ def went_caption(savings: Sequence[Saving], controller: str) -> str:
         f"{_KINDS.get(name, f'throttling {name}')} {span(shares[name], 2)} %" for name in lost[:4]
     ]
     low = [
-        100.0 * low_side(one.ledger, one.case.cylinder) / whole
-        for one, whole in zip(savings, given, strict=True)
+        100.0 * low_side(saving.ledger, saving.case.cylinder) / whole
+        for saving, whole in zip(savings, given, strict=True)
     ]
     if max(low) > 0.0:
         parts.append(f"pressure left in the off-side chamber of resistive motion {span(low, 2)} %")
@@ -342,19 +344,20 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     left_out: list[Block] = [Text(caption, "note")] if caption else []
     if not savings:
         return left_out
-    names = list(dict.fromkeys(one.case.row["controller"] for one in savings))
+    names = list(dict.fromkeys(saving.case.row["controller"] for saving in savings))
     by_name = {
-        name: [one for one in savings if one.case.row["controller"] == name] for name in names
+        name: [saving for saving in savings if saving.case.row["controller"] == name]
+        for name in names
     }
     return [
         Text("What was saved, and what ate the rest:"),
-        Bullets([saved_caption(rig, own, name) for name, own in by_name.items()]),
+        Bullets([saved_caption(rig, item, name) for name, item in by_name.items()]),
         *([Text(passes)] if (passes := passes_caption(rig, savings)) else []),
         Text(_VOLUME + _of_cycle(cases), "note"),
         *left_out,
         _saved_table(rig, savings),
         Text("Where it was lost, as shares of what the supply gave:"),
-        Bullets([went_caption(own, name) for name, own in by_name.items()]),
+        Bullets([went_caption(item, name) for name, item in by_name.items()]),
         _went_table(rig, savings),
     ]
 
@@ -377,7 +380,7 @@ def _energy(rig: Rig, value: float | None, whole: float, half: float | None = No
 
 
 def _saved_table(rig: Rig, savings: Sequence[Saving]) -> Grid:
-    compared = any(one.reference is not None for one in savings)
+    compared = any(saving.reference is not None for saving in savings)
     unit = pretty(unit_of(rig, "energy"))
     head = [
         *WHO,
@@ -397,38 +400,38 @@ def _saved_table(rig: Rig, savings: Sequence[Saving]) -> Grid:
         "Bounds for the way that was really made; for a cycle with the load on the head end "
         "a four-way valve Ps (A1 + A2) Δx, six functions Ps A1 Δx, the seventh Ps (A1 − A2) Δx."
     )
-    rows = [_saved_row(rig, one, compared) for one in savings]
+    rows = [_saved_row(rig, saving, compared) for saving in savings]
     return Grid(head, rows, note, "saving", "Energy saved.")
 
 
-def _saved_row(rig: Rig, one: Saving, compared: bool) -> list[Cell | str]:
+def _saved_row(rig: Rig, item: Saving, compared: bool) -> list[Cell | str]:
     if not compared:
-        saving = one.limits["saving"]
+        saving = item.limits["saving"]
     else:
-        saving = None if one.reference is None else 1.0 - one.used / one.reference
-    above = (one.used - one.bound, *_by_motion(one).values())
+        saving = None if item.reference is None else 1.0 - item.used / item.reference
+    above = (item.used - item.bound, *_by_motion(item).values())
     return [
-        *who(one.case),
-        _energy(rig, one.used, 0.0, one.half),
+        *who(item.case),
+        _energy(rig, item.used, 0.0, item.half),
         num(DASH if saving is None else number(100.0 * saving, 3)),
-        num(number(100.0 * (1.0 - one.bound / one.limits["standard"]), 3)),
-        _energy(rig, one.bound, 0.0),
-        *(_energy(rig, energy, one.used) for energy in above),
+        num(number(100.0 * (1.0 - item.bound / item.limits["standard"]), 3)),
+        _energy(rig, item.bound, 0.0),
+        *(_energy(rig, energy, item.used) for energy in above),
     ]
 
 
-def _by_motion(one: Saving) -> dict[str, float]:
+def _by_motion(entry: Saving) -> dict[str, float]:
     """What was drawn beyond the bound [J]: compressed, moving out, moving in, holding."""
-    ways = {item["function"]: item["way"] for item in one.limits.get("beyond", [])}
+    ways = {item["function"]: item["way"] for item in entry.limits.get("beyond", [])}
     sums = {"compression": 0.0, "out": 0.0, "in": 0.0, "hold": 0.0}
-    for name, energy in one.causes.items():
+    for name, energy in entry.causes.items():
         sums[name if name in sums else "out" if ways[name] > 0.0 else "in"] += energy
     return sums
 
 
 def _went_table(rig: Rig, savings: Sequence[Saving]) -> Grid:
     names = _went_names(savings)
-    logged = any(one.ledger["source"] == "log" for one in savings)
+    logged = any(saving.ledger["source"] == "log" for saving in savings)
     rest = "unexplained" if logged else _KINDS["rest"]
     head = [
         *WHO,
@@ -442,36 +445,36 @@ def _went_table(rig: Rig, savings: Sequence[Saving]) -> Grid:
         "Pressure of the off-side: throttled at the outlet where the load resists."
         + (_UNEXPLAINED if logged else "")
     )
-    rows = [_went_row(rig, one, names) for one in savings]
+    rows = [_went_row(rig, saving, names) for saving in savings]
     return Grid(head, rows, note, "losses", "Where the energy went.")
 
 
 def _went_names(savings: Sequence[Saving]) -> list[str]:
     """What any trial's energy went into, as far as one can see it: throttling first."""
-    tables = [went(one.ledger, one.case.cylinder) for one in savings]
-    logged = any(one.ledger["source"] == "log" for one in savings)
+    tables = [went(saving.ledger, saving.case.cylinder) for saving in savings]
+    logged = any(saving.ledger["source"] == "log" for saving in savings)
     names = [
         name
         for name in dict.fromkeys(name for table in tables for name in table)
         if name == "rest"
         and logged
         or any(
-            abs(table.get(name, 0.0)) > SEEN * one.used
-            for table, one in zip(tables, savings, strict=True)
+            abs(table.get(name, 0.0)) > SEEN * saving.used
+            for table, saving in zip(tables, savings, strict=True)
         )
     ]
     return sorted(names, key=lambda name: list(_KINDS).index(name) if name in _KINDS else -1)
 
 
-def _went_row(rig: Rig, one: Saving, names: Sequence[str]) -> list[Cell | str]:
-    cylinder, ledger = one.case.cylinder, one.ledger
+def _went_row(rig: Rig, item: Saving, names: Sequence[str]) -> list[Cell | str]:
+    cylinder, ledger = item.case.cylinder, item.ledger
     table = went(ledger, cylinder)
     half = half_of(next(row for row in ledger["rows"] if row["group"] == "residual"))
     cells = [
-        _energy(rig, table.get(name), 0.0 if half else one.used, half)
+        _energy(rig, table.get(name), 0.0 if half else item.used, half)
         if name == "rest"
-        else _energy(rig, table.get(name), one.used)
+        else _energy(rig, table.get(name), item.used)
         for name in names
     ]
     also = (low_side(ledger, cylinder), spent_in(ledger, cylinder, "hold", ("valve", "loss")))
-    return [*who(one.case), *cells, *(_energy(rig, value, one.used) for value in also)]
+    return [*who(item.case), *cells, *(_energy(rig, value, item.used) for value in also)]

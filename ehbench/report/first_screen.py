@@ -44,13 +44,13 @@ def first_screen(
         contents: what each of them tells.
         pictures: the figures of each.
     """
-    found = [findings_of(run) for run in runs]
+    results = [findings_of(run) for run in runs]
     blocks: list[Block] = []
-    if cards := _cards(runs, found):
+    if cards := _cards(runs, results):
         blocks.append(Cards(cards))
-    blocks += _verdict(runs, contents, found)
-    blocks += _figure(runs, found, pictures)
-    if steps := _next(runs, contents, found):
+    blocks += _verdict(runs, contents, results)
+    blocks += _figure(runs, results, pictures)
+    if steps := _next(runs, contents, results):
         blocks += [Text("What to do next", "head"), Bullets([sentence(step) for step in steps])]
     return blocks
 
@@ -63,45 +63,45 @@ def chapters(
     for place, (run, content, stage) in enumerate(zip(runs, contents, reports, strict=True), 1):
         numbers = findings_of(run).numbers[:2]
         results = "; ".join(
-            f"{one.label[:1].lower()}{one.label[1:]} {one.value}" for one in numbers
+            f"{number.label[:1].lower()}{number.label[1:]} {number.value}" for number in numbers
         )
         link = Cell(run.title, link=f"#run-{place}")
         rows.append([link, stage.label, chip(content.status), results or content.sentence])
     return Grid(["run", "stage", "status", "in short"], rows, look="stack")
 
 
-def _cards(runs: Sequence[Saved], found: Sequence[Findings]) -> list[Card]:
+def _cards(runs: Sequence[Saved], result: Sequence[Findings]) -> list[Card]:
     """One number a rank, from a machine where one was found on it and from the run that others
     build on, then others of the last ranks.
     """
     used = {
-        Path(one["path"]).name
+        Path(item["path"]).name
         for run in runs
         if run.what == "validation"
-        for one in run.facts["inputs"]
+        for item in run.facts["inputs"]
     }
     rigs = {run.rig.name for run in runs if _has_rig(run)}
     best: dict[int, tuple[tuple[bool, bool, int], int, Headline]] = {}
     others: list[tuple[int, Headline]] = []
-    for place, (run, findings) in enumerate(zip(runs, found, strict=True), 1):
-        for one in findings.numbers:
-            weight = (not one.on_model, run.folder.name in used, place)
-            if one.rank >= OFTEN:
-                others.append((place, one))
-            elif one.rank not in best or weight >= best[one.rank][0]:
-                best[one.rank] = (weight, place, one)
-    chosen = [(place, one) for _, (_, place, one) in sorted(best.items())]
+    for place, (run, findings) in enumerate(zip(runs, result, strict=True), 1):
+        for number in findings.numbers:
+            weight = (not number.on_model, run.folder.name in used, place)
+            if number.rank >= OFTEN:
+                others.append((place, number))
+            elif number.rank not in best or weight >= best[number.rank][0]:
+                best[number.rank] = (weight, place, number)
+    chosen = [(place, item) for _, (_, place, item) in sorted(best.items())]
     chosen = (chosen + others)[:MANY]
     return [
         Card(
-            one.label,
-            one.value,
-            one.about
+            item.label,
+            item.value,
+            item.about
             if len(rigs) < 2 or not _has_rig(runs[place - 1])
-            else f"{words(runs[place - 1].rig.name)}: {one.about}",
+            else f"{words(runs[place - 1].rig.name)}: {item.about}",
             f"#run-{place}",
         )
-        for place, one in chosen
+        for place, item in chosen
     ]
 
 
@@ -110,7 +110,7 @@ def _has_rig(run: Saved) -> bool:
 
 
 def _verdict(
-    runs: Sequence[Saved], contents: Sequence[SectionContent], found: Sequence[Findings]
+    runs: Sequence[Saved], contents: Sequence[SectionContent], result: Sequence[Findings]
 ) -> list[Block]:
     """What validation says of the model, then what speaks against any result."""
     judged = [
@@ -129,11 +129,11 @@ def _verdict(
         reserved = [run.title for run, content in judged if content.status != "accepted"]
         if reserved:
             text, look = f"{text[:-1]}, with reservation: {', '.join(reserved)}.", "warn"
-    doubts, told = [], set()
-    for run, findings in zip(runs, found, strict=True):
+    doubts, message = [], set()
+    for run, findings in zip(runs, result, strict=True):
         # what a fit leans on is a reserve of the validations behind it too
-        against = [one for one in findings.against if one not in told]
-        told |= set(against)
+        against = [item for item in findings.against if item not in message]
+        message |= set(against)
         if against:
             more = f"; {len(against) - 2} more" if len(against) > 2 else ""
             doubts.append(f"{run.title}: {'; '.join(against[:2])}{more}")
@@ -142,7 +142,7 @@ def _verdict(
         blocks.append(Text(text, look))
     if doubts:
         blocks.append(Text("Against it, or open", "head"))
-        blocks.append(Bullets([sentence(one) for one in doubts[:SHOWN]], "warn"))
+        blocks.append(Bullets([sentence(doubt) for doubt in doubts[:SHOWN]], "warn"))
     return blocks
 
 
@@ -150,7 +150,7 @@ def _held_out(run: Saved) -> set[str]:
     """The logs that count, by their bytes and windows: several runs may judge the same."""
     logs = run.json("validation.json")["logs"]
     inputs = run.facts.get("inputs", [])
-    digests = [one["sha256"] for one in inputs if one.get("role") == "log"]
+    digests = [item["sha256"] for item in inputs if item.get("role") == "log"]
     if len(digests) != len(logs):
         digests = [f"{run.folder} {index}" for index in range(len(logs))]
     return {
@@ -161,13 +161,13 @@ def _held_out(run: Saved) -> set[str]:
 
 
 def _figure(
-    runs: Sequence[Saved], found: Sequence[Findings], pictures: Sequence[Pictures]
+    runs: Sequence[Saved], result: Sequence[Findings], pictures: Sequence[Pictures]
 ) -> list[Block]:
     """The first figure of the furthest run that has one, of a machine where one ran."""
-    order = [i for i, one in enumerate(found) if one.figures]
-    machine = [i for i in order if not any(number.on_model for number in found[i].numbers)]
+    order = [i for i, item in enumerate(result) if item.figures]
+    machine = [i for i in order if not any(number.on_model for number in result[i].numbers)]
     for i in [*reversed(machine), *reversed(order)]:
-        for key in found[i].figures:
+        for key in result[i].figures:
             if drawn := pictures[i](key):
                 return [_again(drawn[0], runs[i].title)]
     return []
@@ -183,13 +183,15 @@ def _again(picture: Picture, title: str) -> Picture:
 
 
 def _next(
-    runs: Sequence[Saved], contents: Sequence[SectionContent], found: Sequence[Findings]
+    runs: Sequence[Saved], contents: Sequence[SectionContent], result: Sequence[Findings]
 ) -> list[str]:
     """What the runs ask for, then the next link of the chain."""
-    steps = list(dict.fromkeys(step for one in found for step in one.next))[:SHOWN]
+    steps = list(dict.fromkeys(step for item in result for step in item.next))[:SHOWN]
     kinds = {run.what for run in runs}
     on_machine = any(
-        number.rank in MEASURED and not number.on_model for one in found for number in one.numbers
+        number.rank in MEASURED and not number.on_model
+        for item in result
+        for number in item.numbers
     )
     if on_machine:
         steps = [step for step in steps if step != ON_MACHINE]

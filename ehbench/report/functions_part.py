@@ -22,23 +22,23 @@ _SEVENTH = FUNCTIONS[EXTEND_RESISTIVE_REGENERATION]
 def draw_functions(tuning: Table, index: FigureIndex) -> None:
     """A figure of each working function that the cylinder's circuit can do."""
     cylinder = tuning["cylinder"]
-    for one in tuning.get("functions", []):
-        title = f"{capital(words(one['name']))}: {words(cylinder)}"
-        about = FigureKey("function", function=one["name"], cylinder=cylinder)
-        path = index.add(f"function_{one['name']}", title, function_caption(one), about)
-        circuit(path, one)
+    for function in tuning.get("functions", []):
+        title = f"{capital(words(function['name']))}: {words(cylinder)}"
+        about = FigureKey("function", function=function["name"], cylinder=cylinder)
+        path = index.add(f"function_{function['name']}", title, function_caption(function), about)
+        circuit(path, function)
 
 
-def function_caption(one: Table) -> str:
+def function_caption(item: Table) -> str:
     """What is open, what meters, what is shut."""
-    opened = [edge["name"] for edge in one["edges"] if edge["way"]]
-    shut = [edge["name"] for edge in one["edges"] if not edge["way"]]
-    text = f"Open: {', '.join(opened)}; {_metering(one)['name']} (red) sets the motion"
+    opened = [edge["name"] for edge in item["edges"] if edge["way"]]
+    shut = [edge["name"] for edge in item["edges"] if not edge["way"]]
+    text = f"Open: {', '.join(opened)}; {_metering(item)['name']} (red) sets the motion"
     return text + (f"; shut, dashed: {', '.join(shut)}." if shut else ".")
 
 
-def _metering(one: Table) -> Table:
-    return next(edge for edge in one["edges"] if edge["meters"])
+def _metering(item: Table) -> Table:
+    return next(edge for edge in item["edges"] if edge["meters"])
 
 
 def function_tables(rig: Rig, tuning: Table) -> list[Block]:
@@ -51,14 +51,14 @@ def function_tables(rig: Rig, tuning: Table) -> list[Block]:
 
 def _selection(rig: Rig, functions: Sequence[Table]) -> Grid:
     rows: list[list[Cell | str]] = [["hold", "none", "any", "", num("0")]]
-    for one in sorted(functions, key=lambda one: (-one["direction"], one["along"])):
+    for function in sorted(functions, key=lambda item: (-item["direction"], item["along"])):
         rows.append(
             [
-                words(one["name"]),
-                "extend" if one["direction"] > 0 else "retract",
-                "along the motion" if one["along"] else "against the motion",
-                _condition(one),
-                num(number(float(shown(rig, "area_head", one["draws"])), 4)),
+                words(function["name"]),
+                "extend" if function["direction"] > 0 else "retract",
+                "along the motion" if function["along"] else "against the motion",
+                _condition(function),
+                num(number(float(shown(rig, "area_head", function["draws"])), 4)),
             ]
         )
     drawn = axis(rig, "area_head", "oil from the supply for a way made")
@@ -67,31 +67,31 @@ def _selection(rig: Rig, functions: Sequence[Table]) -> Grid:
         "Of those that suit, the one that draws least from the supply; the margins are rules of "
         "the recipe."
     )
-    if any(one["name"] == _SEVENTH for one in functions):
+    if any(function["name"] == _SEVENTH for function in functions):
         note += f" {capital(words(_SEVENTH))} is chosen only where they allow it."
     return Grid(head, rows, note, "function_selection", "Function selection.")
 
 
-def _condition(one: Table) -> str:
+def _condition(item: Table) -> str:
     """What beside motion and load a working function needs."""
-    if one["name"] == _SEVENTH:
+    if item["name"] == _SEVENTH:
         return "the supply carries the load on A₁ − A₂, with a margin; allowed"
-    if not one["cross"]:
-        return "" if one["along"] else "the supply carries the load"
-    start, stop = one["cross"].split("_")
+    if not item["cross"]:
+        return "" if item["along"] else "the supply carries the load"
+    start, stop = item["cross"].split("_")
     return f"p_{start} > p_{stop} + margin, and the edge between them carries A₂ |v|"
 
 
 def _cylinder_functions(functions: Sequence[Table]) -> Grid:
     rows: list[list[Cell | str]] = []
-    for one in functions:
-        opened = [edge for edge in one["edges"] if edge["way"]]
-        meters = _metering(one)
+    for function in functions:
+        opened = [edge for edge in function["edges"] if edge["way"]]
+        meters = _metering(function)
         rows.append(
             [
-                words(one["name"]),
+                words(function["name"]),
                 ", ".join(edge["name"] for edge in opened),
-                f"{meters['name']} ({one['metered']} end), {flow_words(meters)}",
+                f"{meters['name']} ({function['metered']} end), {flow_words(meters)}",
                 "; ".join(f"{e['name']}, {flow_words(e)}" for e in opened if not e["meters"]),
             ]
         )

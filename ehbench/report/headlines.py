@@ -67,8 +67,8 @@ def findings_of(run: Saved) -> Findings:
 
 def _flow_maps(run: Saved) -> Findings:
     maps, rig = run.rows("summary.json"), run.rig
-    bands = [float(shown(rig, "command", one["deadband"])) for one in maps]
-    points = [(one, point) for one in maps for point in one["calibration"]]
+    bands = [float(shown(rig, "command", item["deadband"])) for item in maps]
+    points = [(item, point) for item in maps for point in item["calibration"]]
     numbers = [
         Headline(
             OFTEN,
@@ -78,8 +78,8 @@ def _flow_maps(run: Saved) -> Findings:
         )
     ]
     missing = (
-        f"calibration {words(point['verdict'])}: {one['valve']}, {one['direction']}"
-        for one, point in points
+        f"calibration {words(point['verdict'])}: {item['valve']}, {item['direction']}"
+        for item, point in points
         if point["verdict"] != "met"
     )
     against = list(dict.fromkeys(missing))
@@ -90,21 +90,23 @@ def _flow_maps(run: Saved) -> Findings:
 def _hydraulics(run: Saved) -> Findings:
     rig, fit = run.rig, run.json("parameters.json")
     leans, parameters = fit.get("leans", []), estimates_of(fit)
-    known = [one for one in parameters if one.number("value") is not None]
-    known.sort(key=lambda one: (one["status"] != "estimated", one["name"] != "bulk_modulus"))
-    numbers = [_parameter(rig, one, PARAMETER if i == 0 else OFTEN) for i, one in enumerate(known)]
-    weak = [one for one in parameters if one["status"] != "estimated"]
+    known = [parameter for parameter in parameters if parameter.number("value") is not None]
+    known.sort(key=lambda entry: (entry["status"] != "estimated", entry["name"] != "bulk_modulus"))
+    numbers = [
+        _parameter(rig, item, PARAMETER if i == 0 else OFTEN) for i, item in enumerate(known)
+    ]
+    weak = [parameter for parameter in parameters if parameter["status"] != "estimated"]
     left = str(fit.get("left_over") or "").partition(":")[0]  # what it means stands in the chapter
-    against = [one["sentence"] for one in leans[:1]] + [left] * bool(left)
-    weak = [one for one in weak if one["status"] != DOUBTFUL]  # said by what it leans on
-    against += [f"{one['name']} is {words(one['status'])}" for one in weak]
-    cures = [f"measure {one['name']}, or {one['cure']}" for one in leans[:1]]
+    against = [lean["sentence"] for lean in leans[:1]] + [left] * bool(left)
+    weak = [item for item in weak if item["status"] != DOUBTFUL]  # said by what it leans on
+    against += [f"{item['name']} is {words(item['status'])}" for item in weak]
+    cures = [f"measure {lean['name']}, or {lean['cure']}" for lean in leans[:1]]
     cures += ["ask ehbench identify --suggest what the fitted model lacks"] * bool(left)
     return Findings(
         numbers,
         [FigureKey("parameters")],
         against,
-        cures + [_cure(one) for one in weak],
+        cures + [_cure(item) for item in weak],
     )
 
 
@@ -112,13 +114,13 @@ def estimates_of(fit: Table) -> list[Table]:
     """The parameters of a fit; those estimated are doubtful that would come out beyond their
     intervals if a number that the fit holds were as the logs would have it.
     """
-    moved = [one for lean in fit.get("leans", []) for one in lean["moved"]]
-    far = {one["name"] for one in moved if one["halves"] > BEYOND}
+    moved = [item for lean in fit.get("leans", []) for item in lean["moved"]]
+    far = {item["name"] for item in moved if item["halves"] > BEYOND}
     return [
-        one.having("status", DOUBTFUL)
-        if one["name"] in far and one["status"] == "estimated"
-        else one
-        for one in fit["parameters"]
+        parameter.having("status", DOUBTFUL)
+        if parameter["name"] in far and parameter["status"] == "estimated"
+        else parameter
+        for parameter in fit["parameters"]
     ]
 
 
@@ -129,19 +131,19 @@ _CURES = {
 }
 
 
-def _cure(one: Table) -> str:
-    text = _CURES.get(one["status"], "see why {} is " + words(one["status"]))
-    return text.format(one["name"])
+def _cure(item: Table) -> str:
+    text = _CURES.get(item["status"], "see why {} is " + words(item["status"]))
+    return text.format(item["name"])
 
 
-def _parameter(rig: Rig, one: Table, rank: int) -> Headline:
-    name, unit = one["name"], pretty(unit_of(rig, one["name"]))
-    ends = range_of(rig, name, one.get("interval"))
-    about = f"95 % interval {ends} {unit}".rstrip() if one.get("interval") else "no interval"
-    if one["status"] != "estimated":
-        about += f"; {words(one['status'])}"
+def _parameter(rig: Rig, item: Table, rank: int) -> Headline:
+    name, unit = item["name"], pretty(unit_of(rig, item["name"]))
+    ends = range_of(rig, name, item.get("interval"))
+    about = f"95 % interval {ends} {unit}".rstrip() if item.get("interval") else "no interval"
+    if item["status"] != "estimated":
+        about += f"; {words(item['status'])}"
     label = "effective bulk modulus" if name == "bulk_modulus" else words(name).replace(".", " ")
-    return Headline(rank, capital(label), f"{as_fitted(rig, name, one)} {unit}".rstrip(), about)
+    return Headline(rank, capital(label), f"{as_fitted(rig, name, item)} {unit}".rstrip(), about)
 
 
 def held_out(table: Table) -> list[Table]:
@@ -153,10 +155,10 @@ def _validation(run: Saved) -> Findings:
     table = run.json("validation.json")
     logs = held_out(table)
     fits = [
-        (one["fit_percent"], one["channel"], log["name"])
+        (item["fit_percent"], item["channel"], log["name"])
         for log in logs
-        for one in log.get("channels", [])
-        if one.get("fit_percent") is not None
+        for item in log.get("channels", [])
+        if item.get("fit_percent") is not None
     ]
     numbers, figures = [], [FigureKey("validation")]
     if fits:
@@ -167,15 +169,20 @@ def _validation(run: Saved) -> Findings:
         label = f"Worst fit on {count(len(logs), 'held-out log')}"
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [FigureKey("validation", log=log), *figures]
-    cures = [one["cure"] for one in (table.get("structure") or {}).get("findings", [])]
+    cures = [finding["cure"] for finding in (table.get("structure") or {}).get("findings", [])]
     likely = list(dict.fromkeys(cure for cure in cures if cure))[:3]
-    asked = ["likeliest to cure what the residuals follow: " + ", or ".join(likely)] * bool(likely)
-    if not table["accepted"] and not asked:
-        asked = [
+    requested = ["likeliest to cure what the residuals follow: " + ", or ".join(likely)] * bool(
+        likely
+    )
+    if not table["accepted"] and not requested:
+        requested = [
             "see which channel fails, and free what it depends on: " + "; ".join(_failed(logs))
         ]
     return Findings(
-        numbers, figures, table["reasons"] or [*table.get("reserves", []), *left_over(table)], asked
+        numbers,
+        figures,
+        table["reasons"] or [*table.get("reserves", []), *left_over(table)],
+        requested,
     )
 
 
@@ -185,11 +192,11 @@ def left_over(table: Table) -> list[str]:
     """
     reservations = " ".join(table.get("reserves", []))
     findings = (table.get("structure") or {}).get("findings", [])
-    found = [finding for finding in findings if finding["sentence"] not in reservations]
+    results = [finding for finding in findings if finding["sentence"] not in reservations]
     return [
-        f"{percent(one['explains'])} of what is left over has one likely cause: {one['sentence']}; "
-        f"{one['cure']}"
-        for one in found[:1]
+        f"{percent(item['explains'])} of what is left over has one likely cause: "
+        f"{item['sentence']}; {item['cure']}"
+        for item in results[:1]
     ]
 
 
@@ -201,25 +208,25 @@ def _failed(logs: Sequence[Table]) -> list[str]:
 
 def judged(table: Table) -> list[str]:
     """The channels whose fit or error a verdict goes by."""
-    asked = table.get("thresholds", {})
-    return [word for key in ("fit_percent", "max_error") for word in asked.get(key, {})]
+    requested = table.get("thresholds", {})
+    return [word for key in ("fit_percent", "max_error") for word in requested.get(key, {})]
 
 
 def silence(table: Table) -> str:
     """What a verdict does not go by, with what it would have found there; empty if it goes by
     all.
     """
-    channels = [one for log in held_out(table) for one in log.get("channels", [])]
-    asked, parts = judged(table), []
+    channels = [channel for log in held_out(table) for channel in log.get("channels", [])]
+    requested, parts = judged(table), []
     fits: dict[str, list[float]] = {}
-    for one in channels:
-        word = one["channel"].rpartition(".")[2]
-        if one.get("fit_percent") is not None and word not in asked:
-            fits.setdefault(word, []).append(one["fit_percent"])
+    for channel in channels:
+        word = channel["channel"].rpartition(".")[2]
+        if channel.get("fit_percent") is not None and word not in requested:
+            fits.setdefault(word, []).append(channel["fit_percent"])
     parts += [f"{title_of(word).lower()} (fit {span(fit, 2)} %)" for word, fit in fits.items()]
     limit = table.get("thresholds", {}).get("outside_percent")
     for key, text in _TESTS.items():
-        tested = [shares for one in channels if (shares := _outside(one, key))]
+        tested = [shares for channel in channels if (shares := _outside(channel, key))]
         beyond = sum(max(shares) > limit for shares in tested) if limit is not None else 0
         if beyond and not table.get("thresholds", {}).get(key):
             parts.append(
@@ -235,11 +242,11 @@ _TESTS = {
 }
 
 
-def _outside(one: Table, key: str) -> list[float]:
+def _outside(item: Table, key: str) -> list[float]:
     if key == "whiteness":
-        own = one.get("autocorrelation")
+        own = item.get("autocorrelation")
         return [own["outside_percent"]] if own else []
-    return [other["outside_percent"] for other in one.get("cross_correlation", [])]
+    return [other["outside_percent"] for other in item.get("cross_correlation", [])]
 
 
 def _tuning(run: Saved) -> Findings:
@@ -331,27 +338,27 @@ def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
 def _saved(cases: Sequence[Case]) -> list[Headline]:
     """What the controller that saves most draws less than a four-way valve."""
     groups: dict[str, list[Saving]] = {}
-    for one in savings_of(cases):
-        if not four_way(one.ledger, one.case.cylinder):
-            groups.setdefault(one.case.row["controller"], []).append(one)
+    for item in savings_of(cases):
+        if not four_way(item.ledger, item.case.cylinder):
+            groups.setdefault(item.case.row["controller"], []).append(item)
     if not groups:
         return []
-    against = all(one.reference is not None for group in groups.values() for one in group)
+    against = all(item.reference is not None for group in groups.values() for item in group)
 
-    def share(one: Saving) -> float:
-        if not against or one.reference is None:
-            return one.limits["saving"]
-        return 1.0 - one.used / one.reference
+    def share(entry: Saving) -> float:
+        if not against or entry.reference is None:
+            return entry.limits["saving"]
+        return 1.0 - entry.used / entry.reference
 
     name = max(groups, key=lambda key: min(map(share, groups[key])))
     group = groups[name]
-    value = span([100.0 * share(one) for one in group], 2)
+    value = span([100.0 * share(item) for item in group], 2)
     whole = "the four-way valve" if against else "a four-way valve must draw"
     about = f"less than {whole}; {words(name)}, on the {group[0].case.row['on']}"
-    halves = [100.0 * one.half / one.limits["standard"] for one in group if one.half]
+    halves = [100.0 * item.half / item.limits["standard"] for item in group if item.half]
     if halves:
         about += f"; ± {number(max(halves), 2)} % each"
-    on_model = _modelled([one.case for one in group])
+    on_model = _modelled([item.case for item in group])
     return [Headline(SAVED, "Pump energy saved", f"{value} %", about, on_model)]
 
 
@@ -364,10 +371,10 @@ def _damped(cases: Sequence[Case]) -> list[Headline]:
                 ratios.setdefault(case.row["controller"], []).append(ratio)
     if not ratios:
         return []
-    best, least = (pick(ratios, key=lambda key: min(ratios[key])) for pick in (max, min))
+    best, minimum = (pick(ratios, key=lambda key: min(ratios[key])) for pick in (max, min))
     about = f"{words(best)}, on the {cases[0].row['on']}"
-    if best != least:
-        about += f"; {words(least)} {span(ratios[least], 2)}"
+    if best != minimum:
+        about += f"; {words(minimum)} {span(ratios[minimum], 2)}"
     value = span(ratios[best], 2)
     return [Headline(STEPS, "Damping ratio of steps", value, about, _modelled(cases))]
 
@@ -398,9 +405,9 @@ _RESPONSE = (
 def _response(run: Saved) -> Findings:
     table, numbers = run.json("response.json"), []
     for key, label, unit, factor in _RESPONSE:
-        if (found := table.get(key)) is not None:
-            low, high = (None if end is None else factor * end for end in found["interval"])
-            value = f"{number(factor * found['value'], 3)} {unit}"
+        if (result := table.get(key)) is not None:
+            low, high = (None if end is None else factor * end for end in result["interval"])
+            value = f"{number(factor * result['value'], 3)} {unit}"
             about = f"95 % interval {interval(low, high)} {unit}" if low is not None else ""
             numbers.append(Headline(OFTEN, label, value, about))
     return Findings(numbers, [FigureKey("response")], table["warnings"])
@@ -408,12 +415,12 @@ def _response(run: Saved) -> Findings:
 
 def _study(run: Saved) -> Findings:
     study = run.json("study.json")
-    numbers = [_share_met(one) for one in study["targets"]]
-    aimed = [one["measure"] for one in study["targets"]]
-    spread = [one for one in study["measures"] if one.get("quantiles")]
-    numbers += [_spread(one) for one in spread if one["name"] not in aimed]
+    numbers = [_share_met(target) for target in study["targets"]]
+    aimed = [target["measure"] for target in study["targets"]]
+    spread = [item for item in study["measures"] if item.get("quantiles")]
+    numbers += [_spread(item) for item in spread if item["name"] not in aimed]
     figures = [FigureKey("spread", case=name) for name in aimed]
-    figures += [FigureKey("map"), *(FigureKey("spread", case=one["name"]) for one in spread)]
+    figures += [FigureKey("map"), *(FigureKey("spread", case=item["name"]) for item in spread)]
     lost = [
         f"{n} of {study['samples']} samples {words(word)}"
         for word, n in study["status"].items()
@@ -447,17 +454,17 @@ def _share_met(target: Table) -> Headline:
     )
 
 
-def _spread(one: Table) -> Headline:
-    unit = f" {pretty(one['unit'])}" if one["unit"] else ""
+def _spread(item: Table) -> Headline:
+    unit = f" {pretty(item['unit'])}" if item["unit"] else ""
     middle, ends = (
-        next((q for q in one["quantiles"] if q["share"] == share), None) for share in (0.5, 0.95)
+        next((q for q in item["quantiles"] if q["share"] == share), None) for share in (0.5, 0.95)
     )
     assert middle is not None and ends is not None  # every summary has them
     return Headline(
         OFTEN,
-        f"{capital(words(one['name']))}, median",
+        f"{capital(words(item['name']))}, median",
         f"{number(middle['value'], 3)}{unit}",
-        f"95 % of {count(one['samples'], 'sample')} up to {number(ends['value'], 3)}{unit}",
+        f"95 % of {count(item['samples'], 'sample')} up to {number(ends['value'], 3)}{unit}",
     )
 
 

@@ -36,7 +36,7 @@ class FigureKey:
     @classmethod
     def of(cls, about: Mapping[str, Any]) -> FigureKey:
         """The key that an index holds; words this version does not know are passed over."""
-        return cls(**{one.name: about[one.name] for one in fields(cls) if one.name in about})
+        return cls(**{item.name: about[item.name] for item in fields(cls) if item.name in about})
 
     def as_json(self) -> dict[str, str]:
         """What the index says of the figure."""

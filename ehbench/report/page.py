@@ -81,12 +81,12 @@ def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     runs = sorted((Saved(folder) for folder in folders), key=place_of)
     titles, looks = Titles(campaign), {}
     anchors = [f"run-{place}" for place in range(1, len(runs) + 1)]
-    pictures = [RunPictures(*one, titles, looks) for one in zip(runs, anchors, strict=True)]
+    pictures = [RunPictures(*item, titles, looks) for item in zip(runs, anchors, strict=True)]
     stages = [report_of(run) for run in runs]
     contents = [
         stage.section(run, drawn) for stage, run, drawn in zip(stages, runs, pictures, strict=True)
     ]
-    sections = [_run_section(*one, titles) for one in zip(runs, anchors, contents, strict=True)]
+    sections = [_run_section(*item, titles) for item in zip(runs, anchors, contents, strict=True)]
     titles.refuse_unused()
     before = [
         Section("At a glance", first_screen(runs, contents, pictures), "glance"),
@@ -144,19 +144,19 @@ class RunPictures:
         self._run, self._anchor, self._titles, self._looks = run, anchor, titles, looks
         self._entries = run.figures()
 
-    def __call__(self, wanted: FigureKey) -> list[Picture]:
+    def __call__(self, required: FigureKey) -> list[Picture]:
         """The figures that answer a question: those that the campaign names in its order, then the
         others in that of the index.
 
         Raises:
             InputError: the index names a file that is not there.
         """
-        found = [
+        results = [
             self._inlined(place, entry)
             for place, entry in enumerate(self._entries, 1)
-            if wanted.takes(FigureKey.of(entry["about"]))
+            if required.takes(FigureKey.of(entry["about"]))
         ]
-        return sorted(found, key=lambda one: sys.maxsize if one.named is None else one.named)
+        return sorted(results, key=lambda item: sys.maxsize if item.named is None else item.named)
 
     def _inlined(self, place: int, entry: Table) -> Picture:
         path = self._run.folder / "figures" / Path(entry["file"]).name
@@ -197,14 +197,14 @@ def _rigs(runs: Sequence[Saved]) -> list[Section]:
     furthest: dict[str, Saved] = {}
     for run in runs:
         if (run.folder / "rig.toml").is_file():
-            held = furthest.get(run.rig.name)
-            if held is None or report_of(run).standing >= report_of(held).standing:
+            fixed = furthest.get(run.rig.name)
+            if fixed is None or report_of(run).standing >= report_of(fixed).standing:
                 furthest[run.rig.name] = run
     fits = [
-        one
+        parameter
         for run in runs
         if (run.folder / "parameters.json").is_file()
-        for one in run.json("parameters.json")["parameters"]
+        for parameter in run.json("parameters.json")["parameters"]
     ]
     return [_rig_section(name, run, fits) for name, run in furthest.items()]
 
@@ -239,7 +239,7 @@ def _origins(run: Saved) -> Fold:
     """Files of a run with their hashes, versions and seeds."""
     facts = run.facts
     files = [("recipe", facts["recipe"]["path"], facts["recipe"]["sha256"])]
-    files += [(one["role"], one["path"], one["sha256"]) for one in facts["inputs"]]
+    files += [(item["role"], item["path"], item["sha256"]) for item in facts["inputs"]]
     files += [("output", name, digest) for name, digest in facts["outputs"].items()]
     rows = [
         ["run", "", Cell(facts["hash"], "hash")],
@@ -262,7 +262,7 @@ def _render(
     )
     style += "@media screen and (prefers-color-scheme: dark) {\n"
     style += "".join(
-        f".{name}{{{found}}}\n" for look, name in looks.items() if (found := dark(look))
+        f".{name}{{{result}}}\n" for look, name in looks.items() if (result := dark(look))
     )
     script = (package / "page.js").read_text(encoding="utf-8")
     return _template().render(

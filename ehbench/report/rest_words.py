@@ -53,10 +53,10 @@ def _swings(rig: Rig, known: Known) -> str:
     first: list[float] = []
     last: list[float] = []
     for case, record in known:
-        found, asked = swing_after(case, record), _asked(case)
-        if found is not None and asked > 0.0 and found[0] > SEEN * asked:
-            first.append(float(shown(rig, "v", found[0])))
-            last.append(float(shown(rig, "v", found[1])))
+        result, requested = swing_after(case, record), _asked(case)
+        if result is not None and requested > 0.0 and result[0] > SEEN * requested:
+            first.append(float(shown(rig, "v", result[0])))
+            last.append(float(shown(rig, "v", result[1])))
     if not first:
         return ""
     unit = pretty(unit_of(rig, "v"))
@@ -69,7 +69,7 @@ def _swings(rig: Rig, known: Known) -> str:
 
 def _asked(case: Case) -> float:
     """The largest speed of its steps [m/s]."""
-    return max((abs(one["speed"]) for one in case.steps), default=0.0)
+    return max((abs(step["speed"]) for step in case.steps), default=0.0)
 
 
 def _still(case: Case, record: Record) -> bool:
@@ -129,8 +129,8 @@ def _within(case: Case, record: Record, values: np.ndarray) -> float:
         return 0.0
     count = record.t.size // size
     function, desired, command = (
-        one[: count * size].reshape(count, size)
-        for one in (record[names[0]].round(), record[names[1]], values)
+        item[: count * size].reshape(count, size)
+        for item in (record[names[0]].round(), record[names[1]], values)
     )
     working = (np.ptp(function, axis=1) == 0.0) & (np.abs(desired) > 0.0).all(axis=1)
     early, late = command[:, : size // 2], command[:, size - size // 2 :]

@@ -24,7 +24,7 @@ def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
         fits: rows of ``parameters.json``, whose interval a value has that came from one of them;
             the others have 1.96 of their standard error.
     """
-    known: dict[tuple[str, Any], Table] = {(one["name"], one.number("value")): one for one in fits}
+    known: dict[tuple[str, Any], Table] = {(fit["name"], fit.number("value")): fit for fit in fits}
     groups: dict[str, list[list[Cell | str]]] = {}
     for name, value in _values(rig):
         groups.setdefault(name.rpartition(".")[0], []).append(

@@ -133,12 +133,12 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarr
     ends = np.linspace(0, t.size, buckets + 1).astype(int)
     bucket = np.repeat(np.arange(buckets), np.diff(ends))
     some = np.logical_or.reduceat(np.isfinite(y), ends[:-1])
-    kept = [np.array([0, t.size - 1])]
+    retained = [np.array([0, t.size - 1])]
     for extreme in (np.fmin, np.fmax):
         hits = np.flatnonzero(y == extreme.reduceat(y, ends[:-1])[bucket])
         which, first = np.unique(bucket[hits], return_index=True)
-        kept.append(hits[first[some[which]]])
-    at = np.unique(np.concatenate(kept))
+        retained.append(hits[first[some[which]]])
+    at = np.unique(np.concatenate(retained))
     return t[at], y[at]
 
 

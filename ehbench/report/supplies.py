@@ -28,11 +28,11 @@ def supply_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     kinds = list(dict.fromkeys(map(supply_of, cases)))
     if len(kinds) < 2:
         return []
-    found = _Compared(cases)
+    result = _Compared(cases)
     return [
         Text("What the valve saves on each supply:"),
-        Bullets([text for kind in kinds if (text := found.caption(kind))]),
-        found.table(rig),
+        Bullets([text for kind in kinds if (text := result.caption(kind))]),
+        result.table(rig),
     ]
 
 

@@ -48,9 +48,9 @@ def sound(svg: str) -> str:
     plain = "<!" not in svg and "<?" not in svg
     if _purged(root) and plain:
         return svg
-    for one in root.iter():
-        if _LINK in one.attrib:
-            one.set("href", one.attrib.pop(_LINK))
+    for item in root.iter():
+        if _LINK in item.attrib:
+            item.set("href", item.attrib.pop(_LINK))
     ElementTree.register_namespace("", _SVG[1:-1])
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -59,16 +59,16 @@ def _purged(root: ElementTree.Element) -> bool:
     """Take what is no drawing out of an element and all below it; whether there was nothing."""
     clean, waiting = True, [root]
     while waiting:
-        one = waiting.pop()
-        for name in [name for name, value in one.attrib.items() if not _harmless(name, value)]:
-            del one.attrib[name]
+        item = waiting.pop()
+        for name in [name for name, value in item.attrib.items() if not _harmless(name, value)]:
+            del item.attrib[name]
             clean = False
-        for inner in list(one):
+        for inner in list(item):
             tag = inner.tag if isinstance(inner.tag, str) else ""
             if tag.removeprefix(_SVG) in _ELEMENTS and tag.startswith(_SVG):
                 waiting.append(inner)
             else:
-                one.remove(inner)
+                item.remove(inner)
                 clean = False
     return clean
 
@@ -95,7 +95,7 @@ def shrink(svg: str) -> str:
     root = ElementTree.fromstring(svg)
     used = {
         name: f"i{place}"
-        for place, name in enumerate(dict.fromkeys(found[1] for found in _POINTED.findall(svg)))
+        for place, name in enumerate(dict.fromkeys(result[1] for result in _POINTED.findall(svg)))
     }
     body = ElementTree.Element(
         "g", {"font-family": FONTS, "font-size": FONT_SIZE, "stroke-linejoin": "round"}
@@ -103,7 +103,7 @@ def shrink(svg: str) -> str:
     body.extend(_kept(root, used, 1))
     head = "".join(f' {name}="{root.get(name)}"' for name in ("width", "height", "viewBox"))
     inside = ElementTree.tostring(body, encoding="unicode")
-    inside = _NAMED.sub(lambda found: found[1] + used[found[2]], inside)
+    inside = _NAMED.sub(lambda match: match[1] + used[match[2]], inside)
     return f'<svg xmlns="http://www.w3.org/2000/svg"{head}>{inside}</svg>\n'
 
 
@@ -113,26 +113,26 @@ def _kept(
     """The children of an element as they are kept; those of a group that says nothing stand in its
     place.
     """
-    found: list[ElementTree.Element] = []
-    for one in element:
-        tag = one.tag.removeprefix(_SVG)
+    results: list[ElementTree.Element] = []
+    for item in element:
+        tag = item.tag.removeprefix(_SVG)
         if tag in _DROPPED:
             continue
-        inner = _kept(one, used, 2 if tag == "defs" else places)
-        says = _attributes(one, used, places)
+        inner = _kept(item, used, 2 if tag == "defs" else places)
+        says = _attributes(item, used, places)
         if tag == "g" and not says:
-            found += inner
+            results += inner
         elif inner or tag not in ("g", "defs"):
-            kept = ElementTree.Element(tag, says)
-            kept.text = one.text if tag == "text" else None
-            kept.extend(inner)
-            found.append(kept)
-    return _grouped(found)
+            retained = ElementTree.Element(tag, says)
+            retained.text = item.text if tag == "text" else None
+            retained.extend(inner)
+            results.append(retained)
+    return _grouped(results)
 
 
-def _attributes(one: ElementTree.Element, used: dict[str, str], places: int) -> dict[str, str]:
+def _attributes(item: ElementTree.Element, used: dict[str, str], places: int) -> dict[str, str]:
     attributes = {}
-    for name, value in one.attrib.items():
+    for name, value in item.attrib.items():
         if (
             name == "id"
             and value not in used
@@ -165,11 +165,11 @@ def _style(text: str) -> str:
 def _grouped(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
     """Runs of markers with one style as a group that says it once."""
     groups: list[ElementTree.Element] = []
-    for one in elements:
-        style = one.get("style")
+    for element in elements:
+        style = element.get("style")
         last = groups[-1] if groups else None
         if (
-            one.tag == "use"
+            element.tag == "use"
             and style is not None
             and last is not None
             and last.get("style") == style
@@ -179,10 +179,10 @@ def _grouped(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
                 groups[-1] = ElementTree.Element("g", {"style": style})
                 groups[-1].append(last)
                 del last.attrib["style"]
-            del one.attrib["style"]
-            groups[-1].append(one)
+            del element.attrib["style"]
+            groups[-1].append(element)
         else:
-            groups.append(one)
+            groups.append(element)
     return groups
 
 

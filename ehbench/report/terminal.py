@@ -51,9 +51,9 @@ def lines(folder: Path, width: int = 100, whole: bool = False) -> list[str]:
         if isinstance(block, Bullets):
             out += _bullets(block, width)
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
-    for one in tables if whole else tables[:1]:
+    for item in tables if whole else tables[:1]:
         columns = () if whole else report_of(run).columns
-        out += ["", *table(one, columns, sys.maxsize if whole else width), ""]
+        out += ["", *table(item, columns, sys.maxsize if whole else width), ""]
     return out
 
 
@@ -69,7 +69,7 @@ def values(folder: Path) -> dict[str, Any]:
     return {
         "status": content.status,
         "sentence": content.sentence,
-        "results": [row for one in tables for row in _rows(one)],
+        "results": [row for item in tables for row in _rows(item)],
         "numbers": _numbers(run),
         "files": sorted(run.facts.get("outputs", {})),
     }

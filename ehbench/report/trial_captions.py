@@ -33,26 +33,28 @@ LEARNT = 0.1  # of a change of payload that an estimate may still miss
 ROUNDING = 1e-9  # share of its bounds by which a logged estimate may lie outside
 
 
-def step_caption(rig: Rig, one: Table) -> str:
+def step_caption(rig: Rig, item: Table) -> str:
     """What came of a step, with what could not be read off."""
-    share = f" ({percent(one['share'], 3)})" if one.get("share") is not None else ""
-    asked = f"asked for {measure(rig, 'v', one['speed'])}{share}"
-    steady = f"steady at {measure(rig, 'v', one['steady_speed'])} ({percent(one['steady_error'])})"
-    ringing = _damping_caption(one)
-    if one.get("natural_frequency") is not None:
-        ringing += f" at {measure(rig, 'natural_frequency', one['natural_frequency'], 2)}"
-    overshoot = _overshoot_caption(one, "overshoot not to be told")
-    return ", ".join([asked, steady, overshoot, _settling_caption(one), ringing])
+    share = f" ({percent(item['share'], 3)})" if item.get("share") is not None else ""
+    requested = f"asked for {measure(rig, 'v', item['speed'])}{share}"
+    steady = (
+        f"steady at {measure(rig, 'v', item['steady_speed'])} ({percent(item['steady_error'])})"
+    )
+    ringing = _damping_caption(item)
+    if item.get("natural_frequency") is not None:
+        ringing += f" at {measure(rig, 'natural_frequency', item['natural_frequency'], 2)}"
+    overshoot = _overshoot_caption(item, "overshoot not to be told")
+    return ", ".join([requested, steady, overshoot, _settling_caption(item), ringing])
 
 
-def _overshoot_caption(one: Table, unknown: str) -> str:
-    return unknown if one.get("overshoot") is None else f"overshoot {percent(one['overshoot'])}"
+def _overshoot_caption(item: Table, unknown: str) -> str:
+    return unknown if item.get("overshoot") is None else f"overshoot {percent(item['overshoot'])}"
 
 
-def _settling_caption(one: Table) -> str:
-    if one.get("settling_time") is None:
+def _settling_caption(item: Table) -> str:
+    if item.get("settling_time") is None:
         return "not settled"
-    return f"settled after {number(one['settling_time'], 2)} s"
+    return f"settled after {number(item['settling_time'], 2)} s"
 
 
 def tracking_caption(rig: Rig, row: Table) -> str:
@@ -102,7 +104,7 @@ def sharing_caption(rig: Rig, row: Table) -> str:
 def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
     """How far, how fast and how sharply a motion is asked for."""
     own = case.cylinder
-    most = {
+    maximum = {
         word: float(np.abs(record[f"{own}.{word}_desired"]).max())
         for word in _OF
         if f"{own}.{word}_desired" in record
@@ -110,7 +112,7 @@ def trajectory_words(rig: Rig, case: Case, record: Record) -> str:
     x = record[f"{own}.x_desired"]
     ends = span([float(shown(rig, "x", float(end))) for end in (x.min(), x.max())])
     parts = [f"{ends} {pretty(unit_of(rig, 'x'))}"]
-    parts += [f"{_OF[word]} up to {measure(rig, word, top)}" for word, top in most.items()]
+    parts += [f"{_OF[word]} up to {measure(rig, word, top)}" for word, top in maximum.items()]
     return ", ".join(parts)
 
 
@@ -137,7 +139,7 @@ def gave(rig: Rig, energy: Table) -> str:
 def case_caption(rig: Rig, case: Case) -> str:
     """What one trial came to."""
     row = case.row
-    steps = "; ".join(step_caption(rig, one) for one in case.steps)
+    steps = "; ".join(step_caption(rig, step) for step in case.steps)
     law = words(row["controller"].removesuffix(f", {case.cylinder}"))
     text = (
         f"{load_name(row['payload'])}, {law}, on the {row['on']}: "
@@ -152,21 +154,21 @@ def compared_caption(rig: Rig, cases: Sequence[Case]) -> str:
     """What each controller came to on one motion."""
     sentences = []
     for case in cases:
-        text = "; ".join(_step_in_short(one) for one in case.steps)
+        text = "; ".join(_step_in_short(step) for step in case.steps)
         stopped = ", stopped by a limit" if case.row.get("stopped") else ""
         result = text or tracking_caption(rig, case.row)
         sentences.append(capital(f"{words(case.row['controller'])}: {result}{stopped}"))
     return sentence(". ".join(sentences)) + _best(cases)
 
 
-def _step_in_short(one: Table) -> str:
-    overshoot = _overshoot_caption(one, "no overshoot to be told")
-    steady = f"steady error {percent(one['steady_error'])}"
-    return f"{overshoot}, {steady}, {_settling_caption(one)}, {_damping_caption(one)}"
+def _step_in_short(item: Table) -> str:
+    overshoot = _overshoot_caption(item, "no overshoot to be told")
+    steady = f"steady error {percent(item['steady_error'])}"
+    return f"{overshoot}, {steady}, {_settling_caption(item)}, {_damping_caption(item)}"
 
 
-def _damping_caption(one: Table) -> str:
-    ratio, doubt = damping(one)
+def _damping_caption(item: Table) -> str:
+    ratio, doubt = damping(item)
     if ratio is None:
         return "no damping ratio" + (f": {doubt}" if doubt else "")
     if doubt:
@@ -180,7 +182,9 @@ def _best(cases: Sequence[Case]) -> str:
     """
     results = []
     for case in cases:
-        values = [one.get("overshoot") for one in case.steps] or [case.row["tracking"]["max_error"]]
+        values = [step.get("overshoot") for step in case.steps] or [
+            case.row["tracking"]["max_error"]
+        ]
         if None not in values and case.fit:
             results.append((max(values), case.row["controller"]))
     if len(results) < 2 or min(results)[0] == max(results)[0]:
@@ -217,21 +221,21 @@ def energy_caption(rig: Rig, cases: Sequence[Case]) -> str:
 
 def map_caption(panels: Sequence[tuple[str, np.ndarray]]) -> str:
     """How far each controller's energies, shape (loads, speeds), lie above the least of all."""
-    least = np.fmin.reduce([energies for _, energies in panels])
+    minimum = np.fmin.reduce([energies for _, energies in panels])
     parts = []
     for name, energies in panels:
-        above = 100.0 * (energies / least - 1.0)
+        above = 100.0 * (energies / minimum - 1.0)
         above = above[np.isfinite(above)]
         if above.size:
             parts.append(f"{name} {span([round(float(v), 1) for v in above])} %")
     return f"Above the least that any takes at that load and speed: {', '.join(parts)}."
 
 
-def _least_and_most(rig: Rig, payload: str, least: Case, most: Case) -> str:
-    low, high = (case.row["energy"]["pump"] for case in (least, most))
+def _least_and_most(rig: Rig, payload: str, least: Case, maximum: Case) -> str:
+    low, high = (case.row["energy"]["pump"] for case in (least, maximum))
     text = f"least from the pump, {load_name(payload)}: {_energy_of(rig, least)}"
     if high > low:
-        text += f"; {percent(1.0 - low / high)} less than the most, {_energy_of(rig, most)}"
+        text += f"; {percent(1.0 - low / high)} less than the most, {_energy_of(rig, maximum)}"
     return text
 
 
@@ -304,12 +308,12 @@ def _weighed_caption(
     if not moving.any():
         return ""
     off = np.abs(measured - truth)[moving]
-    held = float(np.mean((low <= truth) & (truth <= high)))
-    said = measure(rig, "mass", float(np.quantile(off, 0.95)))
+    fixed = float(np.mean((low <= truth) & (truth <= high)))
+    message = measure(rig, "mass", float(np.quantile(off, 0.95)))
     after = f", from {number(SINCE)} s after a change on" if news.any() else ""
     return (
-        f". By least squares over pressures and motion it is known to {said} for 95 % of the time "
-        f"in motion{after}; the interval holds it {percent(held, 3)} of all time"
+        f". By least squares over pressures and motion it is known to {message} for 95 % of the "
+        f"time in motion{after}; the interval holds it {percent(fixed, 3)} of all time"
     )
 
 
@@ -367,7 +371,7 @@ def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
     """For each controller how it did over all payloads and motions."""
     for controller in dict.fromkeys(case.row["controller"] for case in cases):
         own = [case for case in cases if case.row["controller"] == controller]
-        steps = [one for case in own for one in case.steps]
+        steps = [step for case in own for step in case.steps]
         if steps:
             text = _steps_in_all(steps)
         elif len(own) == 1:
@@ -379,18 +383,18 @@ def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
 
 def _steps_in_all(steps: Sequence[Table]) -> str:
     """Spans of steady error, overshoot and damping ratio over some steps."""
-    overshoots = [100.0 * one["overshoot"] for one in steps if one.get("overshoot") is not None]
+    overshoots = [100.0 * step["overshoot"] for step in steps if step.get("overshoot") is not None]
     overshoot = "no overshoot to read"
     if overshoots:
         overshoot = f"overshoot {span(overshoots, 2)} %{_of(overshoots, steps)}"
-    ringing = [(ratio, doubt) for one in steps for ratio, doubt in [damping(one)]]
+    ringing = [(ratio, doubt) for step in steps for ratio, doubt in [damping(step)]]
     clear = [ratio for ratio, doubt in ringing if ratio is not None and not doubt]
     rough = [ratio for ratio, doubt in ringing if ratio is not None and doubt]
     ratios = [f"{span(clear, 2)}{_of(clear, steps)}"] if clear else []
     if rough:
         ratios.append(f"about {span(rough, 2)} where it hardly rings{_of(rough, steps)}")
     damped = f"damping ratio {', '.join(ratios)}" if ratios else "no damping ratio to read"
-    steady = f"steady error {span([100.0 * one['steady_error'] for one in steps], 2)} %"
+    steady = f"steady error {span([100.0 * step['steady_error'] for step in steps], 2)} %"
     return f"{steady}, {overshoot}, {damped}"
 
 
@@ -400,9 +404,9 @@ def _of(some: Sequence[float], steps: Sequence[Table]) -> str:
 
 
 def _motions_in_all(rig: Rig, cases: Sequence[Case]) -> str:
-    most = span([float(shown(rig, "x", case.row["tracking"]["max_error"])) for case in cases])
+    maximum = span([float(shown(rig, "x", case.row["tracking"]["max_error"])) for case in cases])
     energy = span([float(shown(rig, "energy", case.row["energy"]["pump"])) for case in cases], 4)
     return (
-        f"largest error {most} {pretty(unit_of(rig, 'x'))}, "
+        f"largest error {maximum} {pretty(unit_of(rig, 'x'))}, "
         f"{energy} {pretty(unit_of(rig, 'energy'))} from the pump"
     )

@@ -67,8 +67,8 @@ def _ordered(cases: Sequence[Case]) -> list[Case]:
 
 
 def _steps(rig: Rig, cases: Sequence[Case]) -> Grid:
-    steps = [(case, one) for case in _ordered(cases) for one in case.steps]
-    doubts = list(dict.fromkeys(doubt for _, one in steps if (doubt := damping(one)[1])))
+    steps = [(case, step) for case in _ordered(cases) for step in case.steps]
+    doubts = list(dict.fromkeys(doubt for _, item in steps if (doubt := damping(item)[1])))
     head = [
         *WHO,
         axis(rig, "v", "asked"),
@@ -98,26 +98,26 @@ def _numbers(case: Case) -> range:
 
 
 def _step_row(rig: Rig, case: Case, at: int, doubts: Sequence[str]) -> list[Cell | str]:
-    one = case.steps[at]
-    stands = abs(1.0 + one["steady_error"]) <= STANDS
-    ratio, doubt = damping(one)
+    item = case.steps[at]
+    stands = abs(1.0 + item["steady_error"]) <= STANDS
+    ratio, doubt = damping(item)
     mark = f" ({doubts.index(doubt) + 1})" if doubt else ""
-    fitted = "damping_ratio_fitted" if "damping_ratio_fitted" in one else "damping_ratio"
+    fitted = "damping_ratio_fitted" if "damping_ratio_fitted" in item else "damping_ratio"
 
     def cell(key: str, text_of: Callable[[float | None], str]) -> str:
-        return ranged(text_of, one.get(key), range_in(case.row, "steps", at, key))
+        return ranged(text_of, item.get(key), range_in(case.row, "steps", at, key))
 
     def share(value: float | None) -> str:
         return number(None if value is None else 100.0 * value, 2)
 
     return [
         *who(case),
-        quantity_cell(rig, "v", one["speed"], 3),
+        quantity_cell(rig, "v", item["speed"], 3),
         num("0" if stands else cell("steady_speed", _telling(rig, "v", 3))),
         num(cell("steady_error", share)),
         num(cell("overshoot", share)),
         num(cell("settling_time", _telling(rig, "t", 2)))
-        if one.get("settling_time") is not None
+        if item.get("settling_time") is not None
         else "not settled",
         num(cell("rms_error", _telling(rig, "v", 3))),
         num(ranged(_ratio, ratio, range_in(case.row, "steps", at, fitted)) + mark),
@@ -223,8 +223,8 @@ def _tracking_row(
         ]
     relative = []
     if rivals:
-        least = min((one.row["energy"]["pump"] for one in rivals if one.fit), default=0.0)
-        ratio = number(pump / least, 3) if case.fit and least > 0.0 else DASH
+        minimum = min((rival.row["energy"]["pump"] for rival in rivals if rival.fit), default=0.0)
+        ratio = number(pump / minimum, 3) if case.fit and minimum > 0.0 else DASH
         relative = [num(ratio)]
     return [
         *who(case),
@@ -292,7 +292,7 @@ def limits_of(row: Table) -> dict[str, float]:
 def _limits(cases: Sequence[Case]) -> Grid | None:
     means = LIMITS_MEAN | STATUS_MEANS
     shares = [(case, limits_of(case.row)) for case in _ordered(cases)]
-    met = dict.fromkeys(name for _, own in shares for name, share in own.items() if share > 0.0)
+    met = dict.fromkeys(name for _, item in shares for name, share in item.items() if share > 0.0)
     if not met:
         return None
     rows = [
@@ -309,8 +309,10 @@ def _maps(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     """How flow maps were corrected in motion, beside the truth where the machine tells it; folded
     away where there are several trials.
     """
-    found = [(case, edge, one) for case in cases for edge, one in case.row.get("maps", {}).items()]
-    if not found:
+    results = [
+        (case, edge, item) for case in cases for edge, item in case.row.get("maps", {}).items()
+    ]
+    if not results:
         return []
     several = len(cases) > 1
     volt = pretty(unit_of(rig, "map_shift"))
@@ -325,17 +327,17 @@ def _maps(rig: Rig, cases: Sequence[Case]) -> list[Block]:
         "after correction [%]",
     ]
     rows: list[list[Cell | str]] = []
-    for case, edge, one in found:
-        shifts = (one.get(key) for key in ("shift", "true_shift"))
+    for case, edge, item in results:
+        shifts = (item.get(key) for key in ("shift", "true_shift"))
         shift, true = (None if v is None else float(shown(rig, "map_shift", v)) for v in shifts)
-        errors = (one.get(f"error_{when}") for when in ("before", "after"))
+        errors = (item.get(f"error_{when}") for when in ("before", "after"))
         shares = (num(number(None if v is None else 100.0 * v, 2)) for v in errors)
         rows.append(
             [
                 *(who(case) if several else ()),
                 words(edge.partition(".")[2]),
-                num(number(one["gain"], 3)),
-                num(number(one.get("true_gain"), 3)),
+                num(number(item["gain"], 3)),
+                num(number(item.get("true_gain"), 3)),
                 num(number(shift, 2)),
                 num(number(true, 2)),
                 *shares,
@@ -357,16 +359,16 @@ def _guaranteed(rig: Rig, cases: Sequence[Case]) -> list[Block]:
         return []
     seen = [case.row["tracking"]["max_error"] for case in known]
     bounds = [case.row["guaranteed"]["stroke"] for case in known]
-    ratios = [bound / one for bound, one in zip(bounds, seen, strict=True) if one > 0.0]
+    ratios = [bound / item for bound, item in zip(bounds, seen, strict=True) if item > 0.0]
     if not ratios:
         return []
     worst = max(known, key=lambda case: case.row["guaranteed"]["acceleration"]).row
     unsure = measure(rig, "acceleration", worst["guaranteed"]["acceleration"], 2)
-    most = measure(rig, "x", max(bounds), 3)
+    maximum = measure(rig, "x", max(bounds), 3)
     text = (
         "Whatever the estimates do inside of their bounds, the law guarantees a stroke error of at "
-        f"most {most} after the transient; the largest errors seen are "
-        f"{span([float(shown(rig, 'x', one)) for one in seen], 2)} {pretty(unit_of(rig, 'x'))}, "
+        f"most {maximum} after the transient; the largest errors seen are "
+        f"{span([float(shown(rig, 'x', item)) for item in seen], 2)} {pretty(unit_of(rig, 'x'))}, "
         f"{span(ratios, 2)} times less. "
     )
     if max(ratios) <= MEANS:
@@ -416,8 +418,8 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
 def _eased_note(rig: Rig, cases: Sequence[Case]) -> str:
     """Under which load the bandwidths went down, and how far."""
     known = [case.row["eased"] for case in cases if case.row.get("eased")]
-    shares = span([100.0 * one["share"] for one in known], 3)
-    loads = span([float(shown(rig, "payload_estimate", one["payload"])) for one in known], 3)
+    shares = span([100.0 * item["share"] for item in known], 3)
+    loads = span([float(shown(rig, "payload_estimate", item["payload"])) for item in known], 3)
     unit = pretty(unit_of(rig, "payload_estimate"))
     return (
         f"What of the design was in force while the payload, as the law estimated it, was largest: "
@@ -461,14 +463,14 @@ def _by_controller(
     for case in cases:
         if len(case.row.get(key, {})):
             tables.setdefault(case.row["controller"], []).append(case.row[key])
-    names = dict.fromkeys(name for own in tables.values() for table in own for name in table)
+    names = dict.fromkeys(name for item in tables.values() for table in item for name in table)
     rows: list[list[Cell | str]] = []
     for name in names:
         of, _, word = name.rpartition(".")
         row = row_of(name)
         cells = [
-            _values(rig, name, [table[name] for table in own if name in table])
-            for own in tables.values()
+            _values(rig, name, [table[name] for table in item if name in table])
+            for item in tables.values()
         ]
         meaning = f"{words(of)}: {row.meaning}" if of else row.meaning
         rows.append(
@@ -486,15 +488,15 @@ def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
     lows, highs = zip(
         *(value if isinstance(value, list) else (value, value) for value in values), strict=True
     )
-    low, high = (span([float(shown(rig, name, one)) for one in ends]) for ends in (lows, highs))
+    low, high = (span([float(shown(rig, name, end)) for end in ends]) for ends in (lows, highs))
     return num(low if lows == highs else f"{low} … {high}")
 
 
 def _plain(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{name} = {_plain(one)}" for name, one in value.items())
+        return ", ".join(f"{name} = {_plain(item)}" for name, item in value.items())
     if isinstance(value, list):
-        return ", ".join(_plain(one) for one in value)
+        return ", ".join(_plain(item) for item in value)
     return (
         {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
     )

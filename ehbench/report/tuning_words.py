@@ -15,26 +15,26 @@ from ehbench.report.words import count, number, pretty, shown, unit_of, words
 
 def function_names(tuning: Table) -> list[str]:
     """Working functions of a tuning, in its order."""
-    return list(dict.fromkeys(one["point"]["function"] for one in tuning["points"]))
+    return list(dict.fromkeys(point["point"]["function"] for point in tuning["points"]))
 
 
 def payloads_of(tuning: Table) -> list[str]:
     """Payloads of a tuning, in its order."""
-    return [one["payload"] for one in tuning["equivalents"]]
+    return [equivalent["payload"] for equivalent in tuning["equivalents"]]
 
 
 def counted(tuning: Table) -> list[Table]:
     """The operating points that the gain was chosen on."""
-    return [one for one in tuning["points"] if one["counts"]]
+    return [point for point in tuning["points"] if point["counts"]]
 
 
 def equivalents_caption(rig: Rig, tuning: Table, key: str, quantity: str, title: str) -> str:
     """The spans of an equivalent mass or force over the stroke, by payload."""
     unit = pretty(unit_of(rig, quantity))
     spans = "; ".join(
-        f"{load_name(one['payload'])}: "
-        f"{span([float(shown(rig, quantity, v)) for v in one[key]])} {unit}"
-        for one in tuning["equivalents"]
+        f"{load_name(equivalent['payload'])}: "
+        f"{span([float(shown(rig, quantity, v)) for v in equivalent[key]])} {unit}"
+        for equivalent in tuning["equivalents"]
     )
     return (
         f"{title} of the {words(tuning['cylinder'])} at its cylinder over the stroke, "
@@ -51,7 +51,7 @@ def damping_caption(rig: Rig, tuning: Table) -> str:
         else f"{len(gains)} gains"
     )
     points = counted(tuning)
-    least = min(points, key=lambda one: one["damping_ratio_closed"])
+    minimum = min(points, key=lambda item: item["damping_ratio_closed"])
     dotted = (
         "; dotted: points that no load calls for" if len(points) < len(tuning["points"]) else ""
     )
@@ -59,18 +59,18 @@ def damping_caption(rig: Rig, tuning: Table) -> str:
         "Least damping ratio of all poles, a line an operating point; "
         f"black: the worst of the {len(points)} that count{dotted}. "
         f"At K_p = {chosen} the worst is {number(tuning['damping_ratio'], 2)} "
-        f"({point_name(rig, least['point'])}); {undamped(tuning)}."
+        f"({point_name(rig, minimum['point'])}); {undamped(tuning)}."
     )
 
 
 def undamped(tuning: Table) -> str:
     """The damping ratios without any feedback, and with that of the off-side alone."""
-    none, held = (
+    none, fixed = (
         span([tuning[f"damping_ratio_{loop}"], tuning[f"damping_ratio_{loop}_most"]], 2)
         for loop in ("open", "held")
     )
     text = f"without any feedback {none}"
-    return text + (f", with the off-side held {held}" if tuning["off_gain"] else "")
+    return text + (f", with the off-side held {fixed}" if tuning["off_gain"] else "")
 
 
 def point_name(rig: Rig, point: Table) -> str:
@@ -94,7 +94,7 @@ def locus_caption(
     )
     if not counts:
         lead = "No load calls for this function here; shown, not counted. " + lead
-    sentences = [_locus_sentence(rig, one, by_name[one["name"]]) for one in loci]
+    sentences = [_locus_sentence(rig, item, by_name[item["name"]]) for item in loci]
     return lead + capital("; ".join(sentences)) + "."
 
 
@@ -125,9 +125,9 @@ def overshoot_of(values: Sequence[float]) -> float | None:
 def steps_caption(steps: Sequence[Table], by_name: Mapping[str, Table]) -> str:
     """Overshoot and damping ratio of each payload, without any feedback and with it."""
     sentences = []
-    for one in steps:
-        result = by_name[one["name"]]
-        ends = [overshoot_of(one[key]) for key in ("v_open", "v_closed")]
+    for step in steps:
+        result = by_name[step["name"]]
+        ends = [overshoot_of(step[key]) for key in ("v_open", "v_closed")]
         shares = [number(None if end is None else 100.0 * end, 2) for end in ends]
         ratios = [number(result[f"damping_ratio_{loop}"], 2) for loop in ("open", "closed")]
         sentences.append(

@@ -84,13 +84,13 @@ class Why:
             "windows": list(self.windows),
             "inputs": [
                 {
-                    "role": one.role,
-                    "path": one.name,
-                    "place": None if one.place is None else str(one.place),
-                    "sha256": one.sha256,
-                    "same": one.is_same,
+                    "role": source.role,
+                    "path": source.name,
+                    "place": None if source.place is None else str(source.place),
+                    "sha256": source.sha256,
+                    "same": source.is_same,
                 }
-                for one in self.sources
+                for source in self.sources
             ],
             "recipe": None if self.recipe is None else vars(self.recipe),
             "rig": None if self.rig is None else vars(self.rig),
@@ -104,9 +104,9 @@ class Why:
         yield f"  stands in   {self.run}/{self.claim.file}"
         for label, texts in (("method", self.method), ("window", self.windows)):
             yield from (f"  {label:11} {text}" for text in texts)
-        for one in self.sources:
-            state = "" if one.is_same else "  (not as it was read)"
-            yield f"  {one.role:11} {one.name}  SHA-256 {one.sha256}{state}"
+        for item in self.sources:
+            state = "" if item.is_same else "  (not as it was read)"
+            yield f"  {item.role:11} {item.name}  SHA-256 {item.sha256}{state}"
         for label, place in (("recipe line", self.recipe), ("rig line", self.rig)):
             if place is not None:
                 source = f"  source: {place.source}" if place.source else ""
@@ -121,22 +121,22 @@ def why(name: str, folder: Path) -> Why:
     Raises:
         InputError: no run, no number of that name, or several.
     """
-    made, marks = Made(folder), []
-    if made.run.stage == "report":
-        marks = made.marks()
-        made = _run_with(name, made)
-    claim = claim_of(made.run, name)
-    rig = next((one for one in made.sources if one.role == "rig"), None)
+    built, marks = Made(folder), []
+    if built.run.stage == "report":
+        marks = built.marks()
+        built = _run_with(name, built)
+    claim = claim_of(built.run, name)
+    rig = next((source for source in built.sources if source.role == "rig"), None)
     return Why(
-        run=str(made.folder),
+        run=str(built.folder),
         claim=claim,
-        shown=_shown(made.run, claim),
-        method=tuple(_method(made.run, claim)),
-        windows=tuple(_windows(made)),
-        sources=tuple(made.sources),
-        recipe=_recipe_line(made, claim),
+        shown=_shown(built.run, claim),
+        method=tuple(_method(built.run, claim)),
+        windows=tuple(_windows(built)),
+        sources=tuple(built.sources),
+        recipe=_recipe_line(built, claim),
         rig=None if rig is None else _rig_line(rig, claim),
-        marks=tuple(dict.fromkeys([*marks, *made.marks()])),
+        marks=tuple(dict.fromkeys([*marks, *built.marks()])),
     )
 
 
@@ -149,9 +149,9 @@ def _run_with(name: str, report: Made) -> Made:
     refusal: EhbenchError | None = None
     for source in report.sources:
         try:
-            made = Made(source.place or report.folder.parent / source.name)
-            claim_of(made.run, name)
-            return made
+            built = Made(source.place or report.folder.parent / source.name)
+            claim_of(built.run, name)
+            return built
         except EhbenchError as error:
             refusal = refusal if refusal and "several" in refusal.message else error
     raise refusal or InputError("holds no runs", file=report.folder)
@@ -186,8 +186,8 @@ def _rig(run: Saved) -> Rig | None:
 
 def _method(run: Saved, claim: Claim) -> Iterator[str]:
     text, page = _METHODS.get(str(run.what), ("", ""))
-    said = run.facts.get("method")
-    yield f"{run.stage} {words(str(run.what))}" + (f", {words(said)}" if said else "")
+    message = run.facts.get("method")
+    yield f"{run.stage} {words(str(run.what))}" + (f", {words(message)}" if message else "")
     if text:
         yield f"{text} (docs/{page})"
     about = claim.about
@@ -199,16 +199,16 @@ def _method(run: Saved, claim: Claim) -> Iterator[str]:
         yield f"from {about['samples']} samples"
 
 
-def _windows(made: Made) -> Iterator[str]:
+def _windows(built: Made) -> Iterator[str]:
     """Which part of each log was read, by the recipe."""
-    recipe = _table(made.recipe)
+    recipe = _table(built.recipe)
     data = recipe.get("data", ())
-    for one in data if isinstance(data, list) else ():
-        if isinstance(one, Mapping) and ("start" in one or "stop" in one):
-            ends = [str(one.get(key, word)) for key, word in (("start", "begin"), ("stop", "end"))]
-            yield f"{one.get('path', '?')}: {ends[0]} to {ends[1]}"
+    for item in data if isinstance(data, list) else ():
+        if isinstance(item, Mapping) and ("start" in item or "stop" in item):
+            ends = [str(item.get(key, word)) for key, word in (("start", "begin"), ("stop", "end"))]
+            yield f"{item.get('path', '?')}: {ends[0]} to {ends[1]}"
         else:
-            yield f"{one.get('path', '?') if isinstance(one, Mapping) else one}: all of it"
+            yield f"{item.get('path', '?') if isinstance(item, Mapping) else item}: all of it"
 
 
 def _table(source: Source) -> dict[str, Any]:
@@ -221,9 +221,9 @@ def _table(source: Source) -> dict[str, Any]:
         return {}
 
 
-def _recipe_line(made: Made, claim: Claim) -> Place | None:
+def _recipe_line(built: Made, claim: Claim) -> Place | None:
     """The line of the recipe that names the number, else the one that names its data."""
-    source = made.recipe
+    source = built.recipe
     if source.place is None or not source.place.is_file():
         return None
     text = source.place.read_text(encoding="utf-8", errors="replace")
@@ -246,20 +246,20 @@ def _rig_line(source: Source, claim: Claim) -> Place | None:
         table, text = read_toml(place)
     except EhbenchError:
         return None
-    wanted = claim.path.split(".")
+    required = claim.path.split(".")
     best: tuple[Any, ...] = ()
-    found: Any = None
+    result: Any = None
     for location, names, value in _leaves(table, (), ()):
-        rated = wanted[-1].endswith("_gain") and names[-2:] == ("rated", "flow")
-        if (rated or names[-1] == wanted[-1]) and set(wanted[:-1]) <= set(names):
-            best, found = location, value
+        rated = required[-1].endswith("_gain") and names[-2:] == ("rated", "flow")
+        if (rated or names[-1] == required[-1]) and set(required[:-1]) <= set(names):
+            best, result = location, value
             break
     line = line_of(text, best) if best else None
     if line is None:
         return None
-    said = found.get("source", "") if isinstance(found, Mapping) else ""
+    message = result.get("source", "") if isinstance(result, Mapping) else ""
     name = place.name if SHIPPED in place.parents else source.name
-    return Place(name, line, text.splitlines()[line - 1].strip(), str(said))
+    return Place(name, line, text.splitlines()[line - 1].strip(), str(message))
 
 
 def _leaves(

@@ -48,9 +48,9 @@ def pretty(unit: str) -> str:
     if unit in ("dimensionless", "1", ""):
         return ""
     unit = re.sub(r"(\w+)(?:\^|\*\*)0\.5", r"√\1", unit)
-    unit = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPT), unit)
+    unit = re.sub(r"(?:\^|\*\*)(-?\d+)", lambda result: result[1].translate(_SUPERSCRIPT), unit)
     return re.sub(
-        r"[A-Za-z]+", lambda found: _UNIT_WORDS.get(found[0], found[0]), unit.replace("*", "·")
+        r"[A-Za-z]+", lambda result: _UNIT_WORDS.get(result[0], result[0]), unit.replace("*", "·")
     )
 
 
@@ -120,7 +120,7 @@ def estimate(value: float | None, low: float | None, high: float | None) -> str:
     value alone, to the digits that the interval supports.
     """
     ends = (value, low, high)
-    if any(one is None or not math.isfinite(one) for one in ends):
+    if any(end is None or not math.isfinite(end) for end in ends):
         return number(value)
     assert value is not None and low is not None and high is not None
     half = 0.5 * (high - low)
@@ -146,6 +146,6 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def count(n: int, one: str, many: str | None = None) -> str:
+def count(n: int, item: str, many: str | None = None) -> str:
     """``1 reading``, ``3 readings``."""
-    return f"{n} {one if n == 1 else many or one + 's'}"
+    return f"{n} {item if n == 1 else many or item + 's'}"

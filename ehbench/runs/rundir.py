@@ -55,7 +55,7 @@ def sha256(path: Path) -> str:
     """SHA-256 of a file, of a run folder's ``run.json``, or of all files of a ROS 2 bag."""
     if path.is_dir() and (path / "metadata.yaml").is_file():
         digest = hashlib.sha256()
-        for part in sorted(one for one in path.iterdir() if one.is_file()):
+        for part in sorted(item for item in path.iterdir() if item.is_file()):
             digest.update(part.name.encode() + b"\0" + read_bytes(part, DATA))
         return digest.hexdigest()
     target = path / "run.json" if path.is_dir() else path
@@ -391,7 +391,7 @@ def _put(scratch: Path, final: Path) -> tuple[str, ...]:
     """Move a whole run to its place; of two processes that make one run, the last stays. Files of
     the run before that someone changed are kept in ``salvaged``; a sentence for each.
     """
-    before, said = final.with_name(f".{final.name}.{os.getpid()}.before"), []
+    before, message = final.with_name(f".{final.name}.{os.getpid()}.before"), []
     for _ in range(100):
         try:
             final.rename(before)
@@ -399,13 +399,13 @@ def _put(scratch: Path, final: Path) -> tuple[str, ...]:
             pass
         else:
             try:
-                said += _cleared(before, final)
+                message += _cleared(before, final)
             except InputError:  # someone put a file there while the run was made
                 before.rename(final)
                 raise
         try:
             scratch.rename(final)
-            return tuple(said)
+            return tuple(message)
         except OSError as error:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
@@ -416,21 +416,21 @@ def _cleared(before: Path, final: Path) -> list[str]:
     """Take away a run that another one replaces, which now lies at ``before``, but for what someone
     changed in it.
     """
-    standing, said = _standing(before), []
+    standing, message = _standing(before), []
     if standing.changed:
-        kept = _free(final.parent / "salvaged" / final.name)
+        retained = _free(final.parent / "salvaged" / final.name)
         for path in standing.changed:
-            target = kept / path.relative_to(before)
+            target = retained / path.relative_to(before)
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, target)
             name = path.relative_to(before).as_posix()
-            said.append(f"'{name}' of the run before had been changed; it is kept as {target}")
+            message.append(f"'{name}' of the run before had been changed; it is kept as {target}")
     for path in standing.own:
         path.unlink()
     for folder in sorted((path for path in before.rglob("*") if path.is_dir()), reverse=True):
         folder.rmdir()
     before.rmdir()
-    return said
+    return message
 
 
 # --- what killed processes left
@@ -441,23 +441,25 @@ def clear_left(folder: Path) -> tuple[str, ...]:
     """Clear the temporary folders of processes that are gone, and keep the logs in them that hold
     samples, as ``salvaged/<name>_<pid>/…``; a sentence for each log kept.
     """
-    said = []
+    messages = []
     for left in sorted(folder.glob(".*.part")):
         match = _PART.fullmatch(left.name)
         if match is None or not left.is_dir() or not _abandoned(left, int(match["pid"])):
             continue
         logs = [path for path in sorted(left.rglob("*.mcap")) if _holds_samples(path)]
-        kept = _free(folder / "salvaged" / f"{match['name']}_{match['pid']}")
+        retained = _free(folder / "salvaged" / f"{match['name']}_{match['pid']}")
         for path in logs:
-            target = kept / path.relative_to(left)
+            target = retained / path.relative_to(left)
             target.parent.mkdir(parents=True, exist_ok=True)
             try:
                 os.replace(path, target)
             except FileNotFoundError:  # another process was quicker
                 continue
-            said.append(f"a run of '{match['name']}' was killed; what it had logged is in {target}")
+            messages.append(
+                f"a run of '{match['name']}' was killed; what it had logged is in {target}"
+            )
         shutil.rmtree(left, ignore_errors=True)
-    return tuple(said)
+    return tuple(messages)
 
 
 def _free(place: Path) -> Path:

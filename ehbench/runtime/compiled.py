@@ -183,15 +183,15 @@ class Kernel:
         with _SETTING:
             before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
             try:
-                made: Any = numba.njit(cache=bool(folder), **{**self._options, **more})(
+                built: Any = numba.njit(cache=bool(folder), **{**self._options, **more})(
                     self._function
                 )
             finally:
                 _SETTINGS.CACHE_DIR = before
         if folder:
-            _name_apart(made._cache._cache_file)
-            _load_alone(made._cache)
-        return made
+            _name_apart(built._cache._cache_file)
+            _load_alone(built._cache)
+        return built
 
     @property
     def _numba_type_(self) -> Any:
@@ -372,10 +372,10 @@ class Table(np.recarray):
         """A column by its name: an array, or a table of the layout that each row has there; rows
         by anything else.
         """
-        found = _column(self, index)
-        if isinstance(index, str) and found.dtype.names is None:
-            return found.view(np.ndarray)
-        return found
+        result = _column(self, index)
+        if isinstance(index, str) and result.dtype.names is None:
+            return result.view(np.ndarray)
+        return result
 
     def __getattr__(self, name: str) -> Any:
         """A column."""

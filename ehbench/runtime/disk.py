@@ -13,7 +13,7 @@ TEXT = 16 * 2**20  # [bytes] of a recipe, rig or JSON file
 DATA = 4 * 2**30  # [bytes] of a log or table
 
 
-def read_bytes(path: Path, most: int = TEXT, error: type[InputError] = InputError) -> bytes:
+def read_bytes(path: Path, maximum: int = TEXT, error: type[InputError] = InputError) -> bytes:
     """The bytes of a plain file of at most ``most`` bytes.
 
     Raises:
@@ -26,14 +26,14 @@ def read_bytes(path: Path, most: int = TEXT, error: type[InputError] = InputErro
         flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
         descriptor = os.open(path, os.O_RDONLY | flags)
         with open(descriptor, "rb") as file:
-            found = os.fstat(descriptor)
-            if stat.S_ISDIR(found.st_mode):
+            result = os.fstat(descriptor)
+            if stat.S_ISDIR(result.st_mode):
                 raise error("is a folder", file=shortened_path(path), hint="name a file in it")
-            if not stat.S_ISREG(found.st_mode):
+            if not stat.S_ISREG(result.st_mode):
                 raise error("is no plain file but a pipe or a device", file=shortened_path(path))
-            if found.st_size > most:
+            if result.st_size > maximum:
                 raise error(
-                    f"is {found.st_size / 1e6:.4g} MB large, more than the {most / 1e6:.4g} MB "
+                    f"is {result.st_size / 1e6:.4g} MB large, more than the {maximum / 1e6:.4g} MB "
                     "that are read",
                     file=shortened_path(path),
                 )

@@ -13,8 +13,8 @@ def sources(package: Path, *suffixes: str) -> list[Path]:
 
     What lies APART is not looked into: another process may clear old code away meanwhile.
     """
-    found = []
+    results = []
     for folder, below, names in os.walk(package):
         below[:] = [name for name in below if name not in APART]
-        found += [Path(folder, name) for name in names if name.endswith(suffixes)]
-    return sorted(found)
+        results += [Path(folder, name) for name in names if name.endswith(suffixes)]
+    return sorted(results)

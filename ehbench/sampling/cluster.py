@@ -132,9 +132,9 @@ class Cluster:
                     self._feed(chunks, sent)
                     if not self._chunks:
                         return
-                    for made in self._ready(chunks):
-                        chunks.learn(made)
-                        yield made
+                    for built in self._ready(chunks):
+                        chunks.learn(built)
+                        yield built
             finally:
                 client.cancel(list(self._chunks), force=True)
                 self._chunks.clear()
@@ -179,8 +179,8 @@ class Cluster:
         if self._deaths[index] < DEATHS:
             chunks.give_back(chunk)
             return
-        said = f"the workers that made it died: {type(error).__name__}"
-        yield [Sample.lost(index, said, self._measures)]
+        message = f"the workers that made it died: {type(error).__name__}"
+        yield [Sample.lost(index, message, self._measures)]
 
     def _overdue(self, chunks: Chunks) -> Iterator[list[Sample]]:
         """A chunk at work for longer than its samples may take: its worker is started anew."""
@@ -197,8 +197,8 @@ class Cluster:
             if len(chunk) > 1:
                 chunks.give_back(chunk, alone=True)
             else:
-                said = f"it took longer than {self._limit:g} s and was ended"
-                yield [Sample.lost(chunk[0][0], said, self._measures, late=True)]
+                message = f"it took longer than {self._limit:g} s and was ended"
+                yield [Sample.lost(chunk[0][0], message, self._measures, late=True)]
 
 
 def file_name(path: Path) -> str:

@@ -103,23 +103,23 @@ class Fitted:
     correlation: np.ndarray
 
     @classmethod
-    def of(cls, found: Mapping[str, Any], wanted: Sequence[str], file: Any) -> Fitted:
+    def of(cls, result: Mapping[str, Any], required: Sequence[str], file: Any) -> Fitted:
         """Of a ``parameters.json``.
 
         Raises:
             InputError: it has no such parameter, or no standard error of it.
         """
-        rows = {row["name"]: row for row in found["parameters"]}
+        rows = {row["name"]: row for row in result["parameters"]}
         known = [name for name in rows if rows[name]["std"] is not None]
-        for name in wanted:
+        for name in required:
             if name not in known:
                 what = "no standard error of" if name in rows else "not fitted"
                 raise InputError(f"{what} '{name}'", file=file, hint="it has " + ", ".join(known))
-        names = list(wanted) or known
+        names = list(required) or known
         if not names:
             raise InputError("has no parameter with a standard error", file=file)
-        order = [found["correlated_names"].index(name) for name in names]
-        matrix = np.array(found["correlation"], float)[np.ix_(order, order)]
+        order = [result["correlated_names"].index(name) for name in names]
+        matrix = np.array(result["correlation"], float)[np.ix_(order, order)]
         picked = [rows[name] for name in names]
         ends = [
             (
@@ -168,13 +168,13 @@ class Design:
             for key, span in recipe.sweep.items()
             if span.low is not None and span.count is None
         ]
-        twice = [one.key for one in self.drawn if [d.key for d in self.drawn].count(one.key) > 1]
+        twice = [item.key for item in self.drawn if [d.key for d in self.drawn].count(item.key) > 1]
         if twice:
             raise InputError(f"'{twice[0]}' is drawn twice", **recipe.at("draw"))
         self._root = _root(recipe, self.drawn, fitted)
         varied = {**recipe.draw, **recipe.sweep}
-        self._also = {key: one.also for key, one in varied.items() if one.also}
-        self.combinations = math.prod(len(one.values) for one in self.listed)
+        self._also = {key: item.also for key, item in varied.items() if item.also}
+        self.combinations = math.prod(len(item.values) for item in self.listed)
         size = len(self.drawn)
         self.points = recipe.samples * (size + 2 if recipe.design == "saltelli" else 1)
         if not size and recipe.samples > 1 and not recipe.seeds:
@@ -196,9 +196,10 @@ class Design:
     @cached_property
     def columns(self) -> tuple[Column, ...]:
         """The inputs, in the order of a sample's."""
-        listed = [_column(one) for one in self.listed]
+        listed = [_column(item) for item in self.listed]
         drawn = [
-            Column(one.key, "" if one.relative else one.unit, False, "draw") for one in self.drawn
+            Column(item.key, "" if item.relative else item.unit, False, "draw")
+            for item in self.drawn
         ]
         return (*listed, *drawn, *(Column(key, varied="seed") for key in self.recipe.seeds))
 
@@ -238,9 +239,9 @@ class Design:
         """
         combination, point = divmod(index, self.points)
         values: list[Any] = []
-        for one in reversed(self.listed):
-            combination, at = divmod(combination, len(one.values))
-            values.insert(0, one.values[at])
+        for item in reversed(self.listed):
+            combination, at = divmod(combination, len(item.values))
+            values.insert(0, item.values[at])
         if self.drawn:
             if self._normal is None:
                 z = np.random.default_rng([self.recipe.seed, point]).standard_normal(
@@ -249,7 +250,7 @@ class Design:
             else:
                 z = self._normal[point]
             z = self._root @ z
-            values += [float(one.value(z[i])) for i, one in enumerate(self.drawn)]
+            values += [float(item.value(z[i])) for i, item in enumerate(self.drawn)]
         return values + [self.recipe.seed + point] * len(self.recipe.seeds)
 
     def settings(self, index: int) -> dict[str, Any]:
@@ -259,16 +260,16 @@ class Design:
             typed |= self._typed(column, value)
         return typed
 
-    def quantile(self, one: Drawn, share: float) -> dict[str, Any]:
+    def quantile(self, item: Drawn, share: float) -> dict[str, Any]:
         """What a sample sets below which a ``share``, between 0 and 1, of a draw lies."""
         from scipy.special import ndtri
 
-        column = next(column for column in self.columns if column.key == one.key)
-        return self._typed(column, float(one.value(ndtri(share))))
+        column = next(column for column in self.columns if column.key == item.key)
+        return self._typed(column, float(item.value(ndtri(share))))
 
     def _typed(self, column: Column, value: Any) -> dict[str, Any]:
         """An input as a recipe would have it, by its key and those that get the same."""
-        if any(one.key == column.key and one.relative for one in (*self.listed, *self.drawn)):
+        if any(item.key == column.key and item.relative for item in (*self.listed, *self.drawn)):
             value = Factor(float(value))
         elif column.varied == "draw" and column.unit:
             value = f"{value!r} {column.unit}"
@@ -295,23 +296,23 @@ def label_of(value: Any) -> str:
     if isinstance(value, Mapping):
         return str(value.get("name") or value.get("kind") or shortened(dict(value), 60))
     if isinstance(value, list | tuple):
-        return " + ".join(label_of(one) for one in value)
+        return " + ".join(label_of(item) for item in value)
     return str(value)
 
 
 def _listed(recipe: StudyRecipe) -> list[Listed]:
     """What goes through values, in the order of the file."""
-    found = []
+    results = []
     if len(recipe.recipe) > 1:
-        found.append(Listed(RECIPE, recipe.recipe))
+        results.append(Listed(RECIPE, recipe.recipe))
     if recipe.case:
-        found.append(Listed(CASE, tuple(case.name for case in recipe.case)))
+        results.append(Listed(CASE, tuple(case.name for case in recipe.case)))
     for key, span in recipe.sweep.items():
         if span.values:
-            found.append(Listed(key, span.values, span.relative))
+            results.append(Listed(key, span.values, span.relative))
         elif span.count is not None:
-            found.append(Listed(key, tuple(_grid(recipe, key, span)), span.relative))
-    return found
+            results.append(Listed(key, tuple(_grid(recipe, key, span)), span.relative))
+    return results
 
 
 def _grid(recipe: StudyRecipe, key: str, span: Span) -> Iterator[Any]:
@@ -334,22 +335,22 @@ def _filled(recipe: StudyRecipe, key: str, span: Span) -> Drawn:
 
 def _drawn(recipe: StudyRecipe, key: str, spread: Spread) -> Drawn:
     first, second, unit = _pair(recipe, ("draw", key), *spread.ends, law=spread.kind)
-    found = Drawn(key, spread.kind, first, second, unit, spread.relative)
-    return _sound(recipe, found, ("draw", key))
+    result = Drawn(key, spread.kind, first, second, unit, spread.relative)
+    return _sound(recipe, result, ("draw", key))
 
 
-def _sound(recipe: StudyRecipe, one: Drawn, where: tuple[str, str]) -> Drawn:
+def _sound(recipe: StudyRecipe, item: Drawn, where: tuple[str, str]) -> Drawn:
     """Refuse numbers that are those of no law."""
     wrong = {
-        "uniform": one.first > one.second and "low lies above high",
-        "log_uniform": not 0.0 < one.first <= one.second and "low must lie between 0 and high",
-        "normal": one.second < 0.0 and "std is negative",
-        "log_normal": not (one.first > 0.0 and one.second >= 1.0)
+        "uniform": item.first > item.second and "low lies above high",
+        "log_uniform": not 0.0 < item.first <= item.second and "low must lie between 0 and high",
+        "normal": item.second < 0.0 and "std is negative",
+        "log_normal": not (item.first > 0.0 and item.second >= 1.0)
         and "median must be above 0, spread at least 1",
-    }[one.law]
+    }[item.law]
     if wrong:
-        raise InputError(f"{one.key}: {wrong}", **recipe.at(*where))
-    return one
+        raise InputError(f"{item.key}: {wrong}", **recipe.at(*where))
+    return item
 
 
 def _pair(
@@ -358,8 +359,8 @@ def _pair(
     """(two numbers, their unit) of a law."""
     try:
         (a, unit), (b, other) = (
-            split_number(one) if isinstance(one, str) else (float(one), "")
-            for one in (first, second)
+            split_number(item) if isinstance(item, str) else (float(item), "")
+            for item in (first, second)
         )
     except UnitError as error:
         raise InputError(f"{where[1]}: {error.message}", **recipe.at(*where)) from None
@@ -374,24 +375,24 @@ def _pair(
     return a, b, unit
 
 
-def _column(one: Listed) -> Column:
+def _column(item: Listed) -> Column:
     """A column of listed values: of numbers where all have the same unit."""
     units = set()
-    for value in one.values:
+    for value in item.values:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
-            return Column(one.key, is_text=True)
+            return Column(item.key, is_text=True)
         try:
             units.add(split_number(value)[1] if isinstance(value, str) else "")
         except UnitError:
-            return Column(one.key, is_text=True)
-    if len(units) > 1 or one.key in (CASE, RECIPE):
-        return Column(one.key, is_text=True)
-    return Column(one.key, units.pop())
+            return Column(item.key, is_text=True)
+    if len(units) > 1 or item.key in (CASE, RECIPE):
+        return Column(item.key, is_text=True)
+    return Column(item.key, units.pop())
 
 
 def _root(recipe: StudyRecipe, drawn: Sequence[Drawn], fitted: Fitted | None) -> np.ndarray:
     """The lower triangle that makes independent normal draws correlated, shape (drawn, drawn)."""
-    matrix, keys = np.eye(len(drawn)), [one.key for one in drawn]
+    matrix, keys = np.eye(len(drawn)), [item.key for item in drawn]
     if fitted is not None:
         n = len(fitted.names)
         matrix[:n, :n] = fitted.correlation

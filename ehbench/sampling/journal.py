@@ -66,13 +66,13 @@ class Journal:
                 if not line.endswith(b"\n"):
                     break
                 try:
-                    said = json.loads(line)
+                    message = json.loads(line)
                 except ValueError:
                     break
-                if not end and said.get("study") != key:
+                if not end and message.get("study") != key:
                     return 0
                 if end:
-                    self.done[said["i"]], self._places[said["i"]] = True, end
+                    self.done[message["i"]], self._places[message["i"]] = True, end
                 end += len(line)
         return end
 
@@ -82,12 +82,12 @@ class Journal:
         Raises:
             InputError: the disk takes no more; what is kept stays.
         """
-        for one in samples:
-            if self.done[one.index]:
+        for sample in samples:
+            if self.done[sample.index]:
                 continue
             at = self.end
-            self._write(_line(one))
-            self.done[one.index], self._places[one.index] = True, at
+            self._write(_line(sample))
+            self.done[sample.index], self._places[sample.index] = True, at
         if time.monotonic() - self._synced > SYNC:
             os.fsync(self._file.fileno())
             self._synced = time.monotonic()
@@ -108,9 +108,9 @@ class Journal:
 
     def samples(self, indices: Sequence[int] | None = None) -> Iterator[Sample]:
         """Samples in the order of their numbers; all by default."""
-        wanted = np.flatnonzero(self.done) if indices is None else indices
+        required = np.flatnonzero(self.done) if indices is None else indices
         with self.path.open("rb") as file:
-            for index in wanted:
+            for index in required:
                 file.seek(int(self._places[index]))
                 yield _sample(json.loads(file.readline()))
 
@@ -125,14 +125,14 @@ class Journal:
             self.path.unlink(missing_ok=True)
 
 
-def _line(one: Sample) -> bytes:
-    numbers = [value if math.isfinite(value) else None for value in one.measures]
-    said: dict[str, Any] = {"i": one.index, "c": one.code, "s": one.status, "m": numbers}
-    if one.said:
-        said["e"] = one.said
-    return json.dumps(said, separators=(",", ":"), ensure_ascii=False).encode() + b"\n"
+def _line(item: Sample) -> bytes:
+    numbers = [value if math.isfinite(value) else None for value in item.measures]
+    messages: dict[str, Any] = {"i": item.index, "c": item.code, "s": item.status, "m": numbers}
+    if item.said:
+        messages["e"] = item.said
+    return json.dumps(messages, separators=(",", ":"), ensure_ascii=False).encode() + b"\n"
 
 
-def _sample(said: dict[str, Any]) -> Sample:
-    numbers = tuple(math.nan if value is None else float(value) for value in said["m"])
-    return Sample(said["i"], said["c"], said["s"], said.get("e", ""), numbers)
+def _sample(message: dict[str, Any]) -> Sample:
+    numbers = tuple(math.nan if value is None else float(value) for value in message["m"])
+    return Sample(message["i"], message["c"], message["s"], message.get("e", ""), numbers)

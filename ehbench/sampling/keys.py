@@ -82,11 +82,11 @@ def changes_of(settings: Mapping[str, Any], behind: Sequence[str] = ()) -> dict[
     Raises:
         InputError: a key names no file.
     """
-    found = {"": Changes()}
+    results = {"": Changes()}
     for text, value in settings.items():
         key = Key.of(text, behind)
-        found.setdefault(key.behind, Changes()).put(key.file, key.path, value)
-    return found
+        results.setdefault(key.behind, Changes()).put(key.file, key.path, value)
+    return results
 
 
 # --- rigs
@@ -148,12 +148,12 @@ def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: st
     Raises:
         InputError: the path leads through what is no table, or a factor stands on no number.
     """
-    made = deepcopy(dict(table))
+    built = deepcopy(dict(table))
     for path, raw in changes.items():
-        _put(made, path.split("."), raw, Place(f"{file}.{path}", made))
-    if made.get("payload") == "none":
-        del made["payload"]
-    return made
+        _put(built, path.split("."), raw, Place(f"{file}.{path}", built))
+    if built.get("payload") == "none":
+        del built["payload"]
+    return built
 
 
 class Place(NamedTuple):
@@ -243,6 +243,6 @@ def changed_bench(table: Mapping[str, Any], changes: Mapping[str, Any], path: Pa
     Raises:
         InputError: with the nearest key where there is no such one.
     """
-    made = changed_table(table, changes, BENCH)
-    validated(BenchRecipe, made, "", path)
-    return made
+    built = changed_table(table, changes, BENCH)
+    validated(BenchRecipe, built, "", path)
+    return built

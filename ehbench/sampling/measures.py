@@ -32,10 +32,10 @@ _SPOKEN = {
 }
 
 
-def row_of(one: Measure) -> Quantity | None:
+def row_of(item: Measure) -> Quantity | None:
     """The vocabulary row of what a measure is, as far as its words tell."""
-    words = (one.channel or one.result or "").split(".")
-    if one.inside is not None or one.over is not None:
+    words = (item.channel or item.result or "").split(".")
+    if item.inside is not None or item.over is not None:
         return None
     if words[-1] in ("value", "std", "low", "high") or words[-1].isdigit():
         known = [word for word in words[:-1] if word in VOCABULARY]
@@ -43,7 +43,7 @@ def row_of(one: Measure) -> Quantity | None:
     return VOCABULARY.get(_SPOKEN.get(words[-1], words[-1]))
 
 
-def value_of(one: Measure, results: Mapping[str, Any], settings: Mapping[str, float]) -> float:
+def value_of(item: Measure, results: Mapping[str, Any], settings: Mapping[str, float]) -> float:
     """A measure of results; nan where they do not have it.
 
     Args:
@@ -51,16 +51,16 @@ def value_of(one: Measure, results: Mapping[str, Any], settings: Mapping[str, fl
         results: plain values, as JSON has them.
         settings: the sample's numbers [SI] by key, for ``inside``.
     """
-    found = lookup(results, (one.result or "").split("."))
-    if one.inside is not None:
-        if not (isinstance(found, list | tuple) and len(found) == 2 and None not in found):
+    result = lookup(results, (item.result or "").split("."))
+    if item.inside is not None:
+        if not (isinstance(result, list | tuple) and len(result) == 2 and None not in result):
             return math.nan
-        return float(found[0] <= settings[one.inside] <= found[1])
-    if isinstance(found, list | tuple):
-        return float(len(found))
-    if isinstance(found, str):
-        return float(bool(found))
-    return math.nan if found is None or isinstance(found, Mapping) else float(found)
+        return float(result[0] <= settings[item.inside] <= result[1])
+    if isinstance(result, list | tuple):
+        return float(len(result))
+    if isinstance(result, str):
+        return float(bool(result))
+    return math.nan if result is None or isinstance(result, Mapping) else float(result)
 
 
 def lookup(here: Any, words: Sequence[str]) -> Any:
@@ -81,7 +81,7 @@ def lookup(here: Any, words: Sequence[str]) -> Any:
     return None
 
 
-def of_channels(one: Measure, record: Record, stop: float | None) -> float:
+def of_channels(item: Measure, record: Record, stop: float | None) -> float:
     """A measure of a trial's log [SI]; nan since a stop that never was.
 
     Args:
@@ -92,9 +92,9 @@ def of_channels(one: Measure, record: Record, stop: float | None) -> float:
     Raises:
         LogError: no such channel; names those there are.
     """
-    y = record[one.channel or ""]
-    y = y if one.minus is None else y - record[one.minus]
-    if one.since == "stop":
+    y = record[item.channel or ""]
+    y = y if item.minus is None else y - record[item.minus]
+    if item.since == "stop":
         if stop is None:
             return math.nan
         y = y[record.t >= stop - 1e-9]
@@ -107,7 +107,7 @@ def of_channels(one: Measure, record: Record, stop: float | None) -> float:
         "rms": lambda y: np.sqrt(np.mean(y * y)),
         "largest": lambda y: np.max(np.abs(y)),
     }
-    return float(takes[one.take](y))
+    return float(takes[item.take](y))
 
 
 # --- what results there will be
@@ -127,7 +127,7 @@ def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:
         InputError: names the nearest.
     """
     if not any(_leads(root, name.split(".")) for root in roots):
-        known = [one for root in roots for one in names_in(root)]
+        known = [item for root in roots for item in names_in(root)]
         near = get_close_matches(name, known, 1, 0.3)
         raise InputError(
             f"no result is called '{name}'",
@@ -160,8 +160,8 @@ def _steps(kind: Any, words: Sequence[str]) -> Iterator[tuple[int, Any]]:
         return
     origin, inside = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
-        for one in inside:
-            yield from _steps(one, words)
+        for item in inside:
+            yield from _steps(item, words)
     elif origin is dict:
         yield from ((size, inside[1]) for size in range(1, len(words) + 1))
     elif origin in (tuple, list):
@@ -180,8 +180,8 @@ def names_in(kind: Any, prefix: str = "", depth: int = 4) -> Iterator[str]:
     else:
         origin, inside = get_origin(kind), get_args(kind)
         if origin in (Union, types.UnionType):
-            for one in inside:
-                yield from names_in(one, prefix, depth)
+            for item in inside:
+                yield from names_in(item, prefix, depth)
             return
         if origin in (tuple, list):
             parts = [("0", inside[0])]
@@ -196,4 +196,4 @@ def _fields(kind: type) -> dict[str, Any]:
     try:
         return get_type_hints(kind)
     except NameError:
-        return {one.name: Any for one in dataclasses.fields(kind)}
+        return {field.name: Any for field in dataclasses.fields(kind)}

@@ -41,15 +41,15 @@ class MeasureColumn:
     of_stops: bool
 
     @classmethod
-    def of(cls, one: Measure, rig: Rig | None) -> MeasureColumn:
+    def of(cls, item: Measure, rig: Rig | None) -> MeasureColumn:
         """The column of a measure, in the unit that it asks for, else in the rig's."""
-        row = row_of(one)
-        unit = one.unit or ("" if row is None else row.display)
-        if row is not None and not one.unit and rig is not None:
+        row = row_of(item)
+        unit = item.unit or ("" if row is None else row.display)
+        if row is not None and not item.unit and rig is not None:
             unit = rig.unit_of(row.name)
-        first = (one.result or "").split(".")[0]
-        stops = one.since == "stop" or first in ("stop", "after", "stopped", "code")
-        return cls(one.label, "" if unit == "dimensionless" else unit, row, stops)
+        first = (item.result or "").split(".")[0]
+        stops = item.since == "stop" or first in ("stop", "after", "stopped", "code")
+        return cls(item.label, "" if unit == "dimensionless" else unit, row, stops)
 
     @property
     def head(self) -> str:
@@ -92,9 +92,9 @@ def write_tables(
         journal: every sample.
         key: of the study.
     """
-    kinds = [(one.head, "text" if one.is_text else "float") for one in design.columns]
+    kinds = [(column.head, "text" if column.is_text else "float") for column in design.columns]
     front = [("sample", "int"), ("hash", "text"), ("code", "int"), ("status", "text")]
-    columns = [*front, *kinds, *((one.head, "float") for one in measures), ("said", "text")]
+    columns = [*front, *kinds, *((measure.head, "float") for measure in measures), ("said", "text")]
     parquet = Parquet(folder / "samples.parquet", columns)
     size = design.size
     inputs = np.full((size, len(design.columns)), np.nan)
@@ -104,7 +104,7 @@ def write_tables(
     with (folder / "samples.csv").open("w", encoding="utf-8") as csv:
         csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
         for rows in _stretches(journal):
-            lines = [_line(one, design, measures, key) for one in rows]
+            lines = [_line(row, design, measures, key) for row in rows]
             parquet.add([*zip(*lines, strict=True)])
             csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
             for line in lines:
@@ -117,7 +117,7 @@ def write_tables(
                         texts[at].setdefault(cell, len(texts[at])) if is_text else cell
                     )
     parquet.close()
-    return Rows(inputs, tuple(tuple(one) for one in texts), numbers, codes, tuple(status))
+    return Rows(inputs, tuple(tuple(text) for text in texts), numbers, codes, tuple(status))
 
 
 def _stretches(journal: Journal) -> Iterator[list[Sample]]:
@@ -126,13 +126,13 @@ def _stretches(journal: Journal) -> Iterator[list[Sample]]:
         yield rows
 
 
-def _line(one: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
-    own = design.inputs(one.index)
+def _line(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
+    own = design.inputs(item.index)
     values = [
-        float(column.shown(value)) for column, value in zip(measures, one.measures, strict=True)
+        float(column.shown(value)) for column, value in zip(measures, item.measures, strict=True)
     ]
-    digest = hash_of(key, design.settings(one.index))
-    return [one.index, digest, one.code, one.status, *design.cells(own), *values, one.said]
+    digest = hash_of(key, design.settings(item.index))
+    return [item.index, digest, item.code, item.status, *design.cells(own), *values, item.said]
 
 
 def _cell(value: Any) -> str:

@@ -61,8 +61,8 @@ class Chunks:
 
     def learn(self, samples: Iterable[Sample]) -> None:
         """Learn from what samples took."""
-        for one in samples:
-            self._seconds += one.seconds
+        for sample in samples:
+            self._seconds += sample.seconds
             self._count += 1
 
 
@@ -79,9 +79,9 @@ class Threads:
         make, chunks = self._open(), Chunks(tasks)
         if self._workers == 1:
             while chunk := chunks.take():
-                made = list(samples_of(make, chunk))
-                chunks.learn(made)
-                yield made
+                built = list(samples_of(make, chunk))
+                chunks.learn(built)
+                yield built
             return
         with ThreadPoolExecutor(self._workers) as pool:
             waiting: set[Future] = set()
@@ -156,27 +156,29 @@ class Processes:
         try:
             while True:
                 self._feed(chunks)
-                busy = [one for one in self.workers if one.tasks]
+                busy = [worker for worker in self.workers if worker.tasks]
                 if not busy:
                     return
                 pause = None if self._limit is None else min(0.2, self._limit)
-                ready = connections.wait([one.pipe for one in busy], pause)
-                for one in busy:
-                    made = self._heard(one) if one.pipe in ready else self._overdue(one)
-                    if one.pipe.closed:
-                        self.workers.remove(one)
-                        chunks.give_back(one.tasks)
-                    if made:
-                        chunks.learn(made)
-                        yield made
+                ready = connections.wait([item.pipe for item in busy], pause)
+                for item in busy:
+                    built = self._heard(item) if item.pipe in ready else self._overdue(item)
+                    if item.pipe.closed:
+                        self.workers.remove(item)
+                        chunks.give_back(item.tasks)
+                    if built:
+                        chunks.learn(built)
+                        yield built
         finally:
-            for one in self.workers:
-                one.end()
+            for worker in self.workers:
+                worker.end()
             self.workers.clear()
 
     def _feed(self, chunks: Chunks) -> None:
         """Give work to those who soon have none, as many processes as there is work for."""
-        hungry = sorted((one for one in self.workers if one.hungry), key=lambda o: len(o.tasks))
+        hungry = sorted(
+            (worker for worker in self.workers if worker.hungry), key=lambda o: len(o.tasks)
+        )
         while hungry or len(self.workers) < self._count:
             chunk = chunks.take()
             if not chunk:
@@ -186,46 +188,46 @@ class Processes:
                 hungry.insert(0, self.workers[-1])
             hungry.pop(0).give(chunk)
 
-    def _heard(self, one: _Worker) -> list[Sample]:
+    def _heard(self, item: _Worker) -> list[Sample]:
         """What a process has made; a dead one is cleared away, its pipe closed."""
-        made = []
+        built = []
         try:
-            while one.pipe.poll():
-                made.append(one.pipe.recv())
+            while item.pipe.poll():
+                built.append(item.pipe.recv())
         except (EOFError, OSError):
-            return made + self._dead(one, len(made))
-        one.tasks, one.since, one.grace = one.tasks[len(made) :], time.monotonic(), GRACE
-        return made
+            return built + self._dead(item, len(built))
+        item.tasks, item.since, item.grace = item.tasks[len(built) :], time.monotonic(), GRACE
+        return built
 
-    def _dead(self, one: _Worker, made: int = 0) -> list[Sample]:
+    def _dead(self, item: _Worker, built: int = 0) -> list[Sample]:
         """A process that died on the first task it had left; the task is given up if it was not the
         first to die so.
         """
-        one.tasks = one.tasks[made:]
-        one.end()
-        if not one.tasks:
+        item.tasks = item.tasks[built:]
+        item.end()
+        if not item.tasks:
             return []
-        index = one.tasks[0][0]
+        index = item.tasks[0][0]
         self._deaths[index] = self._deaths.get(index, 0) + 1
         if self._deaths[index] < DEATHS:
             return []
-        one.tasks = one.tasks[1:]
-        said = f"the process that made it died {DEATHS} times"
-        return [Sample.lost(index, said, self._measures)]
+        item.tasks = item.tasks[1:]
+        message = f"the process that made it died {DEATHS} times"
+        return [Sample.lost(index, message, self._measures)]
 
-    def _overdue(self, one: _Worker) -> list[Sample]:
+    def _overdue(self, item: _Worker) -> list[Sample]:
         """A process that hangs is ended, and its sample late."""
-        if self._limit is None or time.monotonic() - one.since < self._limit + one.grace:
+        if self._limit is None or time.monotonic() - item.since < self._limit + item.grace:
             return []
-        one.end()
-        (index, _), *one.tasks = one.tasks
-        said = f"it took longer than {self._limit:g} s and was ended"
-        return [Sample.lost(index, said, self._measures, late=True)]
+        item.end()
+        (index, _), *item.tasks = item.tasks
+        message = f"it took longer than {self._limit:g} s and was ended"
+        return [Sample.lost(index, message, self._measures, late=True)]
 
 
 def serve(pipe: Connection) -> None:
     """What a process of `Processes` does: make samples, one after the other, until it is ended."""
     make = pickle.loads(pipe.recv_bytes())()
     while True:
-        for one in samples_of(make, pipe.recv()):
-            pipe.send(one)
+        for item in samples_of(make, pipe.recv()):
+            pipe.send(item)

@@ -32,10 +32,10 @@ class Sample(NamedTuple):
     seconds: float = 0.0
 
     @classmethod
-    def lost(cls, index: int, said: str, measures: int, late: bool = False) -> Sample:
+    def lost(cls, index: int, message: str, measures: int, late: bool = False) -> Sample:
         """A sample that left nothing."""
         code, status = (5, LATE) if late else (1, STATUS[1])
-        return cls(index, code, status, said, (math.nan,) * measures)
+        return cls(index, code, status, message, (math.nan,) * measures)
 
 
 Task = tuple[int, Mapping[str, Any]]  # a sample's number and what it sets

@@ -108,11 +108,11 @@ def rank_regression(
     b = (y - y.mean()) / y.std()
     coefficients, *_ = np.linalg.lstsq(a, b, rcond=None)
     explained = 1.0 - float(np.mean((b - a @ coefficients) ** 2))
-    found = np.full(len(keys), np.nan)
-    found[moving] = coefficients
+    result = np.full(len(keys), np.nan)
+    result[moving] = coefficients
     return [
-        Sensitivity(key, rank=None if math.isnan(one) else one)
-        for key, one in zip(keys, found.tolist(), strict=True)
+        Sensitivity(key, rank=None if math.isnan(item) else item)
+        for key, item in zip(keys, result.tolist(), strict=True)
     ], explained
 
 
@@ -147,8 +147,8 @@ def sobol(keys: Sequence[str], values: np.ndarray, count: int, seed: int) -> lis
     def indices(f_a: np.ndarray, f_b: np.ndarray, f_ab: np.ndarray):
         # shapes as scipy has them: (outputs, n), (outputs, n), (inputs, outputs, n)
         func = {"f_A": f_a[None, :], "f_B": f_b[None, :], "f_AB": f_ab[:, None, :]}
-        found = sobol_indices(func=func, n=count)
-        return np.atleast_1d(found.first_order), np.atleast_1d(found.total_order)
+        result = sobol_indices(func=func, n=count)
+        return np.atleast_1d(result.first_order), np.atleast_1d(result.total_order)
 
     first, total = indices(f_a, f_b, f_ab)
     rng, draws = np.random.default_rng(seed), []

@@ -79,7 +79,7 @@ class Parquet:
 def _plain(kind: str, values: Sequence) -> bytes:
     """Values one after the other, texts behind their lengths."""
     if kind == "text":
-        texts = [str(one).encode() for one in values]
+        texts = [str(value).encode() for value in values]
         return b"".join(struct.pack("<I", len(text)) + text for text in texts)
     return np.asarray(values, "<i8" if kind == "int" else "<f8").tobytes()
 

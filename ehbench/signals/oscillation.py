@@ -62,10 +62,10 @@ def _columns(point, data):
 
 @kernel
 def _dot(a, b):
-    found = 0.0
+    result = 0.0
     for i in range(a.size):
-        found += a[i] * b[i]
-    return found
+        result += a[i] * b[i]
+    return result
 
 
 @kernel
@@ -116,7 +116,7 @@ def _left(point, data):
     """
     _columns(point, data)
     _orthonormal(data)
-    shares, found = data.shares, 0.0
+    shares, result = data.shares, 0.0
     shares[:] = 0.0
     for c in range(data.y.shape[0]):
         rest = data.rest[c]
@@ -126,8 +126,8 @@ def _left(point, data):
             _less(rest, share, data.q[k])
             for i in range(k + 1):
                 shares[i, c] += share * data.back[i, k]
-        found += 0.5 * _dot(rest, rest)
-    return found
+        result += 0.5 * _dot(rest, rest)
+    return result
 
 
 @kernel
@@ -160,22 +160,22 @@ def _pull(point, parameter, column, c, data):
     """A derivative of a column of the basis, times what is left of channel c."""
     omega, zeta = math.exp(point[0]), point[1]
     root = math.sqrt(max(1e-6, 1.0 - zeta * zeta))
-    s, rest, found = data.s, data.rest[c], 0.0
+    s, rest, result = data.s, data.rest[c], 0.0
     if (parameter == 2) != (column == 5):
         return 0.0
     if parameter == 2:
         for i in range(s.size):
-            found += s[i] * data.basis[5, i] * rest[i]
-        return found / math.exp(point[2])
+            result += s[i] * data.basis[5, i] * rest[i]
+        return result / math.exp(point[2])
     own, other = data.basis[column], data.basis[1 - column]
     sign = 1.0 if column else -1.0
     for i in range(s.size):
         turned = sign * other[i]
         if parameter == 0:
-            found += s[i] * (root * turned - zeta * own[i]) * rest[i]
+            result += s[i] * (root * turned - zeta * own[i]) * rest[i]
         else:
-            found -= s[i] * (own[i] + zeta / root * turned) * rest[i]
-    return omega * found
+            result -= s[i] * (own[i] + zeta / root * turned) * rest[i]
+    return omega * result
 
 
 @kernel
@@ -201,10 +201,10 @@ def _normal(point, data, gradient, matrix):
                 _less(moved, _dot(data.q[k], moved) - turned, data.q[k])
     for p in range(count):
         for other in range(p + 1):
-            found = 0.0
+            result = 0.0
             for c in range(data.y.shape[0]):
-                found += _dot(data.slopes[p, c], data.slopes[other, c])
-            matrix[p, other] = matrix[other, p] = found
+                result += _dot(data.slopes[p, c], data.slopes[other, c])
+            matrix[p, other] = matrix[other, p] = result
 
 
 class Descent(NamedTuple):
@@ -254,11 +254,11 @@ def _solved(way, held, damping):
 @kernel
 def _moved_to(point, bounds, way):
     """Writes where the step leads to, inside the bounds; the largest number it moves by."""
-    most = 0.0
+    maximum = 0.0
     for i in range(point.size):
         way.to[i] = min(max(point[i] - way.step[i], bounds[0, i]), bounds[1, i])
-        most = max(most, abs(way.to[i] - point[i]))
-    return most
+        maximum = max(maximum, abs(way.to[i] - point[i]))
+    return maximum
 
 
 @kernel
@@ -363,21 +363,21 @@ def explained(s, base, rest, frequencies, dampings):
         frequencies: ω [rad/s].
         dampings: damping ratios.
     """
-    waves, found = np.empty((2, s.size)), np.zeros(frequencies.size * dampings.size)
-    for one in range(found.size):
-        _wave(s, frequencies[one // dampings.size], dampings[one % dampings.size], waves)
+    waves, result = np.empty((2, s.size)), np.zeros(frequencies.size * dampings.size)
+    for item in range(result.size):
+        _wave(s, frequencies[item // dampings.size], dampings[item % dampings.size], waves)
         (first, both), (_, second) = _twice(waves[0], waves), _twice(waves[1], waves)
-        least = _ALIKE * first, _ALIKE * second
+        minimum = _ALIKE * first, _ALIKE * second
         for j in range(base.shape[0]):
             a, b = _twice(base[j], waves)
             first, both, second = first - a * a, both - a * b, second - b * b
-        if first <= least[0]:  # the drift makes this wave
+        if first <= minimum[0]:  # the drift makes this wave
             first, both = math.inf, 0.0
         second -= both * both / first
-        if second <= least[1]:
+        if second <= minimum[1]:
             second = math.inf
         for c in range(rest.shape[0]):
             a, b = _twice(rest[c], waves)
             b -= a * both / first
-            found[one] += a * a / first + b * b / second
-    return found
+            result[item] += a * a / first + b * b / second
+    return result

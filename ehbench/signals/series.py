@@ -174,9 +174,9 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
     if scale == 0.0:
         return np.zeros(2 * lags + 1)
     size = 1 << (2 * n - 1).bit_length()
-    one = np.fft.rfft(a, size)
-    other = one if u is x else np.fft.rfft(b, size)
-    full = np.fft.irfft(one * np.conj(other), size)
+    item = np.fft.rfft(a, size)
+    other = item if u is x else np.fft.rfft(b, size)
+    full = np.fft.irfft(item * np.conj(other), size)
     reach = min(lags, n - 1)
     result = np.zeros(2 * lags + 1)
     result[lags - reach : lags + reach + 1] = (
@@ -198,9 +198,9 @@ def correlation_time(x: np.ndarray) -> float:
 
     Summed to the first lag beyond five times the sum so far (Sokal 1997), at most a quarter of the
     series."""
-    most = max(1, len(x) // 4)
-    total = 1.0 + 2.0 * np.cumsum(autocorrelation(x, most)[1:])
-    beyond = np.flatnonzero(np.arange(1, most + 1) >= 5.0 * np.maximum(total, 1.0))
+    maximum = max(1, len(x) // 4)
+    total = 1.0 + 2.0 * np.cumsum(autocorrelation(x, maximum)[1:])
+    beyond = np.flatnonzero(np.arange(1, maximum + 1) >= 5.0 * np.maximum(total, 1.0))
     return float(max(1.0, total[beyond[0]] if beyond.size else np.max(total)))
 
 
@@ -223,14 +223,14 @@ def correlation_band(x: np.ndarray, u: np.ndarray, level: float = 0.95) -> float
     Bartlett's formula ``var r_xu = Σ_i ρ_x(i) ρ_u(i) / n``, the sum tapered and cut where it has
     settled as in `correlation_time`; never below the white band 1.96/√n."""
     n = len(x)
-    most = max(1, n // 4)
+    maximum = max(1, n // 4)
     both = (
-        autocorrelation(x, most)[1:]
-        * autocorrelation(u, most)[1:]
-        * (1.0 - np.arange(1, most + 1) / n)
+        autocorrelation(x, maximum)[1:]
+        * autocorrelation(u, maximum)[1:]
+        * (1.0 - np.arange(1, maximum + 1) / n)
     )
     total = 1.0 + 2.0 * np.cumsum(both)
-    beyond = np.flatnonzero(np.arange(1, most + 1) >= 5.0 * np.maximum(total, 1.0))
+    beyond = np.flatnonzero(np.arange(1, maximum + 1) >= 5.0 * np.maximum(total, 1.0))
     spread = max(1.0, float(total[beyond[0]] if beyond.size else np.max(total)))
     return float(_quantile(level) * math.sqrt(spread / n))
 
@@ -279,8 +279,8 @@ def ringing(
     floor, tau = 1e-3 * spread, 0.0
     for drifts in ((0.0,), (0.0, 0.1), None):
         if trim and (guess is not None or drifts != (0.0,)):
-            wanted = max(4.0 / max(zeta * omega, 1e-9), 2.5 * 2 * math.pi / omega)
-            used = min(len(s), max(LEAST_SAMPLES, int(np.searchsorted(s, wanted, side="right"))))
+            required = max(4.0 / max(zeta * omega, 1e-9), 2.5 * 2 * math.pi / omega)
+            used = min(len(s), max(LEAST_SAMPLES, int(np.searchsorted(s, required, side="right"))))
         taus = (tau,) if drifts is None else tuple(share * s[used - 1] for share in drifts)
         starts = [(omega, zeta)]
         if abs(math.log(omega / begun[0])) > _ASTRAY:  # a drift that the window before left
@@ -423,16 +423,16 @@ def _refine(
             bounds.append((low, high))
             start.append(min(max(math.log(tau), low + 1e-6), high - 1e-6))
         limits = np.array(bounds).T.copy()
-        found, left = oscillation.fit(s, channels, tau, np.array(start), limits)
+        result, left = oscillation.fit(s, channels, tau, np.array(start), limits)
         score = n * math.log(max(2.0 * left / n, 1e-300)) + (
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )
         if score < best[0]:
             best = (
                 score,
-                math.exp(found[0]),
-                float(found[1]),
-                math.exp(found[2]) if len(found) > 2 else tau,
+                math.exp(result[0]),
+                float(result[1]),
+                math.exp(result[2]) if len(result) > 2 else tau,
             )
     return best[1:]
 

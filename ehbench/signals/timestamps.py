@@ -56,16 +56,16 @@ def stamps_of(t: np.ndarray, period: float | None = None) -> Stamps | None:
     if t.size < FEWEST:
         return None
     spans = t[_SPAN - 1 :] - t[: 1 - _SPAN]
-    told = float(np.median(spans)) / (_SPAN - 1) if period is None else period
-    if not told > 0.0:
+    message = float(np.median(spans)) / (_SPAN - 1) if period is None else period
+    if not message > 0.0:
         return None
-    number = _beats(t, told)
+    number = _beats(t, message)
     for _ in range(_TURNS - 1):
         if period is None:
-            told = float(np.polyfit(number - number[0], t - t[0], 1)[0])
-        number = _beats(t, told)
-    off = t - told * number
-    return Stamps(told, number, off - off.mean())
+            message = float(np.polyfit(number - number[0], t - t[0], 1)[0])
+        number = _beats(t, message)
+    off = t - message * number
+    return Stamps(message, number, off - off.mean())
 
 
 def _beats(t: np.ndarray, period: float) -> np.ndarray:

@@ -18,7 +18,7 @@ FILE, TABLES = "parameters.json", "sensor_tables"
 
 def tables_of(sensors: Sequence[Sensor]) -> dict[str, Any]:
     """What a fit writes of its ``[[sensor]]`` tables, to be taken over; nothing of none."""
-    return {TABLES: [one.as_toml() for one in sensors]} if sensors else {}
+    return {TABLES: [sensor.as_toml() for sensor in sensors]} if sensors else {}
 
 
 def inherited(
@@ -35,31 +35,31 @@ def inherited(
         channels: that all logs have; what reads another channel is left out.
     """
     path = folder / FILE
-    found = rundir.read_json(path) if path.is_file() else {}
-    named = {one.channel for one in own}
+    result = rundir.read_json(path) if path.is_file() else {}
+    named = {item.channel for item in own}
     tables = {
-        str(one["channel"]): dict(one)
-        for one in found.get(TABLES, [])
-        if one["channel"] in channels and one["channel"] not in named
+        str(item["channel"]): dict(item)
+        for item in result.get(TABLES, [])
+        if item["channel"] in channels and item["channel"] not in named
     }
-    said = []
-    for row in found.get("sensors", []):
+    messages = []
+    for row in result.get("sensors", []):
         channel, word = row["channel"], row["word"]
         if row["log"] or channel in named or channel not in channels:
             continue
         table = tables.setdefault(channel, {"channel": channel})
         value, std = _value(row, table), row["std"]
         table[word] = _held(channel, word, value, std)
-        said.append(f"{channel} is taken to have {_shown(rig, channel, word, value, std)}")
-    said += [
-        f"{channel} is taken to be read with {', '.join(told)}"
+        messages.append(f"{channel} is taken to have {_shown(rig, channel, word, value, std)}")
+    messages += [
+        f"{channel} is taken to be read with {', '.join(message)}"
         for channel, table in tables.items()
-        if (told := list(_told(table, found.get("sensors", []))))
+        if (message := list(_told(table, result.get("sensors", []))))
     ]
     end = ", as the fit of this rig found; a [[sensor]] table of the recipe goes before it"
     return (
         (*own, *map(Sensor.model_validate, tables.values())),
-        tuple(one + end for one in said),
+        tuple(item + end for item in messages),
     )
 
 
@@ -88,14 +88,14 @@ def _shown(rig: Rig, channel: str, word: str, value: float, std: float) -> str:
     if word == "scale":
         return f"a scale of {value:.4g} ± {half:.2g}"
     unit = "ms" if word in ("lag", "delay") else rig.unit_of(row.name)
-    size, wide = (float(from_si(one, unit, row)) for one in (value, half))
+    size, wide = (float(from_si(item, unit, row)) for item in (value, half))
     article = "an" if word == "offset" else "a"
     return f"{article} {word} of {size:.2g} ± {wide:.2g} {unit}"
 
 
 def _told(table: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """What a table says beside what its fit estimated of all logs."""
-    shared = {one["word"] for one in rows if one["channel"] == table["channel"] and not one["log"]}
+    shared = {row["word"] for row in rows if row["channel"] == table["channel"] and not row["log"]}
     if table.get("sign") == -1:
         yield "sign -1"
     if table.get("pressure") == "absolute":

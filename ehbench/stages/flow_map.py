@@ -92,7 +92,10 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         assert prepared.readings is not None  # a run stops where a check has none
         drop = recipe.calibration_drop
         given = (
-            [(float(one.command), float(one.flow), one.tolerance) for one in recipe.calibration],
+            [
+                (float(item.command), float(item.flow), item.tolerance)
+                for item in recipe.calibration
+            ],
             None if drop is None else float(drop),
             progress,
         )
@@ -102,7 +105,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             fits, without = _of_some(prepared.readings, given, recipe)
         else:
             fits = readings.run_readings(prepared.readings, *given, meter_limit=limit)
-        maps = collect([one.fit.map for one in fits])
+        maps = collect([fit.fit.map for fit in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
         (folder / "points.csv").write_text(readings.points_table(fits, rig), encoding="utf-8")
@@ -115,9 +118,9 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         (folder / "flow_maps.csv").write_text(text, encoding="utf-8")
         write_rig(folder, rig, None)
         warnings = [
-            f"{one.fit.map.valve} {one.fit.map.direction}: {text}"
-            for one in fits
-            for text in one.fit.warnings
+            f"{fit.fit.map.valve} {fit.fit.map.direction}: {text}"
+            for fit in fits
+            for text in fit.fit.warnings
         ]
         losses = prepared.readings.losses
         facts = {"rig": rig.name, "warnings": [*losses, *warnings, *without]}
@@ -136,8 +139,8 @@ def _shared(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
         for name in map(valve.edge_name, valve.edge)
         if edge in (name, f"{cylinder.name}.{name}")
     )
-    most = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    command = COMMAND_ERROR * most if volts is None else float(volts)
+    maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+    command = COMMAND_ERROR * maximum if volts is None else float(volts)
     return {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
 
 
@@ -153,12 +156,12 @@ def _of_some(
     from ehbench.flow_maps.tables import run_readings
 
     fits, without = [], []
-    for one in prepared.edges:
+    for edge in prepared.edges:
         try:
-            shared = _shared(recipe, prepared.rig, one.edge)
-            fits += run_readings(replace(prepared, edges=(one,)), *given, **shared)
+            shared = _shared(recipe, prepared.rig, edge.edge)
+            fits += run_readings(replace(prepared, edges=(edge,)), *given, **shared)
         except InsufficientData as error:
-            without.append(f"no map of {one.edge} {one.side}: {error.message}")
+            without.append(f"no map of {edge.edge} {edge.side}: {error.message}")
     if not fits:
         raise InsufficientData("; ".join(without), hint="step each edge at 4 commands or more")
     return fits, without

@@ -104,16 +104,16 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
 
         recipe, logs = prepared.recipe, prepared.logs
 
-        def fitted(one: PreparedFit) -> HydraulicsFit:
-            return run_fit(one, progress, prepared.journal)
+        def fitted(entry: PreparedFit) -> HydraulicsFit:
+            return run_fit(entry, progress, prepared.journal)
 
         assert prepared.fit is not None  # a run has all its logs
         fit = fitted(prepared.fit)
-        fits = {name: fitted(one) for name, one in prepared.variants.items()}
+        fits = {name: fitted(item) for name, item in prepared.variants.items()}
         compared = [variant.as_json() for variant in (ranked(fits) if fits else ())]
         write_rig(folder, fit.rig, prepared.state.flow_maps)
-        beside = tables_of(recipe.sensor) | {"dynamics_comparison": compared}
-        rundir.write_json(folder / "parameters.json", fit.as_json() | beside)
+        additional = tables_of(recipe.sensor) | {"dynamics_comparison": compared}
+        rundir.write_json(folder / "parameters.json", fit.as_json() | additional)
         write_series(folder / "series", fit.series())
         facts = {
             "rig": fit.rig.name,
@@ -135,7 +135,7 @@ def suggested(
     return suggest(prepared.fit, prepared.logs.records, progress, seconds)
 
 
-def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Path) -> Path:
+def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: Path) -> Path:
     """The first of some suggestions as files: ``rig.toml``, the recipe that fits it and
     ``suggestions.json``; returns the recipe's path.
 
@@ -149,23 +149,23 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
     if folder.exists() and any(folder.iterdir()):
         raise InputError("exists and is not empty; nothing was written", file=folder)
     folder.mkdir(parents=True, exist_ok=True)
-    recipe, setup = prepared.recipe, found.setups[0]
+    recipe, setup = prepared.recipe, result.setups[0]
     table, _ = read_toml(recipe.path)
     write_rig(folder, setup.rig, prepared.state.flow_maps)
     if prepared.state.flow_maps is not None:
         table["flow_maps"] = "."
-    entries: list[dict[str, Any]] = [dict(data_file(one)) for one in table["data"]]
+    entries: list[dict[str, Any]] = [dict(data_file(item)) for item in table["data"]]
     others: list[dict[str, Any]] = []
     for entry in entries:
         if "beside" in entry:
-            entry["beside"] = [dict(data_file(one)) for one in entry["beside"]]
+            entry["beside"] = [dict(data_file(item)) for item in entry["beside"]]
             others += entry["beside"]
-    for one in (*entries, *others):
-        one["path"] = _from(folder, recipe, one["path"])
-    for one in (table, *entries, *others):
-        columns = one.get("columns")
+    for item in (*entries, *others):
+        item["path"] = _from(folder, recipe, item["path"])
+    for item in (table, *entries, *others):
+        columns = item.get("columns")
         if isinstance(columns, str):
-            one["columns"] = _from(folder, recipe, columns)
+            item["columns"] = _from(folder, recipe, columns)
         elif columns is not None and "file" in columns:
             columns["file"] = _from(folder, recipe, columns["file"])
     table |= {"rig": "rig.toml", "data": entries, "parameters": list(setup.parameters)}
@@ -173,15 +173,15 @@ def write_suggested(prepared: PreparedHydraulics, found: Suggestions, folder: Pa
         name: f"{float(value):.6g} {parameter_row(name).unit}".removesuffix(" dimensionless")
         for name, value in setup.options.start.items()
     }
-    bounds = [(name, most) for one in setup.changes for name, most in one.upper.items()]
+    bounds = [(name, maximum) for change in setup.changes for name, maximum in change.upper.items()]
     if bounds:
-        more = {name: setup.rig.shown(name, most, 5) for name, most in bounds}
+        more = {name: setup.rig.shown(name, maximum, 5) for name, maximum in bounds}
         table["upper"] = table.get("upper", {}) | more
     if setup.options.sensors:
-        table["sensor"] = [one.as_toml() for one in setup.options.sensors]
+        table["sensor"] = [sensor.as_toml() for sensor in setup.options.sensors]
     path = folder / recipe.path.name
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
-    rundir.write_json(folder / "suggestions.json", [row.as_json() for row in found.rows])
+    rundir.write_json(folder / "suggestions.json", [row.as_json() for row in result.rows])
     return path
 
 
@@ -200,9 +200,9 @@ def _prepared_fit(
 
     response, given = None, recipe.response
     if given is not None:
-        most = math.inf if given.frequency_max is None else float(given.frequency_max)
+        maximum = math.inf if given.frequency_max is None else float(given.frequency_max)
         length = None if given.segment is None else float(given.segment)
-        response = given.input, Averaging(length, given.window, given.coherence_min, most)
+        response = given.input, Averaging(length, given.window, given.coherence_min, maximum)
     options = FitOptions(
         method=recipe.method,
         start=recipe.start,

@@ -234,21 +234,21 @@ class Inputs:
             is_run = (place / "log.mcap").is_file()
             path = place / "log.mcap" if is_run else place
             columns = None if is_run else self.columns(item, index)
-            beside = self._beside(item, index)
-            for one in (columns, *(other.columns for other in beside)):
-                used = () if one is None else one.files
+            additional = self._beside(item, index)
+            for entry in (columns, *(other.columns for other in additional)):
+                used = () if entry is None else entry.files
                 maps += [("columns", file) for file in used if ("columns", file) not in maps]
             whole = read_record(path, columns=columns, window=_span(item))
-            if beside:
-                whole = with_beside(whole, path, beside, _span(item))
+            if additional:
+                whole = with_beside(whole, path, additional, _span(item))
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = self._tied(_window(whole, item, path), item, index)
             span = getattr(item, "scored", None)
-            parts, said = parts_of(name, record, driven=driven, within=span)
-            losses += said
+            parts, message = parts_of(name, record, driven=driven, within=span)
+            losses += message
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
-            files += [("log", path), *(("log", other.path) for other in beside)]
+            files += [("log", path), *(("log", other.path) for other in additional)]
             numbers += [index] * len(parts)
             load = record.meta.get("payload") or "not said"
             also = "".join(f" and {other.path}" for other in item.beside)
@@ -262,7 +262,7 @@ class Inputs:
         """The files beside a log, each with its map of columns."""
         from ehbench.data.logs.beside import Beside
 
-        found = []
+        results = []
         for at, other in enumerate(item.beside):
             columns = None
             if other.columns is not None:
@@ -270,8 +270,8 @@ class Inputs:
                 columns = whole_map(other.columns, self.recipe.path, place)
             shift = None if other.shift is None else float(other.shift)
             path = self.existing(other.path)
-            found.append(Beside(path, columns, shift, other.clock == "shared"))
-        return found
+            results.append(Beside(path, columns, shift, other.clock == "shared"))
+        return results
 
     def _tied(self, record: Record, item: DataFile, index: int) -> Record:
         """A record with what the simulation is tied to, as its entry or the recipe says."""
@@ -279,8 +279,8 @@ class Inputs:
 
         facts = {name: fact for name, fact in record.meta.items() if name not in (TIED, SUPPLY)}
         for key, usual in ((TIED, "none"), (SUPPLY, "model")):
-            said = getattr(item, key, None) or getattr(self.recipe, key, usual)
-            facts |= {} if said == usual else {key: said}
+            message = getattr(item, key, None) or getattr(self.recipe, key, usual)
+            facts |= {} if message == usual else {key: message}
         if facts.get(SUPPLY) == RECORDED and "p_supply" not in record:
             raise InputError(
                 f'{item.path}: supply = "{RECORDED}", and the log has no p_supply',
@@ -357,8 +357,10 @@ def with_laws(rig: Rig, maps: FlowMaps | None) -> tuple[Rig, tuple[str, ...]]:
     def lawful(cylinder: str, valve: Valve, edge: Edge) -> Edge:
         if f"{cylinder}.{valve.edge_name(edge)}" not in blind:
             return edge
-        most = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-        gain = Value(float(rig.supply.flow_limit) / (most * math.sqrt(float(rig.supply.pressure))))
+        maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+        gain = Value(
+            float(rig.supply.flow_limit) / (maximum * math.sqrt(float(rig.supply.pressure)))
+        )
         return edge.model_copy(update={"law": "orifice", "flow_gain": gain})
 
     if not blind:

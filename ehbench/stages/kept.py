@@ -32,19 +32,19 @@ def keep(
     """Run samples once more, each into a folder of its own below ``folder``; what became of each:
     its number, folder, and why there is none.
     """
-    kept = []
+    retained = []
     for index in indices:
         if progress is not None:
             progress(f"keeping sample {index}", 0.9)
-        place, said = folder / str(index), ""
+        place, message = folder / str(index), ""
         place.mkdir(parents=True)
         try:
             recipe = write_sample(plan, design, index, place)
             run_sample(plan, recipe, place / "run")
         except EhbenchError as error:
-            said = error.message
-        kept.append({"sample": index, "folder": f"{folder.name}/{index}/run", "said": said})
-    return kept
+            message = error.message
+        retained.append({"sample": index, "folder": f"{folder.name}/{index}/run", "said": message})
+    return retained
 
 
 def write_sample(plan: Plan, design: Design, index: int, folder: Path) -> Path:
@@ -78,9 +78,9 @@ def run_sample(plan: Plan, path: Path, out: Path) -> Outcome:
     host = _Host(plan, out)
     allowed = {"allow_code": plan.allow_code, "unvalidated": True}
     prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), host, **allowed))
-    made = stage.run(prepared, host)
+    built = stage.run(prepared, host)
     (out / "volatile.json").unlink()
-    return made
+    return built
 
 
 @dataclass(frozen=True)
@@ -204,8 +204,8 @@ class _Writer:
         table["rig"] = os.path.relpath(
             (source.parent / str(table["rig"])).resolve(), self._folder.resolve()
         )
-        made = changed_bench(table, changes.bench, source)
-        (self._folder / "bench.toml").write_text(tomli_w.dumps(made), encoding="utf-8")
+        built = changed_bench(table, changes.bench, source)
+        (self._folder / "bench.toml").write_text(tomli_w.dumps(built), encoding="utf-8")
         return "bench.toml"
 
 
@@ -214,5 +214,5 @@ def _code_of(base: _Base, plan: Plan) -> tuple[Path, ...]:
 
     if not isinstance(base.model, TrialRecipe):
         return ()
-    beside = [code for code in trial.code_files(base.model) if code.parent == base.path.parent]
-    return tuple(beside)
+    additional = [code for code in trial.code_files(base.model) if code.parent == base.path.parent]
+    return tuple(additional)

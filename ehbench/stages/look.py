@@ -18,7 +18,7 @@ class Circle(InputError):
     @classmethod
     def of(cls, walk: list[Path], path: Path) -> Circle:
         """The circle that a walk over recipes closes at ``path``."""
-        names = " → ".join(one.name for one in [*walk[walk.index(path) :], path])
+        names = " → ".join(item.name for item in [*walk[walk.index(path) :], path])
         hint = "name a rig file or a run folder where the circle shall end"
         return cls(f"needs itself: {names}", file=path, hint=hint)
 

@@ -46,15 +46,15 @@ class NextTest:
         head += [f"95 % interval then [{unit}]" if unit else "95 % interval then", "of now"]
         rows = [
             [
-                one.trial.cylinder,
-                one.trial.wave,
-                num(number(max(abs(entry["amplitude"]) for entry in one.trial.commands), 3)),
-                num(number(1e3 * one.trial.stroke, 3)),
-                one.trial.payload or "none",
-                num(self._ends(one.interval)),
-                num("–" if one.share is None else f"{100.0 * one.share:.0f} %"),
+                proposal.trial.cylinder,
+                proposal.trial.wave,
+                num(number(max(abs(entry["amplitude"]) for entry in proposal.trial.commands), 3)),
+                num(number(1e3 * proposal.trial.stroke, 3)),
+                proposal.trial.payload or "none",
+                num(self._ends(proposal.interval)),
+                num("–" if proposal.share is None else f"{100.0 * proposal.share:.0f} %"),
             ]
-            for one in self.proposals[:_SHOWN]
+            for proposal in self.proposals[:_SHOWN]
         ]
         yield from table(Grid(head, rows), (), width)
 
@@ -77,16 +77,16 @@ class NextTest:
             "interval": self.known.interval,
             "tests": [
                 {
-                    "cylinder": one.trial.cylinder,
-                    "wave": one.trial.wave,
-                    "stroke": one.trial.stroke,
-                    "payload": one.trial.payload,
-                    "duration": one.trial.seconds,
-                    "commands": [dict(entry) for entry in one.trial.commands],
-                    "interval": one.interval,
-                    "share": one.share,
+                    "cylinder": proposal.trial.cylinder,
+                    "wave": proposal.trial.wave,
+                    "stroke": proposal.trial.stroke,
+                    "payload": proposal.trial.payload,
+                    "duration": proposal.trial.seconds,
+                    "commands": [dict(entry) for entry in proposal.trial.commands],
+                    "interval": proposal.interval,
+                    "share": proposal.share,
                 }
-                for one in self.proposals
+                for proposal in self.proposals
             ],
         }
 
@@ -147,9 +147,9 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     digest = rundir.run_hash(recipe.path, prepared.inputs or ())
     final = host.out or host.root / f"profile_{name}_{recipe.path.stem}_{digest}"
     with rundir.open_run(final, recipe.stage_name, recipe.path, prepared.inputs or ()) as run:
-        fit, found = profile(prepared.fit, name, host.tell(recipe.name))
+        fit, result = profile(prepared.fit, name, host.tell(recipe.name))
         write_rig(run.path, fit.rig, prepared.state.flow_maps)
-        rundir.write_json(run.path / "profile.json", found.as_json())
+        rundir.write_json(run.path / "profile.json", result.as_json())
         run.facts |= {"what": "profile", "title": f"Profile of {name}", "rig": fit.rig.name}
         run.facts |= {"warnings": list(fit.warnings), "code": DONE, "notes": list(fit.warnings)}
         run.save()
@@ -157,37 +157,37 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     return Outcome(final, DONE, (*fit.warnings, *run.left_over))
 
 
-def fit_behind(made: Made) -> HydraulicsRecipe:
+def fit_behind(built: Made) -> HydraulicsRecipe:
     """The recipe of a run that fitted hydraulics, as the run read it.
 
     Raises:
         InputError: another kind of run; a recipe that is gone or has changed.
     """
-    if made.run.what != "hydraulics":
+    if built.run.what != "hydraulics":
         raise InputError(
             "fitted no hydraulics",
-            file=made.folder,
+            file=built.folder,
             hint='name a run of stage "identify", what = "hydraulics"',
         )
-    if made.recipe.place is None or not made.recipe.is_same:
-        why = "is not found" if made.recipe.place is None else "has changed since"
+    if built.recipe.place is None or not built.recipe.is_same:
+        why = "is not found" if built.recipe.place is None else "has changed since"
         raise InputError(
-            f"the run's recipe '{made.recipe.name}' {why}",
-            file=made.folder,
+            f"the run's recipe '{built.recipe.name}' {why}",
+            file=built.folder,
             hint="run it again: ehbench identify RECIPE",
         )
-    recipe = load_recipe(made.recipe.place)
+    recipe = load_recipe(built.recipe.place)
     assert isinstance(recipe, HydraulicsRecipe)  # by what the run says and the recipe's digest
     if recipe.response is not None:
         raise InputError(
             "compared frequency responses, beside which a test's samples cannot stand",
-            file=made.folder,
+            file=built.folder,
             hint="run the recipe without [response]",
         )
     return recipe
 
 
-def plan(made: Made, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
+def plan(built: Made, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
     """The tests that would sharpen a parameter of a run most.
 
     Raises:
@@ -196,7 +196,10 @@ def plan(made: Made, inputs: Inputs, name: str | None, progress: Progress | None
     """
     recipe = inputs.recipe
     assert isinstance(recipe, HydraulicsRecipe)
-    rows = {one["name"]: one for one in made.run.json("parameters.json")["parameters"]}
+    rows = {
+        parameter["name"]: parameter
+        for parameter in built.run.json("parameters.json")["parameters"]
+    }
     if name is not None:
         must_be_fitted(name, rows)  # before anything that the recipe names is run
     prepared = HydraulicsStage().prepare(recipe, inputs)
@@ -209,7 +212,7 @@ def plan(made: Made, inputs: Inputs, name: str | None, progress: Progress | None
         fitted.append(Known(c.name, float(row["value"]), known, row["status"]))
     name = name or widest(fitted, prepared.fit.search)
     proposals = propose(prepared.fit, fitted, name, progress)
-    known = next(one for one in fitted if one.name == name)
-    source = next(one.place for one in made.sources if one.role == "rig")
-    rig_file = source or made.folder
-    return NextTest(made.run.rig, known, tuple(proposals), rig_file)
+    known = next(item for item in fitted if item.name == name)
+    source = next(item.place for item in built.sources if item.role == "rig")
+    rig_file = source or built.folder
+    return NextTest(built.run.rig, known, tuple(proposals), rig_file)

@@ -107,21 +107,27 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
 
         recipe, losses = prepared.recipe, prepared.logs.losses
         assert prepared.signals is not None  # a run stops where a check has none
-        found = estimate(prepared.signals)
+        result = estimate(prepared.signals)
         unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
         names = {"input": recipe.input, "output": recipe.output, "gain_unit": unit}
-        asked = {"window": recipe.window, "coherence_min": recipe.coherence_min}
+        requested = {"window": recipe.window, "coherence_min": recipe.coherence_min}
         logs = [name for name, _ in prepared.logs.records]
-        table = {**names, **asked, "logs": logs, **found.as_json(), "warnings": found.warnings}
+        table = {
+            **names,
+            **requested,
+            "logs": logs,
+            **result.as_json(),
+            "warnings": result.warnings,
+        }
         if recipe.transfer:
             forms = transfers(prepared.signals.pairs, prepared.signals.rate)
-            table["transfers"] = [one.as_json() for one in forms]
+            table["transfers"] = [form.as_json() for form in forms]
         rundir.write_json(folder / "response.json", table)
-        (folder / "response.csv").write_text(found.table(unit), encoding="utf-8")
+        (folder / "response.csv").write_text(result.table(unit), encoding="utf-8")
         write_rig(folder, prepared.state.rig, None)
         facts = {
             "rig": prepared.state.rig.name,
-            "warnings": [*losses, *found.warnings],
+            "warnings": [*losses, *result.warnings],
             "recorded_on": recorded_on(prepared.logs.records),
         }
         return Work(facts, code=INCOMPLETE if losses else DONE)

@@ -78,13 +78,15 @@ def bundle_of(plan: Plan) -> Bundle:
             continue
         seen.add(path)
         if path.is_dir():
-            inside = (one for one in sorted(path.iterdir()) if one.name not in ("figures", "logs"))
+            inside = (
+                item for item in sorted(path.iterdir()) if item.name not in ("figures", "logs")
+            )
             waiting += inside if (path / "run.json").is_file() else ()
             continue
         files[file_name(path)] = path.read_bytes()
         if path.suffix == ".toml":
             named = (path.parent / text for text in _texts(read_toml(path)[0]) if _is_path(text))
-            waiting += [one for one in named if one.exists()]
+            waiting += [item for item in named if item.exists()]
     return Bundle(files, partial(open_elsewhere, plan))
 
 
@@ -151,16 +153,16 @@ class Sampler:
 
         if self.plan.limit is not None or not can_foresee(len(tasks)):
             return
-        began, found = time.monotonic(), {}
+        began, result = time.monotonic(), {}
         for index, settings in tasks:
             with suppress(Exception):  # the sample will say so
                 if self._is_trial(settings):
                     _, prepared = self.prepared(settings, self.scratch)
                     assert isinstance(prepared, PreparedOne)
-                    found[index] = prepared
-        foresee([prepared.trial for prepared in found.values()])
-        each = (time.monotonic() - began) / max(1, len(found))
-        self._ahead |= {index: _Ahead(prepared, each) for index, prepared in found.items()}
+                    result[index] = prepared
+        foresee([prepared.trial for prepared in result.values()])
+        each = (time.monotonic() - began) / max(1, len(result))
+        self._ahead |= {index: _Ahead(prepared, each) for index, prepared in result.items()}
 
     def __call__(self, index: int, settings: Mapping[str, Any]) -> Sample:
         """As `sample`."""
@@ -172,17 +174,17 @@ class Sampler:
         began = time.monotonic() - (0.0 if ahead is None else ahead.seconds)
         blank = tuple(float("nan") for _ in self.plan.study.measures)
         try:
-            code, said, measures = self._made(settings, began, ahead)
+            code, message, measures = self._made(settings, began, ahead)
             status = STATUS.get(code, STATUS[1])
         except Late as error:
-            code, status, said, measures = error.exit_code, LATE, error.message, blank
+            code, status, message, measures = error.exit_code, LATE, error.message, blank
         except EhbenchError as error:
-            code, said, measures = error.exit_code, error.message, blank
+            code, message, measures = error.exit_code, error.message, blank
             status = STATUS.get(code, STATUS[1])
         except Exception as error:
             code, status, measures = 1, STATUS[1], blank
-            said = f"{type(error).__name__}: {error}"
-        return Sample(index, code, status, said, measures, time.monotonic() - began)
+            message = f"{type(error).__name__}: {error}"
+        return Sample(index, code, status, message, measures, time.monotonic() - began)
 
     def prepared(self, settings: Mapping[str, Any], folder: Path) -> tuple[Stage, Prepared]:
         """(the stage of a sample's recipe, the recipe prepared); ``folder`` takes its own files.
@@ -204,16 +206,16 @@ class Sampler:
             EhbenchError: with the nearest key, or as the trial's stage.
         """
         base, changes = self.changes(settings)
-        for stem, own in changes.items():
+        for stem, change in changes.items():
             here = base if not stem else _Base.of(base.behind[stem])
-            recipe = here.changed(own, folder)
+            recipe = here.changed(change, folder)
             inputs = self.inputs(recipe, base, changes, folder)
-            if own.rig:
+            if change.rig:
                 name = getattr(recipe, "rig", None)
                 if name is None:
                     raise InputError(f"a {recipe.stage_name} has no rig to change")
                 state = Inputs.rig_state(inputs, name, getattr(recipe, "flow_maps", None))
-                changed_rig(state.rig, own.rig)
+                changed_rig(state.rig, change.rig)
             if isinstance(recipe, TrialRecipe) and set(changes) == {""}:
                 findings = Findings(recipe, collects=True)
                 stage_of(recipe).prepare(recipe, replace(inputs, findings=findings))
@@ -258,8 +260,8 @@ class Sampler:
             work = stage.work(prepared, out, progress)
             facts = {**work.facts, "code": work.code}
             results = roots_of(out, facts)
-        said = "; ".join(work.reasons)
-        return work.code, said, self._measured(results, settings)
+        message = "; ".join(work.reasons)
+        return work.code, message, self._measured(results, settings)
 
     def _folder(self, settings: Mapping[str, Any]) -> AbstractContextManager[Path | str]:
         """A folder for a sample's own files; where it has none, only the one that all share."""
@@ -281,31 +283,33 @@ class Sampler:
 
         result, measures = trial.run(prepared.trial, progress=progress), self.plan.study.measures
         facts, ledger = result.facts, None
-        if any((one.result or "").split(".")[0] in ("energy", "ledger") for one in measures):
+        if any(
+            (measure.result or "").split(".")[0] in ("energy", "ledger") for measure in measures
+        ):
             facts, ledger, _ = trial.account(prepared.trial, result)
         roots = trial_roots(facts.as_json(), ledger)
         stop = None if facts.stop is None else facts.stop.t
         code = 5 if facts.stopped else 0
         taken = tuple(
-            of_channels(one, result.record, stop)
-            if one.channel is not None
-            else self._one(one, roots, settings)
-            for one in measures
+            of_channels(measure, result.record, stop)
+            if measure.channel is not None
+            else self._one(measure, roots, settings)
+            for measure in measures
         )
         return code, facts.stopped, taken
 
     def _measured(self, roots: Sequence[Any], settings: Mapping[str, Any]) -> tuple[float, ...]:
-        return tuple(self._one(one, roots, settings) for one in self.plan.study.measures)
+        return tuple(self._one(measure, roots, settings) for measure in self.plan.study.measures)
 
     @staticmethod
-    def _one(one: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) -> float:
-        words = (one.result or "").split(".")
+    def _one(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) -> float:
+        words = (item.result or "").split(".")
         root = next((root for root in roots if lookup(root, words) is not None), {})
-        numbers = {} if one.inside is None else {one.inside: si_of(settings[one.inside], one)}
-        value = value_of(one, root, numbers)
-        if one.over is None:
+        numbers = {} if item.inside is None else {item.inside: si_of(settings[item.inside], item)}
+        value = value_of(item, root, numbers)
+        if item.over is None:
             return value
-        other = Sampler._one(Measure(result=one.over), roots, settings)
+        other = Sampler._one(Measure(result=item.over), roots, settings)
         return value / other if other else float("nan")
 
     def _watch(self, began: float) -> Callable[[str, float], None] | None:
@@ -324,12 +328,12 @@ class Sampler:
         return watch
 
 
-def si_of(raw: Any, one: Measure) -> float:
+def si_of(raw: Any, item: Measure) -> float:
     """A number of a study in SI, by the words of the key that it is of."""
     from ehbench.config.rig import parameter_row
     from ehbench.vocabulary.units import parse
 
-    return parse(raw, parameter_row(one.inside or "")) if isinstance(raw, str) else float(raw)
+    return parse(raw, parameter_row(item.inside or "")) if isinstance(raw, str) else float(raw)
 
 
 def trial_roots(facts: Mapping[str, Any], ledger: Mapping[str, Any] | None) -> list[Any]:
@@ -387,8 +391,8 @@ class _Base:
         recipe = self.model
         if changes.recipe:
             table = changed_table(self.table, changes.recipe, RECIPE)
-            made = validated(type(recipe), table, self.text, self.path)
-            recipe = made.model_copy(update={"path": recipe.path})
+            built = validated(type(recipe), table, self.text, self.path)
+            recipe = built.model_copy(update={"path": recipe.path})
         if changes.bench:
             name = write_bench(recipe, changes.bench, folder)
             recipe = recipe.model_copy(update={"bench": name})
@@ -412,15 +416,15 @@ def write_bench(recipe: Recipe, changes: Mapping[str, Any], folder: Path) -> str
         source = own.file(own.bench)
         table, _ = read_toml(source)
     table["rig"] = str((source.parent / str(table["rig"])).resolve())
-    made = changed_bench(table, changes, source)
+    built = changed_bench(table, changes, source)
     path = folder / "bench.toml"
-    path.write_text(tomli_w.dumps(made), encoding="utf-8")
+    path.write_text(tomli_w.dumps(built), encoding="utf-8")
     return str(path.resolve())
 
 
 def recipes_behind(path: Path) -> dict[str, Path]:
     """The recipes that a recipe names, and those behind them, by their stems."""
-    found: dict[str, Path] = {}
+    results: dict[str, Path] = {}
     waiting = [path]
     while waiting:
         here = waiting.pop(0)
@@ -429,11 +433,11 @@ def recipes_behind(path: Path) -> dict[str, Path]:
             if not text.endswith(".toml") or "$" in text:
                 continue
             other = (here.parent / text).resolve()
-            known = other in found.values() or other == path.resolve()
+            known = other in results.values() or other == path.resolve()
             if not known and other.is_file() and kind_of(other) == "recipe":
-                found.setdefault(other.stem, other)
+                results.setdefault(other.stem, other)
                 waiting.append(other)
-    return found
+    return results
 
 
 def _texts(value: Any) -> list[str]:
@@ -441,7 +445,9 @@ def _texts(value: Any) -> list[str]:
         return [value]
     inner = value.values() if isinstance(value, Mapping) else value
     return (
-        [text for one in inner for text in _texts(one)] if isinstance(value, Mapping | list) else []
+        [text for item in inner for text in _texts(item)]
+        if isinstance(value, Mapping | list)
+        else []
     )
 
 
@@ -511,10 +517,10 @@ class RecordedRuns:
 
     def folder(self, path: Path, findings: Findings) -> Path | None:
         """As `Runs.folder`."""
-        found = self._runs.folder(path, findings)
-        if found is not None:
-            self.folders[path] = found
-        return found
+        result = self._runs.folder(path, findings)
+        if result is not None:
+            self.folders[path] = result
+        return result
 
     def findings(self, path: Path) -> Findings | None:
         """As `Runs.findings`."""
@@ -532,18 +538,18 @@ def refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> Non
         InputError: names the nearest.
     """
     roots = promised(prepared, stage)
-    for at, one in enumerate(study.measures):
-        if one.channel is not None:
-            _refuse_channels(one, prepared, study.at("measures", at))
-        for name in (one.result, one.over):
+    for at, measure in enumerate(study.measures):
+        if measure.channel is not None:
+            _refuse_channels(measure, prepared, study.at("measures", at))
+        for name in (measure.result, measure.over):
             if name is not None and roots and name != "code":
                 refuse_unknown(name, roots, study.at("measures", at))
 
 
-def _refuse_channels(one: Measure, prepared: Prepared, where: Mapping[str, Any]) -> None:
+def _refuse_channels(item: Measure, prepared: Prepared, where: Mapping[str, Any]) -> None:
     """Refuse channels that no trial's log will have; those of a user's class are not known."""
     if not isinstance(prepared, PreparedOne):
-        message = f"'{one.label}' is taken of a channel, which only one trial has"
+        message = f"'{item.label}' is taken of a channel, which only one trial has"
         raise InputError(message, **where)
     law = prepared.recipe.controller
     if law is not None and law.code is not None:
@@ -551,7 +557,7 @@ def _refuse_channels(one: Measure, prepared: Prepared, where: Mapping[str, Any])
     from ehbench import trial
 
     there = trial.log_channels(prepared.trial)
-    for name in (one.channel, one.minus):
+    for name in (item.channel, item.minus):
         if name is not None and name not in there:
             near = get_close_matches(name, there, 1, 0.3)
             raise InputError(
@@ -583,8 +589,8 @@ def promised(prepared: Prepared, stage: Stage) -> list[Any]:
         return [Tuning if stage.name == "tuning" else ArcTuning]
     if stage.name == "trials":
         cases = getattr(prepared, "cases", ())
-        one = {**_trial_measures(), "duration": float, "stopped": str}
-        return [{case.name: one for case in cases}]
+        item = {**_trial_measures(), "duration": float, "stopped": str}
+        return [{case.name: item for case in cases}]
     return []
 
 
@@ -614,6 +620,6 @@ def _of_trial(prepared: PreparedOne) -> list[Any]:
     first, *others = (
         {**_trial_measures(), **(part.used if part is not None else {})} for part in parts
     )
-    names = (one.cylinder for one in loop.driven[1:])
+    names = (item.cylinder for item in loop.driven[1:])
     also = {"also": dict(zip(names, others, strict=True))} if others else {}
     return [first | also, Facts, {"ledger": Any}]

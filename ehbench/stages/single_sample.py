@@ -29,14 +29,14 @@ def again(study: Path, index: int, host: Asking) -> Recipe:
     """`ehbench.workflow.sample`."""
     path = study
     if study.is_dir():
-        made = Made(study)
-        if made.recipe.place is None or not made.recipe.is_same:
+        built = Made(study)
+        if built.recipe.place is None or not built.recipe.is_same:
             raise InputError(
                 "its recipe is not found, or has changed since",
                 file=study,
                 hint="name the study's recipe to take the sample as it is now",
             )
-        path = made.recipe.place
+        path = built.recipe.place
     recipe = load_recipe(path)
     stage = stage_of(recipe)
     if recipe.stage_name != "study" or not isinstance(stage, Stage):

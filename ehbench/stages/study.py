@@ -69,21 +69,21 @@ class Where:
     workers: int = 0
 
     @classmethod
-    def of(cls, said: str) -> Where:
+    def of(cls, message: str) -> Where:
         """What ``--workers`` says: how many here, or a scheduler's address; '' is one a core.
 
         Raises:
             InputError: it is neither.
         """
-        if ":" in said:
-            return cls(scheduler=said)
-        if said and not (said.isdecimal() and int(said) > 0):
+        if ":" in message:
+            return cls(scheduler=message)
+        if message and not (message.isdecimal() and int(message) > 0):
             raise InputError(
-                f"--workers is {shortened(said, 40)}",
+                f"--workers is {shortened(message, 40)}",
                 hint="it takes a number from 1 on, or the address of a Dask scheduler: "
                 "tcp://host:8786",
             )
-        return cls(workers=int(said or 0))
+        return cls(workers=int(message or 0))
 
 
 @dataclass(frozen=True)
@@ -116,13 +116,13 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         paths = tuple(inputs.existing(name) for name in recipe.recipe)
         files = [("recipe", path) for path in paths]
         prepared = [self._inner(path, at, inputs, runs) for at, path in enumerate(paths)]
-        for one in prepared:
-            files += [file for file in one[1].inputs or () if file not in files]
+        for item in prepared:
+            files += [file for file in item[1].inputs or () if file not in files]
         fitted = None
         if recipe.identified is not None:
-            fitted, found = _fitted(recipe, inputs)
-            files += [("identified", found)] if found is not None else []
-        for behind in (one for path in paths for one in recipes_behind(path).values()):
+            fitted, result = _fitted(recipe, inputs)
+            files += [("identified", result)] if result is not None else []
+        for behind in (item for path in paths for item in recipes_behind(path).values()):
             files += [("behind", behind)] if ("behind", behind) not in files else []
         design = Design(recipe, fitted)
         with inputs.findings.noting():
@@ -131,12 +131,13 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         plan = Plan(recipe, paths, runs.folders, **allowed)
         if not inputs.findings.errors:
             _refuse_keys(recipe, plan, design, inputs)
-            for stage, one in prepared:
+            for stage, item in prepared:
                 with inputs.findings.noting():
-                    refuse_measures(recipe, one, stage)
+                    refuse_measures(recipe, item, stage)
         rig = getattr(prepared[0][1], "state", getattr(prepared[0][1], "base", None))
         measures = tuple(
-            MeasureColumn.of(one, None if rig is None else rig.rig) for one in recipe.measures
+            MeasureColumn.of(measure, None if rig is None else rig.rig)
+            for measure in recipe.measures
         )
         targets = tuple(_target(recipe, at, measures) for at in range(len(recipe.target)))
         names = " and ".join(f"'{name}'" for name in recipe.recipe)
@@ -169,9 +170,9 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         journal = final.with_name(f"{final.name}.samples.jsonl")
         where = getattr(host, "where", None) or Where()
         resume = host.resume or host.keep
-        made = super().run(replace(prepared, where=where, journal=journal, resume=resume), host)
+        built = super().run(replace(prepared, where=where, journal=journal, resume=resume), host)
         journal.unlink(missing_ok=True)
-        return made
+        return built
 
     def work(self, prepared: PreparedStudy, folder: Path, progress: Progress | None) -> Work:
         design, recipe = prepared.design, prepared.recipe
@@ -180,14 +181,14 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
             _make(prepared, journal, progress)
             columns = write_tables(folder, design, prepared.measures, journal, prepared.key)
             worst = _worst(prepared, columns)
-            kept = [
-                one | _row(prepared, columns, one["sample"])
-                for one in keep(prepared.plan, design, worst, folder / "samples", progress)
+            retained = [
+                item | _row(prepared, columns, item["sample"])
+                for item in keep(prepared.plan, design, worst, folder / "samples", progress)
             ]
         finally:
             journal.close()
         counts = Counter(columns.status)
-        said = [
+        messages = [
             f"{n} of {design.size} samples {word}"
             for word, n in sorted(counts.items())
             if word != STATUS[0]
@@ -207,10 +208,10 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
                 "targets": _targets(prepared, columns),
                 "groups": _groups(prepared, columns),
                 "sensitivity": _sensitivity(prepared, columns),
-                "worst": kept,
+                "worst": retained,
             },
         )
-        facts = {"samples": design.size, "warnings": said}
+        facts = {"samples": design.size, "warnings": messages}
         bad = sum(n for word, n in counts.items() if word in ("failed", "refused", "late"))
         return Work(facts, code=INCOMPLETE if bad else DONE)
 
@@ -261,15 +262,15 @@ def _refuse_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs
                     raise InputError(message, **recipe.at(*where), hint=error.hint) from None
         if inputs.findings.errors:
             return
-        for one in design.drawn:
-            for settings in (design.quantile(one, share) for share in OUTER):
+        for item in design.drawn:
+            for settings in (design.quantile(item, share) for share in OUTER):
                 try:
                     for name in names:
                         sampler.refuse({RECIPE: name, **settings}, Path(scratch))
                 except EhbenchError as error:
-                    end = settings[one.key]
+                    end = settings[item.key]
                     drawn = f"{float(end):.4g} times" if isinstance(end, Factor) else end
-                    said = f"a sample with {one.key} = {drawn} is refused: {error.message}"
+                    said = f"a sample with {item.key} = {drawn} is refused: {error.message}"
                     inputs.findings.say("notes", said)
 
 
@@ -279,17 +280,17 @@ def _alone(
     """(place in the study's file, what is set) of each key by itself; ``first`` is the first
     sample's.
     """
-    for one in design.listed:
-        if one.key in (CASE, RECIPE):
+    for item in design.listed:
+        if item.key in (CASE, RECIPE):
             continue
-        last = len(one.values) - 1
-        for at in range(last + 1) if recipe.sweep[one.key].values else (0, last):
-            those = design.settings(_index_of(design, one.key, at))
-            keys = (one.key, *recipe.sweep[one.key].also)
-            yield ("sweep", one.key), {key: those[key] for key in keys}
-    for one in design.drawn:
-        where = next((t for t in ("draw", "sweep") if one.key in getattr(recipe, t)), "identified")
-        yield (where, one.key), design.quantile(one, 0.5)
+        last = len(item.values) - 1
+        for at in range(last + 1) if recipe.sweep[item.key].values else (0, last):
+            those = design.settings(_index_of(design, item.key, at))
+            keys = (item.key, *recipe.sweep[item.key].also)
+            yield ("sweep", item.key), {key: those[key] for key in keys}
+    for item in design.drawn:
+        where = next((t for t in ("draw", "sweep") if item.key in getattr(recipe, t)), "identified")
+        yield (where, item.key), design.quantile(item, 0.5)
     for at, key in enumerate(recipe.seeds):
         yield ("seeds", at), {key: first[key]}
     for at, case in enumerate(recipe.case):
@@ -299,10 +300,10 @@ def _alone(
 def _index_of(design: Design, key: str, at: int) -> int:
     """A sample with the ``at``-th value of a listed key."""
     step = design.points
-    for one in reversed(design.listed):
-        if one.key == key:
+    for item in reversed(design.listed):
+        if item.key == key:
             return at * step
-        step *= len(one.values)
+        step *= len(item.values)
     raise KeyError(key)
 
 
@@ -312,24 +313,24 @@ def _target(recipe: StudyRecipe, at: int, measures: tuple[MeasureColumn, ...]) -
     Raises:
         InputError: no such measure, or an end that is none of its quantity.
     """
-    one, where = recipe.target[at], recipe.at("target", at, "measure")
+    item, where = recipe.target[at], recipe.at("target", at, "measure")
     names = [column.name for column in measures]
-    if one.measure not in names:
+    if item.measure not in names:
         from difflib import get_close_matches
 
-        near = get_close_matches(one.measure, names, 1, 0.3)
+        near = get_close_matches(item.measure, names, 1, 0.3)
         raise InputError(
-            f"'{one.measure}' is no measure of this study",
+            f"'{item.measure}' is no measure of this study",
             **where,
             hint=f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(names),
         )
-    column = measures[names.index(one.measure)]
+    column = measures[names.index(item.measure)]
     ends = {}
     for key in ("at_most", "at_least"):
-        raw = getattr(one, key)
+        raw = getattr(item, key)
         if raw is not None:
             ends[key] = _end(raw, column, recipe, at, key)
-    return {"measure": one.measure, "unit": column.unit, **ends}
+    return {"measure": item.measure, "unit": column.unit, **ends}
 
 
 def _end(raw: Any, column: MeasureColumn, recipe: StudyRecipe, at: int, key: str) -> float:
@@ -413,9 +414,9 @@ def spoken(seconds: float) -> str:
 
 def _inputs(design: Design) -> Iterator[dict[str, Any]]:
     """Of each input: its column, how it is varied, whether its numbers are factors."""
-    listed = {one.key: [label_of(value) for value in one.values] for one in design.listed}
-    laws = {one.key: one.spoken for one in design.drawn}
-    factors = {one.key for one in (*design.listed, *design.drawn) if one.relative}
+    listed = {item.key: [label_of(value) for value in item.values] for item in design.listed}
+    laws = {item.key: item.spoken for item in design.drawn}
+    factors = {item.key for item in (*design.listed, *design.drawn) if item.relative}
     for column in design.columns:
         key = column.key
         about = {"values": listed.get(key, []), "law": laws.get(key, ""), "factor": key in factors}
@@ -441,7 +442,7 @@ def _counted(prepared: PreparedStudy, rows: Rows, at: int) -> np.ndarray:
 
 def _summaries(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
     """Of each measure: how many samples have it, mean, spread, ends, quantiles with limits."""
-    found = []
+    results = []
     for at, column in enumerate(prepared.measures):
         y = rows.measures[_counted(prepared, rows, at), at]
         about = {"name": column.name, "unit": column.unit, "samples": int(y.size)}
@@ -451,8 +452,8 @@ def _summaries(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
             about["quantiles"] = [
                 statistics.quantile(y, share)._asdict() for share in statistics.QUANTILES
             ]
-        found.append(about)
-    return found
+        results.append(about)
+    return results
 
 
 def _met(prepared: PreparedStudy, rows: Rows, target: Mapping[str, Any]) -> np.ndarray:
@@ -481,7 +482,7 @@ def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
     design = prepared.design
     if not 1 < design.combinations <= MOST_GROUPS:
         return []
-    keys, found = [one.key for one in design.listed], []
+    keys, result = [item.key for item in design.listed], []
     met = [_met(prepared, rows, target) for target in prepared.targets]
     for g in range(design.combinations):
         span = slice(g * design.points, (g + 1) * design.points)
@@ -490,7 +491,7 @@ def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
         for at in range(len(prepared.measures)):
             y = rows.measures[span, at][_counted(prepared, rows, at)[span]]
             ends = np.quantile(y, (0.5, 0.95)).tolist() if y.size else [None, None]
-            most = float(y.max()) if y.size else None
+            maximum = float(y.max()) if y.size else None
             mean = float(y.mean()) if y.size else None
             measures.append(
                 {
@@ -498,10 +499,10 @@ def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
                     "mean": mean,
                     "median": ends[0],
                     "q95": ends[1],
-                    "most": most,
+                    "most": maximum,
                 }
             )
-        found.append(
+        result.append(
             {
                 "values": dict(zip(keys, map(label_of, inputs), strict=True)),
                 "cells": design.cells(design.inputs(g * design.points))[: len(keys)],
@@ -509,11 +510,11 @@ def _groups(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
                 "whole": int(np.isin(rows.codes[span], WHOLE).sum()),
                 "measures": measures,
                 "targets": [
-                    statistics.share(int(one[span].sum()), design.points)._asdict() for one in met
+                    statistics.share(int(item[span].sum()), design.points)._asdict() for item in met
                 ],
             }
         )
-    return found
+    return result
 
 
 def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
@@ -521,10 +522,10 @@ def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
     design, recipe = prepared.design, prepared.recipe
     varied = [
         i
-        for i, one in enumerate(design.columns)
-        if one.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
+        for i, item in enumerate(design.columns)
+        if item.varied != "seed" and np.ptp(rows.inputs[:, i]) > 0.0
     ]
-    found = []
+    results = []
     for at, column in enumerate(prepared.measures):
         mask = _counted(prepared, rows, at)
         y, keys = rows.measures[mask, at], [design.columns[i].key for i in varied]
@@ -532,7 +533,7 @@ def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
             continue
         explained, way = None, "rank"
         if recipe.design == "saltelli" and design.combinations == 1 and mask.all():
-            drawn = [one.key for one in design.drawn]
+            drawn = [item.key for item in design.drawn]
             table = statistics.sobol(drawn, y, recipe.samples, recipe.seed)
             way = "sobol"
         else:
@@ -542,15 +543,15 @@ def _sensitivity(prepared: PreparedStudy, rows: Rows) -> list[dict[str, Any]]:
                 for i in varied
             ]
             table, explained = statistics.rank_regression(keys, np.stack(columns, axis=1), y)
-        found.append(
+        results.append(
             {
                 "measure": column.name,
                 "way": way,
                 "explained": explained,
-                "inputs": [one._asdict() for one in table],
+                "inputs": [item._asdict() for item in table],
             }
         )
-    return found
+    return results
 
 
 def _worst(prepared: PreparedStudy, rows: Rows) -> list[int]:

@@ -48,26 +48,26 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         from ehbench import trial
 
         planned = recipe.cases()
-        for _, _, one in planned:
-            trial.refuse_code(one, inputs.allow_code)
+        for _, _, entry in planned:
+            trial.refuse_code(entry, inputs.allow_code)
             with inputs.findings.noting():
-                trial.refuse_unknown(one)
+                trial.refuse_unknown(entry)
         base = inputs.rig_state(recipe.rig, recipe.flow_maps)
         states = {(recipe.rig, recipe.flow_maps): base}
         files = list(base.inputs)
         cases, trials, lengths = [], [], []
-        for name, _, one in planned:
+        for name, _, entry in planned:
             with inputs.findings.noting():
-                key = (one.rig, one.flow_maps)
+                key = (entry.rig, entry.flow_maps)
                 if key not in states:
                     other = inputs.rig_state(*key)
                     states[key] = replace(other, rig=with_identified(other.rig, base.rig))
-                case, own, prepared = prepared_case(name, one, states[key], inputs)
+                case, own, prepared = prepared_case(name, entry, states[key], inputs)
                 case = replace(case, seeds=recipe.seeds)
                 files += [item for item in (*states[key].inputs, *own) if item not in files]
                 cases.append(case)
                 trials.append(prepared)
-                if time_is_known(one, states[key]):
+                if time_is_known(entry, states[key]):
                     lengths.append(prepared.duration)
         factors = {
             "payload": recipe.payloads,
@@ -93,16 +93,16 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         (folder / "ledgers").mkdir()
         results = trial.run_cases(cases, prepared.trials, logs=folder / "logs", progress=progress)
         write_rig(folder, rig, prepared.base.flow_maps)
-        named = [(case.name, one.account) for case, one in zip(cases, results, strict=True)]
+        named = [(case.name, result.account) for case, result in zip(cases, results, strict=True)]
         for file, (_, account) in zip(trial.file_names(cases), named, strict=True):
             if account.ledger is not None:
                 rundir.write_json(folder / "ledgers" / f"{file}.json", account.ledger)
         rows = trial.table_rows(cases, results)
         rundir.write_json(folder / "table.json", {"rows": rows})
         (folder / "table.csv").write_text(trial.table_csv(rows, rig), encoding="utf-8")
-        stopped = [f"{name}: {one.facts.stopped}" for name, one in named if one.facts.stopped]
-        warnings = [f"{name}: {text}" for name, one in named for text in one.facts.warnings]
-        warnings += [f"{name}: {text}" for name, one in named for text in one.doubts]
+        stopped = [f"{name}: {item.facts.stopped}" for name, item in named if item.facts.stopped]
+        warnings = [f"{name}: {text}" for name, item in named for text in item.facts.warnings]
+        warnings += [f"{name}: {text}" for name, item in named for text in item.doubts]
         about = {
             "rig": rig.name,
             "on": prepared.recipe.on,

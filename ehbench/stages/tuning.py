@@ -89,9 +89,9 @@ class ArcTuningStage(Stage[ArcTuneRecipe, PreparedTuning[ArcTuneRecipe]]):
             f"chooses the bandwidths of adaptive robust control of '{cylinder}' over "
             f"{_points(recipe, state)}"
         )
-        for own in state.rig.cylinder:
-            if own.name == cylinder:
-                check_modelled(unmodelled_of(state.rig, own), **recipe.at("what"))
+        for item in state.rig.cylinder:
+            if item.name == cylinder:
+                check_modelled(unmodelled_of(state.rig, item), **recipe.at("what"))
         return PreparedTuning(recipe, state.inputs, does, state, _study(recipe, state))
 
     def work(
@@ -121,10 +121,10 @@ def _points(recipe: AnyTuning, state: ValidatedRig) -> str:
 
 def _work(state: ValidatedRig, warnings: Sequence[str]) -> Work:
     """What is said of a tuning in its run."""
-    validated, said = state.stage == "validated", list(warnings)
+    validated, message = state.stage == "validated", list(warnings)
     if not validated:
-        said.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
-    return Work({"rig": state.rig.name, "validated": validated, "warnings": said})
+        message.insert(0, "tuned on a rig that no validation accepted (--unvalidated)")
+    return Work({"rig": state.rig.name, "validated": validated, "warnings": message})
 
 
 def _validated(recipe: AnyTuning, inputs: Inputs) -> ValidatedRig:

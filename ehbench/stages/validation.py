@@ -76,7 +76,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         used, fitted = _fitted_on(state.inputs)
         read = [set(record.channels) for _, record in logs.records]
         every = set.intersection(*read) if read else set()
-        sensors, found = inherited(state.origin, recipe.sensor, every, state.rig)
+        sensors, result = inherited(state.origin, recipe.sensor, every, state.rig)
         taken = []
         models = {}
         if logs.records:
@@ -94,9 +94,9 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
                 if log.failure is not None:
                     findings.mistake(log.failure)
         _say_fitted(recipe, inputs)
-        findings.notes += found
-        asked = ", ".join(_asked(recipe, state.rig)) or "nothing is asked"
-        does = f"judges the rig on {counted(recipe.data, 'log')}: {asked}"
+        findings.notes += result
+        requested = ", ".join(_asked(recipe, state.rig)) or "nothing is asked"
+        does = f"judges the rig on {counted(recipe.data, 'log')}: {requested}"
         return PreparedJudgement(
             recipe,
             (*state.inputs, *logs.files, *logs.maps),
@@ -104,7 +104,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             state,
             logs,
             PreparedValidation(state.rig, recipe.channels, tuple(taken), state.flow_maps),
-            found,
+            result,
         )
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
@@ -121,12 +121,12 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
             leans = rundir.read_json(intervals).get("leans", [])
-            sentences = tuple(one["sentence"] for one in leans)
+            sentences = tuple(lean["sentence"] for lean in leans)
             verdict = replace(verdict, reserves=(*sentences, *verdict.reserves))
         write_rig(folder, state.rig, state.flow_maps)
-        others = [one.as_json() for one in prepared.recipe.reference]
-        beside = {"references": others} if others else {}
-        rundir.write_json(folder / "validation.json", verdict.as_json() | beside)
+        others = [item.as_json() for item in prepared.recipe.reference]
+        additional = {"references": others} if others else {}
+        rundir.write_json(folder / "validation.json", verdict.as_json() | additional)
         write_series(folder / "series", verdict.series())
         facts = {
             "rig": state.rig.name,
@@ -136,28 +136,36 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             "recorded_on": recorded_on(prepared.logs.records),
         }
         if not verdict.accepted:
-            cures = [f"{one.sentence}; {one.cure}" for one in verdict.structure.findings[:2]]
+            cures = [
+                f"{finding.sentence}; {finding.cure}" for finding in verdict.structure.findings[:2]
+            ]
             return Work(facts, [*verdict.reasons, *cures], REJECTED)
         return Work(facts, code=INCOMPLETE if losses else DONE)
 
 
 def _asked(recipe: ValidateRecipe, rig: Rig) -> list[str]:
     """What a model must reach, in words."""
-    asked = recipe.thresholds
-    words = [f"fit of {name} at least {least:g} %" for name, least in asked.fit_percent.items()]
+    requested = recipe.thresholds
+    words = [
+        f"fit of {name} at least {minimum:g} %" for name, minimum in requested.fit_percent.items()
+    ]
     words += [
-        f"error of {name} at most {in_rig_unit(rig, name, float(most))}"
-        for name, most in asked.max_error.items()
+        f"error of {name} at most {in_rig_unit(rig, name, float(maximum))}"
+        for name, maximum in requested.max_error.items()
     ]
     for name in ("natural_frequency", "damping_ratio"):
-        if share := getattr(asked, f"{name}_error"):
+        if share := getattr(requested, f"{name}_error"):
             words.append(f"{name.replace('_', ' ')} within {100.0 * share:g} %")
     for name in ("gain", "phase", "delay"):
-        most = getattr(asked, f"response_{name}_error")
-        if most is not None:
-            shown = f"{100.0 * most:g} %" if name == "gain" else in_rig_unit(rig, name, float(most))
+        highest = getattr(requested, f"response_{name}_error")
+        if highest is not None:
+            shown = (
+                f"{100.0 * highest:g} %"
+                if name == "gain"
+                else in_rig_unit(rig, name, float(highest))
+            )
             words.append(f"{name} of the response to a sweep within {shown}")
-    return words + [word for word in ("whiteness", "independence") if getattr(asked, word)]
+    return words + [word for word in ("whiteness", "independence") if getattr(requested, word)]
 
 
 def in_rig_unit(rig: Rig, name: str, value: float) -> str:
@@ -173,7 +181,7 @@ def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[Rows]]:
     from ehbench.report.saved import read_series
     from ehbench.validation.held_out import Rows
 
-    digests, found = set(), []
+    digests, result = set(), []
     for folder in (path for _, path in inputs if path.is_dir()):
         fitted_on = rundir.read_json(folder / "run.json").get("fitted_on", [])
         digests.update(fitted_on)
@@ -184,8 +192,8 @@ def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[Rows]]:
             path = folder / "series" / f"{name}.csv"
             if path.is_file():
                 series = read_series(path)
-                found.append(Rows(name, series.t, series.recorded, digest))
-    return digests, found
+                result.append(Rows(name, series.t, series.recorded, digest))
+    return digests, result
 
 
 def _say_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:

@@ -26,7 +26,7 @@ def foresee(trials: Sequence[Prepared]) -> None:
     """Let the machines of trials that may go side by side know what they will do; of at most LANES
     trials, those that go with the first that is open loop on the model in fixed steps.
     """
-    found: list[tuple[SimulatedMachine, Job]] = []
+    results: list[tuple[SimulatedMachine, Job]] = []
     for trial in trials:
         machine = trial.machine
         if not isinstance(machine, SimulatedMachine) or not machine.looks_ahead:
@@ -39,15 +39,17 @@ def foresee(trials: Sequence[Prepared]) -> None:
             continue  # the trial will say so
         table = np.concatenate([trial.table, trial.table[-1:]])
         job = Job(machine.model, machine.state.copy(), table)
-        if not found or (_paces(machine) == _paces(found[0][0]) and go_together(found[0][1], job)):
-            found.append((machine, job))
-    if len(found) < LEAST:
+        if not results or (
+            _paces(machine) == _paces(results[0][0]) and go_together(results[0][1], job)
+        ):
+            results.append((machine, job))
+    if len(results) < LEAST:
         return
-    first, job = found[0]
-    if len(found) * job.commands.shape[0] * first.truth.width > MOST:
+    first, job = results[0]
+    if len(results) * job.commands.shape[0] * first.truth.width > MOST:
         return
-    logs = run_together([job for _, job in found], 1.0 / first.rate, first.steps)
-    for (machine, _), log in zip(found, logs, strict=True):
+    logs = run_together([job for _, job in results], 1.0 / first.rate, first.steps)
+    for (machine, _), log in zip(results, logs, strict=True):
         machine.foreseen = log
 
 

@@ -61,10 +61,10 @@ class Case:
         if self.seeds == 1:
             return self._once(prepared, log)
         runs = [prepared.seeded(self.recipe.seed + more) for more in range(self.seeds)]
-        facts = [self._once(one, sure=False).account.facts for one in runs]
+        facts = [self._once(item, sure=False).account.facts for item in runs]
         middle = middle_of(facts)
-        record, kept = self._once(runs[middle], log)
-        return CaseResult(record, kept._replace(facts=over_runs(facts, middle)))
+        record, retained = self._once(runs[middle], log)
+        return CaseResult(record, retained._replace(facts=over_runs(facts, middle)))
 
     def _once(self, prepared: Prepared, log: Path | None = None, sure: bool = True) -> CaseResult:
         try:
@@ -227,17 +227,17 @@ def table_csv(rows: Sequence[dict[str, Any]], rig: Rig) -> str:
     for row in rows:
         energy, tip = cell(row["energy"]["pump"], "pump_energy", "energy"), row.get("tip", {})
         tips = [cell(tip.get(key), name, "tip_error") for name, key in _TIP.items() if several]
-        for cylinder, own in {row["cylinder"]: row, **row.get("also", {})}.items():
-            for number, step in enumerate(own["steps"] or [{}], 1):
+        for cylinder, item in {row["cylinder"]: row, **row.get("also", {})}.items():
+            for number, step in enumerate(item["steps"] or [{}], 1):
                 cells = [str(number) if step else "", *([cylinder] if several else [])]
                 cells += [cell(step.get(key), name, word) for name, (word, key) in _STEP.items()]
-                true = own.get("tracking_true", {}).items()
-                errors = own["tracking"] | {f"{name}_true": value for name, value in true}
+                true = item.get("tracking_true", {}).items()
+                errors = item["tracking"] | {f"{name}_true": value for name, value in true}
                 cells += [cell(errors.get(name), name, word) for name, word in strokes.items()]
                 cells += [energy, *tips]
                 for key, columns in met.items():
-                    told = own.get(key) or {}
-                    cells += [cell(told.get(w), n, word) for n, (word, w) in columns.items()]
+                    message = item.get(key) or {}
+                    cells += [cell(message.get(w), n, word) for n, (word, w) in columns.items()]
                 line = [*(row[name] for name in front[:-1]), *cells, row["stopped"]]
                 lines.append(",".join(quoted(text) for text in line))
     return "\n".join(lines) + "\n"

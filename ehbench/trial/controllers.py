@@ -228,13 +228,13 @@ def refuse_unknown(recipe: TrialRecipe) -> None:
     chosen = recipe.controller
     if chosen is None or chosen.code is not None:
         return
-    for own in (chosen, *map(chosen.of, chosen.cylinders)):
-        assert own.kind is not None  # those of single cylinders are no classes either
-        one, law = recipe.model_copy(update={"controller": own}), LAWS[own.kind]
-        gains, _, _ = _written(one, law)
+    for cylinder in (chosen, *map(chosen.of, chosen.cylinders)):
+        assert cylinder.kind is not None  # those of single cylinders are no classes either
+        item, law = recipe.model_copy(update={"controller": cylinder}), LAWS[cylinder.kind]
+        gains, _, _ = _written(item, law)
         # that of all cylinders may be nobody's where these have laws of their own
-        if chosen.gains_from is None and (own is not chosen or not chosen.cylinders):
-            _refuse_without(one, law, gains)
+        if chosen.gains_from is None and (cylinder is not chosen or not chosen.cylinders):
+            _refuse_without(item, law, gains)
 
 
 def gains_file(recipe: TrialRecipe) -> str | None:
@@ -260,17 +260,17 @@ def code_file(recipe: TrialRecipe) -> Path | None:
             **where,
             hint='write it like "my_module:MyController"',
         )
-    beside = recipe.path.parent / (module.replace(".", "/") + ".py")
-    if beside.is_file():
-        return beside.resolve()
-    found = source_of(module)
-    if found is None:
+    additional = recipe.path.parent / (module.replace(".", "/") + ".py")
+    if additional.is_file():
+        return additional.resolve()
+    result = source_of(module)
+    if result is None:
         raise InputError(
             f"no module '{module}'",
             **where,
-            hint=f"looked for {beside.name} beside the recipe, and among the installed modules",
+            hint=f"looked for {additional.name} beside the recipe, and among the installed modules",
         )
-    return found
+    return result
 
 
 def code_files(recipe: TrialRecipe) -> tuple[Path, ...]:
@@ -384,10 +384,10 @@ def _moves(tuned: Mapping[str, Any], own: Mapping[str, Any]) -> bool:
     return tuned.keys() != own.keys() or any(_differ(tuned[name], own[name]) for name in own)
 
 
-def _differ(one: Any, other: Any) -> bool:
-    if isinstance(one, str) or isinstance(other, str):
-        return one != other
-    return not math.isclose(one, other, rel_tol=FILED)
+def _differ(item: Any, other: Any) -> bool:
+    if isinstance(item, str) or isinstance(other, str):
+        return item != other
+    return not math.isclose(item, other, rel_tol=FILED)
 
 
 def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
@@ -395,7 +395,7 @@ def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
     if name == "kind":
         return own
     unit, row = rig.unit_of(name), VOCABULARY[name]
-    before, now = (f"{from_si(one, unit, row):.4g}" for one in (tuned, own))
+    before, now = (f"{from_si(item, unit, row):.4g}" for item in (tuned, own))
     return f"{name} {before} {unit}" + (f" (here {now})" if _differ(tuned, own) else "")
 
 

@@ -16,32 +16,32 @@ def source_of(module: str) -> Path | None:
     """The Python file of an importable module by its dotted name; None where there is none.
 
     No package on the way is imported, as `importlib.util.find_spec` would."""
-    found, folders = None, None
+    result, folders = None, None
     words = module.split(".")
     for end in range(1, len(words) + 1):
         if not words[end - 1].isidentifier():
             return None
-        found = _spec(".".join(words[:end]), folders)
-        if found is None:
+        result = _spec(".".join(words[:end]), folders)
+        if result is None:
             return None
-        folders = found.submodule_search_locations
+        folders = result.submodule_search_locations
         if folders is None and end < len(words):
             return None
         folders = None if folders is None else list(folders)
-    if found is None or not found.origin:
+    if result is None or not result.origin:
         return None
-    file = Path(found.origin)
+    file = Path(result.origin)
     return file.resolve() if file.suffix == ".py" and file.is_file() else None
 
 
 def _spec(name: str, folders: list[str] | None) -> ModuleSpec | None:
     for finder in sys.meta_path:
         try:
-            found = finder.find_spec(name, folders)
+            result = finder.find_spec(name, folders)
         except (ImportError, AttributeError, ValueError, OSError):
             continue
-        if found is not None:
-            return found
+        if result is not None:
+            return result
     return None
 
 

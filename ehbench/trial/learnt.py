@@ -34,7 +34,7 @@ def learnt_maps(design: Design, machine: Machine, record: Record, rows: int) -> 
     ``gain`` [1] and ``shift`` of the deadband [V]; ``true_gain``, ``true_shift`` fit the machine's
     own flow at the openings that were used; ``error_before`` and ``error_after`` [1] are the
     largest errors of the map there, of its largest flow, without and with the correction."""
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for number, edge in enumerate(design.edges):
         name = f"{edge}.map_gain"
         if name not in record:
@@ -43,12 +43,12 @@ def learnt_maps(design: Design, machine: Machine, record: Record, rows: int) -> 
         if use is None:
             continue
         gain, shift = (float(record[f"{edge}.map_{word}"][rows - 1]) for word in ("gain", "shift"))
-        found[edge] = {"gain": gain, "shift": shift}
+        results[edge] = {"gain": gain, "shift": shift}
         flow = static_flow_of(machine)
         if flow is not None:
             true = np.asarray(flow(edge, use.commands, np.full(use.commands.size, use.drop)))
-            found[edge] |= _against(design, number, use, true, (gain, shift))
-    return found
+            results[edge] |= _against(design, number, use, true, (gain, shift))
+    return results
 
 
 def _use(design: Design, number: int, record: Record, rows: int) -> _Use | None:
@@ -67,8 +67,8 @@ def _use(design: Design, number: int, record: Record, rows: int) -> _Use | None:
     item = design.rig.all_edges()[edge]
     pressures = [record[nodes[end]][:rows][used] for end in (item.from_, item.to)]
     drop = float(np.median(pressures[0] - pressures[1]))
-    most = float(command[used].max())
-    return None if drop == 0.0 else _Use(row.sign * (onset + OPENINGS * (most - onset)), drop)
+    maximum = float(command[used].max())
+    return None if drop == 0.0 else _Use(row.sign * (onset + OPENINGS * (maximum - onset)), drop)
 
 
 def _against(

@@ -142,13 +142,13 @@ def short_measures(
     """
     short = np.concatenate([[0], (saturated & (v_desired != 0.0)).astype(int), [0]])
     starts, ends = np.flatnonzero(np.diff(short) > 0), np.flatnonzero(np.diff(short) < 0)
-    tick, found = float(t[1] - t[0]), None
+    tick, results = float(t[1] - t[0]), None
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         desired = float(np.mean(np.abs(v_desired[start:end])))
         reached = float(np.mean(v[start:end] * np.sign(v_desired[start:end])))
         lasted = tick * (end - start)
-        longest = LASTS if found is None else found["duration"]
+        longest = LASTS if results is None else results["duration"]
         if lasted > longest and reached < (1.0 - LESS) * desired:
-            found = {"start": float(t[start]), "duration": lasted}
-            found |= {"desired": desired, "reached": reached}
-    return found
+            results = {"start": float(t[start]), "duration": lasted}
+            results |= {"desired": desired, "reached": reached}
+    return results

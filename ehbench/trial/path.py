@@ -90,31 +90,31 @@ class Mover:
         reach, the one that comes nearest.
         """
         begin = self.model.posture(self.recipe.posture)
-        found = reach(self.chain, point, begin, self.free)
-        if found.there:
-            return found
+        result = reach(self.chain, point, begin, self.free)
+        if result.there:
+            return result
         choices = [(0.2, 0.8) if free else (0.5,) for free in self.free]
         span = self.chain.high - self.chain.low
-        tried = [found]
+        tried = [result]
         for share in list(product(*choices))[:TRIES]:
             tried.append(reach(self.chain, point, self.chain.low + share * span, self.free))
-        there = [one for one in tried if one.there]
+        there = [item for item in tried if item.there]
         if there:
-            return min(there, key=lambda one: float(np.linalg.norm(one.q - begin)))
-        return min(tried, key=lambda one: one.miss)
+            return min(there, key=lambda entry: float(np.linalg.norm(entry.q - begin)))
+        return min(tried, key=lambda entry: entry.miss)
 
-    def refuse(self, found: Found, what: str, index: int) -> None:
+    def refuse(self, result: Found, what: str, index: int) -> None:
         """Refuse a point that the tip does not come to.
 
         Raises:
             InputError: which, by how much, at whose end of stroke.
         """
-        if found.there:
+        if result.there:
             return
         ends, rig = [], self.model.rig
         for name, number in self.moved.items():
             row = self.model.plant.cylinders[number]
-            way = int(found.beyond[int(row.joint)])
+            way = int(result.beyond[int(row.joint)])
             if way:
                 retracted, extended = joint_range_of(row)
                 out = (way > 0) == (extended > retracted)
@@ -129,7 +129,7 @@ class Mover:
                 2: "on one surface: two cylinders move it",
             }.get(count, "no farther in that direction: the links are stretched or folded")
         raise InputError(
-            f"{what} is out of reach by {rig.shown('x', found.miss)}{stopped}",
+            f"{what} is out of reach by {rig.shown('x', result.miss)}{stopped}",
             **self.recipe.at(*self.motion.where, "points", index),
             hint=hint,
         )
@@ -138,7 +138,7 @@ class Mover:
         """Where a point [m] is, in the unit that the recipe's points have."""
         row = quantity("tip")
         unit = self.motion.points[0].unit or row.unit
-        return "(" + ", ".join(f"{from_si(one, unit, row):.4g}" for one in point) + f") {unit}"
+        return "(" + ", ".join(f"{from_si(item, unit, row):.4g}" for item in point) + f") {unit}"
 
     def strokes(self, q: np.ndarray) -> np.ndarray:
         """Strokes [m] of the cylinders that it moves, shape (postures, cylinders)."""
@@ -170,13 +170,13 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
     assert isinstance(motion, Motion)  # asked of a path only
     mover = Mover.of(recipe, motion, model)
     points = [np.array(point.value, float) for point in motion.points]
-    found = [mover.first(point) for point in points]
-    for index, (one, point) in enumerate(zip(found, points, strict=True)):
-        mover.refuse(one, f"point {index + 1}, {mover.at(point)},", index)
-    q, legs = found[0].q, []
+    results = [mover.first(point) for point in points]
+    for index, (item, point) in enumerate(zip(results, points, strict=True)):
+        mover.refuse(item, f"point {index + 1}, {mover.at(point)},", index)
+    q, legs = results[0].q, []
     start = mover.strokes(q[None])[0]
-    for index, (one, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
-        leg, q = _leg(mover, (one, other), q, index)
+    for index, (item, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
+        leg, q = _leg(mover, (item, other), q, index)
         legs.append(leg)
     table = _times(recipe, motion, [leg.length for leg in legs])
     tables = _along(table, legs, len(mover.moved))
@@ -196,23 +196,23 @@ def _leg(
     """
     from scipy.interpolate import make_interp_spline
 
-    one, other = ends
-    length = float(np.linalg.norm(other - one))
+    item, other = ends
+    length = float(np.linalg.norm(other - item))
     where = mover.recipe.at(*mover.motion.where, "points", index)
     if length <= FOUND:
         raise InputError(f"point {index + 1} of the path is where point {index} is", **where)
     coarse = np.linspace(0.0, 1.0, COARSE)
-    begun = _follow(mover, one + coarse[:, None] * (other - one), q, index)
+    begun = _follow(mover, item + coarse[:, None] * (other - item), q, index)
     near = make_interp_spline(coarse, begun, k=3)
     count = max(LEAST, int(np.ceil(length / STEP)))
     off = 0.0
     for _ in range(FINER):
         share = np.linspace(0.0, 1.0, 2 * count + 1)  # every other one to see how far it is off
-        line = one + share[:, None] * (other - one)
+        line = item + share[:, None] * (other - item)
         postures = _polished(mover, line, near(share), index)
-        made = mover.strokes(postures)
-        curve = make_interp_spline(length * share[::2], made[::2], k=5)
-        apart = np.abs(curve(length * share[1::2]) - made[1::2])
+        built = mover.strokes(postures)
+        curve = make_interp_spline(length * share[::2], built[::2], k=5)
+        apart = np.abs(curve(length * share[1::2]) - built[1::2])
         off = float((apart * _tip_slope(mover, postures[1::2])).sum(axis=1).max())
         if off <= OFF:
             return Leg(length, curve), postures[-1]
@@ -250,9 +250,9 @@ def _polished(mover: Mover, line: np.ndarray, starts: np.ndarray, index: int) ->
     slack = 1e-9
     out = ((q < chain.low - slack) | (q > chain.high + slack))[:, free].any(axis=1)
     for i in np.flatnonzero(out | (miss > FOUND)):
-        found = reach(chain, line[i], starts[i], free)
-        mover.refuse(found, _between(index, mover.at(line[i])), index)
-        q[i] = found.q
+        result = reach(chain, line[i], starts[i], free)
+        mover.refuse(result, _between(index, mover.at(line[i])), index)
+        q[i] = result.q
     return q
 
 
@@ -268,9 +268,9 @@ def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.nda
     """
     free, postures = mover.free, []
     for point in line:
-        found = reach(mover.chain, point, q, free)
-        mover.refuse(found, _between(index, mover.at(point)), index)
-        q = found.q
+        result = reach(mover.chain, point, q, free)
+        mover.refuse(result, _between(index, mover.at(point)), index)
+        q = result.q
         postures.append(q)
     return np.array(postures)
 
@@ -284,7 +284,7 @@ def _times(recipe: TrialRecipe, motion: Motion, lengths: Sequence[float]) -> np.
 
 def _along(table: np.ndarray, legs: Sequence[Leg], count: int) -> list[np.ndarray]:
     """The table of each cylinder along the way: the chain rule on each line's splines."""
-    made = np.zeros((count, len(table), 4))
+    built = np.zeros((count, len(table), 4))
     ends = np.cumsum([leg.length for leg in legs])
     of = np.searchsorted(ends[:-1], table[:, X], side="right")
     for index, leg in enumerate(legs):
@@ -292,8 +292,8 @@ def _along(table: np.ndarray, legs: Sequence[Leg], count: int) -> list[np.ndarra
         s, v, a, j = table[rows].T
         s = np.clip(s - (ends[index] - leg.length), 0.0, leg.length)
         x, first, second, third = (leg.strokes(s, order).T for order in range(4))
-        made[:, rows, X] = x
-        made[:, rows, V] = first * v
-        made[:, rows, A] = second * v**2 + first * a
-        made[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
-    return list(made)
+        built[:, rows, X] = x
+        built[:, rows, V] = first * v
+        built[:, rows, A] = second * v**2 + first * a
+        built[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
+    return list(built)

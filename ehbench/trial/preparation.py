@@ -161,7 +161,7 @@ class Prepared:
         drives are the machine's own choice, as in the points that gains are tuned at.
         """
         loop = self.loop
-        return {} if loop is None else {one.design.cylinder: loop.low_side for one in loop.driven}
+        return {} if loop is None else {item.design.cylinder: loop.low_side for item in loop.driven}
 
     def law(self, machine: Machine) -> Laws | UserCode | None:
         """The controllers at their beginning, for one run on a machine; None for open loop.
@@ -260,13 +260,15 @@ class Prepared:
     def _after(self, ramp: float, seconds: float, still: bool, beyond: list[Excess]) -> str:
         shut = f"within {ramp:.3g} s" if ramp else "at once"
         stood = "it stood still" if still else "it still moved"
-        said = f"the valves went to rest {shut}, {seconds:.3g} s later {stood}"
-        for one in beyond:
-            word = one.channel.rsplit(".", 1)[-1]
+        message = f"the valves went to rest {shut}, {seconds:.3g} s later {stood}"
+        for item in beyond:
+            word = item.channel.rsplit(".", 1)[-1]
             unit = self.rig.unit_of(word)
-            value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (one.value, one.bound))
-            said += f"; {one.channel} went to {value:.4g} {unit}, beyond {one.limit} ({bound:.4g})"
-        return said
+            value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (item.value, item.bound))
+            message += (
+                f"; {item.channel} went to {value:.4g} {unit}, beyond {item.limit} ({bound:.4g})"
+            )
+        return message
 
 
 def _cylinder_of(machine: Machine, channel: str) -> int:
@@ -359,7 +361,7 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
     Raises:
         InputError: a time behind the end, no such payload, or a machine that cannot change it.
     """
-    found: dict[int, str | None] = {}
+    results: dict[int, str | None] = {}
     for i, change in enumerate(recipe.payload_change):
         carry, row = carry_of(machine), int(np.searchsorted(t, float(change.at) - 1e-9))
         if row >= t.size:
@@ -373,10 +375,10 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
                 **recipe.at("payload_change"),
                 hint="leave payload_change out",
             )
-        found[row] = None if change.payload == "none" else change.payload
+        results[row] = None if change.payload == "none" else change.payload
         with controllers.located(recipe, "payload_change", i, "payload"):
-            carry(found[row])
-    return found
+            carry(results[row])
+    return results
 
 
 def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
@@ -424,8 +426,8 @@ def _loop(
     standing: bool,
 ) -> Loop:
     model = Model.of(rig, maps)  # one for all: nobody writes into it
-    found = route(recipe, model) if along_path(recipe) else None
-    singles = recipe.singles(None if found is None else found.starts)
+    result = route(recipe, model) if along_path(recipe) else None
+    singles = recipe.singles(None if result is None else result.starts)
     if isinstance(gains, Mapping):
         tuning = dict(gains)
     else:
@@ -434,23 +436,23 @@ def _loop(
     low = controllers.low_pressure(singles[0], rig, tuning)
     level = float(rig.supply.tank_pressure) + low
     notes = controllers.other_supply(rig, tuning)
-    designs = [controllers.design(one, rig, maps, model) for one in singles]
-    notes += tuple(text for one in designs for text in model.creeping(one.cylinder))
-    if found is None and len(singles) == 1:
+    designs = [controllers.design(single, rig, maps, model) for single in singles]
+    notes += tuple(text for item in designs for text in model.creeping(item.cylinder))
+    if result is None and len(singles) == 1:
         motion = _rest(designs[0]) if standing else references(recipe, designs[0], low)
         driven = (Driven(recipe, designs[0], motion),)
         return Loop(driven, _over(_laws(recipe, driven, tuning), driven), level, notes=notes)
     motions = []
-    for one, design in zip(singles, designs, strict=True):
+    for single, design in zip(singles, designs, strict=True):
         # it may run slower than it is desired: its length is the recipe's only then
-        desired = one.model_copy(update={"duration": None})
+        desired = single.model_copy(update={"duration": None})
         if standing:
             motions.append(_rest(design))
-        elif found is None:
+        elif result is None:
             motions.append(references(desired, design, low))
         else:
-            motions.append(References(found.tables[design.cylinder]))
-    driven = tuple(Driven(*one) for one in zip(singles, designs, as_long(motions), strict=True))
+            motions.append(References(result.tables[design.cylinder]))
+    driven = tuple(Driven(*item) for item in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
     driven, plan = _together(recipe, driven, laws, level)
     return Loop(driven, _over(laws, driven), level, plan, notes)
@@ -465,7 +467,7 @@ def _refuse_misfit(
         InputError: a class for several, a law or tuned gains of a cylinder that does not move.
     """
     chosen = recipe.controller
-    names = [one.motion.cylinder for one in singles if one.motion is not None]
+    names = [single.motion.cylinder for single in singles if single.motion is not None]
     if chosen is None or len(singles) == 1 and not chosen.cylinders:
         return
     moved = "moved are " + ", ".join(name for name in names if name)
@@ -501,12 +503,12 @@ def _laws(
     """The built-in law of each cylinder, over its own motion; None for a user's class."""
     if recipe.controller is None or recipe.controller.code is not None:
         return None
-    made = []
-    for one in driven:
-        known = _gains_for(one, tuning, len(driven))
-        table, rate = one.references.table, float(recipe.rate)
-        made.append(controllers.compiled(one.recipe, one.design, known, table, rate))
-    return Laws(tuple(made))
+    built = []
+    for item in driven:
+        known = _gains_for(item, tuning, len(driven))
+        table, rate = item.references.table, float(recipe.rate)
+        built.append(controllers.compiled(item.recipe, item.design, known, table, rate))
+    return Laws(tuple(built))
 
 
 def _over(laws: Laws | None, driven: Sequence[Driven]) -> Laws | None:
@@ -521,19 +523,19 @@ def _together(
     recipe: TrialRecipe, driven: tuple[Driven, ...], laws: Laws | None, low: float
 ) -> tuple[tuple[Driven, ...], Plan]:
     """What the cylinders do together, as long as the recipe says."""
-    rules = [_rules(one, None if laws is None else laws.parts[i]) for i, one in enumerate(driven)]
+    rules = [_rules(item, None if laws is None else laws.parts[i]) for i, item in enumerate(driven)]
     share = recipe.motion is not None and recipe.motion.share_flow
     driven, plan = planned(driven, rules, low, share)
-    lasting_as = [lasting(one.recipe, one.design, one.references) for one in driven]
+    lasting_as = [lasting(item.recipe, item.design, item.references) for item in driven]
     return tuple(
-        replace(one, references=motion) for one, motion in zip(driven, lasting_as, strict=True)
+        replace(item, references=motion) for item, motion in zip(driven, lasting_as, strict=True)
     ), plan
 
 
-def _rules(one: Driven, part: Compiled | None) -> np.record:
+def _rules(item: Driven, part: Compiled | None) -> np.record:
     """The rules of function selection of a cylinder: those that its law has."""
     if part is None:
-        return pack_rules(one.design.circuit.area_rod, float(one.design.rig.supply.pressure))
+        return pack_rules(item.design.circuit.area_rod, float(item.design.rig.supply.pressure))
     rules = blank(RULES)
     for name, value in part.used["rules"].items():
         rules[name] = value
@@ -541,10 +543,10 @@ def _rules(one: Driven, part: Compiled | None) -> np.record:
 
 
 def _gains_for(
-    one: Driven, tuning: Mapping[str, Any] | None, count: int
+    item: Driven, tuning: Mapping[str, Any] | None, count: int
 ) -> Mapping[str, Any] | None:
     """What was tuned, for a cylinder: of several only that which it was tuned for takes it."""
-    if tuning is None or count == 1 or tuning.get("cylinder") == one.cylinder:
+    if tuning is None or count == 1 or tuning.get("cylinder") == item.cylinder:
         return tuning
     return None
 
@@ -556,7 +558,7 @@ def _taken(loop: Loop) -> tuple[str, ...]:
     if loop.laws is None:
         return ()
     taken = []
-    for one in loop.driven:
-        valves = {int(v) for v in one.design.circuit.edges.valve[one.design.own]}
-        taken += [one.design.valves[i] for i in sorted(valves)]
+    for item in loop.driven:
+        valves = {int(v) for v in item.design.circuit.edges.valve[item.design.own]}
+        taken += [item.design.valves[i] for i in sorted(valves)]
     return tuple(taken)

@@ -85,7 +85,7 @@ class Facts:
         """The same with the energies of each controlled cylinder among its measures."""
         known = dict(self.measures)
         also = {
-            name: _with_energy(own, energy[name]) for name, own in known.pop("also", {}).items()
+            name: _with_energy(item, energy[name]) for name, item in known.pop("also", {}).items()
         }
         measures = _with_energy(known, energy[self.cylinder])
         return replace(self, measures=measures | ({"also": also} if also else {}))
@@ -251,26 +251,26 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
         parts = law.parts if isinstance(law, Laws) else (law,)
-        found = {}
-        for one, part in zip(prepared.loop.driven, parts, strict=True):
-            found[one.cylinder] = own = part.used | _measures(
-                record, one, rows, session.true_strokes
+        results = {}
+        for item, part in zip(prepared.loop.driven, parts, strict=True):
+            results[item.cylinder] = own = part.used | _measures(
+                record, item, rows, session.true_strokes
             )
             if isinstance(part, Compiled) and part.law.after is not None:
                 own |= part.law.after(part.used, part.controller)
-            own["valves"] = _valves(prepared.rig, one.cylinder)
+            own["valves"] = _valves(prepared.rig, item.cylinder)
             if part.used.get("gains", {}).get("adapt_maps"):
-                own["maps"] = learnt_maps(one.design, session.machine, record, rows)
+                own["maps"] = learnt_maps(item.design, session.machine, record, rows)
             if isinstance(part, Compiled) and part.law.warns_saturated:
-                own["short"] = _short(record, one.cylinder, rows)
-                warnings += _saturated(own, prepared.rig, one.cylinder)
-            warnings += _swinging(own["limit_cycle"], prepared.rig, one.cylinder)
-            warnings += _stuck(own, one.cylinder)
-        measures = found.pop(prepared.loop.design.cylinder)
+                own["short"] = _short(record, item.cylinder, rows)
+                warnings += _saturated(own, prepared.rig, item.cylinder)
+            warnings += _swinging(own["limit_cycle"], prepared.rig, item.cylinder)
+            warnings += _stuck(own, item.cylinder)
+        measures = results.pop(prepared.loop.design.cylinder)
         if prepared.loop.plan is not None:
             measures |= prepared.loop.plan.measures(record, rows)
-        if found:
-            measures["also"] = found
+        if results:
+            measures["also"] = results
     return Facts(
         session.machine.name,
         prepared.rig.name,

@@ -115,9 +115,9 @@ class Session:
             first = upto
             if first == self._next_look:
                 self._look(first)
-            said = self._pace(first, time.monotonic() - begun)
+            message = self._pace(first, time.monotonic() - begun)
             if progress is not None:
-                progress(said, first / self.end)
+                progress(message, first / self.end)
 
     def _carry(self, row: int) -> None:
         """Let the machine take up what the recipe wants it to carry from a row on."""
@@ -138,14 +138,14 @@ class Session:
         if not isinstance(self.law, UserCode) or seconds < PATIENCE or done >= self.end:
             return ""
         left = (self.end - done) * seconds / done
-        said = f"{self.law.label} takes {seconds / done:.3g} s a tick, {left / 3600:.2g} h to go"
+        message = f"{self.law.label} takes {seconds / done:.3g} s a tick, {left / 3600:.2g} h to go"
         if left > LONGEST_TRIAL:
             raise InputError(
-                said,
+                message,
                 file=self.law.code.file,
                 hint="make its step faster, or the trial shorter",
             )
-        return said if left > 60.0 else ""
+        return message if left > 60.0 else ""
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
@@ -302,15 +302,15 @@ def _packed(law: Laws | UserCode | None) -> Controls | None:
     """Built-in controllers as compiled code takes them; None for a class that steps in Python."""
     if law is None or isinstance(law, UserCode):
         return None
-    return tuple(LawRows(one.references, one.controller, one.telemetry) for one in law.parts)
+    return tuple(LawRows(part.references, part.controller, part.telemetry) for part in law.parts)
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
     """Telemetry after a stop: the last estimates and the desired stroke stay, nothing is asked for
     any more.
     """
-    kept = law.telemetry[min(row, len(law.telemetry) - 1)]
-    law.telemetry = np.concatenate([law.telemetry[:row], np.tile(kept, (end - row, 1))])
+    retained = law.telemetry[min(row, len(law.telemetry) - 1)]
+    law.telemetry = np.concatenate([law.telemetry[:row], np.tile(retained, (end - row, 1))])
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]
         if word in DEMANDS or word.startswith("flow"):

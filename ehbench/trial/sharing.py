@@ -59,13 +59,13 @@ def pace_of(flow: np.ndarray, limit: float, tick: float) -> Pace | None:
         return None
     half = max(1, round(SMOOTH / tick))
     bell = (1.0 - (np.arange(-half, half + 1) / (half + 1.0)) ** 2) ** 3
-    least = minimum_filter1d(share, 2 * half + 1, mode="nearest")
-    pace = np.convolve(np.pad(least, half, mode="edge"), bell / bell.sum(), mode="valid")
+    minimum = minimum_filter1d(share, 2 * half + 1, mode="nearest")
+    pace = np.convolve(np.pad(minimum, half, mode="edge"), bell / bell.sum(), mode="valid")
     slope = np.gradient(pace, tick)
     curve = np.gradient(slope, tick)
     # real time at each row of the desired motion, then the other way round
     real = np.concatenate([[0.0], np.cumsum(0.5 * tick * (1.0 / pace[1:] + 1.0 / pace[:-1]))])
     rows = np.arange(flow.size) * tick
     at = np.interp(np.arange(int(np.ceil(real[-1] / tick - 1e-9)) + 1) * tick, real, rows)
-    sigma, first, second = (np.interp(at, rows, one) for one in (pace, slope, curve))
+    sigma, first, second = (np.interp(at, rows, item) for item in (pace, slope, curve))
     return Pace(at, sigma, first * sigma, second * sigma**2 + first**2 * sigma)

@@ -33,20 +33,20 @@ def over_runs(runs: Sequence[Facts], middle: int) -> Facts:
     A number is the median of the runs that have it, None where most have not; ``range`` has the
     least and the largest of each, ``seeds`` says how many runs there are. ``limit_cycle`` is the
     worst of all, and what is warned of it. A run that a limit stopped stands for itself."""
-    kept = runs[middle]
-    if kept.stopped:
-        return replace(kept, warnings=(*kept.warnings, _stopped(runs)))
-    found = [facts.measures for facts in runs]
-    moved = [{name: one[name] for name in _MOVED if name in one} for one in found]
+    retained = runs[middle]
+    if retained.stopped:
+        return replace(retained, warnings=(*retained.warnings, _stopped(runs)))
+    results = [facts.measures for facts in runs]
+    moved = [{name: item[name] for name in _MOVED if name in item} for item in results]
     of_all = _joined(moved, middle, _median)
-    worst = max(runs, key=lambda one: (one.measures["limit_cycle"] or {}).get("amplitude", 0.0))
-    measures = kept.measures | of_all | {"limit_cycle": worst.measures["limit_cycle"]}
+    worst = max(runs, key=lambda entry: (entry.measures["limit_cycle"] or {}).get("amplitude", 0.0))
+    measures = retained.measures | of_all | {"limit_cycle": worst.measures["limit_cycle"]}
     measures |= {"range": _joined(moved, middle, _ends), "seeds": len(runs)}
-    return replace(kept, measures=measures, warnings=worst.warnings or kept.warnings)
+    return replace(retained, measures=measures, warnings=worst.warnings or retained.warnings)
 
 
 def _stopped(runs: Sequence[Facts]) -> str:
-    count = sum(1 for one in runs if one.stopped)
+    count = sum(1 for run in runs if run.stopped)
     return f"a limit stopped {count} of {len(runs)} runs; the numbers are of the first of them"
 
 
@@ -56,12 +56,12 @@ def _joined(trees: Sequence[Any], middle: int, fold: Callable[[list[float]], Any
     """
     own = trees[middle]
     if isinstance(own, dict):
-        return {name: _joined([one.get(name) for one in trees], middle, fold) for name in own}
+        return {name: _joined([tree.get(name) for tree in trees], middle, fold) for name in own}
     if isinstance(own, list):
-        same = [one for one in trees if len(one) == len(own)]
-        at = next(i for i, one in enumerate(same) if one is own)
-        return [_joined([one[i] for one in same], at, fold) for i in range(len(own))]
-    known = [float(one) for one in trees if isinstance(one, int | float)]
+        same = [tree for tree in trees if len(tree) == len(own)]
+        at = next(i for i, item in enumerate(same) if item is own)
+        return [_joined([item[i] for item in same], at, fold) for i in range(len(own))]
+    known = [float(tree) for tree in trees if isinstance(tree, int | float)]
     if isinstance(own, str) or not known:
         return own
     return fold(known) if 2 * len(known) > len(trees) else None

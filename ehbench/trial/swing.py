@@ -60,15 +60,15 @@ def limit_cycle(
     """
     steps = np.abs(np.diff(x))
     count = float(steps[steps > 0.0].min(initial=np.inf)) if (steps > 0.0).any() else 0.0
-    least = max(SMALLEST * stroke, min(COUNTS * count, 0.02 * stroke))
+    minimum = max(SMALLEST * stroke, min(COUNTS * count, 0.02 * stroke))
     error = x - x_desired
     best: LimitCycle | None = None
     for size in SIZES:  # small turns within a large swing are none of its own
-        for found, span in _lasting(t, _turning_points(error, size * least)):
-            larger = best is None or found.amplitude > best.amplitude
+        for result, span in _lasting(t, _turning_points(error, size * minimum)):
+            larger = best is None or result.amplitude > best.amplitude
             acts = np.ptp(commands[span], axis=0).any()
-            if larger and acts and not _asked(t[span], x_desired[span], found):
-                best = found
+            if larger and acts and not _asked(t[span], x_desired[span], result):
+                best = result
     return best
 
 
@@ -141,14 +141,14 @@ def _alike(t: np.ndarray, heights: np.ndarray, first: int, halves: int) -> int |
     return last
 
 
-def _asked(t: np.ndarray, x_desired: np.ndarray, found: LimitCycle) -> bool:
+def _asked(t: np.ndarray, x_desired: np.ndarray, result: LimitCycle) -> bool:
     """Whether the reference swings like that, or turns round so often that it makes the error."""
     ways = np.sign(np.diff(x_desired))
     ways = ways[ways != 0.0]
     turns = int(np.count_nonzero(np.diff(ways)))
-    if turns >= 3 and HARMONICS * turns >= 2.0 * found.duration / found.period:
+    if turns >= 3 and HARMONICS * turns >= 2.0 * result.duration / result.period:
         return True
-    return _amplitude(t, x_desired, found.period) >= ASKED * found.amplitude
+    return _amplitude(t, x_desired, result.period) >= ASKED * result.amplitude
 
 
 def _amplitude(t: np.ndarray, y: np.ndarray, period: float) -> float:

@@ -50,12 +50,14 @@ class Driven:
 
 def as_long(motions: Sequence[References]) -> list[References]:
     """Motions that all last as long as the longest: the others stand where they end."""
-    count = max(len(one.table) for one in motions)
+    count = max(len(motion.table) for motion in motions)
     longer = []
-    for one in motions:
-        still = np.zeros((count - len(one.table), ORDERS))
-        still[:, X] = one.table[-1, X]
-        longer.append(replace(one, table=np.ascontiguousarray(np.concatenate([one.table, still]))))
+    for motion in motions:
+        still = np.zeros((count - len(motion.table), ORDERS))
+        still[:, X] = motion.table[-1, X]
+        longer.append(
+            replace(motion, table=np.ascontiguousarray(np.concatenate([motion.table, still])))
+        )
     return longer
 
 
@@ -92,14 +94,14 @@ class Plan:
         error = tip - desired
         along = np.einsum("ij,ij->i", error, self.way[at])
         across = error - along[:, None] * self.way[at]
-        made = {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")}
-        made |= {f"tip_{axis}_desired": desired[:, i] for i, axis in enumerate("xyz")}
-        made["tip_error"] = np.linalg.norm(error, axis=1)
-        made["tip_across"] = np.linalg.norm(across, axis=1)
-        made["flow_demand"] = np.where(beyond, 0.0, self.demand[at])
-        made["flow_planned"] = made["flow_demand"] * self.pace[at]
-        made["pace"] = self.pace[at]
-        return made
+        built = {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")}
+        built |= {f"tip_{axis}_desired": desired[:, i] for i, axis in enumerate("xyz")}
+        built["tip_error"] = np.linalg.norm(error, axis=1)
+        built["tip_across"] = np.linalg.norm(across, axis=1)
+        built["flow_demand"] = np.where(beyond, 0.0, self.demand[at])
+        built["flow_planned"] = built["flow_demand"] * self.pace[at]
+        built["pace"] = self.pace[at]
+        return built
 
     def measures(self, record: Record, rows: int) -> dict[str, Any]:
         """``tip`` errors [m] of a trial up to a row, and ``sharing`` of the pump's flow."""
@@ -128,8 +130,8 @@ def joints_of(driven: Sequence[Driven]) -> tuple[np.ndarray, np.ndarray]:
     design, count = driven[0].design, len(driven[0].references.table)
     q = np.tile(design.q, (count, 1))
     moved = np.zeros((3, count, design.q.size))
-    for one in driven:
-        row, table = one.design.row, one.references.table
+    for item in driven:
+        row, table = item.design.row, item.references.table
         joint = int(row.joint)
         q[:, joint] = joint_of(row, table[:, X])
         moved[:, :, joint] = joint_motion(row, q[:, joint], table).T
@@ -142,14 +144,14 @@ def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
     """
     joints = joints_of(driven)[1] if len(driven) > 1 else None
     widened = []
-    for one in driven:
-        chosen = controller_of(one.recipe)
+    for item in driven:
+        chosen = controller_of(item.recipe)
         law = None if chosen.kind is None else LAWS[chosen.kind]
-        wide = table = one.references.table
+        wide = table = item.references.table
         if law is not None and joints is not None and chosen.coupling and law.ahead > 0.0:
             wide = among_others(table, joints, law.ahead)
         if law is not None and law.preview > 0.0:
-            tick = 1.0 / float(one.recipe.rate)
+            tick = 1.0 / float(item.recipe.rate)
             wide = with_preview(wide, table[:, V], law.preview, tick)
         widened.append(wide)
     return widened
@@ -174,23 +176,23 @@ def planned(
     torque = torques(mechanism, q, joints)
     line = Pressures(low, low, float(plant.supply.pressure), float(plant.tank_pressure))
     demand = np.zeros(len(q))
-    for one, own in zip(driven, rules, strict=True):
+    for item, rule in zip(driven, rules, strict=True):
         axis, joint = (
-            axis_of(one.design.circuit, mechanism, one.design.row),
-            int(one.design.row.joint),
+            axis_of(item.design.circuit, mechanism, item.design.row),
+            int(item.design.row.joint),
         )
-        motion = Moving(one.references.table[:, V], torque[:, joint], q[:, joint])
-        demand += drawn(axis, motion, line, tick, own)
+        motion = Moving(item.references.table[:, V], torque[:, joint], q[:, joint])
+        demand += drawn(axis, motion, line, tick, rule)
     limit = float(plant.supply.flow_limit)
     pace = None
     if share and math.isfinite(limit):
         pace = pace_of(demand, (1.0 - RESERVE) * limit, tick)
-    before, made = len(q), np.ones(len(q))
+    before, built = len(q), np.ones(len(q))
     if pace is not None:
         driven = tuple(
-            replace(one, references=slower(one.references, pace, tick)) for one in driven
+            replace(item, references=slower(item.references, pace, tick)) for item in driven
         )
-        q, demand, made = pace.of(q, tick), pace.of(demand, tick), pace.pace
+        q, demand, built = pace.of(q, tick), pace.of(demand, tick), pace.pace
     none = np.full(design.q.size, np.nan)
     chain = Chain(plant.kind, plant.links, plant.gravity, none, none)
     tip = tip_of(chain, q)
@@ -204,7 +206,7 @@ def planned(
         tip,
         _way(tip, tick),
         demand,
-        made,
+        built,
         limit,
         (len(q) - before) * tick,
     )

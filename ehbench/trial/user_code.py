@@ -112,9 +112,9 @@ class UserCode:
         """
         reference = Reference(*self.references[row].tolist())
         answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)
-        kept = [float(command[i]) for i in self._unused]
+        retained = [float(command[i]) for i in self._unused]
         self._take(answer, t, command)
-        for i, volts in zip(self._unused, kept, strict=True):
+        for i, volts in zip(self._unused, retained, strict=True):
             command[i] = volts
         if not self._in_range(command, self.low, self.high):
             self._bring_in_range(answer, t, command)

@@ -123,12 +123,12 @@ class Search:
         self.site: Site = site_of(design, circuit, posture, 1.0 / float(recipe.rate))
         self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
         usual = self.gains(BUDGET)
-        found = (
-            SampledPlant.of(one.model, one.point, self.site.tick)
-            for one in study.sites
-            if one.counts
+        result = (
+            SampledPlant.of(site.model, site.point, self.site.tick)
+            for site in study.sites
+            if site.counts
         )
-        self.plants = [one for one in found if one.stays(self.site, usual)]
+        self.plants = [item for item in result if item.stays(self.site, usual)]
         if not self.plants:
             raise InsufficientData(
                 f"at no operating point of cylinder '{study.cylinder}' the controller stays in the "
@@ -148,21 +148,21 @@ class Search:
     def loops(self, budget: float) -> list[ArcLoop]:
         """The loop at every operating point."""
         gains = self.gains(budget)
-        return [one.loop(self.site, gains) for one in self.plants]
+        return [plant.loop(self.site, gains) for plant in self.plants]
 
     def candidate(self, budget: float) -> ArcCandidate:
         """The margins at the worst points."""
-        found = [loop.margins(self.sensing) for loop in self.loops(budget)]
-        return self.judged(budget, found)
+        results = [loop.margins(self.sensing) for loop in self.loops(budget)]
+        return self.judged(budget, results)
 
-    def judged(self, budget: float, found: Sequence[LoopMargins]) -> ArcCandidate:
+    def judged(self, budget: float, result: Sequence[LoopMargins]) -> ArcCandidate:
         """A candidate, from its margins at all points."""
         worst = {
-            "gain_margin": min(one.gain for one in found),
-            "phase_margin": min(one.phase for one in found),
-            "delay_margin": min(one.stated for one in found),
+            "gain_margin": min(item.gain for item in result),
+            "phase_margin": min(item.phase for item in result),
+            "delay_margin": min(item.stated for item in result),
         }
-        met = all(worst[name] >= least for name, least in self.demands.items())
+        met = all(worst[name] >= demand for name, demand in self.demands.items())
         return ArcCandidate(sum=budget / self.lag, met=met, **worst)
 
 
@@ -192,10 +192,10 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
 
 def _largest(search: Search, tried: dict[float, ArcCandidate]) -> float:
     """The largest budget that keeps the demands, to 1/2^HALVINGS of the grid's step."""
-    kept = [budget for budget, one in tried.items() if one.met]
-    if not kept:
+    retained = [budget for budget, item in tried.items() if item.met]
+    if not retained:
         return max(tried, key=lambda budget: tried[budget].delay_margin)
-    best = max(kept)
+    best = max(retained)
     beyond = min((budget for budget in tried if budget > best), default=best)
     for _ in range(HALVINGS if beyond > best else 0):
         middle = math.sqrt(best * beyond)
@@ -208,14 +208,14 @@ def _result(
     study: Study, search: Search, budget: float, tried: dict[float, ArcCandidate]
 ) -> ArcTuning:
     loops, gains = search.loops(budget), search.gains(budget)
-    found = [loop.margins(search.sensing) for loop in loops]
-    worst = min(range(len(found)), key=lambda i: found[i].delay)
+    results = [loop.margins(search.sensing) for loop in loops]
+    worst = min(range(len(results)), key=lambda i: results[i].delay)
     _, rates = pack_with_rates(search.site, search.rules, Adaptation(lag_budget=budget), {})
     named = named_gains(gains, rates)["gains"]
-    chosen, points = search.judged(budget, found), [one.point for one in search.plants]
+    chosen, points = search.judged(budget, results), [plant.point for plant in search.plants]
     warnings = rail_notes(study.rig, points)
     if not chosen.met:
-        missed = [k for k, least in search.demands.items() if getattr(chosen, k) < least]
+        missed = [k for k, demand in search.demands.items() if getattr(chosen, k) < demand]
         words = " and ".join(name.replace("_", " ") for name in missed)
         warnings.append(
             f"no bandwidths keep the demanded {words} at every operating point; those with the "
@@ -240,9 +240,11 @@ def _result(
             ArcPoint(
                 p.name, p.function, p.payload, p.x, p.v, m.gain, m.phase, m.stated, m.frequency
             )
-            for p, m in zip(points, found, strict=True)
+            for p, m in zip(points, results, strict=True)
         ),
         worst=points[worst].name,
-        locus=tuple((tuple((-one.real).tolist()), tuple((-one.imag).tolist())) for one in loci.T),
+        locus=tuple(
+            (tuple((-item.real).tolist()), tuple((-item.imag).tolist())) for item in loci.T
+        ),
         warnings=tuple(warnings),
     )

@@ -88,8 +88,8 @@ class Sampled(NamedTuple):
 
         balancing: Any = matrix_balance(self.a, permute=False, separate=True)
         balanced, (scale, _) = balancing
-        found: Any = schur(balanced, output="complex")
-        triangle, turn = found
+        result: Any = schur(balanced, output="complex")
+        triangle, turn = result
         inflow = turn.conj().T @ (self.b / scale[:, None])
         state = np.empty((len(triangle), z.size, self.b.shape[1]), complex)
         for i in reversed(range(len(triangle))):
@@ -179,11 +179,11 @@ class ArcLoop:
         omega, loci = self.loci(sensing)
         gain = phase = delay = math.inf
         frequency = 0.0
-        for w, one in _branches(omega, loci):
-            size, angle = np.abs(one), np.angle(one)
+        for w, item in _branches(omega, loci):
+            size, angle = np.abs(item), np.angle(item)
             for i, share in _crossings(np.log(np.maximum(size, 1e-300))):
                 at = w[i] * (w[i + 1] / w[i]) ** share
-                turn = cmath.phase(one[i] + share * (one[i + 1] - one[i]))
+                turn = cmath.phase(item[i] + share * (item[i + 1] - item[i]))
                 phase = min(phase, abs(turn))
                 if (turn % (2.0 * math.pi)) / at < delay:
                     delay, frequency = (turn % (2.0 * math.pi)) / at, at
@@ -276,9 +276,9 @@ def _plant_map(
     sample = np.empty(sample_size(len(names.cylinders)))
 
     def after(push: np.ndarray, turned: np.ndarray) -> np.ndarray:
-        state, held = y + push, command.copy()
-        held[valves] += turned
-        model_tick(state, held, plant, line, steps, k, work, sample)
+        state, fixed = y + push, command.copy()
+        fixed[valves] += turned
+        model_tick(state, fixed, plant, line, steps, k, work, sample)
         return state
 
     def read(push: np.ndarray) -> np.ndarray:

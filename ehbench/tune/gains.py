@@ -149,9 +149,9 @@ def _gains_by_function(
     counted = [site for site in study.sites if site.counts]
     groups = {"": counted} if study.recipe.one_gain else _by_function(counted)
     chosen = {key: choose_gain(group, law, gains, demands, notes) for key, group in groups.items()}
-    least = min(chosen.values())
+    minimum = min(chosen.values())
     return {
-        f: chosen.get(f, chosen.get("", least))
+        f: chosen.get(f, chosen.get("", minimum))
         for f in dict.fromkeys(site.point.function for site in study.sites)
     }
 

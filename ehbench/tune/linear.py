@@ -57,7 +57,7 @@ def valve_block(model: Model, valve: int) -> ValveBlock:
     """The elements of a valve, which are linear, from their own rates."""
     plant, row = model.plant, model.plant.valves[valve]
     own = plant.elements[row.first : row.first + row.count]
-    states = tuple(k for one in own for k in range(one.state, one.state + one.states))
+    states = tuple(k for item in own for k in range(item.state, item.state + item.states))
     size = len(states)
     table, c = np.empty((size, size + 1)), np.empty(size)
     for k in range(size + 1):
@@ -143,10 +143,10 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
     if row.sway_state >= 0:
         _swaying(row, point, names, a)
     into_u, port = np.zeros((2 + len(hoses), len(valves))), [0, 1]
-    for own, hose in enumerate(hoses, 2):
-        port[hose.side] = own
-        for node, sign in ((own, -1.0), (hose.side, 1.0)):
-            inflow[node, 1 + own] += sign * hose.slope
+    for item, hose in enumerate(hoses, 2):
+        port[hose.side] = item
+        for node, sign in ((item, -1.0), (hose.side, 1.0)):
+            inflow[node, 1 + item] += sign * hose.slope
             inflow[node, 1 + hose.side] -= sign * hose.slope
     at = dict(zip(moving, _starts(moving, names), strict=True))
     for path in point.paths:
@@ -201,10 +201,10 @@ def with_delays(linear: LinearModel, model: Model) -> LinearModel:
     a1 s + a0), a1 = 6/T, a0 = 12/T². Their states stand last.
     """
     late = model.plant.valves.delay[list(linear.valves)]
-    size, held = linear.a.shape[0], 2 * int(np.count_nonzero(late))
-    if not held:
+    size, fixed = linear.a.shape[0], 2 * int(np.count_nonzero(late))
+    if not fixed:
         return linear
-    a, b = np.zeros((size + held, size + held)), np.zeros((size + held, len(late)))
+    a, b = np.zeros((size + fixed, size + fixed)), np.zeros((size + fixed, len(late)))
     a[:size, :size], b[:size] = linear.a, linear.b
     names = list(linear.states)
     for i, delay in zip(np.flatnonzero(late), late[late > 0.0], strict=True):
@@ -214,7 +214,7 @@ def with_delays(linear: LinearModel, model: Model) -> LinearModel:
         b[at + 1, i] = root
         a[:size, at + 1] = -twice / root * linear.b[:, i]
         names += [f"{model.layout.valves[linear.valves[i]]}.late_{k}" for k in (1, 2)]
-    e = np.append(linear.e, np.zeros(held))
+    e = np.append(linear.e, np.zeros(fixed))
     return LinearModel(tuple(names), linear.valves, a, b, e, 2.5 / float(late.max()))
 
 

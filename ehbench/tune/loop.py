@@ -75,16 +75,16 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     areas = np.array([circuit.area_head, circuit.area_rod])
     head = METERED[function] == HEAD
     sources = [1, 2, *(i for i, name in enumerate(linear.states) if name == "p_supply")]
-    size, held = linear.a.shape[0], len(sources) * DELAY_ORDER if law.delay > 0 else 0
+    size, fixed = linear.a.shape[0], len(sources) * DELAY_ORDER if law.delay > 0 else 0
     corners = [corner for corner in (law.washout, law.ramp_washout) if corner > 0]
-    total = size + held + len(corners)
+    total = size + fixed + len(corners)
     a = np.zeros((total, total))
     a[:size, :size] = linear.a
     seen = _seen(a, sources, size, law.delay)
     back = seen[0 if head else 1].copy()
     if law.feedback == "load":
         back = (areas[0] * seen[0] - areas[1] * seen[1]) / (areas[0] if head else -areas[1])
-    for at, corner in enumerate(corners, size + held):
+    for at, corner in enumerate(corners, size + fixed):
         a[at] = corner * back
         a[at, at] -= corner
         back[at] -= 1.0
@@ -111,7 +111,7 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
     scale = np.full(total, 1.0e6)
     scale[:size] = _sizes(linear.states)
     ratio = scale / scale[:, None]
-    fastest = min(2.5 / law.delay if held else math.inf, linear.fastest)
+    fastest = min(2.5 / law.delay if fixed else math.inf, linear.fastest)
     return Loop(
         a * ratio,
         put @ direct / scale,

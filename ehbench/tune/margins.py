@@ -12,9 +12,11 @@ from ehbench.tune.loop import Loop, damping_ratio, dominant
 from ehbench.tune.results import Margins
 
 
-def violations(found: Margins, demands: dict[str, float]) -> list[str]:
+def violations(result: Margins, demands: dict[str, float]) -> list[str]:
     """Words for the demands that margins do not keep."""
-    return [key.replace("_", " ") for key, least in demands.items() if getattr(found, key) < least]
+    return [
+        key.replace("_", " ") for key, demand in demands.items() if getattr(result, key) < demand
+    ]
 
 
 def margins(loop: Loop, gain: float) -> Margins:

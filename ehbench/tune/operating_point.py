@@ -392,15 +392,15 @@ class _Motion:
 
     def troubles(self, v: float, settled: _Settled, paths: Sequence[Path]) -> list[str]:
         """What is impossible."""
-        found = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
-        found += [
+        results = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
+        results += [
             f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable
         ]
         if max(settled.p_head, settled.p_rod) > self.row.relief_pressure:
-            found.append("a relief valve would open")
+            results.append("a relief valve would open")
         if self.short(v, settled, paths):
-            found.append("the pump cannot bring what the low rail does not")
-        return found
+            results.append("the pump cannot bring what the low rail does not")
+        return results
 
     def short(self, v: float, settled: _Settled, paths: Sequence[Path]) -> bool:
         """Whether the pump of the high one of two rails cannot bring what is asked of it."""
@@ -546,10 +546,10 @@ def _path(
     gain = (_flow(circuit, path, drop, command + du) - _flow(circuit, path, drop, command - du)) / (
         2 * du
     )
-    most, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
+    maximum, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
     passes = _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
     saturated = gain == 0.0 and flow > 0.0
-    reachable = passes and not saturated and sign * command <= sign * most * (1 + 1e-9)
+    reachable = passes and not saturated and sign * command <= sign * maximum * (1 + 1e-9)
     return Path(
         int(path),
         names[edge],

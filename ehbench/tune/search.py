@@ -76,11 +76,11 @@ def best_gain(sites: Sequence[Site], law: Law, gains: np.ndarray) -> tuple[float
     worst = np.minimum(loops[0].damping_ratio(gains), 1.0)
     # what the best gain at the first point gives at all of them: those that give less are left out
     likely = float(gains[worst.argmax()])
-    least = min(float(loop.damping_ratio(likely)) for loop in loops) - 1e-9
-    left, worst = gains[worst >= least], worst[worst >= least]
+    minimum = min(float(loop.damping_ratio(likely)) for loop in loops) - 1e-9
+    left, worst = gains[worst >= minimum], worst[worst >= minimum]
     for loop in loops[1:]:
         worst = np.minimum(worst, loop.damping_ratio(left))
-        left, worst = left[worst >= least], worst[worst >= least]
+        left, worst = left[worst >= minimum], worst[worst >= minimum]
     return float(worst.max()), float(left[worst.argmax()])
 
 
@@ -120,8 +120,8 @@ class LawSearch:
         self.single = recipe.ramp_washout is not None
         self.ramp = 0.0 if recipe.ramp_washout is None else float(recipe.ramp_washout)
         # one command for both ends: nothing to hold
-        held = Law(self.corners[0], scale, self.delay)
-        self.shared = not any(site.loop(held).off.any() for site in sites)
+        fixed = Law(self.corners[0], scale, self.delay)
+        self.shared = not any(site.loop(fixed).off.any() for site in sites)
         self.offs = [scale * share for share in OFF_SHARES]
         if recipe.off_gain is not None:
             self.offs = [float(recipe.off_gain)]
@@ -191,7 +191,7 @@ class LawSearch:
 
     def alternatives(self, law: Law) -> tuple[Alternative, ...]:
         """What a law was weighed against, each at its own best gain; the law itself first."""
-        tried = {what: (self.best_of(one), one) for what, one in self._others(law).items()}
+        tried = {what: (self.best_of(other), other) for what, other in self._others(law).items()}
         quick = [replace(site, linear=faster(site.linear, 10.0)) for site in self.sites]
         tried["valves ten times as fast"] = best_gain(quick, law, self.gains), law
         return tuple(
@@ -235,7 +235,7 @@ def choose_gain(
     if chosen == fine:
         return fine
     broken = ", ".join(
-        sorted({v for one in loops for v in violations(margins(one, fine), demands)})
+        sorted({v for loop in loops for v in violations(margins(loop, fine), demands)})
     )
     if chosen is None:
         notes.append(

@@ -139,10 +139,10 @@ def model_under(rig: Rig, maps: Maps | None, payload: str) -> Model:
 
 
 def _check_also_moving(rig: Rig, name: str, recipe: AnyTuning) -> None:
-    for one in recipe.also_moving:
-        rig.cylinder_named(one)
-        if one == name:
-            raise InputError(f"'{one}' is tuned: also_moving names other cylinders")
+    for item in recipe.also_moving:
+        rig.cylinder_named(item)
+        if item == name:
+            raise InputError(f"'{item}' is tuned: also_moving names other cylinders")
     if recipe.also_moving and rig.supply.load_sensing is None:
         raise InputError(
             f"also_moving is for load sensing, and the rig's supply is {rig.supply.kind}",
@@ -209,21 +209,21 @@ def _those_that_count(
         InsufficientData: no site counts.
     """
     fitting = {site.point.function for site in sites if site.counts}
-    found = {site.point.function for site in sites}
-    lost = [f for f in recipe.functions if f not in found]
+    result = {site.point.function for site in sites}
+    lost = [f for f in recipe.functions if f not in result]
     notes = [f"{function} is possible at no operating point" for function in lost]
-    kept = [site for site in sites if site.counts or site.point.function not in fitting]
+    retained = [site for site in sites if site.counts or site.point.function not in fitting]
     if not fitting:
         raise InsufficientData(
             f"no operating point of cylinder '{name}' calls for any of the functions asked for",
             hint="choose other functions, payloads or postures",
         )
-    shown = sorted({site.point.function for site in kept} - fitting)
+    shown = sorted({site.point.function for site in retained} - fitting)
     notes += [
         f"{function} is shown only: at no operating point does the load call for it"
         for function in shown
     ]
-    return kept, notes
+    return retained, notes
 
 
 def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[str]:

@@ -141,7 +141,7 @@ class PreparedValidation:
 
     def cases(self, results: Sequence[LogResult] = ()) -> list[Case]:
         """The logs as `ehbench.diagnosis.ask` takes them, sensors as the results have them."""
-        sensors = {one.name: one.sensors for one in results}
+        sensors = {result.name: result.sensors for result in results}
         return [
             Case(
                 log.name,
@@ -193,11 +193,11 @@ def run_validation(
     """Judge what `prepare_validation` took in; arguments as in `validate_rig`.
 
     ``workers``: threads, 0 for one a core; the result does not depend on them."""
-    asked = thresholds or Thresholds()
+    requested = thresholds or Thresholds()
     logs = prepared.logs
 
     def judge(log: TakenLog) -> LogResult:
-        return _judge(log, prepared.channels, asked)
+        return _judge(log, prepared.channels, requested)
 
     results = []
     with ThreadPoolExecutor(max(1, min(workers or cores(), len(logs)))) as pool:
@@ -211,7 +211,7 @@ def run_validation(
         not reasons,
         tuple(reasons),
         tuple(warnings),
-        _plain(asked),
+        _plain(requested),
         tuple(results),
     )
 
@@ -291,12 +291,14 @@ def models_of(
     }
 
 
-def _plain(asked: Thresholds) -> dict[str, Any]:
+def _plain(requested: Thresholds) -> dict[str, Any]:
     """The thresholds as plain values, in SI."""
-    return asked.model_dump() | {
-        "max_error": {name: float(value) for name, value in asked.max_error.items()},
-        "response_phase_error": asked.response_phase_error and float(asked.response_phase_error),
-        "response_delay_error": asked.response_delay_error and float(asked.response_delay_error),
+    return requested.model_dump() | {
+        "max_error": {name: float(value) for name, value in requested.max_error.items()},
+        "response_phase_error": requested.response_phase_error
+        and float(requested.response_phase_error),
+        "response_delay_error": requested.response_delay_error
+        and float(requested.response_delay_error),
     }
 
 
@@ -334,10 +336,10 @@ def _verdict(results: Sequence[LogResult]) -> tuple[list[str], list[str]]:
     return reasons, warnings
 
 
-def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogResult:
+def _judge(log: TakenLog, channels: tuple[str, ...], requested: Thresholds) -> LogResult:
     record, model = log.record, log.model
     counted = record if log.scored is None else _within(record, log.scored)
-    moved, held = _moved(model, counted)
+    moved, fixed = _moved(model, counted)
     facts = LogResult(
         name=log.name,
         payload=payload_of(record) or "none",
@@ -347,14 +349,14 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
         scored=None if log.scored is None else (float(counted.t[0]), float(counted.t[-1])),
         overlap=log.overlap,
         moved=moved,
-        held=held,
+        held=fixed,
     )
     warnings = [*log.warnings, *_doubts(log, moved)]
     try:
         if log.failure is not None:
             raise LogError(str(log.failure).removeprefix(f"{log.name}: "))
-        found = _followed(log, moved, _free(record, channels))
-        simulated = found.replay(model)
+        result = _followed(log, moved, _free(record, channels))
+        simulated = result.replay(model)
     except EhbenchError as error:
         return replace(
             facts,
@@ -364,44 +366,46 @@ def _judge(log: TakenLog, channels: tuple[str, ...], asked: Thresholds) -> LogRe
             series=_recorded(record, moved, channels),
         )
     whole, lacking = _pairs(record, simulated, moved, _free(record, channels))
-    warnings += [*_missed(lacking, channels, asked), *supply_off(record, simulated, model.rig)]
+    warnings += [*_missed(lacking, channels, requested), *supply_off(record, simulated, model.rig)]
     keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
     results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
-    warnings += [f"{one.channel}: {one.note}" for one in results if one.note]
+    warnings += [f"{item.channel}: {item.note}" for item in results if item.note]
     rings = () if "qd" in tied_words(record) else moved
     windows = [w for cylinder in rings for w in transients_of(counted, model, cylinder, pairs)]
     sweeps = [
         sweep
         for cylinder in moved
-        for sweep in sweeps_of(counted, model, cylinder, pairs, asked.response_coherence)
+        for sweep in sweeps_of(counted, model, cylinder, pairs, requested.response_coherence)
     ]
-    checks = checks_of(results, windows, sweeps, asked, model.rig)
+    checks = checks_of(results, windows, sweeps, requested, model.rig)
     if moved and not checks:
         warnings.append("no threshold applies to what the log shows, so nothing is judged on it")
     return replace(
         facts,
         channels=tuple(results),
         transients=tuple(windows),
-        sensors={t.name: t.value(found.excess[t.name]) for t in log.terms if t.std > 0.0},
+        sensors={t.name: t.value(result.excess[t.name]) for t in log.terms if t.std > 0.0},
         sweeps=tuple(sweeps),
         checks=tuple(checks),
         warnings=(
             *warnings,
             *unjudged(rings, windows),
-            *unasked(results, asked, model.rig, record),
+            *unasked(results, requested, model.rig, record),
         ),
         series=_series(record, whole),
     )
 
 
-def _missed(lacking: Sequence[str], channels: tuple[str, ...], asked: Thresholds) -> Iterator[str]:
+def _missed(
+    lacking: Sequence[str], channels: tuple[str, ...], requested: Thresholds
+) -> Iterator[str]:
     """A note of each channel that a log lacks and that somebody asked for, by name or by a
     threshold.
     """
     for channel in lacking:
         words = {*stood_for(channel.rpartition(".")[2])}
-        if channels != CHANNELS or words & {*asked.fit_percent, *asked.max_error}:
+        if channels != CHANNELS or words & {*requested.fit_percent, *requested.max_error}:
             yield f"the log has nothing to judge '{channel}' by"
 
 
@@ -415,7 +419,9 @@ def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:
     """Why a log does not count, if it does not."""
     sentences = []
     if log.fitted:
-        when = ", ".join(f"{one.start:g} … {one.stop:g} s (of {one.log})" for one in log.overlap)
+        when = ", ".join(
+            f"{item.start:g} … {item.stop:g} s (of {item.log})" for item in log.overlap
+        )
         sentences.append(
             "THE MODEL WAS FITTED TO THIS LOG"
             + (f", to its samples at {when}" if when else "")
@@ -431,7 +437,7 @@ def _doubts(log: TakenLog, moved: Sequence[str]) -> list[str]:
 def _wanted(record: Record, moved: Sequence[str], channels: Sequence[str]) -> list[str]:
     """The channels of a log, by full name, that quantities ask for."""
     return [
-        one for name in moved for word in channels for one in channels_asked(record, name, word)
+        item for name in moved for word in channels for item in channels_asked(record, name, word)
     ]
 
 
@@ -441,12 +447,12 @@ def _pairs(
     """(recorded and simulated by channel, the channels that neither the log nor a stand-in has)."""
     pairs: dict[str, Pair] = {}
     lacking = []
-    for wanted in _wanted(record, moved, channels):
-        open_ = [name for name in alternatives(wanted) if name not in pairs]
+    for required in _wanted(record, moved, channels):
+        open_ = [name for name in alternatives(required) if name not in pairs]
         both = ((name, pair_of(record, simulated, name)) for name in open_)
-        name, pair = next(((name, pair) for name, pair in both if pair), (wanted, None))
+        name, pair = next(((name, pair) for name, pair in both if pair), (required, None))
         if pair is None:
-            lacking.append(wanted)
+            lacking.append(required)
         else:
             pairs[name] = pair
     return pairs, lacking
@@ -455,10 +461,12 @@ def _pairs(
 def _followed(log: TakenLog, moved: Sequence[str], channels: Sequence[str]) -> Followed:
     """Where the log starts and how its sensors are, as the cylinders that are judged tell it."""
     record = log.record
-    wanted = _wanted(record, moved, channels)
+    required = _wanted(record, moved, channels)
     inputs = [
-        next((name for name in alternatives(one) if column(record, name, record) is not None), None)
-        for one in wanted
+        next(
+            (name for name in alternatives(item) if column(record, name, record) is not None), None
+        )
+        for item in required
     ]
     inputs = list(dict.fromkeys(filter(None, inputs)))
     return follow(log.model, record, moved, inputs, log.terms)
@@ -493,6 +501,6 @@ def _moved(model: Model, record: Record) -> tuple[tuple[str, ...], tuple[str, ..
 def _recorded(
     record: Record, moved: Sequence[str], channels: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    wanted = _wanted(record, moved, channels)
-    names = [name for channel in wanted for name in alternatives(channel)]
+    required = _wanted(record, moved, channels)
+    names = [name for channel in required for name in alternatives(channel)]
     return {"t": record.t} | {name: record[name] for name in names if name in record}

@@ -26,7 +26,7 @@ def checks_of(
     results: Sequence[ChannelResult],
     windows: Sequence[Transient],
     sweeps: Sequence[Sweep],
-    asked: Thresholds,
+    requested: Thresholds,
     rig: Rig,
 ) -> list[Check]:
     """Every check that a log supports: channel by channel, then cylinder by cylinder, then the
@@ -35,61 +35,61 @@ def checks_of(
     checks = []
     for result in results:
         checks += [
-            *_fit_check(result, asked),
-            *_error_check(result, asked, rig),
-            *_residual_checks(result, asked),
+            *_fit_check(result, requested),
+            *_error_check(result, requested, rig),
+            *_residual_checks(result, requested),
         ]
     judged = (w for w in windows if w.judged)
     for cylinder, mine in groupby(judged, key=lambda w: w.cylinder):
         group = list(mine)
         for key, limit in (
-            ("natural_frequency", asked.natural_frequency_error),
-            ("damping_ratio", asked.damping_ratio_error),
+            ("natural_frequency", requested.natural_frequency_error),
+            ("damping_ratio", requested.damping_ratio_error),
         ):
             if limit is not None:
                 checks.append(_ringing_check(cylinder, key, group, limit))
-    return checks + [check for sweep in sweeps for check in _sweep_checks(sweep, asked)]
+    return checks + [check for sweep in sweeps for check in _sweep_checks(sweep, requested)]
 
 
-def _sweep_checks(sweep: Sweep, asked: Thresholds) -> Iterator[Check]:
+def _sweep_checks(sweep: Sweep, requested: Thresholds) -> Iterator[Check]:
     """Gain, phase and delay of a channel's response to its command."""
     band = f"over {sweep.band[0]:.3g} … {sweep.band[1]:.3g} Hz"
     for what, reached, limit, unit, (shown, factor) in (
-        ("gain", sweep.gain_error, asked.response_gain_error, "share", ("%", 100.0)),
-        ("phase", sweep.phase_error, asked.response_phase_error, "rad", ("°", 180.0 / math.pi)),
-        ("delay", sweep.delay_error, asked.response_delay_error, "s", ("ms", 1000.0)),
+        ("gain", sweep.gain_error, requested.response_gain_error, "share", ("%", 100.0)),
+        ("phase", sweep.phase_error, requested.response_phase_error, "rad", ("°", 180.0 / math.pi)),
+        ("delay", sweep.delay_error, requested.response_delay_error, "s", ("ms", 1000.0)),
     ):
         if limit is None:
             continue
-        most, name = float(limit), f"{_words(sweep.channel)} {what} of the response"
+        maximum, name = float(limit), f"{_words(sweep.channel)} {what} of the response"
         if reached is None:
             sentence = f"{name}: the recording answers the sweep {band}, the model does not"
         else:
             gap = "" if shown == "°" else " "
             sentence = (
                 f"{name} is off by {factor * reached:.3g}{gap}{shown} {band}; "
-                f"{factor * most:.3g}{gap}{shown} is allowed"
+                f"{factor * maximum:.3g}{gap}{shown} is allowed"
             )
-        passed = reached is not None and reached <= most
-        yield Check(f"{sweep.channel} response {what}", reached, most, unit, passed, sentence)
+        passed = reached is not None and reached <= maximum
+        yield Check(f"{sweep.channel} response {what}", reached, maximum, unit, passed, sentence)
 
 
-def _fit_check(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
+def _fit_check(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
     word = result.channel.rsplit(".", 1)[1]
-    limits = (asked.fit_percent.get(one) for one in stood_for(word))
-    least = next((limit for limit in limits if limit is not None), None)
+    limits = (requested.fit_percent.get(item) for item in stood_for(word))
+    minimum = next((limit for limit in limits if limit is not None), None)
     reached = result.fit_percent
-    if least is not None and reached is not None:
-        asked_for, allowed = least, ""
-        if 100.0 * (1.0 - result.noise_share) < least + NOISY:
-            least = beyond_noise(least, result.noise_share)
-            allowed = f", which its noise makes {least:.3g} %"
-        passed = reached >= least
+    if minimum is not None and reached is not None:
+        asked_for, allowed = minimum, ""
+        if 100.0 * (1.0 - result.noise_share) < minimum + NOISY:
+            minimum = beyond_noise(minimum, result.noise_share)
+            allowed = f", which its noise makes {minimum:.3g} %"
+        passed = reached >= minimum
         sentence = (
             f"{_words(result.channel)} fit {reached:.3g} % is {'not ' * passed}below "
             f"the {asked_for:g} % asked{allowed}"
         )
-        yield Check(f"{result.channel} fit", reached, least, "percent", passed, sentence)
+        yield Check(f"{result.channel} fit", reached, minimum, "percent", passed, sentence)
 
 
 def beyond_noise(fit: float, noise_share: float) -> float:
@@ -100,38 +100,38 @@ def beyond_noise(fit: float, noise_share: float) -> float:
     return 100.0 * (1.0 - math.sqrt(miss**2 * (1.0 - noise) + noise))
 
 
-def _error_check(result: ChannelResult, asked: Thresholds, rig: Rig) -> Iterator[Check]:
+def _error_check(result: ChannelResult, requested: Thresholds, rig: Rig) -> Iterator[Check]:
     word = result.channel.rsplit(".", 1)[1]
-    if word in asked.max_error:
+    if word in requested.max_error:
         row, unit = quantity(word), rig.unit_of(word)
-        reached, most = abs(result.max_error), float(asked.max_error[word])
-        shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, most)]
+        reached, maximum = abs(result.max_error), float(requested.max_error[word])
+        shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, maximum)]
         sentence = (
             f"{_words(result.channel)} error reaches {shown[0]} {unit}; "
             f"{shown[1]} {unit} is allowed"
         )
         what = f"{result.channel} max error"
-        yield Check(what, reached, most, result.unit, reached <= most, sentence)
+        yield Check(what, reached, maximum, result.unit, reached <= maximum, sentence)
 
 
-def _residual_checks(result: ChannelResult, asked: Thresholds) -> Iterator[Check]:
+def _residual_checks(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
     kinds: tuple[tuple[bool, str, tuple[Correlation, ...]], ...] = (
-        (asked.whiteness, "autocorrelation", _own(result)),
-        (asked.independence, "correlation with commands", _crossed(result)),
+        (requested.whiteness, "autocorrelation", _own(result)),
+        (requested.independence, "correlation with commands", _crossed(result)),
     )
-    for wanted, kind, found in kinds:
-        if wanted and found:
-            reached = max(one.outside_percent for one in found)
+    for required, kind, match in kinds:
+        if required and match:
+            reached = max(item.outside_percent for item in match)
             sentence = (
                 f"{_words(result.channel)} residual {kind} leaves its band at {reached:.0f} % of "
-                f"the lags; {asked.outside_percent:g} % is allowed"
+                f"the lags; {requested.outside_percent:g} % is allowed"
             )
-            what, passed = f"{result.channel} residual {kind}", reached <= asked.outside_percent
-            yield Check(what, reached, asked.outside_percent, "percent", passed, sentence)
+            what, passed = f"{result.channel} residual {kind}", reached <= requested.outside_percent
+            yield Check(what, reached, requested.outside_percent, "percent", passed, sentence)
 
 
 def unasked(
-    results: Sequence[ChannelResult], asked: Thresholds, rig: Rig, record: Record
+    results: Sequence[ChannelResult], requested: Thresholds, rig: Rig, record: Record
 ) -> Iterator[str]:
     """What is poor although no threshold asks for it: a position that is followed badly, a level
     that is off, residuals outside of their bands.
@@ -139,30 +139,32 @@ def unasked(
     for result in results:
         yield from _level(result, rig)
         word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
-        silent = not {*stood_for(word)} & {*asked.fit_percent, *asked.max_error}
+        silent = not {*stood_for(word)} & {*requested.fit_percent, *requested.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < POOR:
             row, unit = quantity(word), rig.unit_of(word)
             wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
-            held = f'; {wish} says that a controller held it: tied = "position" ties it in'
+            fixed = f'; {wish} says that a controller held it: tied = "position" ties it in'
             far = from_si(abs(result.max_error), unit, row)
             yield (
                 f"{_words(result.channel)} fit is {reached:.3g} %, its error reaches {far:.3g} "
                 f"{unit}: no threshold asks for it (max_error or fit_percent of {word} would)"
-                f"{held if wish in record else ''}"
+                f"{fixed if wish in record else ''}"
             )
-    for wanted, kind, found in (
-        (asked.whiteness, "residual autocorrelation", _own),
-        (asked.independence, "residual correlation with commands", _crossed),
+    for required, kind, match in (
+        (requested.whiteness, "residual autocorrelation", _own),
+        (requested.independence, "residual correlation with commands", _crossed),
     ):
         outside = {
-            result.channel: max(one.outside_percent for one in found(result))
+            result.channel: max(item.outside_percent for item in match(result))
             for result in results
-            if found(result)
+            if match(result)
         }
-        outside = {name: share for name, share in outside.items() if share > asked.outside_percent}
-        if outside and not wanted:
+        outside = {
+            name: share for name, share in outside.items() if share > requested.outside_percent
+        }
+        if outside and not required:
             shares = ", ".join(f"{name} {share:.0f} %" for name, share in outside.items())
-            key = "whiteness" if found is _own else "independence"
+            key = "whiteness" if match is _own else "independence"
             yield f"{kind} leaves its band at {shares} of the lags; {key} is not asked"
 
 
@@ -209,9 +211,9 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
 
     def miss(window: Transient) -> tuple[float, float]:
         """(difference, its standard error) as shares of the recorded value."""
-        (recorded, one), (simulated, other) = number(window.recorded), number(window.simulated)
+        (recorded, item), (simulated, other) = number(window.recorded), number(window.simulated)
         scale = max(abs(recorded), 1e-9)
-        return abs(simulated - recorded) / scale, math.hypot(one, other) / scale
+        return abs(simulated - recorded) / scale, math.hypot(item, other) / scale
 
     worst = max(windows, key=lambda w: miss(w)[0] - 2.0 * miss(w)[1])
     reached, spread = miss(worst)

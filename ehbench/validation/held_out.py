@@ -50,14 +50,14 @@ def overlaps(record: Record, fitted: Sequence[Rows], digest: str = "") -> tuple[
         fitted: the samples.
         digest: SHA-256 of the record's file; in one that was fitted to, the time alone tells.
     """
-    found = []
+    results = []
     for rows in fitted:
         if digest and digest == rows.digest:
             within = (record.t >= rows.t[0]) & (record.t <= rows.t[-1])
-            found += _runs(record.t, within, rows)
+            results += _runs(record.t, within, rows)
         else:
-            found += _overlaps(record, rows) or _same_noise(record, rows)
-    return tuple(sorted(found, key=lambda one: (one.start, one.log)))
+            results += _overlaps(record, rows) or _same_noise(record, rows)
+    return tuple(sorted(results, key=lambda item: (item.start, item.log)))
 
 
 def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
@@ -70,10 +70,10 @@ def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
 
     def matched(shift: float) -> np.ndarray:
         """Which rows of the record stand among the fitted ones, these moved by ``shift`` [s]."""
-        wanted = record.t - shift
-        at = np.clip(np.searchsorted(rows.t, wanted), 1, rows.t.size - 1)
-        at = at - (wanted - rows.t[at - 1] < rows.t[at] - wanted)
-        near = np.abs(rows.t[at] - wanted) <= ON_TIME * record.sample_time
+        required = record.t - shift
+        at = np.clip(np.searchsorted(rows.t, required), 1, rows.t.size - 1)
+        at = at - (required - rows.t[at - 1] < rows.t[at] - required)
+        near = np.abs(rows.t[at] - required) <= ON_TIME * record.sample_time
         return near & np.all(np.abs(theirs[at] - mine) <= allowed, axis=1)
 
     same = max(
@@ -81,9 +81,9 @@ def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
         key=np.count_nonzero,
     )
     return [
-        one
-        for one in _runs(record.t, same, rows)
-        if _moves(mine[(record.t >= one.start) & (record.t <= one.stop)], allowed)
+        run
+        for run in _runs(record.t, same, rows)
+        if _moves(mine[(record.t >= run.start) & (record.t <= run.stop)], allowed)
     ]
 
 
@@ -136,13 +136,13 @@ def _blocks(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarra
     if np.median(np.diff(t)) < np.median(np.diff(when)):
         slower, faster = faster, slower
     same = np.zeros(t.size, dtype=bool)
-    for one, other, between in (
+    for item, other, between in (
         (slower, faster, _at),
         (slower, faster, _means),
         (faster, slower, _at),
     ):
-        inside = (one[0] >= other[0][0]) & (one[0] <= other[0][-1])
-        at, y = one[0][inside], one[1][inside]
+        inside = (item[0] >= other[0][0]) & (item[0] <= other[0][-1])
+        at, y = item[0][inside], item[1][inside]
         if at.size < BLOCK:
             continue
         left = y - between(at, *other)

@@ -38,7 +38,7 @@ def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
     """Both sides of a channel, None if the log cannot give it. Where a pressure or force was
     recorded at the end of its sensor's range, the simulation ends there too.
     """
-    recorded, shown = (column(one, channel, record) for one in (record, simulated))
+    recorded, shown = (column(item, channel, record) for item in (record, simulated))
     if recorded is None or shown is None:
         return None
     if channel in record and quantity(channel).unit in LIMITED:

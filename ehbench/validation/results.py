@@ -78,16 +78,16 @@ class Ring:
         return self.damping_ratio is not None and rings_clearly(self.cycles, self.damping_ratio)
 
     @classmethod
-    def of(cls, found: Ringing) -> Ring:
+    def of(cls, result: Ringing) -> Ring:
         """The part of a ringing that is saved."""
-        if not found.ok:
-            return cls(cycles=found.cycles, reason=found.reason)
+        if not result.ok:
+            return cls(cycles=result.cycles, reason=result.reason)
         return cls(
-            natural_frequency=found.natural_frequency,
-            natural_frequency_std=found.natural_frequency_std,
-            damping_ratio=found.damping_ratio,
-            damping_ratio_std=found.damping_ratio_std,
-            cycles=found.cycles,
+            natural_frequency=result.natural_frequency,
+            natural_frequency_std=result.natural_frequency_std,
+            damping_ratio=result.damping_ratio,
+            damping_ratio_std=result.damping_ratio_std,
+            cycles=result.cycles,
         )
 
 
@@ -275,9 +275,10 @@ def read_validation(path: Path) -> Validation:
     path = path / "validation.json" if path.is_dir() else path
     table = read_json(path)
     try:
-        asked = table.get("structure", {})
+        requested = table.get("structure", {})
         structure = Structure(
-            _many(Finding, asked.get("findings", [])), _many(Follows, asked.get("follows", []))
+            _many(Finding, requested.get("findings", [])),
+            _many(Follows, requested.get("follows", [])),
         )
         logs = [_log(row) for row in table["logs"]]
         return _made(Validation, table | {"logs": logs, "structure": structure})
@@ -316,9 +317,9 @@ def _sides(kind: type, of: type, row: dict[str, Any]) -> Any:
 
 def _log(row: dict[str, Any]) -> LogResult:
     nested = {
-        "channels": [_channel(one) for one in row["channels"]],
-        "transients": [_sides(Transient, Ring, one) for one in row["transients"]],
-        "sweeps": [_sides(Sweep, Curve, one) for one in row.get("sweeps", [])],
+        "channels": [_channel(channel) for channel in row["channels"]],
+        "transients": [_sides(Transient, Ring, transient) for transient in row["transients"]],
+        "sweeps": [_sides(Sweep, Curve, sweep) for sweep in row.get("sweeps", [])],
         "overlap": _many(Overlap, row.get("overlap", [])),
         "checks": _many(Check, row["checks"]),
     }

@@ -53,7 +53,7 @@ def sweeps_of(
     if swept is None:
         return []
     command, span = swept
-    found = []
+    results = []
     for channel, pair in pairs.items():
         if not channel.startswith(f"{cylinder}.") or channel.rsplit(".", 1)[1] not in OSCILLATES:
             continue
@@ -69,8 +69,8 @@ def sweeps_of(
         if known.size < LEAST_SHARE * among:
             continue
         simulated = _response(record, command, channel, pair.simulated, span, 0.0)
-        found.append(_compared(command, channel, recorded, simulated))
-    return found
+        results.append(_compared(command, channel, recorded, simulated))
+    return results
 
 
 def _sweeping(record: Record, model: Model, cylinder: str) -> tuple[str, slice] | None:
@@ -78,9 +78,9 @@ def _sweeping(record: Record, model: Model, cylinder: str) -> tuple[str, slice] 
     does: one that steps now and then has no spectrum to speak of.
     """
     best: tuple[float, str, slice] | None = None
-    for one, valve in model.rig.valves():
+    for item, valve in model.rig.valves():
         channel = f"{cylinder}.{valve.name}.command"
-        if one.name != cylinder or channel not in record:
+        if item.name != cylinder or channel not in record:
             continue
         level = held(record[channel], least_change(valve))
         changes = np.flatnonzero(np.diff(level)) + 1
@@ -159,7 +159,7 @@ def _delay(response: Response, at: np.ndarray) -> float:
 
 def _spread(response: Response) -> float:
     """Half the 95 % interval of a delay [s]."""
-    found = response.delay
-    if found is None or found.low is None or found.high is None:
+    result = response.delay
+    if result is None or result.low is None or result.high is None:
         return math.inf
-    return 0.5 * (found.high - found.low)
+    return 0.5 * (result.high - result.low)

@@ -31,9 +31,9 @@ def transients_of(
     """The ringing after each change of the cylinder's own commands, until any command changes
     again.
     """
-    least = {f"{c.name}.{v.name}.command": least_change(v) for c, v in model.rig.valves()}
+    minimum = {f"{c.name}.{v.name}.command": least_change(v) for c, v in model.rig.valves()}
     names = [f"{valve}.command" for valve in model.layout.valves if f"{valve}.command" in record]
-    given = np.column_stack([held(record[name], least[name]) for name in names])
+    given = np.column_stack([held(record[name], minimum[name]) for name in names])
     mine = [name.startswith(f"{cylinder}.") for name in names]
     own, raw = given[:, mine], np.column_stack([record[name] for name in names])[:, mine]
     seen = [
@@ -41,7 +41,7 @@ def transients_of(
         for channel, pair in pairs.items()
         if channel.startswith(f"{cylinder}.") and channel.rsplit(".", 1)[1] in OSCILLATES
     ]
-    found = []
+    results = []
     for window in series.transients(record.t, given):
         before = max(0, window.start - 1 - round(TOGETHER / record.sample_time))
         if not seen or not np.any(own[window.start] != own[before : window.start]):
@@ -49,7 +49,7 @@ def transients_of(
         t = record.t[window]
         if not stands(raw[before : window.stop], window.start - before):
             none = Ring(reason="the command does not stand")
-            found.append(Transient(cylinder, float(t[0]), float(t[-1]), none, none))
+            results.append(Transient(cylinder, float(t[0]), float(t[-1]), none, none))
             continue
         measured = np.column_stack([pair.recorded[window] for pair in seen])
         modelled = np.column_stack([pair.simulated[window] for pair in seen])
@@ -59,20 +59,20 @@ def transients_of(
         if recorded.ok:
             stop, note = recorded.stop, doubt(t, measured, recorded)
         rings = (Ring.of(recorded), Ring.of(simulated))
-        found.append(Transient(cylinder, float(t[0]), stop, *rings, note=note))
-    return found
+        results.append(Transient(cylinder, float(t[0]), stop, *rings, note=note))
+    return results
 
 
 def held(command: np.ndarray, span: float) -> np.ndarray:
     """A command that keeps its value until it has changed by more than ``span`` [V], so that noise
     makes no steps.
     """
-    last, kept = command[0], np.empty_like(command)
+    last, retained = command[0], np.empty_like(command)
     for i, value in enumerate(command.tolist()):
         if abs(value - last) > span:
             last = value
-        kept[i] = last
-    return kept
+        retained[i] = last
+    return retained
 
 
 def stands(commands: np.ndarray, begin: int) -> bool:
@@ -84,7 +84,7 @@ def stands(commands: np.ndarray, begin: int) -> bool:
     return float(np.max(np.ptp(parts, axis=0))) <= CREEPS * step
 
 
-def doubt(t: np.ndarray, y: np.ndarray, found: series.Ringing) -> str:
+def doubt(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
     """Why an oscillation that was found in a window cannot be judged; '' if it can.
 
     Args:
@@ -92,30 +92,30 @@ def doubt(t: np.ndarray, y: np.ndarray, found: series.Ringing) -> str:
         y: what rings, shape (samples, channels).
         found: in it.
     """
-    if found.damping_ratio <= 0.0:
-        return f"it grows (damping ratio {found.damping_ratio:.2g})"
-    shape = math.sqrt(max(0.0, 1.0 - found.damping_ratio**2))
-    periods = float(t[-1] - t[0]) * found.natural_frequency * shape / (2.0 * math.pi)
+    if result.damping_ratio <= 0.0:
+        return f"it grows (damping ratio {result.damping_ratio:.2g})"
+    shape = math.sqrt(max(0.0, 1.0 - result.damping_ratio**2))
+    periods = float(t[-1] - t[0]) * result.natural_frequency * shape / (2.0 * math.pi)
     if periods < STANDS:
         return f"the command stands for {periods:.1f} periods of it only"
-    halves = [half for half in _halves(t, y, found) if half.ok]
+    halves = [half for half in _halves(t, y, result) if half.ok]
     if not halves:
         return "no half of the window shows it alone"
     for half in halves:
-        off = abs(half.natural_frequency - found.natural_frequency)
-        error = math.hypot(half.natural_frequency_std, found.natural_frequency_std)
-        if off > REPEATS * found.natural_frequency + ALIKE * error:
+        off = abs(half.natural_frequency - result.natural_frequency)
+        error = math.hypot(half.natural_frequency_std, result.natural_frequency_std)
+        if off > REPEATS * result.natural_frequency + ALIKE * error:
             hertz = [
-                one.natural_frequency / (2.0 * math.pi) for one in (half, found)
+                item.natural_frequency / (2.0 * math.pi) for item in (half, result)
             ]  # as the sentence shows them
             return f"half of the window tells {hertz[0]:.3g} Hz, the whole {hertz[1]:.3g} Hz"
     return ""
 
 
-def _halves(t: np.ndarray, y: np.ndarray, found: series.Ringing) -> Iterator[series.Ringing]:
+def _halves(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> Iterator[series.Ringing]:
     """The oscillation as each half of the part in which it lives shows it."""
-    living = int(np.searchsorted(t, found.stop, side="right"))
-    guess = (found.natural_frequency, max(found.damping_ratio, 0.02))
+    living = int(np.searchsorted(t, result.stop, side="right"))
+    guess = (result.natural_frequency, max(result.damping_ratio, 0.02))
     for part in (slice(0, living // 2), slice(living // 2, living)):
         yield series.ringing(t[part], y[part], guess, trim=False)
 

@@ -137,7 +137,7 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     limits = _limits(table, row)
     each = value if isinstance(value, tuple) else (value,)
     lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
-    if not all(lower <= one <= upper for one in each):
+    if not all(lower <= entry <= upper for entry in each):
         bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
         raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
     source = str(table.get("source", ""))
@@ -199,20 +199,20 @@ def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
     Raises:
         UnitError: they are no numbers of the quantity, or the standard error is negative.
     """
-    found = {
+    results = {
         key: _number(table[key], row, f"the {key}", check=False)
         for key in ("lower", "upper")
         if key in table
     }
     if "std" in table:
-        found["std"] = _number(table["std"], row, "the std", check=False)
+        results["std"] = _number(table["std"], row, "the std", check=False)
         if isinstance(table["std"], str):
-            found["std"] -= units.zero_of(table["std"], row)
-        if found["std"] < 0.0:
+            results["std"] -= units.zero_of(table["std"], row)
+        if results["std"] < 0.0:
             raise UnitError(
                 f"{row.name} has std = {table['std']}", hint="a standard error is not negative"
             )
-    return found
+    return results
 
 
 def write_value(value: Value, row: Quantity) -> Any:

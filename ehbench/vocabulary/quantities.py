@@ -1187,8 +1187,12 @@ def meant(channel: str, more: Sequence[str] = ()) -> str:
 
 def like_channel(name: str, channels: Sequence[str]) -> str:
     """Which of a log's channels may be meant by a name, and else all of them, as a hint."""
-    longer = [one for one in channels if one.startswith(f"{name}.") or one.endswith(f".{name}")]
-    inside = [one for one in channels if f".{name}." in one]
+    longer = [
+        channel
+        for channel in channels
+        if channel.startswith(f"{name}.") or channel.endswith(f".{name}")
+    ]
+    inside = [channel for channel in channels if f".{name}." in channel]
     near = longer or inside or get_close_matches(name, channels, 1, _ALIKE)
     first = f"did you mean '{near[0]}'? " if len(near) == 1 else ""
     return f"{first}it has {', '.join(channels)}"

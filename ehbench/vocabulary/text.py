@@ -13,7 +13,7 @@ def quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 
-def shortened(value: Any, most: int) -> str:
+def shortened(value: Any, maximum: int) -> str:
     """A value as Python writes it, cut where it would take ``most`` characters; only its type where
     that fails.
     """
@@ -21,7 +21,7 @@ def shortened(value: Any, most: int) -> str:
         text = repr(value)
     except Exception:
         text = f"<{type(value).__name__}>"
-    return text if len(text) < most else text[: most - 3] + "…"
+    return text if len(text) < maximum else text[: maximum - 3] + "…"
 
 
 def shortened_path(path: Path | str) -> str:
@@ -39,11 +39,11 @@ def folded(notes: Iterable[str]) -> list[str]:
     for note in dict.fromkeys(notes):
         name, colon, what = note.partition(": ")
         key = re.sub(r"\d+(\.\d+)?", "0", what) if colon and " " not in name else note
-        if any(one.startswith(f"{name}:") for one in alike.get(key, ())):
+        if any(item.startswith(f"{name}:") for item in alike.get(key, ())):
             key = note
         alike.setdefault(key, []).append(note)
     return [
-        f"{first} (the like of {', '.join(one.partition(': ')[0] for one in others)})"
+        f"{first} (the like of {', '.join(other.partition(': ')[0] for other in others)})"
         if others
         else first
         for first, *others in alike.values()

@@ -110,7 +110,7 @@ def _checked(unit: str) -> str:
     text = re.sub("[·⋅]", "*", text).replace("²", "**2").replace("³", "**3")
     text = re.sub(rf"√({_WORD})", r"\1**0.5", text)
     text = _AREA.sub(r"\1**\2", text)
-    return re.sub(_WORD, lambda found: _ALIASES.get(found[0], found[0]), text)
+    return re.sub(_WORD, lambda result: _ALIASES.get(result[0], result[0]), text)
 
 
 def _affine(unit: str, si: str) -> tuple[float, float]:
@@ -119,10 +119,10 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
     Raises:
         UnitError: no unit, or not of that dimension.
     """
-    found = _tried(unit, si)
-    if isinstance(found, str):
-        raise UnitError(found)
-    return found
+    result = _tried(unit, si)
+    if isinstance(result, str):
+        raise UnitError(result)
+    return result
 
 
 @lru_cache(maxsize=512)
@@ -157,14 +157,14 @@ def _converted(unit: str, si: str) -> tuple[float, float]:
     registry = _registry()
     try:
         zero = registry.Quantity(0.0, text).to(si).magnitude
-        one = registry.Quantity(1.0, text).to(si).magnitude
+        item = registry.Quantity(1.0, text).to(si).magnitude
     except pint.DimensionalityError as error:
         raise UnitError(_cannot(unit, si)) from error
     except (
         Exception
     ) as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
         raise UnitError(f"unknown unit '{unit}'") from error
-    if not (math.isfinite(one) and math.isfinite(zero) and one != zero):
+    if not (math.isfinite(item) and math.isfinite(zero) and item != zero):
         raise UnitError(f"unknown unit '{unit}'")
     if si == "m^3/rad" and not _ANGLES.search(text):  # a turn or a radian is a factor of 6.28
         raise UnitError(f"'{unit}' says no angle")
@@ -173,7 +173,7 @@ def _converted(unit: str, si: str) -> tuple[float, float]:
         turns = 2 * math.pi
     elif si == "Hz" and _ANGLES.search(text):
         turns = 0.5 / math.pi
-    return turns * (one - zero), zero
+    return turns * (item - zero), zero
 
 
 @lru_cache(maxsize=512)
@@ -227,8 +227,8 @@ def product(first: str, second: str, si: str) -> float:
     Raises:
         UnitError: no units, or not of that dimension together.
     """
-    each = [one.strip() if one.strip() not in _NO_UNIT else "1" for one in (first, second)]
-    return factor("*".join(f"({one})" if one != "1" else one for one in each), si)
+    each = [item.strip() if item.strip() not in _NO_UNIT else "1" for item in (first, second)]
+    return factor("*".join(f"({item})" if item != "1" else item for item in each), si)
 
 
 def ratio(unit: str, other: str) -> float:

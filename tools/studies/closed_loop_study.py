@@ -103,11 +103,11 @@ def closed_loop_log(
         if t[i] >= 0.1:
             command[i] = np.clip(GAIN * (desired[i] - seen[i]), -9.5, 9.5)
         run(y, np.full((2, 1), command[i]), plant, line, 2, log)
-    made = model.record(t, command[:, None], states, {"rig": "slide_servo"})
-    said = command - NEUTRAL * (t >= 0.1) if case == "neutral" else command
-    channels = {"press.servo.command": said}
+    built = model.record(t, command[:, None], states, {"rig": "slide_servo"})
+    message = command - NEUTRAL * (t >= 0.1) if case == "neutral" else command
+    channels = {"press.servo.command": message}
     for name, size in NOISE.items():
-        channels[name] = made[name] + size * rng.standard_normal(t.size)
+        channels[name] = built[name] + size * rng.standard_normal(t.size)
     channels |= {"press.x": seen, "press.x_desired": desired}
     return Record(t, channels, {"rig": "slide_servo", "payload": payload or "none"})
 
@@ -133,7 +133,7 @@ def main(case: str, seeds: int, noise: float = 1.0) -> None:
     truth = {name: float(value) for name, value in rigs(case)[1].parameters().items() if value}
     print(f"{'tied':9} {'parameter':34} {'holds':>7} {'error':>8} {'interval':>9}")
     for tied in ("none", "position", "motion"):
-        found: dict[str, list[tuple[bool, float, float]]] = {}
+        results: dict[str, list[tuple[bool, float, float]]] = {}
         for seed in range(seeds):
             seconds = 20.0 if case == "neutral" else 3.0
             loads = (None, "100 kg")
@@ -141,17 +141,17 @@ def main(case: str, seeds: int, noise: float = 1.0) -> None:
                 closed_loop_log(case, 10 * seed + i, load, seconds, noise)
                 for i, load in enumerate(loads)
             ]
-            for one in fitted(case, logs, tied).parameters:
-                if one.interval is None:
+            for parameter in fitted(case, logs, tied).parameters:
+                if parameter.interval is None:
                     continue
-                (low, high), true = one.interval, truth[one.name]
-                row = (low <= true <= high, one.value / true - 1.0, (high - low) / 2.0 / true)
-                found.setdefault(one.name, []).append(row)
-        for name, rows in found.items():
-            held, error, half = np.array(rows).T
+                (low, high), true = parameter.interval, truth[parameter.name]
+                row = (low <= true <= high, parameter.value / true - 1.0, (high - low) / 2.0 / true)
+                results.setdefault(parameter.name, []).append(row)
+        for name, rows in results.items():
+            fixed, error, half = np.array(rows).T
             print(
-                f"{tied:9} {name:34} {held.sum():3.0f}/{len(rows):<3} {100 * error.mean():+7.2f} % "
-                f"± {100 * np.median(half):.2f} %",
+                f"{tied:9} {name:34} {fixed.sum():3.0f}/{len(rows):<3} {100 * error.mean():+7.2f} "
+                f"% ± {100 * np.median(half):.2f} %",
                 flush=True,
             )
 

@@ -64,23 +64,23 @@ def drives_of(name: str) -> str:
 def moved_of(name: str, rig: Rig) -> tuple[str, str]:
     """(the cylinder that is driven, its joint)."""
     who = next(iter(DRIVES[drives_of(name)][0])).split(".")[0]
-    return who, next(one.joint for one in rig.cylinder if one.name == who)
+    return who, next(item.joint for item in rig.cylinder if item.name == who)
 
 
 def held_wrong(name: str, rig: Rig) -> Iterator[Held]:
     """Numbers that logs feel, each held wrong by what is usual for it."""
     known, (who, joint) = rig.parameters(), moved_of(name, rig)
-    cylinder = next(one for one in rig.cylinder if one.name == who)
+    cylinder = next(item for item in rig.cylinder if item.name == who)
 
     def scaled(by: float, *names: str) -> Rig:
-        return rig.with_values({one: by * float(known[one]) for one in names})
+        return rig.with_values({item: by * float(known[item]) for item in names})
 
-    series = list(dict.fromkeys(one for valve in cylinder.valve for one in valve.series))
-    delays = [f"{one}.delay" for one in series if f"{one}.delay" in known]
+    series = list(dict.fromkeys(item for valve in cylinder.valve for item in valve.series))
+    delays = [f"{item}.delay" for item in series if f"{item}.delay" in known]
     for off in (0.5, 1.0, 1.5, 2.0) if delays else ():
-        late = {one: float(known[one]) + 1e-3 * off for one in delays}
+        late = {delay: float(known[delay]) + 1e-3 * off for delay in delays}
         yield Held(f"valve's delay {off:g} ms short", rig.with_values(late))
-    first = next((one for one in series if f"{one}.natural_frequency" in known), None)
+    first = next((item for item in series if f"{item}.natural_frequency" in known), None)
     if first is not None:
         yield Held("valve's frequency 25 % high", scaled(0.8, f"{first}.natural_frequency"))
         yield Held("valve's damping ratio 20 % low", scaled(1.25, f"{first}.damping_ratio"))
@@ -108,10 +108,10 @@ def parameters_of(name: str, rig: Rig) -> list[str]:
     """What is fitted: bulk modulus, damping, and friction where it has bounds."""
     who, joint = moved_of(name, rig)
     known = rig.parameters()
-    wanted = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
+    required = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
     bounded = (f"{who}.friction_coulomb",)
-    return [one for one in wanted if one in known] + [
-        one for one in bounded if one in known and known[one].upper is not None
+    return [item for item in required if item in known] + [
+        item for item in bounded if item in known and known[item].upper is not None
     ]
 
 
@@ -164,16 +164,18 @@ def judged(
 
 def off_by(fit: HydraulicsFit, rig: Rig) -> list[tuple[float, float, str]]:
     """(half widths that an estimate is off by, share of the truth, name), the worst first."""
-    found = []
-    for one in fit.parameters:
-        if one.interval is not None:
-            truth = float(rig.parameters()[one.name])
-            low, high = one.interval
-            half = max(abs(end - one.value) for end in (low, high)) or 1e-300
-            side = (high - one.value if truth > one.value else one.value - low) or half
-            share = (one.value - truth) / truth if truth else float("nan")
-            found.append((abs(one.value - truth) / side, share, one.name))
-    return sorted(found, reverse=True)
+    results = []
+    for parameter in fit.parameters:
+        if parameter.interval is not None:
+            truth = float(rig.parameters()[parameter.name])
+            low, high = parameter.interval
+            half = max(abs(end - parameter.value) for end in (low, high)) or 1e-300
+            side = (
+                high - parameter.value if truth > parameter.value else parameter.value - low
+            ) or half
+            share = (parameter.value - truth) / truth if truth else float("nan")
+            results.append((abs(parameter.value - truth) / side, share, parameter.name))
+    return sorted(results, reverse=True)
 
 
 def study(names: Sequence[str]) -> None:
@@ -181,14 +183,14 @@ def study(names: Sequence[str]) -> None:
     counts: dict[str, Counter[str]] = {}
     for name in names:
         rig = rig_of(name)
-        cases = [(one.words, one.machine, ("", 0.0)) for one in held_wrong(name, rig)]
+        cases = [(item.words, item.machine, ("", 0.0)) for item in held_wrong(name, rig)]
         cases += [(words, rig, (word, late)) for words, word, late in late_logs(name)]
         for words, machine, late in cases:
             fit = fitted(name, rig, machine, late=late)
             verdict = judged(name, fit.rig, machine, late=late)
             halves, share, worst = off_by(fit, rig)[0]
-            told = ", ".join(f"{one.name} ({one.explains:.2f})" for one in fit.leans)
-            held = any("is held" in text for text in fit.warnings)
+            message = ", ".join(f"{lean.name} ({lean.explains:.2f})" for lean in fit.leans)
+            fixed = any("is held" in text for text in fit.warnings)
             row = counts.setdefault(words, Counter())
             wrong = halves > 1.0
             row["fits"] += 1
@@ -198,7 +200,7 @@ def study(names: Sequence[str]) -> None:
             row["right, told"] += not wrong and bool(fit.leans)
             print(
                 f"{name} | {words} | {worst} {100.0 * share:+.1f} %, {halves:.2g} halves | "
-                f"{verdict.verdict} | {told or '–'} | {'a gain' if held else ''} "
+                f"{verdict.verdict} | {message or '–'} | {'a gain' if fixed else ''} "
                 f"{'left over' if fit.left_over else ''} "
                 f"{'late' if any('behind the model' in t for t in fit.warnings) else ''}",
                 flush=True,
@@ -216,8 +218,8 @@ def study_sound(seeds: int) -> None:
             fit = fitted(name, rig, rig, 1000 + 10 * seed)
             tries, cries = tries + 1, cries + bool(fit.leans)
             missed += off_by(fit, rig)[0][0] > 1.0
-            for one in fit.leans:
-                print(name, seed, one.sentence, flush=True)
+            for lean in fit.leans:
+                print(name, seed, lean.sentence, flush=True)
         print(
             f"{cries} told of {tries} up to {name}; {missed} have an estimate beyond its interval",
             flush=True,

@@ -84,14 +84,14 @@ class Bed:
 
     def logs(self, rig: Rig) -> list[Record]:
         """What the rig does once it has come to rest, without noise."""
-        made = []
+        built = []
         for given in self.commands:
             begun = {valve: np.concatenate([np.zeros(REST), u]) for valve, u in given.items()}
             seconds = 1e-3 * (len(next(iter(begun.values()))) - 1)
             log = simulate(rig, begun, seconds, posture=self.posture, step=FINE)
             log = log.at(slice(REST, None))
-            made.append(replace(log, t=log.t - log.t[0]))
-        return made
+            built.append(replace(log, t=log.t - log.t[0]))
+        return built
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,13 @@ class Outcome:
 
 def with_tables(table: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
     """A table with others put into it, level by level."""
-    made = dict(table)
+    built = dict(table)
     for key, value in own.items():
-        old = made.get(key)
+        old = built.get(key)
         if isinstance(value, dict) and isinstance(old, dict):
             value = with_tables(old, value)
-        made[key] = value
-    return made
+        built[key] = value
+    return built
 
 
 def slide(cylinder: Mapping[str, Any], rest: Mapping[str, Any], edge: Mapping[str, Any]) -> Rig:
@@ -139,7 +139,7 @@ def slide(cylinder: Mapping[str, Any], rest: Mapping[str, Any], edge: Mapping[st
     (own,) = plain["cylinder"]
     (valve,) = own["valve"]
     more = dict(cylinder)
-    changed = [{**one, **edge} for one in valve["edge"]]
+    changed = [{**item, **edge} for item in valve["edge"]]
     valve = valve | {"edge": changed} | more.pop("valve", {})
     own = own | {"valve": [valve]} | more
     return Rig.model_validate(with_tables(plain, {**rest, "cylinder": [own]}))
@@ -313,8 +313,8 @@ def logs_of(name: str, **values: float) -> list[Record]:
     """What the rig of a bed does, with some values in place of its own; starts from below and above
     go by the same logs.
     """
-    one = bed(name)
-    return one.logs(one.rig.with_values(values))
+    item = bed(name)
+    return item.logs(item.rig.with_values(values))
 
 
 # --- what is tried
@@ -338,16 +338,16 @@ class Scale:
 @cache
 def scale(name: str) -> Scale:
     """Of a bed."""
-    one = bed(name)
-    made = logs_of(name)
+    item = bed(name)
+    built = logs_of(name)
 
     def most(word: str) -> float:
-        found = [log[c] for log in made for c in log.channels if c.rpartition(".")[2] == word]
-        return max((float(np.abs(y).max()) for y in found), default=0.0)
+        results = [log[c] for log in built for c in log.channels if c.rpartition(".")[2] == word]
+        return max((float(np.abs(y).max()) for y in results), default=0.0)
 
     peak = max(most("p_head"), most("p_rod"))
-    area = max(c.areas()[0] for c in one.rig.cylinder)
-    drop = max(float(one.rig.supply.pressure), 0.5 * peak)
+    area = max(c.areas()[0] for c in item.rig.cylinder)
+    drop = max(float(item.rig.supply.pressure), 0.5 * peak)
     speed = most("v")
     return Scale(drop, area, area * speed, speed, most("command"), peak, most("flow_supply"))
 
@@ -376,11 +376,11 @@ def truths_of(name: str, parameter: str, given: float) -> tuple[float, ...]:
     )
 
 
-def possible(one: Bed, values: Mapping[str, float]) -> bool:
+def possible(item: Bed, values: Mapping[str, float]) -> bool:
     """Whether there is such a rig, and it can stand where the logs begin."""
     try:
-        model = Model.of(Rig.model_validate(one.rig.with_values(values).as_toml()))
-        model.trim(model.posture(one.posture))
+        model = Model.of(Rig.model_validate(item.rig.with_values(values).as_toml()))
+        model.trim(model.posture(item.posture))
     except (EhbenchError, ValueError, ArithmeticError):
         return False
     return True
@@ -388,8 +388,8 @@ def possible(one: Bed, values: Mapping[str, float]) -> bool:
 
 def trials(name: str, parameter: str) -> Iterator[Trial]:
     """From below and from above, as far off as there is a rig."""
-    one = bed(name)
-    given = float(one.rig.parameters()[parameter])
+    item = bed(name)
+    given = float(item.rig.parameters()[parameter])
     for truth in truths_of(name, parameter, given):
         if given == 0.0:
             yield Trial(parameter, truth, 0.0, 8.0 * truth)
@@ -397,50 +397,52 @@ def trials(name: str, parameter: str) -> Iterator[Trial]:
             continue
         for way in (-1.0, 1.0):
             starts = (truth * off**way for off in STEPS)
-            start = next((value for value in starts if possible(one, {parameter: value})), None)
+            start = next((value for value in starts if possible(item, {parameter: value})), None)
             if start is not None:
                 yield Trial(parameter, truth, start)
 
 
 def tried(name: str, trial: Trial, seed: int = 7) -> Outcome:
     """A fit of one parameter, judged."""
-    one, truth = bed(name), trial.truth
-    rig = one.rig.with_values({trial.name: truth})
-    made = logs_of(name, **{trial.name: truth})
-    logs = [(f"log {i}", told_apart(noisy(log, seed + i), trial)) for i, log in enumerate(made)]
+    item, truth = bed(name), trial.truth
+    rig = item.rig.with_values({trial.name: truth})
+    built = logs_of(name, **{trial.name: truth})
+    logs = [(f"log {i}", told_apart(noisy(log, seed + i), trial)) for i, log in enumerate(built)]
     upper = {} if trial.upper is None else {trial.name: trial.upper}
     given = FitOptions(start={trial.name: trial.start}, upper=upper, workers=1)
     try:
-        found = identify_hydraulics(rig, logs, [trial.name], given)[trial.name]
-        refused = found.status
+        result = identify_hydraulics(rig, logs, [trial.name], given)[trial.name]
+        refused = result.status
     except InputError as error:
         return Outcome("inert", error.message)
     except InsufficientData as error:
-        found, refused = None, error.message
-    if found is None or found.interval is None:
+        result, refused = None, error.message
+    if result is None or result.interval is None:
         values = [share * truth for share in ELSEWHERE]
-        rise = rise_of(one, rig, made, trial.name, values, FAINT)
+        rise = rise_of(item, rig, built, trial.name, values, FAINT)
         return Outcome("untold" if rise < TOLD else "MISSED", f"{refused}, rise {rise:.3g}")
-    low, high = found.interval
-    if found.unit == "rad":  # whole turns are one
+    low, high = result.interval
+    if result.unit == "rad":  # whole turns are one
         turns = math.tau * round((truth - 0.5 * (low + high)) / math.tau)
         low, high = low + turns, high + turns
-    words = f"{found.value:.5g} ({low:.5g} … {high:.5g}) {found.status}"
+    words = f"{result.value:.5g} ({low:.5g} … {high:.5g}) {result.status}"
     if low <= truth <= high:
         return Outcome("back" if high - low < 0.5 * abs(truth) else "wide", words)
     off = max(low - truth, truth - high)
-    stands = (found.value - truth) / found.std if found.std else math.nan
-    words += f", {stands:+.1f} errors, by the noise alone {drawn(one, rig, made, logs, trial):+.1f}"
+    stands = (result.value - truth) / result.std if result.std else math.nan
+    words += (
+        f", {stands:+.1f} errors, by the noise alone {drawn(item, rig, built, logs, trial):+.1f}"
+    )
     if off < 0.5 * (high - low):
         return Outcome("beside", words)
-    rise = rise_of(one, rig, made, trial.name, [found.value])
+    rise = rise_of(item, rig, built, trial.name, [result.value])
     return Outcome("twin" if rise < TOLD else "MISSED", f"{words}, rise {rise:.3g}")
 
 
 def drawn(
-    one: Bed,
+    item: Bed,
     rig: Rig,
-    made: Sequence[Record],
+    built: Sequence[Record],
     logs: Sequence[tuple[str, Record]],
     trial: Trial,
 ) -> float:
@@ -448,9 +450,9 @@ def drawn(
     ``Σ Jᵀe/σ² / √(Σ JᵀJ/σ²)`` by the sensitivities J at the truth, all else known.
     """
     step = NEARBY * trial.truth
-    others = one.logs(rig.with_values({trial.name: trial.truth + step}))
+    others = item.logs(rig.with_values({trial.name: trial.truth + step}))
     pull = known = 0.0
-    for true, other, (_, seen) in zip(made, others, logs, strict=True):
+    for true, other, (_, seen) in zip(built, others, logs, strict=True):
         for channel, y in seen.channels.items():
             if (word := channel.rpartition(".")[2]) in COMPARED:
                 slope = (other[channel] - true[channel]) / (step * NOISE[word])
@@ -466,9 +468,9 @@ def told_apart(log: Record, trial: Trial) -> Record:
 
 
 def rise_of(
-    one: Bed,
+    item: Bed,
     rig: Rig,
-    made: Sequence[Record],
+    built: Sequence[Record],
     parameter: str,
     values: Sequence[float],
     faint: float = 0.0,
@@ -477,20 +479,20 @@ def rise_of(
     everything begun where the logs begin; a channel that changes by no more than a share ``faint``
     of its spread does not count.
     """
-    most = 0.0
+    maximum = 0.0
     for value in values:
-        if not possible(one, {parameter: value}):
+        if not possible(item, {parameter: value}):
             continue
-        others = one.logs(rig.with_values({parameter: value}))
+        others = item.logs(rig.with_values({parameter: value}))
         rise = 0.0
-        for log, other in zip(made, others, strict=True):
+        for log, other in zip(built, others, strict=True):
             for channel, y in log.channels.items():
                 word = channel.rpartition(".")[2]
                 off = other[channel] - y
                 if word in COMPARED and rms(off) > faint * np.std(y):
                     rise += float(np.sum((off / NOISE[word]) ** 2))
-        most = max(most, rise)
-    return most
+        maximum = max(maximum, rise)
+    return maximum
 
 
 def offered(name: str) -> list[str]:
@@ -499,7 +501,7 @@ def offered(name: str) -> list[str]:
     if name in SHIPPED:
         return list(every)
     known = bed({"slide": "slide_servo"}.get(name.partition(",")[0], "crane_proportional"))
-    return [one for one in every if one not in known.rig.parameters()]
+    return [item for item in every if item not in known.rig.parameters()]
 
 
 def seed_of(name: str, parameter: str, draw: int = 0) -> int:
@@ -510,21 +512,23 @@ def seed_of(name: str, parameter: str, draw: int = 0) -> int:
     return 100_000 * own + 1_000 * draw + 10 * list(bed(name).rig.parameters()).index(parameter)
 
 
-def study(name: str, asked: Sequence[str] = (), draws: int = 1) -> Counter[str]:
+def study(name: str, requested: Sequence[str] = (), draws: int = 1) -> Counter[str]:
     """What a bed is for, or what is asked of it, a line a fit; how often each came of it. Of more
     draws of the noise than one, fits start from the first place alone.
     """
     counts: Counter[str] = Counter()
-    for parameter in asked or offered(name):
+    for parameter in requested or offered(name):
         every = list(trials(name, parameter))
         some = every if draws == 1 else every[:1]
         for draw, trial in product(range(draws), some):
             begun = time.process_time()
-            found = tried(name, trial, seed_of(name, parameter, draw))
-            counts[found.kind] += 1
+            result = tried(name, trial, seed_of(name, parameter, draw))
+            counts[result.kind] += 1
             share = f"{trial.start / trial.truth:.3g} of {trial.truth:.5g}"
             seconds = f"{time.process_time() - begun:.1f} s"
-            print(f"{found.kind:7}", name, parameter, share, "→", found.words, seconds, flush=True)
+            print(
+                f"{result.kind:7}", name, parameter, share, "→", result.words, seconds, flush=True
+            )
     print(name, dict(counts), flush=True)
     return counts
 

@@ -39,10 +39,11 @@ class Fault(NamedTuple):
     command: Change = lambda u, t: u
     sensors: Callable[[Record], Record] = lambda log: log
 
-    def named(self, found: Structure) -> bool:
+    def named(self, result: Structure) -> bool:
         """Whether it is the first or the second that is told."""
         return bool(
-            {one.kind for one in found.findings[:2]} & {self.kind, *ALSO.get(self.kind, ())}
+            {finding.kind for finding in result.findings[:2]}
+            & {self.kind, *ALSO.get(self.kind, ())}
         )
 
 
@@ -51,9 +52,9 @@ def log_of(name: str, fault: Fault, kind: str, seed: int, seconds: float = LONG)
     t = np.arange(round(seconds * 1000.0) + 1) * 1e-3
     given = commands_of(name, kind, t, 0.8)
     got = {valve: fault.command(u, t) for valve, u in given.items()}
-    made = simulate(fault.machine, got, seconds, posture=DRIVES[name][2])
+    built = simulate(fault.machine, got, seconds, posture=DRIVES[name][2])
     told = {f"{valve}.command": u for valve, u in given.items()}
-    return fault.sensors(noisy(replace(made, channels=made.channels | told), seed))
+    return fault.sensors(noisy(replace(built, channels=built.channels | told), seed))
 
 
 def asked(
@@ -78,7 +79,7 @@ def faults(name: str, rig: Rig) -> Iterator[Fault]:
     own = [n for n in known if n.startswith(f"{who}.")]
     gains = [n for n in own if n.endswith(("flow_gain", "compensated_gain", "displacement"))]
     bands = [n for n in own if n.endswith(".deadband")]
-    lags = {f"{one}.natural_frequency" for v in cylinder.valve for one in v.series}
+    lags = {f"{item}.natural_frequency" for v in cylinder.valve for item in v.series}
     damping = [f"{cylinder.joint}.{word}" for word in ("damping", "joint_damping")]
     area, pressure = cylinder.areas()[0], max(float(rig.supply.pressure), 7e6)
 
@@ -97,8 +98,8 @@ def faults(name: str, rig: Rig) -> Iterator[Fault]:
         yield Fault("deadband", "0.3 V more dead band", rig.with_values(wide))
     back = [n for n, e in rig.all_edges().items() if (e.from_, e.to) == ("rod", "tank")]
     if name != "pump_cylinder":
-        held = {f"{n}.cracking_pressure": 3e6 for n in back if n.startswith(f"{who}.")}
-        yield Fault("preload", "30 bar of preload in the rod's way back", rig.with_values(held))
+        fixed = {f"{n}.cracking_pressure": 3e6 for n in back if n.startswith(f"{who}.")}
+        yield Fault("preload", "30 bar of preload in the rod's way back", rig.with_values(fixed))
     yield Fault("leakage", "leakage of 30 mm/s", more("leakage_internal", area * 0.03 / pressure))
     yield Fault("friction", "friction", more("friction_coulomb", 0.03 * area * pressure))
     if name != "thesis_arm":  # its other bodies make up the inertia
@@ -119,8 +120,8 @@ def faults(name: str, rig: Rig) -> Iterator[Fault]:
 
 def shut_at_60(u: np.ndarray, t: np.ndarray) -> np.ndarray:
     """A command of which the last 40 % open nothing."""
-    most = 0.6 * np.abs(u).max()
-    return np.clip(u, -most, most)
+    maximum = 0.6 * np.abs(u).max()
+    return np.clip(u, -maximum, maximum)
 
 
 def spoilt(channel: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Record], Record]:
@@ -136,9 +137,11 @@ def late(y: np.ndarray) -> np.ndarray:
     return lfilter([1.0 - pole], [1.0, -pole], y)
 
 
-def told(found: Structure) -> str:
+def told(result: Structure) -> str:
     """The findings in short."""
-    return ", ".join(f"{f.kind} of {f.about} {f.explains:.2f}" for f in found.findings) or "nothing"
+    return (
+        ", ".join(f"{f.kind} of {f.about} {f.explains:.2f}" for f in result.findings) or "nothing"
+    )
 
 
 def study_faults() -> None:
@@ -148,10 +151,10 @@ def study_faults() -> None:
     for name in DRIVES:
         rig = load_rig(RIGS / f"{name}.toml")
         for fault in faults(name, rig):
-            found = asked(name, rig, fault, 7)
+            result = asked(name, rig, fault, 7)
             tries[fault.kind] += 1
-            hits[fault.kind] += fault.named(found)
-            print("named " if fault.named(found) else "MISSED", name, fault.words, told(found))
+            hits[fault.kind] += fault.named(result)
+            print("named " if fault.named(result) else "MISSED", name, fault.words, told(result))
     print({kind: f"{hits[kind]} of {count}" for kind, count in tries.items()})
 
 
@@ -161,10 +164,10 @@ def study_sound(seeds: int) -> None:
     for name in DRIVES:
         rig = load_rig(RIGS / f"{name}.toml")
         for seed in range(seeds):
-            found = asked(name, rig, Fault("none", "", rig), 1000 + 10 * seed)
-            cries += bool(found.findings)
-            if found.findings:
-                print(name, seed, told(found), flush=True)
+            result = asked(name, rig, Fault("none", "", rig), 1000 + 10 * seed)
+            cries += bool(result.findings)
+            if result.findings:
+                print(name, seed, told(result), flush=True)
         print(f"{cries} alarms up to {name}", flush=True)
     print(f"{cries} alarms at {seeds * len(DRIVES)} sound models")
 

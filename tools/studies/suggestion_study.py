@@ -41,9 +41,9 @@ def recipe_of(
     [s].
     """
     who = next(iter(DRIVES[name][0])).split(".")[0]
-    joint = next(one.joint for one in rig.cylinder if one.name == who)
-    wanted = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
-    parameters = [one for one in wanted if one in rig.parameters()]
+    joint = next(item.joint for item in rig.cylinder if item.name == who)
+    required = ("bulk_modulus", f"{joint}.damping", f"{joint}.joint_damping")
+    parameters = [item for item in required if item in rig.parameters()]
     logs = [
         (f"log{i}", without_joints(log_of(name, fault, kind, seed + i, length)))
         for i, kind in enumerate(kinds)
@@ -68,13 +68,13 @@ def suggested(
 
 def without_joints(log: Record) -> Record:
     """A log of cylinders alone: speeds are compared where the faults are, not joint rates."""
-    kept = {name: y for name, y in log.channels.items() if not name.endswith(".qd")}
-    return replace(log, channels=kept)
+    retained = {name: y for name, y in log.channels.items() if not name.endswith(".qd")}
+    return replace(log, channels=retained)
 
 
-def right(found: Suggestions, fault: Fault) -> bool:
+def right(result: Suggestions, fault: Fault) -> bool:
     """Whether the first row cures the fault by what it is, or by nothing where there is none."""
-    kinds = {name.partition(" of ")[0] for name in found.rows[0].changes}
+    kinds = {name.partition(" of ")[0] for name in result.rows[0].changes}
     if fault.kind in ("none", *OWN):
         return not kinds
     also = {NAMES.get(fault.kind, fault.kind), *ALSO.get(fault.kind, ())}
@@ -89,21 +89,21 @@ def built(name: str, rig: Rig) -> Iterator[Fault]:
     yield Fault("air", "4 % of air in the oil", rig.model_copy(update={"oil": airy}))
 
 
-def study(name: str, asked: Sequence[str] = (), rounds: int = ROUNDS, seeds: int = 1) -> None:
+def study(name: str, requested: Sequence[str] = (), rounds: int = ROUNDS, seeds: int = 1) -> None:
     """Every fault of a rig, or those ``asked`` by their words, on some draws of the noise, a line
     each with the processor's seconds.
     """
     rig, hits, tries = load_rig(RIGS / f"{name}.toml"), Counter(), Counter()
     for fault in built(name, rig):
-        for seed in range(seeds if not asked or fault.words in asked else 0):
+        for seed in range(seeds if not requested or fault.words in requested else 0):
             begun = time.process_time()
-            found = suggested(name, rig, fault, 7 + 10 * seed, rounds=rounds)
+            result = suggested(name, rig, fault, 7 + 10 * seed, rounds=rounds)
             tries[fault.kind] += 1
-            hits[fault.kind] += right(found, fault)
-            first, seconds = found.rows[0], time.process_time() - begun
-            said = f"{first.words}, {100.0 * first.misfit:.3g} %, {seconds:.0f} s"
-            how = "first " if right(found, fault) else "MISSED"
-            print(how, name, fault.words, "→", said, flush=True)
+            hits[fault.kind] += right(result, fault)
+            first, seconds = result.rows[0], time.process_time() - begun
+            message = f"{first.words}, {100.0 * first.misfit:.3g} %, {seconds:.0f} s"
+            how = "first " if right(result, fault) else "MISSED"
+            print(how, name, fault.words, "→", message, flush=True)
     print({kind: f"{hits[kind]} of {count}" for kind, count in tries.items()})
 
 
@@ -113,10 +113,10 @@ def study_sound(seeds: int) -> None:
     for name in DRIVES:
         rig = load_rig(RIGS / f"{name}.toml")
         for seed in range(seeds):
-            found = suggested(name, rig, Fault("none", "", rig), 1000 + 10 * seed)
-            if found.rows[0].changes:
+            result = suggested(name, rig, Fault("none", "", rig), 1000 + 10 * seed)
+            if result.rows[0].changes:
                 cries += 1
-                print(name, seed, found.rows[0].words, flush=True)
+                print(name, seed, result.rows[0].words, flush=True)
         print(f"{cries} alarms up to {name}", flush=True)
 
 

@@ -83,8 +83,8 @@ def log_of(name: str, rig: Rig, wave: tuple[str, float], seed: int) -> Record:
     kind, share = wave
     seconds = 6.0 if kind == "ramps" else 4.0
     given = commands_of(name, kind, np.arange(round(1000.0 * seconds) + 1) * 1e-3, share)
-    made = simulate(rig, given, seconds, posture=DRIVES[name][2])
-    log = noisy(made, seed, factor=float(rng.choice(NOISY)))
+    built = simulate(rig, given, seconds, posture=DRIVES[name][2])
+    log = noisy(built, seed, factor=float(rng.choice(NOISY)))
     every = slice(None, None, int(rng.choice(EACH)))
     return replace(log, t=log.t[every], channels={n: y[every] for n, y in log.channels.items()})
 
@@ -97,13 +97,13 @@ def judged(name: str, rig: Rig, log: Record) -> LogResult:
 
 def outcome(result: LogResult) -> set[str]:
     """The checks that reject, without the channel's name; and whether any of the ringing does."""
-    told = {
+    message = {
         check.what.split(" ", 1)[1] + " (silent)" * (check.reached is None)
         for check in result.checks
         if not check.passed
     }
-    ringing = any(one.startswith(("natural", "damping")) for one in told)
-    return {"models", *told} | ({"rejected by its ringing"} if ringing else set())
+    ringing = any(item.startswith(("natural", "damping")) for item in message)
+    return {"models", *message} | ({"rejected by its ringing"} if ringing else set())
 
 
 def study(name: str, draws: int) -> Counter[tuple[str, str]]:
@@ -124,7 +124,7 @@ def study(name: str, draws: int) -> Counter[tuple[str, str]]:
                 result = judged(name, model, log)
                 if kind in WRONG and not any(w.judged for w in result.transients):
                     break
-                counts.update((kind, one) for one in outcome(result))
+                counts.update((kind, item) for item in outcome(result))
                 if kind not in WRONG:
                     for check in result.checks:
                         if not check.passed:

@@ -53,10 +53,10 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
     stem = path.name.partition(".")[0] or path.name
     out = out or Path(stem + ENDING)
     picture = out.with_name(out.name.removesuffix(".toml").removesuffix(".map") + ".map.svg")
-    for one in (out, picture):
-        if one.exists() or one.is_symlink():
+    for item in (out, picture):
+        if item.exists() or item.is_symlink():
             raise InputError(
-                "stands already; nothing was written", file=one, hint="name another by --out"
+                "stands already; nothing was written", file=item, hint="name another by --out"
             )
     source = open_source(path)
     sheets = alike(source)
@@ -72,23 +72,25 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
         draw(picture, source, guesses)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=out) from None
-    said = _overview(path, source, guesses)
+    message = _overview(path, source, guesses)
     others = ", ".join(f"'{table.name}'" for table in sheets[1:])
-    said += [f"the same columns: table {others}"] if many else []
+    message += [f"the same columns: table {others}"] if many else []
     tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
-    return Draft(out, picture, (*said, *tried))
+    return Draft(out, picture, (*message, *tried))
 
 
 def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
     """What was found, a line a column."""
-    names, found = source.names(), source.dialect
+    names, result = source.names(), source.dialect
     lines = [f"{path.name}: {reader_of(path).name}"]
-    if found.separator is not None:
-        mark = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}[found.separator]
-        sign = "comma" if found.decimal == "," else "point"
-        header = f"header in line {(found.skip or 0) + 1}"
-        units = ", units below it" if found.unit_row else ""
-        lines[0] += f", {found.encoding}, separated by {mark}, decimal {sign}, {header}{units}"
+    if result.separator is not None:
+        mark = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}[
+            result.separator
+        ]
+        sign = "comma" if result.decimal == "," else "point"
+        header = f"header in line {(result.skip or 0) + 1}"
+        units = ", units below it" if result.unit_row else ""
+        lines[0] += f", {result.encoding}, separated by {mark}, decimal {sign}, {header}{units}"
     rows = own_rows(source, guesses)
     for index, table in enumerate(source.tables):
         called = f"table '{table.name}'" if table.name else "table"
@@ -99,14 +101,16 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
                 continue
             guess, column = guesses[name], table.columns[j]
             unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
-            said = f"{guess.channel}{unit}" + ("" if guess.sure else "?") if guess.channel else "?"
+            message = (
+                f"{guess.channel}{unit}" + ("" if guess.sure else "?") if guess.channel else "?"
+            )
             own = rows[name]
             bad = int((~np.isfinite(column.values[own])).sum())
             odd = f", {bad} no number" if bad else ""
             if not own.all():
                 odd = f", in {int(own.sum())} rows of its own{odd}"
             remark = f"  ({guess.remark})" if guess.remark else ""
-            lines.append(f"  {name:<{min(wide, 40)}}  {range_of(column)}{odd}  → {said}{remark}")
+            lines.append(f"  {name:<{min(wide, 40)}}  {range_of(column)}{odd}  → {message}{remark}")
         for name in table.words:
             if name in guesses:
                 lines.append(f"  {name:<{min(wide, 40)}}  words  → {guesses[name].channel or '?'}")

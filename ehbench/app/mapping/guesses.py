@@ -104,7 +104,7 @@ class Guess:
 
 def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
     """A guess for each column, by name; a channel is given once."""
-    found: dict[str, Guess] = {}
+    results: dict[str, Guess] = {}
     taken: set[str] = set()
     for name, (i, j) in source.names().items():
         table = source.tables[i]
@@ -114,8 +114,8 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
             guess = Guess(guess.channel, guess.unit, False, twice, guess.ends)
         if guess.sure:
             taken.add(guess.channel if guess.channel != "t" else f"t of {table.name}")
-        found[name] = guess
-    return found
+        results[name] = guess
+    return results
 
 
 def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
@@ -162,7 +162,7 @@ def _made_of(word: str, stem: str) -> bool:
 
 def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | None:
     """A column that may be the time: it goes on, and is called so or in seconds."""
-    others = [one for one in table.columns if one is not column]
+    others = [item for item in table.columns if item is not column]
     rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)
     values = column.values[np.isfinite(column.values) & rows]
     steps = np.diff(values)
@@ -237,8 +237,8 @@ def command_guess(
     cylinder, sure = of
     valve, low, high = VALVE, -10.0, 10.0
     if rig is not None:
-        own = next(one for one in rig.cylinder if one.name == cylinder)
-        named = [one for one in own.valve if words_of(one.name) <= words]
+        own = next(item for item in rig.cylinder if item.name == cylinder)
+        named = [item for item in own.valve if words_of(item.name) <= words]
         sure &= len(named) == 1 or len(own.valve) == 1
         if not own.valve:
             return Guess(remark="a command?")

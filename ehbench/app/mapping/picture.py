@@ -19,7 +19,7 @@ def draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
     """Each column over the time, or over its rows."""
     names, rows_of = source.names(), own_rows(source, guesses)
     shown = [name for name in names if guesses[name].channel != "t"]
-    shown = [one for one in shown if np.isfinite(_column(source, names[one]).values).any()]
+    shown = [item for item in shown if np.isfinite(_column(source, names[item]).values).any()]
     shown = shown[:_MOST_DRAWN] or list(names)[:1]
     rows = len(shown)
     with canvas(picture, rows, 1, (7.2, 1.35 * rows + 0.5), squeeze=False) as (_, axes):

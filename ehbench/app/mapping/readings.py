@@ -37,9 +37,9 @@ def holds_readings(source: Source) -> bool:
     columns = [column for table in source.tables for column in table.columns]
 
     def has(row: str) -> bool:
-        return any(one.known_unit and is_of(one.known_unit, VOCABULARY[row]) for one in columns)
+        return any(item.known_unit and is_of(item.known_unit, VOCABULARY[row]) for item in columns)
 
-    ends = {reading_of(one.known_unit, words_of(one.name)) for one in columns}
+    ends = {reading_of(item.known_unit, words_of(item.name)) for item in columns}
     timed = has("t") or any(table.t is not None for table in source.tables)
     log = ({"p_head", "p_rod"} <= ends and timed) or bool(ends & {"x", "v", "q", "qd"})
     return len(source.tables) == 1 and has("flow") and not log
@@ -49,20 +49,20 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
     """A guess for each column of numbers, and for each of words whose name says what it is; by
     name. What several columns may be is none of them for sure.
     """
-    table, found = source.tables[0], {}
+    table, results = source.tables[0], {}
     for name, (_, j) in source.names().items():
-        found[name] = _guess(name, table.columns[j], rig)
-    given = [guess.channel for guess in found.values() if guess.sure]
+        results[name] = _guess(name, table.columns[j], rig)
+    given = [guess.channel for guess in results.values() if guess.sure]
     if given.count("pressure_drop") == 0:
-        found = {name: _drop_of(guess, given) for name, guess in found.items()}
-        given = [guess.channel for guess in found.values() if guess.sure]
-    for name, guess in found.items():
+        results = {name: _drop_of(guess, given) for name, guess in results.items()}
+        given = [guess.channel for guess in results.values() if guess.sure]
+    for name, guess in results.items():
         if guess.sure and given.count(guess.channel) > 1:
-            found[name] = Guess(guess.channel, guess.unit, False, "or another?", guess.ends)
+            results[name] = Guess(guess.channel, guess.unit, False, "or another?", guess.ends)
     for name in table.words:
-        what = next((one for one, named in _WORDS.items() if words_of(name) & named), "")
-        found[name] = Guess(what, "", bool(what), "words")
-    return found
+        what = next((item for item, named in _WORDS.items() if words_of(name) & named), "")
+        results[name] = Guess(what, "", bool(what), "words")
+    return results
 
 
 def _drop_of(guess: Guess, given: list[str]) -> Guess:

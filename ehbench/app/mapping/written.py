@@ -38,15 +38,15 @@ def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
 
 def _dialect(source: Source) -> list[str]:
     """The keys of a text file."""
-    found = source.dialect
-    if found.separator is None:
+    result = source.dialect
+    if result.separator is None:
         return []
     keys = {
-        "separator": _MARKS.get(found.separator, found.separator),
-        "decimal": found.decimal,
-        "skip": found.skip,
-        "unit_row": found.unit_row,
-        "encoding": found.encoding,
+        "separator": _MARKS.get(result.separator, result.separator),
+        "decimal": result.decimal,
+        "skip": result.skip,
+        "unit_row": result.unit_row,
+        "encoding": result.encoding,
     }
     return [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
 
@@ -74,15 +74,15 @@ def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
 
 def own_rows(source: Source, guesses: dict[str, Guess]) -> dict[str, np.ndarray]:
     """By column, the rows of its table that are those of its rate, True; all for a time."""
-    names, found = source.names(), {}
+    names, result = source.names(), {}
     for index, table in enumerate(source.tables):
         here = {name: table.columns[j] for name, (i, j) in names.items() if i == index}
-        found |= {name: np.ones(table.size, bool) for name in here}
+        result |= {name: np.ones(table.size, bool) for name in here}
         signals = [name for name in here if guesses[name].channel != "t"]
         groups = apart([here[name] for name in signals])
         if len(groups) > 1:
-            found |= {signals[at]: rows for own, rows in groups for at in own}
-    return found
+            result |= {signals[at]: rows for item, rows in groups for at in item}
+    return result
 
 
 def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
@@ -117,8 +117,8 @@ def _line(name: str, guess: Guess, column: Column) -> str:
         )
     else:
         value = _quoted((guess.channel or "?") + unit)
-    said = ", ".join(part for part in (range_of(column), guess.remark) if part)
-    return f"{'' if guess.sure else '# '}{key} = {value}    # {said}"
+    message = ", ".join(part for part in (range_of(column), guess.remark) if part)
+    return f"{'' if guess.sure else '# '}{key} = {value}    # {message}"
 
 
 def range_of(column: Column) -> str:

@@ -172,17 +172,17 @@ def _flat(raw: Any) -> Any:
     """
     if not isinstance(raw, dict):
         return raw
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for name, value in raw.items():
         inner = (
             {f"{name}.{key}": item for key, item in _flat(value).items()}
             if isinstance(value, dict)
             else {name: value}
         )
-        if twice := sorted(set(inner) & set(found)):
+        if twice := sorted(set(inner) & set(results)):
             raise ValueError(f"'{twice[0]}' is given twice")
-        found |= inner
-    return found
+        results |= inner
+    return results
 
 
 ByParameter = Annotated[dict[str, str], BeforeValidator(_flat)]

@@ -79,7 +79,7 @@ class MappedColumn(FileModel):
                 ) from None
         return self
 
-    def line(self, said: str) -> tuple[float, float]:
+    def line(self, message: str) -> tuple[float, float]:
         """(gain, zero) with SI = gain·reading + zero; ``said`` is the unit that the file says.
 
         Raises:
@@ -87,8 +87,8 @@ class MappedColumn(FileModel):
         """
         row = quantity(self.channel)
         if self.from_ is not None and self.to is not None:
-            return _through(self.from_, self.to, self.unit or said, row)
-        unit = self.unit if self.unit is not None else said
+            return _through(self.from_, self.to, self.unit or message, row)
+        unit = self.unit if self.unit is not None else message
         scale, by = _number(self.scale)
         if by:
             slope, zero = product(by, unit, row.unit), 0.0
@@ -109,13 +109,13 @@ def _slope(unit: str, row: Quantity) -> tuple[float, float]:
     if not unit.strip() and row.unit != "dimensionless":
         raise UnitError(f"has no unit for {row.name}", hint=f'write unit = "{row.display}"')
     try:
-        zero, one = (float(to_si(number, unit, row)) for number in (0.0, 1.0))
+        zero, item = (float(to_si(number, unit, row)) for number in (0.0, 1.0))
     except UnitError as error:
         hint = error.hint
         if row.name == "command":
             hint = 'say what it is at the valve: from = ["4 mA", "20 mA"], to = ["-10 V", "10 V"]'
         raise UnitError(error.message, hint=hint) from None
-    return one - zero, zero
+    return item - zero, zero
 
 
 def _offset(given: float | str, by: str, slope: float, row: Quantity) -> float:
@@ -157,8 +157,8 @@ def _column(raw: Any) -> Any:
     if not isinstance(raw, str):
         return raw
     channel, bracket, unit = raw.partition("[")
-    found = {"channel": channel.strip()}
-    return found | ({"unit": unit.strip().rstrip("]").strip()} if bracket else {})
+    results = {"channel": channel.strip()}
+    return results | ({"unit": unit.strip().rstrip("]").strip()} if bracket else {})
 
 
 class Columns(FileModel):
@@ -202,7 +202,7 @@ class Columns(FileModel):
     @classmethod
     def _each_once(cls, names: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
         channels = [column.channel for column in names.values() if column.channel != "t"]
-        if twice := [one for one in channels if channels.count(one) > 1]:
+        if twice := [channel for channel in channels if channels.count(channel) > 1]:
             raise ValueError(f"two columns are '{twice[0]}'")
         return names
 
@@ -273,7 +273,7 @@ def whole_map(
         raise InputError(f"takes its own keys by way of '{own.file}'", file=path)
     keys, text = read_toml(behind)
     first = whole_map(validated(Columns, keys, text, behind), behind, (), above)
-    said = {key: getattr(own, key) for key in own.model_fields_set - {"names", "file"}}
+    messages = {key: getattr(own, key) for key in own.model_fields_set - {"names", "file"}}
     names = {**first.columns.names, **own.names}
-    merged = first.columns.model_copy(update={**said, "names": names})
+    merged = first.columns.model_copy(update={**messages, "names": names})
     return ColumnMap(merged, (place, *first.places))

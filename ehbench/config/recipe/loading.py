@@ -41,14 +41,14 @@ def recipe_kinds() -> dict[tuple[str, str | None], type[Recipe]]:
     """Every recipe model by its ``stage`` and ``what`` (None where the stage has one kind): all
     subclasses of `Recipe` with a stage of their own, those of stages elsewhere once imported.
     """
-    found: dict[tuple[str, str | None], type[Recipe]] = {}
+    results: dict[tuple[str, str | None], type[Recipe]] = {}
     waiting = Recipe.__subclasses__()
     while waiting:
         model = waiting.pop(0)
         waiting += model.__subclasses__()
         if "stage" in model.model_fields:
-            found[model.kind()] = model
-    return found
+            results[model.kind()] = model
+    return results
 
 
 def load_recipe(path: str | Path) -> Recipe:
@@ -70,8 +70,10 @@ def load_recipe(path: str | Path) -> Recipe:
             hint="stage is one of " + ", ".join(stages),
         )
     named = [w for s, w in known if s == stage and w]
-    asked = what if named else None  # else its model refuses the key
-    model = known.get((stage, asked)) if asked is None or isinstance(asked, str) else None
+    requested = what if named else None  # else its model refuses the key
+    model = (
+        known.get((stage, requested)) if requested is None or isinstance(requested, str) else None
+    )
     if model is None:
         without = ", or left out" if (stage, None) in known else ""
         raise InputError(

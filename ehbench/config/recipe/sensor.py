@@ -58,11 +58,11 @@ class Sensor(FileModel):
 
     @field_validator("pressure")
     @classmethod
-    def _of_a_pressure(cls, said: str, info: ValidationInfo) -> str:
+    def _of_a_pressure(cls, message: str, info: ValidationInfo) -> str:
         channel = info.data.get("channel", "p_head")
-        if said == "absolute" and quantity(channel).unit != "Pa":
+        if message == "absolute" and quantity(channel).unit != "Pa":
             raise ValueError(f"'{channel}' is no pressure")
-        return said
+        return message
 
     @field_validator(*WORDS)
     @classmethod
@@ -96,7 +96,7 @@ class Sensor(FileModel):
 
 
 def _each_once(sensors: tuple[Sensor, ...]) -> tuple[Sensor, ...]:
-    names = [one.channel for one in sensors]
+    names = [sensor.channel for sensor in sensors]
     for at, name in enumerate(names):
         if name in names[:at]:
             raise ValueError(f"'{name}' stands here twice; say all of it in one table")

@@ -45,10 +45,10 @@ class Spread(FileModel):
         }
         fitting = [law for law, names in LAWS.items() if given == set(names)]
         if not fitting or (self.law is not None and self.law not in fitting):
-            wanted = "low and high, mean and std, or median and spread"
+            required = "low and high, mean and std, or median and spread"
             if self.law is not None:
-                wanted = " and ".join(LAWS[self.law])
-            raise ValueError(f"a draw takes {wanted}")
+                required = " and ".join(LAWS[self.law])
+            raise ValueError(f"a draw takes {required}")
         return self
 
     @property
@@ -92,7 +92,7 @@ def by_key(raw: Any) -> Any:
     """
     if not isinstance(raw, dict):
         return raw
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for name, value in raw.items():
         nested = (
             isinstance(value, dict)
@@ -105,10 +105,10 @@ def by_key(raw: Any) -> Any:
             if nested
             else {name: value}
         )
-        if twice := sorted(set(inner) & set(found)):
+        if twice := sorted(set(inner) & set(results)):
             raise ValueError(f"'{twice[0]}' is given twice")
-        found |= inner
-    return found
+        results |= inner
+    return results
 
 
 def _listed(raw: Any) -> Any:
@@ -222,7 +222,7 @@ class StudyRecipe(Recipe):
 
     @model_validator(mode="after")
     def _agree(self) -> StudyRecipe:
-        labels = [one.label for one in self.measures]
+        labels = [measure.label for measure in self.measures]
         for label in labels:
             if labels.count(label) > 1:
                 raise ValueError(f"two measures are called '{label}'; give each its own name")

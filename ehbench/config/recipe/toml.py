@@ -37,9 +37,9 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
     """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
     the first one below it, or its nearest parent.
     """
-    flat, wanted = _flat_lines(text), _pieces(location)
-    for size in range(len(wanted), 0, -1):
-        head = wanted[:size]
+    flat, required = _flat_lines(text), _pieces(location)
+    for size in range(len(required), 0, -1):
+        head = required[:size]
         below = (number for known, number in flat.items() if known[:size] == head)
         if (number := flat.get(head) or next(below, None)) is not None:
             return number
@@ -158,9 +158,9 @@ def table_of(text: str, path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"\(at line (\d+)", str(error))
+        result = re.search(r"\(at line (\d+)", str(error))
         reason = str(error).split(" (at ")[0]
-        line = int(found[1]) if found else text.rstrip().count("\n") + 1
+        line = int(result[1]) if result else text.rstrip().count("\n") + 1
         raise InputError(
             f"not TOML: {reason}", file=path, line=line, hint=_remedy(reason)
         ) from None
@@ -178,8 +178,8 @@ def _remedy(reason: str) -> str:
 
 
 def _long_number(text: str) -> int | None:
-    found = re.search(r"\d[\d_]{4000}", text)
-    return text.count("\n", 0, found.start()) + 1 if found else None
+    result = re.search(r"\d[\d_]{4000}", text)
+    return text.count("\n", 0, result.start()) + 1 if result else None
 
 
 def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
@@ -191,10 +191,10 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
     try:
         return TypeAdapter(model).validate_python(table, context=FROM_FILE)
     except ValidationError as error:
-        found = error.errors()
+        result = error.errors()
     except RecursionError:
         raise InputError("a table is nested too deeply", file=path) from None
-    first = next((e for e in found if e["type"] == "extra_forbidden"), found[0])
+    first = next((e for e in result if e["type"] == "extra_forbidden"), result[0])
     try:
         message, location, hint = _explained(model, table, dict(first))
     except RecursionError:
@@ -245,7 +245,7 @@ def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
     """A location as the file has it: without the names by which pydantic tells the kinds of a
     table apart, which stand behind the table's own.
     """
-    kept: list[Any] = []
+    retained: list[Any] = []
     here, keys = [model], 0
     for part in location:
         chosen = [kind for kind in here if len(here) > 1 and part in _tags(kind)]
@@ -258,10 +258,10 @@ def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
             continue
         else:
             fields = [_field(kind, part) for kind in here]
-            found = next((field.annotation for field in fields if field is not None), None)
-            here, keys = _models(found), _keyed(found)
-        kept.append(part)
-    return tuple(kept)
+            result = next((field.annotation for field in fields if field is not None), None)
+            here, keys = _models(result), _keyed(result)
+        retained.append(part)
+    return tuple(retained)
 
 
 def _field(model: Any, key: Any) -> Any:
@@ -280,7 +280,7 @@ def _models(annotation: Any) -> list[Any]:
     """The models that an annotation holds."""
     if isinstance(annotation, type) and issubclass(annotation, FileModel):
         return [annotation]
-    return [found for part in get_args(annotation) for found in _models(part)]
+    return [model for part in get_args(annotation) for model in _models(part)]
 
 
 def _keyed(annotation: Any) -> int:

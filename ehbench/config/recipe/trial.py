@@ -208,9 +208,9 @@ class Motion(CylinderMotion):
     def _each_its_own(self) -> Motion:
         if not self.also:
             return self
-        if any(one.kind == "path" for one in self.also):
+        if any(item.kind == "path" for item in self.also):
             raise ValueError("a path is of the whole trial: it cannot stand under 'also'")
-        names = [self.cylinder, *(one.cylinder for one in self.also)]
+        names = [self.cylinder, *(item.cylinder for item in self.also)]
         if None in names:
             raise ValueError("where several cylinders move, each motion names its 'cylinder'")
         twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
@@ -222,8 +222,8 @@ class Motion(CylinderMotion):
     def each(self) -> tuple[CylinderMotion, ...]:
         """The motion of each cylinder, its own first."""
         also = (
-            one.model_copy(update={"where": (*self.where, "also", i)})
-            for i, one in enumerate(self.also)
+            item.model_copy(update={"where": (*self.where, "also", i)})
+            for i, item in enumerate(self.also)
         )
         return (self, *also)
 
@@ -339,7 +339,7 @@ def refuse_unmatched(controller: Controller, motions: Sequence[Motion]) -> None:
         raise ValueError("a controller of your own moves one cylinder: leave 'also' out")
     if any(motion.kind == "path" for motion in motions):
         return  # only the rig knows which cylinders it moves
-    names = {one.cylinder for motion in motions for one in motion.each}
+    names = {item.cylinder for motion in motions for item in motion.each}
     for name in controller.cylinders:
         if name not in names:
             raise ValueError(f"controller.cylinders names '{name}', which has no motion")
@@ -364,12 +364,12 @@ def refuse_fast_waves(trial: Sampled) -> None:
     half = 0.5 * float(trial.rate)
     for command in trial.command:
         for key in ("frequency", "frequency_max"):
-            asked = getattr(command, key)
-            if command.kind not in ("sine", "multisine") or asked is None:
+            requested = getattr(command, key)
+            if command.kind not in ("sine", "multisine") or requested is None:
                 continue
-            if float(asked) >= half:
+            if float(requested) >= half:
                 raise ValueError(
-                    f"command to {command.valve}: {key}, {float(asked):g} Hz, "
+                    f"command to {command.valve}: {key}, {float(requested):g} Hz, "
                     f"must lie below half the rate, {half:g} Hz"
                 )
 
@@ -455,18 +455,18 @@ class TrialRecipe(AnyTrial):
             posture = self.posture | {name: f"{x!r} m" for name, x in along.items()}
         elif motion.also:
             starts = {
-                one.cylinder: f"{float(one.waypoints[0])!r} m"
-                for one in each
-                if one.cylinder is not None and one.waypoints
+                item.cylinder: f"{float(item.waypoints[0])!r} m"
+                for item in each
+                if item.cylinder is not None and item.waypoints
             }
             posture = starts | self.posture
         return tuple(
             self.model_copy(
                 update={
-                    "motion": one,
-                    "controller": controller.of(one.cylinder or ""),
+                    "motion": item,
+                    "controller": controller.of(item.cylinder or ""),
                     "posture": posture,
                 }
             )
-            for one in each
+            for item in each
         )

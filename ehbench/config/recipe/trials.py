@@ -88,11 +88,11 @@ class TrialSetRecipe(AnyTrial):
         for payload, (m, motion), (n, machine), (c, law) in product(
             self.payloads, enumerate(self.motion), machines, enumerate(self.controller)
         ):
-            said = motion.name or motion.kind
+            message = motion.name or motion.kind
             if machine is not None:
-                said = f"{said}, {machine.name}"
+                message = f"{message}, {machine.name}"
                 machine = machine.model_copy(update={"where": ("machine", n)})
-            name = " ".join([payload if payload != "none" else "no load", said, law.label])
+            name = " ".join([payload if payload != "none" else "no load", message, law.label])
             own = {
                 key: value
                 for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
@@ -105,7 +105,7 @@ class TrialSetRecipe(AnyTrial):
                 path=self.path,
                 machine=machine,
                 controller=law.model_copy(update={"where": ("controller", c)}),
-                motion=motion.model_copy(update={"where": ("motion", m), "name": said}),
+                motion=motion.model_copy(update={"where": ("motion", m), "name": message}),
             )
             cases.append((name, law, case.model_copy(update={"title": name})))
         return tuple(cases)

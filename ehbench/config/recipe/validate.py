@@ -80,8 +80,8 @@ class Thresholds(FileModel):
 
     @field_validator("fit_percent", "max_error")
     @classmethod
-    def _quantities(cls, asked: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        for name, value in asked.items():
+    def _quantities(cls, requested: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        for name, value in requested.items():
             if name not in VOCABULARY:
                 word = name.rpartition(".")[2]
                 of_all = f"; it is asked of all cylinders alike: '{word}'"
@@ -91,9 +91,9 @@ class Thresholds(FileModel):
             if info.field_name == "fit_percent" and not value < 100.0:
                 raise ValueError(f"{name} = {value:g} cannot be reached: 100 % is an exact match")
         if info.field_name == "fit_percent":
-            return asked
+            return requested
         try:
-            return {name: read_value(value, VOCABULARY[name]) for name, value in asked.items()}
+            return {name: read_value(value, VOCABULARY[name]) for name, value in requested.items()}
         except InputError as error:
             raise ValueError(str(error)) from None
 

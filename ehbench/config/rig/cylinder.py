@@ -138,10 +138,10 @@ class Cylinder(FileModel):
             )
         swept = rod * float(self.stroke)
         if float(self.volume_rod) <= swept:
-            said = self.volume_rod.like
+            message = self.volume_rod.like
             raise Misplaced(
-                f"volume_rod at x = 0 is {said('volume_rod', float(self.volume_rod))}, "
-                f"but the full stroke displaces {said('volume_rod', swept)}",
+                f"volume_rod at x = 0 is {message('volume_rod', float(self.volume_rod))}, "
+                f"but the full stroke displaces {message('volume_rod', swept)}",
                 "volume_rod",
             )
         return self
@@ -149,9 +149,9 @@ class Cylinder(FileModel):
     @model_validator(mode="after")
     def _friction_fits(self) -> Cylinder:
         if self.friction is not None:
-            found = self.friction.misfit(float(self.friction_coulomb))
-            if found is not None:
-                key, words = found
+            result = self.friction.misfit(float(self.friction_coulomb))
+            if result is not None:
+                key, words = result
                 raise Misplaced(words, "friction", key)
         return self
 
@@ -228,8 +228,8 @@ class Cylinder(FileModel):
 
     def parts(self) -> Iterator[tuple[str, FileModel]]:
         """Its further parts with what their parameters' names begin with, after the cylinder's."""
-        for key, own in tables_of(self).items():
-            yield prefix_of(key), own
+        for key, item in tables_of(self).items():
+            yield prefix_of(key), item
         for part in (*self.force, *self.line):
             yield f"{part.name}.", part
 

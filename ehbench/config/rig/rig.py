@@ -174,7 +174,7 @@ class Rig(FileModel):
         rows = []
         for name, value in self.parameters().items():
             unit = self.unit_of(name)
-            number, error = (shown(one, name, unit) for one in (float(value), value.std))
+            number, error = (shown(item, name, unit) for item in (float(value), value.std))
             rows.append((name, number, error, label(unit), value.sure, value.source))
         header = ("parameter", "value", "standard error", "unit", "sure", "source")
         return table(header, rows, self.title or self.name)
@@ -340,27 +340,29 @@ class Rig(FileModel):
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
-        found: dict[str, Value] = {"gravity": self.gravity}
-        found |= {name: value for name, value in scalars(self.oil)}
+        results: dict[str, Value] = {"gravity": self.gravity}
+        results |= {name: value for name, value in scalars(self.oil)}
         for line in (self.supply, *self.supply.tables().values()):
-            found |= {f"supply.{name}": value for name, value in scalars(line)}
+            results |= {f"supply.{name}": value for name, value in scalars(line)}
         bodies = (
             [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
         )
         for body in bodies:
-            found |= {f"{body.name}.{name}": value for name, value in scalars(body)}
+            results |= {f"{body.name}.{name}": value for name, value in scalars(body)}
         for cylinder in self.cylinder:
-            found |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
+            results |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
             for prefix, part in cylinder.parts():
-                found |= {f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)}
+                results |= {
+                    f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)
+                }
         for cylinder, valve in self.valves():
             if valve.drive_limit is not None:
-                found[f"{cylinder.name}.{valve.name}.drive_limit"] = valve.drive_limit
+                results[f"{cylinder.name}.{valve.name}.drive_limit"] = valve.drive_limit
         for name, dynamics in self.dynamics.items():
-            found |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
+            results |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
         for edge_name, edge in self.all_edges().items():
-            found |= {f"{edge_name}.{name}": value for name, value in scalars(edge)}
-        return found
+            results |= {f"{edge_name}.{name}": value for name, value in scalars(edge)}
+        return results
 
     def with_values(
         self, values: Mapping[str, Value | float], known: Mapping[str, Value] | None = None
@@ -421,11 +423,11 @@ class Rig(FileModel):
         if not by_valve:
             return self
         valves = [f"{cylinder.name}.{valve.name}" for cylinder, valve in self.valves()]
-        for asked, known, what in (
+        for requested, known, what in (
             (by_valve, valves, "valve"),
             (by_valve.values(), self.dynamics, "[dynamics]"),
         ):
-            wrong = next((name for name in asked if name not in known), None)
+            wrong = next((name for name in requested if name not in known), None)
             if wrong is not None:
                 raise InputError(
                     f"rig '{self.name}' has no {what} '{wrong}'",

@@ -69,11 +69,11 @@ class Supply(FileModel):
 
     def facts(self) -> dict[str, Any]:
         """Its kind in words and what makes its pressure, SI."""
-        found: dict[str, Any] = {"kind": self.kind, "pressure": float(self.pressure)}
-        for own in (self.load_sensing, self.low_rail):
-            if own is not None:
-                found |= {name: float(getattr(own, name)) for name in type(own).model_fields}
-        return found
+        results: dict[str, Any] = {"kind": self.kind, "pressure": float(self.pressure)}
+        for item in (self.load_sensing, self.low_rail):
+            if item is not None:
+                results |= {name: float(getattr(item, name)) for name in type(item).model_fields}
+        return results
 
     def tables(self) -> dict[str, FileModel]:
         """The tables that it has beside its own values."""
@@ -91,15 +91,18 @@ class Supply(FileModel):
             Misplaced: says what would.
         """
         load, low = self.load_sensing, self.low_rail
-        most = float(self.pressure) - float(self.tank_pressure)
-        if load is not None and not 0.0 < float(load.load_margin) < most:
+        maximum = float(self.pressure) - float(self.tank_pressure)
+        if load is not None and not 0.0 < float(load.load_margin) < maximum:
             raise Misplaced(
                 "the margin of load sensing must lie between 0 and the supply's pressure",
                 *("load_sensing", "load_margin"),
             )
         if load is not None and not float(load.load_lag) > 0.0:
             raise Misplaced("the lag of load sensing must be above 0", "load_sensing", "load_lag")
-        if low is not None and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < most:
+        if (
+            low is not None
+            and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < maximum
+        ):
             raise Misplaced(
                 "the low rail's pressure must lie between its margin and the supply's pressure",
                 *("low_rail", "rail_pressure"),
@@ -113,11 +116,11 @@ class Supply(FileModel):
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
         if float(self.pressure) > _MOST_SUPPLY:
-            given, most = (
+            given, maximum = (
                 self.pressure.like("pressure", float(p)) for p in (self.pressure, _MOST_SUPPLY)
             )
             raise Misplaced(
-                f"a supply of {given} is beyond any hydraulics: {most} at most", "pressure"
+                f"a supply of {given} is beyond any hydraulics: {maximum} at most", "pressure"
             )
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")

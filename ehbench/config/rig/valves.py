@@ -34,9 +34,9 @@ class Rated(FileModel):
             Misplaced: the drop is missing or too much, nothing flows, or the edge is shut.
         """
         if (self.drop is None) == (name == "flow_gain"):
-            said = "takes the drop across the edge" if self.drop is None else "goes by no drop"
+            messages = "takes the drop across the edge" if self.drop is None else "goes by no drop"
             raise Misplaced(
-                f"a rated flow of this law {said}", *([] if self.drop is None else ["drop"])
+                f"a rated flow of this law {messages}", *([] if self.drop is None else ["drop"])
             )
         drop = 1.0 if self.drop is None else float(self.drop)
         for key, size in (("flow", float(self.flow)), ("drop", drop)):
@@ -49,10 +49,10 @@ class Rated(FileModel):
             )
         each = 1.0 / (wide * math.sqrt(drop))
         unit = f"{self.flow.unit or 'm^3/s'}/V"
-        said = [self.flow.like("flow", float(self.flow)), f"{float(self.command):g} V"]
+        messages = [self.flow.like("flow", float(self.flow)), f"{float(self.command):g} V"]
         if self.drop is not None:
             unit += f"/{self.drop.unit or 'Pa'}^0.5"
-            said.append(self.drop.like("pressure_drop", drop))
+            messages.append(self.drop.like("pressure_drop", drop))
         limits = {
             key: None if (limit := getattr(self.flow, key)) is None else limit * each
             for key in ("lower", "upper", "std")
@@ -63,7 +63,7 @@ class Rated(FileModel):
             ", ".join(
                 [
                     *filter(None, [self.flow.source]),
-                    "rated " + " at ".join((said[0], " and ".join(said[1:]))),
+                    "rated " + " at ".join((messages[0], " and ".join(messages[1:]))),
                 ]
             ),
             unit=unit if units.is_of(unit, VOCABULARY[name]) else "",
@@ -274,8 +274,8 @@ class Valve(FileModel):
     @property
     def given(self) -> tuple[float, float]:
         """The lowest and the highest command [V] that its drive passes on."""
-        most = math.inf if self.drive_limit is None else float(self.drive_limit)
-        return max(float(self.command_min), -most), min(float(self.command_max), most)
+        maximum = math.inf if self.drive_limit is None else float(self.drive_limit)
+        return max(float(self.command_min), -maximum), min(float(self.command_max), maximum)
 
     def edge_name(self, edge: Edge) -> str:
         """The name a flow map of this edge goes by: the edge's own, else the valve's (or
@@ -288,12 +288,12 @@ class Valve(FileModel):
     @property
     def series(self) -> tuple[str, ...]:
         """The names of its dynamics, from its command to its opening."""
-        one = self.dynamics
-        return one if isinstance(one, tuple) else () if one is None else (one,)
+        item = self.dynamics
+        return item if isinstance(item, tuple) else () if item is None else (item,)
 
     def with_dynamics(self, instead_of: Sequence[str], name: str) -> Valve:
         """This valve with the dynamics ``name`` in place of any of others."""
-        new = tuple(name if one in instead_of else one for one in self.series)
+        new = tuple(name if item in instead_of else item for item in self.series)
         if new == self.series:
             return self
         whole = new[0] if isinstance(self.dynamics, str) else tuple(dict.fromkeys(new))

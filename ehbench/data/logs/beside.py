@@ -49,30 +49,30 @@ def with_beside(
     rates = [record.meta["rates"]] if "rates" in record.meta else []
     for other in others:
         whole = window is None or not np.isfinite(window).any()
-        found = read_record(other.path, whole, other.columns)
-        late = _lateness(record, path, found, other)
+        result = read_record(other.path, whole, other.columns)
+        late = _lateness(record, path, result, other)
         if window is not None and not whole:
             span = (window[0] - late, window[1] - late)
-            found = read_record(other.path, True, other.columns, span)
+            result = read_record(other.path, True, other.columns, span)
         if twice := sorted(
-            {name for group in groups for name in group.channels} & {*found.channels}
+            {name for group in groups for name in group.channels} & {*result.channels}
         ):
             raise InputError(
                 f"has {', '.join(twice)}, and so has a file beside it",
                 file=other.path,
                 hint="leave it out of one of the maps",
             )
-        t = found.t + late
+        t = result.t + late
         if not ((t >= record.t[0]) & (t <= record.t[-1])).any():
             raise InputError(
                 f"has no sample while {path.name} runs: {_ends(record, 0.0)} there, "
-                f"{_ends(found, late)} here",
+                f"{_ends(result, late)} here",
                 file=other.path,
                 hint=_cure(t, record),
             )
-        groups.append(_group(other.path, found, late))
-        losses += [f"{other.path.name}: {loss}" for loss in found.losses]
-        rates += [found.meta["rates"]] if "rates" in found.meta else []
+        groups.append(_group(other.path, result, late))
+        losses += [f"{other.path.name}: {loss}" for loss in result.losses]
+        rates += [result.meta["rates"]] if "rates" in result.meta else []
     t, channels, brought = joined(groups, losses)
     if not t.size:
         raise InputError("has no sample at which all files beside it have one", file=path)
@@ -85,31 +85,31 @@ def _group(path: Path, record: Record, late: float) -> Group:
     return Group(Table(path.name, ()), record.t + late, None, channels=dict(record.channels))
 
 
-def _lateness(record: Record, path: Path, found: Record, other: Beside) -> float:
+def _lateness(record: Record, path: Path, result: Record, other: Beside) -> float:
     """By how much the time 0 of a file lies after that of the log [s]."""
-    told = _clock(record, found) if other.shared_clock else None
-    if told is None and other.shift is None:
+    message = _clock(record, result) if other.shared_clock else None
+    if message is None and other.shift is None:
         if not other.shared_clock:
             return 0.0
         raise InputError(
             f"nothing tells when it began against {path.name}: {_began(record)} there, "
-            f"{_began(found)} here",
+            f"{_began(result)} here",
             file=other.path,
             hint=_AFTER,
         )
-    return (told or 0.0) + (other.shift or 0.0)
+    return (message or 0.0) + (other.shift or 0.0)
 
 
-def _clock(record: Record, found: Record) -> float | None:
+def _clock(record: Record, result: Record) -> float | None:
     """What the clocks of two logs say of that [s]: by date and time, by the times of day where one
     knows no more; None where one knows neither.
     """
-    moments = [_moment(one) for one in (record, found)]
+    moments = [_moment(item) for item in (record, result)]
     if moments[0] is not None and moments[1] is not None:
         return moments[1] - moments[0]
     days = [
-        float(one.meta["time_of_day"]) if "time_of_day" in one.meta else moment
-        for one, moment in zip((record, found), moments, strict=True)
+        float(item.meta["time_of_day"]) if "time_of_day" in item.meta else moment
+        for item, moment in zip((record, result), moments, strict=True)
     ]
     if days[0] is None or days[1] is None:
         return None
@@ -154,6 +154,6 @@ def _ends(record: Record, late: float) -> str:
     if not record.t.size:
         return "no sample"
     clock = _began(record)
-    said = "" if clock == "no clock" else f" (its time 0 is {clock})"
+    message = "" if clock == "no clock" else f" (its time 0 is {clock})"
     first, last = (record.t[[0, -1]] + late).tolist()
-    return f"{first:.6g} to {last:.6g} s{said}"
+    return f"{first:.6g} to {last:.6g} s{message}"

@@ -108,8 +108,8 @@ def _over_rows(least: np.ufunc, whole: np.ndarray) -> np.ndarray:
     columns = whole.shape[1]
     many = min(SIDE_BY_SIDE, len(whole))
     even = len(whole) // many * many
-    found = least.reduce(whole[:even].reshape(-1, many * columns)).reshape(many, columns)
-    return least.reduce(np.concatenate([found, whole[even:]]))
+    result = least.reduce(whole[:even].reshape(-1, many * columns)).reshape(many, columns)
+    return least.reduce(np.concatenate([result, whole[even:]]))
 
 
 def inside(t: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:

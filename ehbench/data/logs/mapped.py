@@ -55,9 +55,9 @@ class Group:
         names = list(self.channels) if channels is None else channels
         columns = {name: self.columns[name].taken(rows) for name in names}
         lines = self.table.lines
-        kept = None if lines is None else [lines[int(row)] for row in rows]
+        retained = None if lines is None else [lines[int(row)] for row in rows]
         return Group(
-            replace(self.table, columns=tuple(columns.values()), lines=kept, words={}),
+            replace(self.table, columns=tuple(columns.values()), lines=retained, words={}),
             self.t[rows],
             self.began,
             self.daytime,
@@ -114,8 +114,8 @@ def dialect_of(columns: ColumnMap | None) -> Dialect:
     """How a map says that its files are to be read."""
     if columns is None:
         return Dialect()
-    said = columns.columns
-    return Dialect(*columns.marks, said.skip, said.unit_row, said.encoding, said.table)
+    message = columns.columns
+    return Dialect(*columns.marks, message.skip, message.unit_row, message.encoding, message.table)
 
 
 def _without_repeats(group: Group, losses: list[str]) -> Group:
@@ -153,23 +153,23 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
     Raises:
         LogError: there is none; says how to make a map.
     """
-    found = {}
+    results = {}
     for name, (i, j) in source.names().items():
         column = source.tables[i].columns[j]
         label = LABEL.match(name)
         channel, unit = label.groups() if label else (name, column.known_unit)
         channel = "t" if channel.lower() in TIMES else channel.replace("/", ".").strip(".")
         if channel.rpartition(".")[2] in VOCABULARY and unit:
-            found[name] = MappedColumn(channel=channel, unit=unit)
-    if not any(column.channel != "t" for column in found.values()):
+            results[name] = MappedColumn(channel=channel, unit=unit)
+    if not any(column.channel != "t" for column in results.values()):
         names = list(source.names())
-        there = ", ".join(f"'{one}'" for one in names[:8]) + ", …" * (len(names) > 8)
+        there = ", ".join(f"'{item}'" for item in names[:8]) + ", …" * (len(names) > 8)
         raise LogError(
             f"has no column named as a channel: it has {there}",
             file=path,
             hint=f"say what they are: ehbench map {path.name}",
         )
-    return ColumnMap(Columns(names=found))
+    return ColumnMap(Columns(names=results))
 
 
 def _groups(source: Source, columns: ColumnMap, path: Path) -> list[Group]:
@@ -196,11 +196,11 @@ def _groups(source: Source, columns: ColumnMap, path: Path) -> list[Group]:
 def _parts(group: Group) -> list[Group]:
     """The channels of a table by the rows in which they stand: a group a rate."""
     names = list(group.channels)
-    found = apart([group.columns[name] for name in names])
-    if len(found) == 1:
+    result = apart([group.columns[name] for name in names])
+    if len(result) == 1:
         return [group]
     return [
-        group.taken(np.flatnonzero(rows), [names[index] for index in own]) for own, rows in found
+        group.taken(np.flatnonzero(rows), [names[index] for index in item]) for item, rows in result
     ]
 
 
@@ -212,13 +212,13 @@ def si_of(
     Raises:
         UnitError: no unit, or one that does not become the channel's.
     """
-    said = column.known_unit
+    message = column.known_unit
     try:
-        gain, zero = mapped.line(said)
+        gain, zero = mapped.line(message)
     except UnitError as error:
         place = columns.at("names", name)
         where = place or {"file": path}
-        own = f" (the file says '{column.unit}')" if column.unit and not said else ""
+        own = f" (the file says '{column.unit}')" if column.unit and not message else ""
         raise UnitError(
             f"column '{name}': {error.message}{own}", **where, hint=error.hint
         ) from None
@@ -236,7 +236,7 @@ def _time(
     table: by the rate that the map says, a column of its own, or as the format knows it.
     """
     table = source.tables[index]
-    times = [name for name, one in columns.columns.names.items() if one.channel == "t"]
+    times = [name for name, item in columns.columns.names.items() if item.channel == "t"]
     own = [name for name in times if places[name][0] == index]
     same = [name for name in times if source.tables[places[name][0]].size == table.size]
     began, t = table.began, table.t
@@ -278,13 +278,13 @@ def _short_of(group: Group) -> list[str]:
     """
     if group.stamped is None or group.t.size < FEWEST or not np.isfinite(group.stamped).all():
         return []
-    told, lasts = float(np.ptp(group.stamped)), float(np.ptp(group.t))
+    message, lasts = float(np.ptp(group.stamped)), float(np.ptp(group.t))
     rounded = float(np.percentile(np.abs(np.diff(group.stamped)), 99))
-    if abs(told - lasts) <= 2.0 * rounded + WRONG_RATE * lasts:
+    if abs(message - lasts) <= 2.0 * rounded + WRONG_RATE * lasts:
         return []
     return [
         f"{_called(group)}: by their rate the rows last {lasts:.5g} s, and by their stamps "
-        f"{told:.5g} s: rows are missing, or the rate in the map is another"
+        f"{message:.5g} s: rows are missing, or the rate in the map is another"
     ]
 
 
@@ -335,7 +335,7 @@ def _clean(
         raise LogError("no row has a time", file=path)
     t = np.interp(count, count[timed], group.t[timed])
     inside = (t >= window[0]) & (t <= window[1])
-    policies = {one.channel: one.bad_samples for one in columns.columns.names.values()}
+    policies = {name.channel: name.bad_samples for name in columns.columns.names.values()}
     general = columns.columns.bad_samples
     if (lost := np.flatnonzero(~timed & inside)).size:
         if general != LEAVE_OUT:
@@ -365,9 +365,9 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
     rows at an end for which they have no values are left out.
     """
     late = {
-        one.channel: float(one.late)
-        for one in columns.columns.names.values()
-        if one.late is not None and one.channel in group.channels
+        item.channel: float(item.late)
+        for item in columns.columns.names.values()
+        if item.late is not None and item.channel in group.channels
     }
     if not any(late.values()):
         return group
@@ -383,9 +383,9 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
         t + min(0.0, *late.values()) >= np.nanmin(t) - slack
     )
     if not keep.any():
-        said = ", ".join(f"{name} by {1e3 * by:g} ms" for name, by in late.items() if by)
+        message = ", ".join(f"{name} by {1e3 * by:g} ms" for name, by in late.items() if by)
         raise LogError(
-            f"nothing is left of {t[-1] - t[0]:.4g} s once what was late is put back: {said}",
+            f"nothing is left of {t[-1] - t[0]:.4g} s once what was late is put back: {message}",
             hint="check the unit and the size of 'late' in the map",
         )
     return group.taken(np.flatnonzero(keep))
@@ -417,17 +417,17 @@ def _bridge(
 def _short(bad: np.ndarray) -> np.ndarray:
     """Where a run of bad samples is short enough to be bridged, with good ones at both ends."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]])))
-    found = np.zeros(bad.size, bool)
+    result = np.zeros(bad.size, bool)
     for start, stop in edges.reshape(-1, 2):
-        found[start:stop] = stop - start <= BRIDGED and start > 0 and stop < bad.size
-    return found
+        result[start:stop] = stop - start <= BRIDGED and start > 0 and stop < bad.size
+    return result
 
 
 def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, what: str) -> str:
     """A sentence on samples that are left out."""
     if what == "bridged":
         how = "the last is held" if channel.endswith(".command") else "bridged by a straight line"
-        some = ", ".join(f"{t[one]:.6g}" for one in at[:_NAMED]) + ", …" * (at.size > _NAMED)
+        some = ", ".join(f"{t[item]:.6g}" for item in at[:_NAMED]) + ", …" * (at.size > _NAMED)
         return f"{channel}: {_samples(at.size)} left out at t = {some} s{_lines(group, at)}: {how}"
     span = f"between t = {t[at[0]]:.6g} and {t[at[-1]]:.6g} s"
     return f"{channel}: {_samples(at.size)} left out {span}{_lines(group, at)}, with their rows"
@@ -448,7 +448,7 @@ def _line(group: Group, at: int) -> int | None:
 def _lines(group: Group, at: np.ndarray) -> str:
     if group.table.lines is None:
         return ""
-    some = ", ".join(str(group.table.lines[int(one)]) for one in at[:_NAMED])
+    some = ", ".join(str(group.table.lines[int(item)]) for item in at[:_NAMED])
     return f" (line{'s' * (at.size > 1)} {some}{', …' * (at.size > _NAMED)})"
 
 
@@ -499,9 +499,9 @@ def joined(
         holes &= own[before.clip(0)] != t
         keep &= covered & ~holes
         for name, values in group.channels.items():
-            held = values[good][before.clip(0)]
+            fixed = values[good][before.clip(0)]
             line = np.interp(t, own, values[good])
-            channels[name] = held if name.endswith(".command") else line
+            channels[name] = fixed if name.endswith(".command") else line
         if abs(group.period - base.period) > 0.01 * base.period:
             rates.append(
                 f"{_called(group)}: {1 / group.period:.4g} Hz, brought to {1 / base.period:.4g} Hz"
@@ -546,7 +546,8 @@ def _gaps(group: Group, window: Window) -> list[str]:
     if not at.size:
         return []
     few = [
-        f"{missing[one]:.0f} between t = {t[one]:.6g} and {t[one + 1]:.6g} s" for one in at[:_NAMED]
+        f"{missing[item]:.0f} between t = {t[item]:.6g} and {t[item + 1]:.6g} s"
+        for item in at[:_NAMED]
     ]
     more = f", … ({at.size} gaps)" if at.size > _NAMED else ""
     total = missing.sum()

@@ -33,11 +33,11 @@ def apart(columns: Sequence[Column]) -> list[tuple[list[int], np.ndarray]]:
     return groups
 
 
-def _takes_turns(one: np.ndarray, other: np.ndarray) -> bool:
+def _takes_turns(item: np.ndarray, other: np.ndarray) -> bool:
     """Whether two signals, by the rows that hold them, are of different messages."""
-    if np.array_equal(one, other):
+    if np.array_equal(item, other):
         return False
-    rows = [np.flatnonzero(one), np.flatnonzero(other)]
+    rows = [np.flatnonzero(item), np.flatnonzero(other)]
     if min(some.size for some in rows) < _LEAST:
         return False
     steps = [float(np.median(np.diff(some))) for some in rows]
@@ -45,7 +45,7 @@ def _takes_turns(one: np.ndarray, other: np.ndarray) -> bool:
         return True
     first, last = max(some[0] for some in rows), min(some[-1] for some in rows)
     inside = [int(((some >= first) & (some <= last)).sum()) for some in rows]
-    return min(inside) >= _LEAST and int((one & other).sum()) <= _SHARED * min(inside)
+    return min(inside) >= _LEAST and int((item & other).sum()) <= _SHARED * min(inside)
 
 
 def repeated(t: np.ndarray, columns: Sequence[Column]) -> np.ndarray:

@@ -90,45 +90,45 @@ def read_record(
 
 
 def read_mcap(path: Path, data: bytes) -> Record:
-    found = Salvage(data)
-    if not data.startswith(MAGIC) and not found.streams:
+    result = Salvage(data)
+    if not data.startswith(MAGIC) and not result.streams:
         raise LogError(
             "is no MCAP file",
             file=path,
             hint=f"MCAP begins with {MAGIC!r}, this begins with {data[:8]!r}",
         )
-    streams = [stream for stream in found.streams.values() if stream.size]
-    losses = list(found.damage)
+    streams = [stream for stream in result.streams.values() if stream.size]
+    losses = list(result.damage)
     if not streams:
         if losses:
             raise LogError("no sample can be recovered: " + "; ".join(losses), file=path)
-        if found.unread:
+        if result.unread:
             raise LogError(
-                "holds no topic that ehbench reads: " + ", ".join(found.unread),
+                "holds no topic that ehbench reads: " + ", ".join(result.unread),
                 file=path,
                 hint=_READS,
             )
         raise LogError(
-            "the log holds no samples" + ("" if found.closed else " and breaks off"), file=path
+            "the log holds no samples" + ("" if result.closed else " and breaks off"), file=path
         )
     first = min(int(stream.stamps[0][0]) for stream in streams)
     groups = [_group(stream, first, path, losses) for stream in streams]
     t, channels = _merge(groups, path, losses)
-    if not found.closed:
+    if not result.closed:
         last = f"{t[-1]:.9g} s" if t.size else "unknown"
         losses.append(
             f"the log breaks off: its last good sample is at t = {last}, "
             "what came after it is missing"
         )
-    losses += [f"topic not read: {topic}" for topic in found.unread]
-    order = [name for name in found.facts.get("channels", ()) if name in channels]
-    if without := [name for name in found.facts.get("channels", ()) if name not in channels]:
+    losses += [f"topic not read: {topic}" for topic in result.unread]
+    order = [name for name in result.facts.get("channels", ()) if name in channels]
+    if without := [name for name in result.facts.get("channels", ()) if name not in channels]:
         losses.append("no samples of " + ", ".join(without))
     channels = {name: channels[name] for name in dict.fromkeys([*order, *channels])}
-    if any(stream.numbered for stream in streams) and not found.facts:
+    if any(stream.numbered for stream in streams) and not result.facts:
         losses.append("the run's facts (meta) are lost")
-    meta = {**found.meta, **found.facts.get("meta", {})}
-    return Record(t, channels, meta, found.attachments, (*found.facts.get("losses", ()), *losses))
+    meta = {**result.meta, **result.facts.get("meta", {})}
+    return Record(t, channels, meta, result.attachments, (*result.facts.get("losses", ()), *losses))
 
 
 def _group(
@@ -183,8 +183,8 @@ def _merge(
         if not np.array_equal(t, base):
             for name, times in ((topic, t), ("the time", base)):
                 check_time(times, file=path, name=name)
-            held = np.searchsorted(t, base, side="right") - 1
-            values = {name: each[held.clip(0)] for name, each in values.items()}
+            fixed = np.searchsorted(t, base, side="right") - 1
+            values = {name: each[fixed.clip(0)] for name, each in values.items()}
             start, stop = max(start, t[0]), min(stop, t[-1] + period(t))
         channels.update(values)
     keep = (base >= start) & (base <= stop)

@@ -41,20 +41,20 @@ def mapped_readings(
     if len(sheets) < 2:
         own = Path(path.name.removesuffix(".gz")).stem
         return _lines(source, source.tables[0], own, path, columns, losses)
-    found: list[tuple[int, str]] = []
+    results: list[tuple[int, str]] = []
     for table in sheets:  # each of the valve that its name says
-        one = replace(source, tables=(table,))
-        found += _lines(one, table, table.name, path, columns, losses)[bool(found) :]
-    return found
+        item = replace(source, tables=(table,))
+        results += _lines(item, table, table.name, path, columns, losses)[bool(results) :]
+    return results
 
 
 def alike(source: Source, names: Sequence[str] | None = None) -> list[Table]:
     """The tables of a workbook that have all columns of some names; without names those of the
     first. A sheet for each valve, with the same columns, is one workbook of readings.
     """
-    has = [{*(column.name for column in one.columns), *one.words} for one in source.tables]
-    wanted = set(names) if names is not None else has[0] if has else set()
-    return [table for table, there in zip(source.tables, has, strict=True) if wanted <= there]
+    has = [{*(column.name for column in item.columns), *item.words} for item in source.tables]
+    required = set(names) if names is not None else has[0] if has else set()
+    return [table for table, there in zip(source.tables, has, strict=True) if required <= there]
 
 
 def _lines(

@@ -65,9 +65,9 @@ class Stream:
         """
         places: Any = self.layout.fields
         first, count = min(places[name][1] for name in self.labels), len(self.labels)
-        found = [(places[name][0].str, places[name][1]) for name in self.labels]
+        results = [(places[name][0].str, places[name][1]) for name in self.labels]
         self.side_by_side = None
-        if found == [("<f8", first + 8 * i) for i in range(count)]:
+        if results == [("<f8", first + 8 * i) for i in range(count)]:
             self.side_by_side = np.dtype(
                 {
                     "names": ["all"],
@@ -322,14 +322,14 @@ class Salvage:
             pattern[id] = (at - pos, length)
             at += 9 + length
         stride = at - pos
-        most = (len(body) - pos) // stride
+        maximum = (len(body) - pos) // stride
         heads = [
-            np.ndarray(most, "<u8", body, pos + offset + part, (stride,))
+            np.ndarray(maximum, "<u8", body, pos + offset + part, (stride,))
             for offset, _ in pattern.values()
             for part in HEADS
         ]
         count = _repeats(heads)
-        if count < SCATTERED < most:
+        if count < SCATTERED < maximum:
             return self._scattered(body, pos)
         for id, (offset, length) in pattern.items():
             stream = self.streams.get(id)

@@ -71,8 +71,8 @@ def read_csv(path: Path, data: bytes, check: bool, window: Window | None = None)
     record = Record(values.pop("t"), values)
     if check:
         keep = inside(record.t, window)
-        kept = np.array(lines)[keep].tolist()
-        check_record(part_of(record, keep), path, lines=kept, units=dict(labels))
+        retained = np.array(lines)[keep].tolist()
+        check_record(part_of(record, keep), path, lines=retained, units=dict(labels))
     return record
 
 
@@ -117,16 +117,16 @@ def _table(
     if window is None or len(whole) < len(rows):
         raise _first_bad_cell(path, rows, comma, names)
     cells = [[_number(cell) for cell in row.split(comma)] for _, row in rows]
-    table = np.array([[np.nan if one is None else one for one in row] for row in cells])
+    table = np.array([[np.nan if item is None else item for item in row] for row in cells])
     t = table[:, names.index("t")]
     timed = np.isfinite(t)
     if not timed.any():
         raise _first_bad_cell(path, rows, comma, names)
     count = np.arange(t.size)
     t = np.interp(count, count[timed], t[timed])
-    asked = np.flatnonzero((t >= window[0]) & (t <= window[1]))
-    if any(None in cells[at] for at in asked):
-        raise _first_bad_cell(path, [rows[at] for at in asked], comma, names)
+    requested = np.flatnonzero((t >= window[0]) & (t <= window[1]))
+    if any(None in cells[at] for at in requested):
+        raise _first_bad_cell(path, [rows[at] for at in requested], comma, names)
     return table
 
 

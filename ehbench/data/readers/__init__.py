@@ -70,7 +70,7 @@ _HEAD = 24  # bytes that tell a format
 
 def suffixes() -> tuple[str, ...]:
     """All endings of files that are read, each once."""
-    return tuple(dict.fromkeys(one for reader in READERS for one in reader.suffixes))
+    return tuple(dict.fromkeys(suffix for reader in READERS for suffix in reader.suffixes))
 
 
 def reader_of(path: Path) -> Reader:
@@ -130,13 +130,13 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
     read: Callable[[Path, Dialect], Source] = import_module(f"{__name__}.{reader.module}").read
     with _quiet():
         source = _read(reader, read, path, dialect or Dialect())
-    asked = dialect.table if dialect else None
-    if asked is not None and len(source.tables) > 0 and source.tables[0].name:
+    requested = dialect.table if dialect else None
+    if requested is not None and len(source.tables) > 0 and source.tables[0].name:
         there = ", ".join(f"'{table.name}'" for table in source.tables)
-        kept = tuple(table for table in source.tables if table.name == asked)
-        if not kept:
-            raise LogError(f"has no table '{asked}'", file=path, hint=f"it has {there}")
-        source = replace(source, tables=kept)
+        retained = tuple(table for table in source.tables if table.name == requested)
+        if not retained:
+            raise LogError(f"has no table '{requested}'", file=path, hint=f"it has {there}")
+        source = replace(source, tables=retained)
     if not any(table.size for table in source.tables):
         hint = "; ".join(source.losses[:4]) or None
         raise LogError("holds no column of numbers", file=path, hint=hint)
@@ -156,16 +156,16 @@ def _read(
             raise
         raise LogError(error.message, file=path, hint=error.hint) from None
     except RecursionError:
-        said = "it is too deep"
+        message = "it is too deep"
     except MemoryError:
-        said = "it is too large"
+        message = "it is too large"
     except Exception as error:  # the libraries raise all kinds on a damaged file
-        said = str(error) or type(error).__name__
+        message = str(error) or type(error).__name__
     finally:
         if was_on:
             gc.enable()
     gc.collect(0)  # what they leave of it complains as it goes
-    raise LogError(f"cannot be read as {reader.name}: {said}", file=path)
+    raise LogError(f"cannot be read as {reader.name}: {message}", file=path)
 
 
 @contextmanager

@@ -23,12 +23,12 @@ def clock(cells: Iterable[str]) -> tuple[np.ndarray, float | None]:
     """(seconds since the first, NaN where a cell is no time of day; the first in seconds since
     1970, None without a date). A time of day alone goes on over midnight.
     """
-    found = [_stamp(cell.strip()) for cell in cells]
-    known = [one for one in found if one is not None]
+    results = [_stamp(cell.strip()) for cell in cells]
+    known = [item for item in results if item is not None]
     if not known:
-        return np.full(len(found), np.nan), None
+        return np.full(len(results), np.nan), None
     whole, parts, dated = known[0]
-    seconds = np.array([np.nan if s is None else s[0] - whole + (s[1] - parts) for s in found])
+    seconds = np.array([np.nan if s is None else s[0] - whole + (s[1] - parts) for s in results])
     if not dated:
         good = np.flatnonzero(np.isfinite(seconds))
         days = np.cumsum(np.diff(seconds[good], prepend=seconds[good[:1]]) < -0.5 * _DAY)
@@ -38,8 +38,8 @@ def clock(cells: Iterable[str]) -> tuple[np.ndarray, float | None]:
 
 def time_of_day(cells: Iterable[str]) -> float | None:
     """Seconds since midnight of the first cell that is a time of day, None where none is."""
-    found = next(filter(None, (_stamp(cell.strip()) for cell in cells)), None)
-    return None if found is None else (found[0] + found[1]) % _DAY
+    result = next(filter(None, (_stamp(cell.strip()) for cell in cells)), None)
+    return None if result is None else (result[0] + result[1]) % _DAY
 
 
 def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:

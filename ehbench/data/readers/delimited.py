@@ -57,15 +57,15 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
     data = unpacked(data, path)
     refuse_beyond(COPIES * len(data), "reading it")
     marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
-    marked = [one for mark, one in marks.items() if data.startswith(mark)]
-    for one in [encoding] if encoding else [*marked, "utf-8", "cp1252", "latin-1"]:
+    marked = [item for mark, item in marks.items() if data.startswith(mark)]
+    for item in [encoding] if encoding else [*marked, "utf-8", "cp1252", "latin-1"]:
         try:
-            text = data.decode(one)
+            text = data.decode(item)
         except (UnicodeDecodeError, LookupError):
             continue
         if "\0" in text:
             break
-        return text, one
+        return text, item
     hint = f"it is not in {encoding}" if encoding else "save it as CSV in UTF-8"
     raise LogError("is no text", file=path, hint=hint)
 
@@ -78,17 +78,17 @@ def unpacked(data: bytes, path: Path) -> bytes:
     """
     if not data.startswith(_GZIP):
         return data
-    most = int(available() / COPIES)
+    maximum = int(available() / COPIES)
     unpacker = zlib.decompressobj(31)
     try:
-        found = unpacker.decompress(data, most)
+        result = unpacker.decompress(data, maximum)
     except zlib.error as error:
         raise LogError(f"cannot be unpacked: {error}", file=path) from None
     if unpacker.unconsumed_tail:
-        raise LogError(f"unpacks to more than the {most / 1e6:.4g} MB that are read", file=path)
+        raise LogError(f"unpacks to more than the {maximum / 1e6:.4g} MB that are read", file=path)
     if not unpacker.eof:
         raise LogError("cannot be unpacked: it breaks off", file=path)
-    return found
+    return result
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,8 @@ class _Layout:
 def read(path: Path, dialect: Dialect) -> Source:
     """The table of a text file; what the dialect leaves open is looked for."""
     text, encoding = text_of(path, dialect.encoding)
-    table, found = table_of(text.splitlines(), dialect)
-    return Source((table,), replace(found, encoding=encoding))
+    table, result = table_of(text.splitlines(), dialect)
+    return Source((table,), replace(result, encoding=encoding))
 
 
 def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Table, Dialect]:
@@ -122,7 +122,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
     units = [] if layout.units is None else split(_bare(lines[layout.units]), separator)
     width = len(layout.kinds)
     names = numbered((top + [""] * width)[:width])
-    said = [
+    messages = [
         "" if cell.lower() in _UNIT_HEADS else named_unit(cell) or _plain(cell)
         for cell in (units + [""] * width)[:width]
     ]
@@ -135,7 +135,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
             words[names[index]] = [_cell(row, separator, index) for row in rows]
             continue
         own = odd.get(index, {})
-        column, unit = values[:, index], said[index]
+        column, unit = values[:, index], messages[index]
         if kind == "times":
             cells = [_cell(row, separator, index) for row in rows]
             column, start = clock(cells)
@@ -186,7 +186,7 @@ def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
     as facts stand above the numbers.
     """
     shown = _some([line for line in lines[dialect.skip or 0 :] if _is_row(line, "")])
-    best, most = (",", "."), -1.0
+    best, maximum = (",", "."), -1.0
     for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", " "]:
         for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
             if separator == decimal and not any('"' in line for line in shown):
@@ -196,8 +196,8 @@ def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
                 kinds = [_kind(cell, decimal) for cell in split(line, separator)]
                 good = kinds.count("numbers") + kinds.count("times")
                 score += good * (good / max(len(kinds) - kinds.count("holes"), 1))
-            if score > most:
-                best, most = (separator, decimal), score
+            if score > maximum:
+                best, maximum = (separator, decimal), score
     return best
 
 
@@ -221,12 +221,12 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
     def fits(n: int, least: float) -> bool:
         row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
         row += ["holes"] * (len(kinds) - len(row))
-        asked = [got for got, kind in zip(row, kinds) if kind != "words"]
-        good = asked.count("numbers") + asked.count("times")
-        if asked[:1] == ["words"]:
+        requested = [got for got, kind in zip(row, kinds) if kind != "words"]
+        good = requested.count("numbers") + requested.count("times")
+        if requested[:1] == ["words"]:
             return False
-        fine = good + asked.count("holes")
-        return len(row) >= len(kinds) and good > 0 and fine >= least * len(asked)
+        fine = good + requested.count("holes")
+        return len(row) >= len(kinds) and good > 0 and fine >= least * len(requested)
 
     strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
     if strict is None:
@@ -253,18 +253,18 @@ def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
     if not widths:
         return ()
     width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
-    found = []
+    results = []
     for at, column in enumerate(zip(*(row for row in shown if len(row) == width))):
         kinds = Counter(_kind(cell, decimal) for cell in column)
         if set(kinds) == {"holes"}:  # a slow signal: where it stands at all
             filled = (row[at] for row in rows if len(row) == width and row[at])
             kinds += Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
         holes = kinds.pop("holes", 0)
-        found.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
-    while found and found[-1] == "holes":
-        found.pop()
-    found = ["words" if kind == "holes" else kind for kind in found]
-    return tuple(found) if "numbers" in found else ()
+        results.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
+    while results and results[-1] == "holes":
+        results.pop()
+    results = ["words" if kind == "holes" else kind for kind in results]
+    return tuple(results) if "numbers" in results else ()
 
 
 def _heads(
@@ -316,7 +316,7 @@ def numbers(
     """(numbers, shape (rows, columns), NaN where none stands; what stands there, by column and row)
     of the columns of numbers.
     """
-    wanted = [index for index, kind in enumerate(kinds) if kind == "numbers"]
+    required = [index for index, kind in enumerate(kinds) if kind == "numbers"]
     values = np.full((len(rows), len(kinds)), np.nan)
     odd: dict[int, dict[int, str]] = {}
     for start in range(0, len(rows), _BLOCK):
@@ -325,18 +325,18 @@ def numbers(
         try:
             if separator == decimal:  # numbers in quotes
                 raise ValueError
-            values[start : start + len(block), wanted] = np.loadtxt(
+            values[start : start + len(block), required] = np.loadtxt(
                 plain,
                 delimiter=None if separator == " " else separator,
                 ndmin=2,
                 comments=None,
-                usecols=wanted,
+                usecols=required,
                 quotechar='"',
             )
         except ValueError:
             for at, row in enumerate(block, start):
                 cells = split(row, separator)
-                for index in wanted:
+                for index in required:
                     cell = cells[index] if index < len(cells) else ""
                     if _NUMBER[decimal].fullmatch(cell):
                         values[at, index] = float(cell.replace(",", "."))

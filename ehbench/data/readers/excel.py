@@ -21,8 +21,8 @@ def read(path: Path, dialect: Dialect) -> Source:
     from openpyxl import load_workbook
 
     with zipfile.ZipFile(path) as packed:
-        held = sum(one.file_size for one in packed.infolist())
-    refuse_beyond(_SWELLS * held, "reading it")
+        fixed = sum(item.file_size for item in packed.infolist())
+    refuse_beyond(_SWELLS * fixed, "reading it")
     book = load_workbook(path, read_only=True, data_only=True)
     tables = []
     plain = Dialect(_TAB, ".", dialect.skip, dialect.unit_row)

@@ -156,8 +156,8 @@ class LeftOut:
 def _told(name: str, errors: Sequence[InputError]) -> str:
     """How many readings of a file are left out, and of the first of them why."""
     are = "readings are" if len(errors) > 1 else "reading is"
-    first = "; ".join(f"line {one.line}: {one.message}" for one in errors[:_NAMED])
-    rest = ", ".join(str(one.line) for one in errors[_NAMED:][:_LISTED])
+    first = "; ".join(f"line {error.line}: {error.message}" for error in errors[:_NAMED])
+    rest = ", ".join(str(error.line) for error in errors[_NAMED:][:_LISTED])
     more = f"; lines {rest}{', …' * (len(errors) > _NAMED + _LISTED)}" if rest else ""
     return f"{name}: {len(errors)} {are} left out: {first}{more}"
 
@@ -269,8 +269,8 @@ def _columns(path: Path, line: int, cells: list[str]) -> tuple[list[str], dict[s
     known = _NUMBERS + _WORDS
     for cell in cells:
         match = _HEADER.fullmatch(cell)
-        said, unit = (match[1], match[2]) if match else (cell, None)
-        name = said.lower().replace(" ", "_")
+        message, unit = (match[1], match[2]) if match else (cell, None)
+        name = message.lower().replace(" ", "_")
         if name not in known:
             near = get_close_matches(re.split(r"[\s(\[{]", cell.lower())[0], known, 1, 0.5)
             hint = f"nearest is '{near[0]}'" if near else f"the columns are like {_EXAMPLE}"
@@ -413,7 +413,7 @@ def _signs(path: Path, rows: list[dict], left_out: LeftOut) -> list[dict]:
     for row in rows:
         flow, drop = largest.get(row["valve"], (0.0, 0.0))
         largest[row["valve"]] = max(flow, abs(row["flow"])), max(drop, abs(row["pressure_drop"]))
-    kept, turned = [], Counter()
+    retained, turned = [], Counter()
     for row in rows:
         zeros = tuple(_ZERO_SHARE * value for value in largest[row["valve"]])
         try:
@@ -421,8 +421,8 @@ def _signs(path: Path, rows: list[dict], left_out: LeftOut) -> list[dict]:
         except InputError as error:
             left_out.take(row["valve"], error)
         else:
-            kept.append(row)
-    return [row for row in kept if not _strays(path, row, turned, left_out)]
+            retained.append(row)
+    return [row for row in retained if not _strays(path, row, turned, left_out)]
 
 
 def _turned(path: Path, row: dict, flow_zero: float, drop_zero: float) -> bool:
@@ -461,8 +461,8 @@ def _strays(path: Path, row: dict, turned: Counter[str], left_out: LeftOut) -> b
     few = 0 < turned[row["valve"]] < _LEAST_REVERSE
     if not (left_out.allowed and few and row["direction"] == "reverse"):
         return False
-    said = f"drop and flow of {row['valve']} are negative, as in few of its readings"
-    left_out.take(row["valve"], InputError(said, file=path, line=row["line"]))
+    message = f"drop and flow of {row['valve']} are negative, as in few of its readings"
+    left_out.take(row["valve"], InputError(message, file=path, line=row["line"]))
     return True
 
 
@@ -476,7 +476,7 @@ def _within_supply(
     """The rows but for those whose drop lies far above the supply pressure [Pa]."""
     if supply is None:
         return rows
-    unit, kept = _drop_unit(units), []
+    unit, retained = _drop_unit(units), []
     for row in rows:
         if abs(row["pressure_drop"]) > _SUPPLY_MARGIN * supply:
             shown, limit = (
@@ -492,8 +492,8 @@ def _within_supply(
             )
             left_out.take(row["valve"], error)
         else:
-            kept.append(row)
-    return kept
+            retained.append(row)
+    return retained
 
 
 def _drop_unit(units: Mapping[str, str]) -> str:
@@ -507,11 +507,11 @@ def _data(
 ) -> FlowmeterData:
     warnings, unit = [], _drop_unit(units)
     if supply is not None:
-        most = max(row["pressure_drop"] for row in rows)
-        if most < 0.005 * supply:
+        maximum = max(row["pressure_drop"] for row in rows)
+        if maximum < 0.005 * supply:
             warnings.append(
                 f"{path}: the largest drop is "
-                f"{from_si(most, unit, VOCABULARY['pressure_drop']):g} {unit}, under 0.5 "
+                f"{from_si(maximum, unit, VOCABULARY['pressure_drop']):g} {unit}, under 0.5 "
                 "% of the supply pressure: "
                 f"is it really {unit}?"
             )

@@ -30,8 +30,8 @@ def read(path: Path, dialect: Dialect) -> Source:
         refuse_beyond(3.0 * sum(sizes), "reading it")
         for name, item in sets:
             place, _, own = name.rpartition("/")
-            held = item.dtype.kind in "fiubV" and "MATLAB_empty" not in item.attrs
-            if not (held and gathered.add(place, own, item[()], _unit(item.attrs))):
+            fixed = item.dtype.kind in "fiubV" and "MATLAB_empty" not in item.attrs
+            if not (fixed and gathered.add(place, own, item[()], _unit(item.attrs))):
                 if (item.size or 0) > 1:
                     losses.append(f"not read: {name}")
     return Source(gathered.tables(), losses=tuple(losses))
@@ -40,8 +40,8 @@ def read(path: Path, dialect: Dialect) -> Source:
 def _unit(attributes: Any) -> str:
     """The unit that a data set says it is in."""
     for key in _UNITS:
-        said = attributes.get(key)
-        if said is not None and np.size(said) == 1:
-            one = np.asarray(said).ravel()[0]
-            return one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one)
+        message = attributes.get(key)
+        if message is not None and np.size(message) == 1:
+            item = np.asarray(message).ravel()[0]
+            return item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
     return ""

@@ -25,12 +25,12 @@ def read(path: Path, dialect: Dialect) -> Source:
     except TypeError:  # it holds an object of MATLAB's own, such as a timetable
         sizes = [_PACKED * path.stat().st_size]
     refuse_beyond(24.0 * sum(sizes), "reading it")
-    found = loadmat(str(path), squeeze_me=True, struct_as_record=False, appendmat=False)
+    result = loadmat(str(path), squeeze_me=True, struct_as_record=False, appendmat=False)
     gathered, losses = Gathered(), []
-    for name, value in found.items():
+    for name, value in result.items():
         if not name.startswith("__"):
             _add(gathered, "", name, value, losses)
-    names, units = (getattr(found.get(word), "__dict__", {}) for word in ("names", "units"))
+    names, units = (getattr(result.get(word), "__dict__", {}) for word in ("names", "units"))
     tables = tuple(_labelled(table, names, units) for table in gathered.tables())
     return Source(tables, losses=tuple(losses))
 
@@ -41,9 +41,11 @@ def _labelled(table: Table, names: Mapping[str, Any], units: Mapping[str, Any]) 
     """
     columns = tuple(
         replace(
-            one, name=str(names.get(one.name, one.name)), unit=str(units.get(one.name, one.unit))
+            column,
+            name=str(names.get(column.name, column.name)),
+            unit=str(units.get(column.name, column.unit)),
         )
-        for one in table.columns
+        for column in table.columns
     )
     return replace(table, columns=columns)
 
@@ -62,7 +64,7 @@ def _add(gathered: Gathered, place: str, name: str, value: Any, losses: list[str
             f"not read: {whole}, an object of MATLAB's own: save it as vectors or a struct"
         )
     elif array.dtype == object and array.size and hasattr(array.flat[0], "_fieldnames"):
-        for index, one in enumerate(array.flat, 1):
-            _add(gathered, place, f"{name}({index})", one, losses)
+        for index, item in enumerate(array.flat, 1):
+            _add(gathered, place, f"{name}({index})", item, losses)
     elif not gathered.add(place, whole, array) and array.size > 1 and array.dtype.kind != "U":
         losses.append(f"not read: {whole}")

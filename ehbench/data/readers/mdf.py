@@ -34,7 +34,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 continue
             name = getattr(group.channel_group, "acq_name", "") or f"group {index + 1}"
             table, unread = _group(file, index, name, began)
-            losses += [f"not read: {one}" for one in unread]
+            losses += [f"not read: {item}" for item in unread]
             if table.columns:
                 tables.append(table)
     return Source(_renamed(tables), losses=tuple(losses))
@@ -81,7 +81,7 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
         LogError: the time of the group is converted by a formula.
     """
     group, master = file.groups[index], file.masters_db.get(index)
-    columns, names, unread, wanted, t = [], [], [], [], None
+    columns, names, unread, required, t = [], [], [], [], None
     if master is not None and _has_formula(group.channels[master].conversion):
         raise LogError(
             f"the time of '{name}' is converted by a formula, which is not evaluated",
@@ -93,8 +93,8 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
         elif _has_formula(channel.conversion):
             unread.append(f"{name}/{channel.name} (a formula converts it, and is not evaluated)")
         elif at != master:
-            wanted.append((None, index, at))
-    for signal in file.select(wanted, copy_master=False) if wanted else ():
+            required.append((None, index, at))
+    for signal in file.select(required, copy_master=False) if required else ():
         samples = np.asarray(signal.samples)
         t = np.asarray(signal.timestamps, float)
         if samples.ndim != 1 or samples.dtype.kind not in "fiub":
@@ -105,10 +105,10 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
             values[np.asarray(signal.invalidation_bits, bool)] = np.nan
         columns.append((values, signal.unit or ""))
         names.append(signal.name)
-    made = [Column(own, values, unit) for own, (values, unit) in zip(numbered(names), columns)]
+    built = [Column(item, values, unit) for item, (values, unit) in zip(numbered(names), columns)]
     clock = None if master is None else group.channels[master]
     timed = clock is not None and clock.channel_type in _CLOCKS[_version(clock)]
-    return Table(name, tuple(made), t if timed else None, began), unread
+    return Table(name, tuple(built), t if timed else None, began), unread
 
 
 def _version(channel) -> int:

@@ -27,7 +27,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         try:
             values = chunks.to_numpy(zero_copy_only=False)
             if values.dtype == object:  # numbers with nothing between them, or words
-                values = np.array([np.nan if one is None else float(one) for one in values])
+                values = np.array([np.nan if value is None else float(value) for value in values])
         except (TypeError, ValueError, NotImplementedError):
             losses.append(f"not read: {field.name}")
             continue
@@ -37,5 +37,5 @@ def read(path: Path, dialect: Dialect) -> Source:
             columns.append(column)
             began = first if began is None else began
     names = numbered([column.name for column in columns])
-    made = tuple(Column(name, one.values, one.unit) for name, one in zip(names, columns))
-    return Source((Table("", made, None, began),), losses=tuple(losses))
+    built = tuple(Column(name, item.values, item.unit) for name, item in zip(names, columns))
+    return Source((Table("", built, None, began),), losses=tuple(losses))

@@ -111,7 +111,7 @@ def _numbers(message: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str
     """
     labels = getattr(message, "name", None)
     labels = list(labels) if isinstance(labels, (list, tuple, np.ndarray)) else []
-    for key in (one.name for one in fields(message)):
+    for key in (field.name for field in fields(message)):
         value, name = getattr(message, key), f"{path}{key}"
         if key.isupper() or f"{name}.".startswith(_BESIDE):  # a constant, or no reading
             continue
@@ -119,10 +119,10 @@ def _numbers(message: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str
             yield name, float(value)
         elif isinstance(value, (list, tuple, np.ndarray)) and 0 < len(value) <= _LONGEST:
             own = labels if len(labels) == len(value) else range(len(value))
-            for label, one in zip(own, value):
-                if isinstance(one, (bool, int, float, np.number, np.bool_)):
-                    yield f"{name}.{label}", float(one)
-                elif depth < _DEEPEST and is_dataclass(one):
-                    yield from _numbers(one, f"{name}.{label}.", depth + 1)
+            for label, item in zip(own, value):
+                if isinstance(item, (bool, int, float, np.number, np.bool_)):
+                    yield f"{name}.{label}", float(item)
+                elif depth < _DEEPEST and is_dataclass(item):
+                    yield from _numbers(item, f"{name}.{label}.", depth + 1)
         elif depth < _DEEPEST and is_dataclass(value):
             yield from _numbers(value, f"{name}.", depth + 1)

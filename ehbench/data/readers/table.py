@@ -32,7 +32,7 @@ def unit_in(name: str) -> str:
     ``p / bar``, ``p in bar``, ``p_bar``.
     """
     for pattern in _UNIT_LAST:
-        if (found := re.search(pattern, name)) and (unit := named_unit(found[1])):
+        if (result := re.search(pattern, name)) and (unit := named_unit(result[1])):
             return unit
     return ""
 
@@ -65,15 +65,15 @@ class Column:
             return unit
         words = re.split(r"[\s_]+", self.name.strip())
         ends = (" ".join(words[at:]) for at in range(len(words)))
-        said = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
-        return next(filter(None, map(absolute_unit, (*said, *ends))), "")
+        message = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
+        return next(filter(None, map(absolute_unit, (*message, *ends))), "")
 
     @property
     def filled(self) -> np.ndarray:
         """Where it holds something, be it a word; shape (rows,)."""
-        found = np.isfinite(self.values)
-        found[[row for row, cell in self.odd.items() if not is_hole(cell)]] = True
-        return found
+        result = np.isfinite(self.values)
+        result[[row for row, cell in self.odd.items() if not is_hole(cell)]] = True
+        return result
 
     def taken(self, rows: np.ndarray) -> Column:
         """The same column with some of its rows, by number."""
@@ -136,12 +136,12 @@ class Source:
         it.
         """
         own = [column.name for table in self.tables for column in table.columns]
-        found = {}
+        results = {}
         for i, table in enumerate(self.tables):
             for j, column in enumerate(table.columns):
                 name = column.name if own.count(column.name) == 1 else f"{table.name}/{column.name}"
-                found.setdefault(name, (i, j))
-        return found
+                results.setdefault(name, (i, j))
+        return results
 
     def place(self, name: str, file: Path) -> tuple[int, int]:
         """(table, column) of a name, or of ``table/column``.
@@ -160,7 +160,7 @@ class Source:
             return at
         near = get_close_matches(name, known, 1, 0.6)
         some = list(known)
-        there = ", ".join(f"'{one}'" for one in some[:12]) + ", …" * (len(some) > 12)
+        there = ", ".join(f"'{item}'" for item in some[:12]) + ", …" * (len(some) > 12)
         raise LogError(
             f"has no column '{name}'",
             file=file,
@@ -172,19 +172,19 @@ def numbered(names: Sequence[str]) -> list[str]:
     """Names of columns made unlike: one that is empty by its number, one that comes again by how
     often it came.
     """
-    found: list[str] = []
+    results: list[str] = []
     for at, name in enumerate(names, 1):
         plain = name.strip() or f"column {at}"
         again, count = plain, 1
-        while again in found:
+        while again in results:
             count += 1
             again = f"{plain} {count}"
-        found.append(again)
-    return found
+        results.append(again)
+    return results
 
 
 def columns_of(
-    name: str, values: np.ndarray, unit: str = "", most: int = WIDEST
+    name: str, values: np.ndarray, unit: str = "", maximum: int = WIDEST
 ) -> list[tuple[Column, float | None]]:
     """Columns of what a file has under a name, each with the wall clock of its first value where it
     is of moments: one of a row or column of numbers, several of a matrix, whose longer side is
@@ -193,16 +193,16 @@ def columns_of(
     values = np.asarray(values)
     if values.dtype.names:
         parts = [(f"{name}.{key}", values[key]) for key in values.dtype.names]
-        return [one for key, part in parts for one in columns_of(key, part, unit, most)]
+        return [item for key, part in parts for item in columns_of(key, part, unit, maximum)]
     values = np.squeeze(values)
     if values.ndim == 2:
         table = values if values.shape[0] >= values.shape[1] else values.T
-        if table.shape[1] > most:
+        if table.shape[1] > maximum:
             return []
         return [
-            one
+            item
             for i in range(table.shape[1])
-            for one in columns_of(f"{name}.{i + 1}", table[:, i], unit, most)
+            for item in columns_of(f"{name}.{i + 1}", table[:, i], unit, maximum)
         ]
     if values.ndim != 1 or values.size < 2:
         return []
@@ -223,13 +223,13 @@ class Gathered:
 
     def add(self, place: str, name: str, values: np.ndarray, unit: str = "") -> bool:
         """Take what a file has under a name; whether there is a column of numbers in it."""
-        found = columns_of(name, values, unit)
-        for column, began in found:
+        result = columns_of(name, values, unit)
+        for column, began in result:
             key = (place, column.values.size)
             self._columns.setdefault(key, []).append(column)
             if self._began.get(key) is None:
                 self._began[key] = began
-        return bool(found)
+        return bool(result)
 
     def tables(self) -> tuple[Table, ...]:
         """The tables, named by where they stand, and by their length too where that is not

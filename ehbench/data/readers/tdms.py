@@ -45,14 +45,14 @@ def read(path: Path, dialect: Dialect) -> Source:
 
 def _base(channel: Any) -> _Base:
     """What tells the time base of a channel."""
-    said = channel.properties
-    increment = float(said.get("wf_increment", 0.0) or 0.0)
-    start = said.get("wf_start_time")
+    message = channel.properties
+    increment = float(message.get("wf_increment", 0.0) or 0.0)
+    start = message.get("wf_start_time")
     began = None
     if start is not None and increment > 0.0:
         began = float(np.datetime64(start, "ns").astype(np.int64)) / 1e9
         began = began if began > 0.0 else None  # LabVIEW's zero is in 1904: it says nothing
-    offset = float(said.get("wf_start_offset", 0.0) or 0.0)
+    offset = float(message.get("wf_start_offset", 0.0) or 0.0)
     return channel.group_name, len(channel), increment, offset, began
 
 

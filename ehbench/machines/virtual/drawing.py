@@ -42,16 +42,16 @@ class _Given:
         self.entries = [table[key] for key in (name, "all") if key in table]
 
     def __call__(self, key: str, default: float) -> float:
-        for own in self.entries:
-            value = _scalar(getattr(own, key))
+        for entry in self.entries:
+            value = _scalar(getattr(entry, key))
             if value is not None:
                 return value
         return default
 
     def reverse(self) -> _Given:
-        found = _Given({}, "")
-        found.entries = [own.reverse for own in self.entries]
-        return found
+        result = _Given({}, "")
+        result.entries = [entry.reverse for entry in self.entries]
+        return result
 
 
 def _draws(seed: int, name: str) -> np.random.Generator:
@@ -203,13 +203,13 @@ def _tune(
     )
 
     def spool(flow: float) -> float:
-        most = 4.0 * float(valve.command_max)
-        if edge_flow(drop, row.sign * most, row, curves) < flow:
+        maximum = 4.0 * float(valve.command_max)
+        if edge_flow(drop, row.sign * maximum, row, curves) < flow:
             raise InputError(
                 f"valve '{valve.name}' of the bench never passes its calibration flow {flow:g} "
                 "m^3/s"
             )
-        return spool_for(flow, drop, most, row, curves)
+        return spool_for(flow, drop, maximum, row, curves)
 
     ends = [(command - 0.5 * width, spool(flow)) for command, flow in (points[0], points[-1])]
     (u0, s0), (u1, s1) = ends
@@ -345,9 +345,9 @@ def _valves(
             gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
             offset /= full
         row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
-        series = [one for one in of.model.layout.elements if one.valve == index]
-        for at, one in enumerate(series, int(row.first)):
-            dynamics = rig.dynamics[one.dynamics]
+        series = [element for element in of.model.layout.elements if element.valve == index]
+        for at, item in enumerate(series, int(row.first)):
+            dynamics = rig.dynamics[item.dynamics]
             if not isinstance(dynamics, SecondOrder):
                 continue
             omega, zeta = dynamics.frequency_and_damping()

@@ -103,9 +103,9 @@ def edge_flow(drop, spool, edge, curves):
 
 
 @kernel
-def spool_for(flow, drop, most, edge, curves):
+def spool_for(flow, drop, maximum, edge, curves):
     """Spool position [V], at most ``most`` from closed, at which an edge passes a flow [m³/s]."""
-    low, high = 0.0, most
+    low, high = 0.0, maximum
     for _ in range(200):
         middle = 0.5 * (low + high)
         if edge_flow(drop, edge.sign * middle, edge, curves) > flow:
@@ -198,13 +198,13 @@ def _supply(y, bench, dy, work):
     at, line, fluid = bench.at, bench.supply, bench.fluid
     p, demand = y[at.supply], -work[at.net + SUPPLY]
     stiffness = line_stiffness(p, line)
-    wanted = line.pressure
+    required = line.pressure
     dy[at.sensed] = 0.0
     if line.margin > 0.0:
-        wanted = sensed(highest_load(y, bench, work), line)
-        dy[at.sensed] = (wanted - y[at.sensed]) / line.lag
+        required = sensed(highest_load(y, bench, work), line)
+        dy[at.sensed] = (required - y[at.sensed]) / line.lag
     if fluid.pump_lag == 0.0:  # the model's ideal compensator
-        dy[at.supply] = stiffness * (pump_flow(p, demand, wanted, line) - demand)
+        dy[at.supply] = stiffness * (pump_flow(p, demand, required, line) - demand)
         dy[at.pump] = 0.0
         return 0.0
     stroke = min(max((y[at.sensed] - p) / fluid.droop, 0.0), 1.0)

@@ -24,11 +24,11 @@ def area(reach, edge):
     saturation_softness``, ``opening_max − deadband`` from ``opening_max + saturation_softness`` on,
     a parabola of matching slopes between.
     """
-    most, soft = edge.opening_max - edge.deadband, edge.saturation_softness
+    maximum, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = max(reach - edge.deadband, 0.0)
-    if wide >= most + soft:
-        return most
-    bent = wide - most + soft
+    if wide >= maximum + soft:
+        return maximum
+    bent = wide - maximum + soft
     return wide if bent <= 0.0 else wide - bent * bent / (4.0 * soft)
 
 
@@ -43,12 +43,12 @@ def opening(drop, flow, edge, maps):
     """Opening [V] at which ``flow`` passes; the widest for more than that gives, 0 for less than an
     underlap lets through.
     """
-    most, soft = edge.opening_max - edge.deadband, edge.saturation_softness
+    maximum, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = abs(flow) / (edge.gain * root(abs(drop)))
-    if wide >= most:
-        wide = most + soft
-    elif wide > most - soft:
-        wide = most + soft - 2.0 * math.sqrt(soft * (most - wide))
+    if wide >= maximum:
+        wide = maximum + soft
+    elif wide > maximum - soft:
+        wide = maximum + soft - 2.0 * math.sqrt(soft * (maximum - wide))
     return max(edge.deadband + wide, 0.0)
 
 
@@ -64,8 +64,8 @@ def odd(edge: Any) -> tuple[str, str] | None:
     if wide <= 0.0:
         return "opening_max must lie above deadband", "opening_max"
     if float(edge.saturation_softness or 0.0) > wide:
-        said = f"saturation_softness must not exceed opening_max − deadband, {wide:g} V"
-        return said, "saturation_softness"
+        message = f"saturation_softness must not exceed opening_max − deadband, {wide:g} V"
+        return message, "saturation_softness"
     return None
 
 

@@ -42,8 +42,8 @@ def steady(row, v):
 @part_kernel
 def fastest(row, v):
     """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
-    most = max(row.friction_static, row.friction_coulomb)
-    steep = 0.0 if abs(v) > 4.0 * SMOOTHING else most / SMOOTHING
+    maximum = max(row.friction_static, row.friction_coulomb)
+    steep = 0.0 if abs(v) > 4.0 * SMOOTHING else maximum / SMOOTHING
     dip = 0.86 * abs(row.friction_static - row.friction_coulomb) / row.stribeck_speed
     return row.mobility * (max(steep, dip) + row.friction_viscous)
 

@@ -50,11 +50,11 @@ def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
     before, delay = plant.valves["before"], plant.valves["delay"]
     depth = math.ceil(delay.max() / tick) + 2 if delay.any() else 1
     played = 1 + int(plant.forces["played"].max(initial=-1))
-    held = np.zeros(max(before.size, played, columns))
-    held[: before.size] = before
+    fixed = np.zeros(max(before.size, played, columns))
+    fixed[: before.size] = before
     past = np.empty((depth, before.size))
     past[:] = before
-    return Line(float(tick), past, np.zeros(1, np.int64), held)
+    return Line(float(tick), past, np.zeros(1, np.int64), fixed)
 
 
 @part_kernel

@@ -44,10 +44,10 @@ class FirstOrder(DynamicsTable):
 
     def parameters(self) -> dict[str, Value]:
         """As `DynamicsTable.parameters`: the lag also where the file gives the corner."""
-        found = dict(scalars(self))
+        result = dict(scalars(self))
         if self.corner is not None:
-            found["lag"] = Value(self.time(), sure=self.corner.sure, source=self.corner.source)
-        return found
+            result["lag"] = Value(self.time(), sure=self.corner.sure, source=self.corner.source)
+        return result
 
     def with_values(self, new: Mapping[str, Value]) -> FirstOrder:
         """As `DynamicsTable.with_values`; a corner turns into a lag where that is given."""

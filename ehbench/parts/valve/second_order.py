@@ -56,15 +56,15 @@ class SecondOrder(DynamicsTable):
 
     def parameters(self) -> dict[str, Value]:
         """As `DynamicsTable.parameters`: ω_n and ζ also where the file gives s1 and s2."""
-        found = dict(scalars(self))
+        result = dict(scalars(self))
         if self.s1 is not None and self.s2 is not None:
             omega, zeta = self.frequency_and_damping()
             for key, value, given in (
                 ("natural_frequency", omega, self.s2),
                 ("damping_ratio", zeta, self.s1),
             ):
-                found[key] = Value(value, sure=given.sure, source=given.source)
-        return found
+                result[key] = Value(value, sure=given.sure, source=given.source)
+        return result
 
     def with_values(self, new: Mapping[str, Value]) -> SecondOrder:
         """As `DynamicsTable.with_values`; s1 and s2 turn into ω_n and ζ where one is given."""

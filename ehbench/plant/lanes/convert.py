@@ -59,13 +59,13 @@ def _apart(mask: _Mask, others: Sequence[_Mask]) -> ast.expr | None:
     """
     shared = mask.line
     for other in others:
-        shared = [one for one in shared if one in other.line]
+        shared = [item for item in shared if item in other.line]
     if shared[-1] is mask:
         return None
-    made: ast.expr = ast.Constant(True)
-    for one in mask.line[len(shared) :]:
-        made = _call(one.helper, made, one.condition)
-    return made
+    built: ast.expr = ast.Constant(True)
+    for item in mask.line[len(shared) :]:
+        built = _call(item.helper, built, item.condition)
+    return built
 
 
 class LaneKernel:
@@ -107,12 +107,12 @@ def converted(function: Callable) -> Callable:
     tree: Any = ast.parse(source).body[0]
     enclosed = inspect.getclosurevars(function).nonlocals
     space = {**function.__globals__, **enclosed, **_HELPERS}
-    made = _Converter(tree, space).definition()
-    module = ast.fix_missing_locations(ast.Module([made], []))
+    built = _Converter(tree, space).definition()
+    module = ast.fix_missing_locations(ast.Module([built], []))
     exec(
         compile(ast.unparse(module), f"<lanes of {function.__module__}.{tree.name}>", "exec"), space
     )
-    return space[made.name]
+    return space[built.name]
 
 
 def _name(name: str, store: bool = False) -> ast.Name:
@@ -129,13 +129,15 @@ def _set(name: str, value: ast.expr) -> ast.Assign:
 
 def _leaves(statements: Sequence[ast.stmt], kind: type) -> bool:
     """Whether a statement of this kind is among these, of this loop where it leaves one."""
-    for one in statements:
-        if isinstance(one, kind):
+    for statement in statements:
+        if isinstance(statement, kind):
             return True
-        if isinstance(one, ast.If) and (_leaves(one.body, kind) or _leaves(one.orelse, kind)):
+        if isinstance(statement, ast.If) and (
+            _leaves(statement.body, kind) or _leaves(statement.orelse, kind)
+        ):
             return True
-        if kind is ast.Return and isinstance(one, (ast.For, ast.While)):
-            if _leaves(one.body, kind):
+        if kind is ast.Return and isinstance(statement, (ast.For, ast.While)):
+            if _leaves(statement.body, kind):
                 return True
     return False
 
@@ -152,15 +154,15 @@ def _ends(statements: Sequence[ast.stmt]) -> bool:
 
 def _nested(statements: list[ast.stmt]) -> list[ast.stmt]:
     """The same, what follows a branch that returns as its other side."""
-    for i, one in enumerate(statements):
+    for i, statement in enumerate(statements):
         rest = statements[i + 1 :]
-        if isinstance(one, ast.If):
-            body, other = one.body, one.orelse
+        if isinstance(statement, ast.If):
+            body, other = statement.body, statement.orelse
             if rest and _ends(body):
                 body, other, rest, statements = body, [*other, *rest], [], statements[: i + 1]
             elif rest and other and _ends(other):
                 body, rest, statements = [*body, *rest], [], statements[: i + 1]
-            new = ast.If(one.test, _nested(body), _nested(other))
+            new = ast.If(statement.test, _nested(body), _nested(other))
             return [*statements[:i], new, *_nested(rest)]
     return statements
 
@@ -188,14 +190,14 @@ class _Converter:
 
     def inner(self, mask: _Mask, helper: str, condition: str) -> tuple[_Mask, list[ast.stmt]]:
         """(a mask within another, the statements under it, of which the first makes it)."""
-        made = _Mask(self.fresh("mask"), mask, helper, condition)
-        return made, [_set(made.name, _call(helper, mask.name, condition))]
+        built = _Mask(self.fresh("mask"), mask, helper, condition)
+        return built, [_set(built.name, _call(helper, mask.name, condition))]
 
     def definition(self) -> ast.FunctionDef:
         """The function in lanes."""
-        body = [one for one in self.tree.body if not _is_text(one)]
-        returned = [one for one in ast.walk(self.tree) if isinstance(one, ast.Return)]
-        values = [one.value for one in returned if one.value is not None]
+        body = [item for item in self.tree.body if not _is_text(item)]
+        returned = [item for item in ast.walk(self.tree) if isinstance(item, ast.Return)]
+        values = [item.value for item in returned if item.value is not None]
         self.results = max((len(v.elts) for v in values if isinstance(v, ast.Tuple)), default=0)
         direct = not returned or (len(returned) == 1 and body[-1] is returned[0])
         out: list[ast.stmt] = []
@@ -229,12 +231,12 @@ class _Converter:
         self, statements: Sequence[ast.stmt], mask: _Mask, out: list[ast.stmt], tail: bool
     ) -> None:
         """Statements under a mask; ``tail`` where nothing follows them in the function."""
-        for i, one in enumerate(statements):
+        for i, statement in enumerate(statements):
             last = i + 1 == len(statements)
-            self.statement(one, mask, out, tail and last)
+            self.statement(statement, mask, out, tail and last)
             if last:
                 return
-            gone = self._taken_out(one)
+            gone = self._taken_out(statement)
             if gone:
                 condition = self.fresh("condition")
                 out.append(_set(condition, _name(gone)))
@@ -243,62 +245,62 @@ class _Converter:
                 out.append(ast.If(_call("lane_enters_not", mask.name, condition), body, []))
                 return
 
-    def _taken_out(self, one: ast.stmt) -> str | None:
+    def _taken_out(self, item: ast.stmt) -> str | None:
         """The variable of the lanes that a statement may have taken out of what follows."""
-        if isinstance(one, ast.If) and _leaves([one], ast.Break):
+        if isinstance(item, ast.If) and _leaves([item], ast.Break):
             return self.left
-        return "lane_gone" if self.gone and _leaves([one], ast.Return) else None
+        return "lane_gone" if self.gone and _leaves([item], ast.Return) else None
 
-    def statement(self, one: ast.stmt, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
+    def statement(self, item: ast.stmt, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
         """One of them."""
-        if isinstance(one, ast.Assign):
-            self.assign(one, mask, out)
-        elif isinstance(one, ast.AugAssign):
-            old: Any = ast.parse(ast.unparse(one.target), mode="eval").body
-            value = self.value(ast.BinOp(old, one.op, one.value), mask, out)
-            self.store(one.target, value, mask, out)
-        elif isinstance(one, ast.If):
-            self.branch(one, mask, out, tail)
-        elif isinstance(one, ast.For):
-            self.loop(one, mask, out)
-        elif isinstance(one, ast.While):
-            self.while_loop(one, mask, out)
-        elif isinstance(one, ast.Return):
-            self.leave(one, mask, out, tail)
-        elif isinstance(one, ast.Break):
+        if isinstance(item, ast.Assign):
+            self.assign(item, mask, out)
+        elif isinstance(item, ast.AugAssign):
+            old: Any = ast.parse(ast.unparse(item.target), mode="eval").body
+            value = self.value(ast.BinOp(old, item.op, item.value), mask, out)
+            self.store(item.target, value, mask, out)
+        elif isinstance(item, ast.If):
+            self.branch(item, mask, out, tail)
+        elif isinstance(item, ast.For):
+            self.loop(item, mask, out)
+        elif isinstance(item, ast.While):
+            self.while_loop(item, mask, out)
+        elif isinstance(item, ast.Return):
+            self.leave(item, mask, out, tail)
+        elif isinstance(item, ast.Break):
             out.append(_set(self.left or "", _call("lane_either", self.left or "", mask.name)))
-        elif isinstance(one, ast.Expr):
-            if not _is_text(one):
-                out.append(ast.Expr(self.value(one.value, mask, out)))
-        elif not isinstance(one, ast.Pass):
-            raise Unconverted(f"{self.tree.name}: {ast.unparse(one)}")
+        elif isinstance(item, ast.Expr):
+            if not _is_text(item):
+                out.append(ast.Expr(self.value(item.value, mask, out)))
+        elif not isinstance(item, ast.Pass):
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(item)}")
 
-    def assign(self, one: ast.Assign, mask: _Mask, out: list[ast.stmt]) -> None:
+    def assign(self, item: ast.Assign, mask: _Mask, out: list[ast.stmt]) -> None:
         """``a = …``, ``a, b = …`` and ``a = b = …``."""
-        first = one.targets[0]
+        first = item.targets[0]
         if isinstance(first, ast.Tuple):
-            self.unpack(first, one.value, mask, out)
+            self.unpack(first, item.value, mask, out)
             return
-        value = self.value(one.value, mask, out)
-        if len(one.targets) > 1 or not isinstance(first, ast.Name):
-            kept = self.fresh("value")
-            out.append(_set(kept, value))
-            value = _name(kept)
-        for target in one.targets:
+        value = self.value(item.value, mask, out)
+        if len(item.targets) > 1 or not isinstance(first, ast.Name):
+            retained = self.fresh("value")
+            out.append(_set(retained, value))
+            value = _name(retained)
+        for target in item.targets:
             self.store(target, value, mask, out)
 
     def unpack(self, target: ast.Tuple, value: ast.expr, mask: _Mask, out: list[ast.stmt]) -> None:
         parts: list[ast.expr] = []
         if isinstance(value, ast.Tuple):
             for each in value.elts:
-                kept = self.fresh("value")
-                out.append(_set(kept, self.value(each, mask, out)))
-                parts.append(_name(kept))
+                retained = self.fresh("value")
+                out.append(_set(retained, self.value(each, mask, out)))
+                parts.append(_name(retained))
         else:
-            kept = self.fresh("value")
-            out.append(_set(kept, self.value(value, mask, out)))
+            retained = self.fresh("value")
+            out.append(_set(retained, self.value(value, mask, out)))
             for i in range(len(target.elts)):
-                parts.append(ast.Subscript(_name(kept), ast.Constant(i), ast.Load()))
+                parts.append(ast.Subscript(_name(retained), ast.Constant(i), ast.Load()))
         for each, part in zip(target.elts, parts, strict=True):
             if not (isinstance(each, ast.Name) and each.id == "_"):
                 self.store(each, part, mask, out)
@@ -318,43 +320,43 @@ class _Converter:
         else:
             raise Unconverted(f"{self.tree.name}: {ast.unparse(target)} = …")
 
-    def branch(self, one: ast.If, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
+    def branch(self, item: ast.If, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
         """Both sides of an ``if``, each for its lanes."""
         condition = self.fresh("condition")
-        out.append(_set(condition, self.value(one.test, mask, out)))
+        out.append(_set(condition, self.value(item.test, mask, out)))
         for side, enters, narrowed in (
-            (one.body, "lane_enters", "lane_within"),
-            (one.orelse, "lane_enters_not", "lane_without"),
+            (item.body, "lane_enters", "lane_within"),
+            (item.orelse, "lane_enters_not", "lane_without"),
         ):
             if side:
                 inner, body = self.inner(mask, narrowed, condition)
                 self.block(side, inner, body, tail)
                 out.append(ast.If(_call(enters, mask.name, condition), body, []))
 
-    def loop(self, one: ast.For, mask: _Mask, out: list[ast.stmt]) -> None:
+    def loop(self, item: ast.For, mask: _Mask, out: list[ast.stmt]) -> None:
         """A loop over a range; one whose end differs is gone through by each lane to its own."""
-        head: Any = one.iter
-        if not (isinstance(head, ast.Call) and isinstance(head.func, ast.Name)) or one.orelse:
+        head: Any = item.iter
+        if not (isinstance(head, ast.Call) and isinstance(head.func, ast.Name)) or item.orelse:
             raise Unconverted(f"{self.tree.name}: for {ast.unparse(head)}")
-        if _leaves(one.body, ast.Return) or _leaves(one.body, ast.Continue):
+        if _leaves(item.body, ast.Return) or _leaves(item.body, ast.Continue):
             raise Unconverted(f"{self.tree.name}: a way out of a loop")
         ends = [self.value(each, mask, out) for each in head.args]
         differs = len(ends) == 1 and isinstance(ends[0], ast.Name) and ends[0].id in self.local
         end = ends[0]
         if differs:
             ends = [_call("lane_most", end)]
-        assert isinstance(one.target, ast.Name)
+        assert isinstance(item.target, ast.Name)
         before, body, inner = self.left, [], mask
         conditions: list[ast.expr] = []
         if differs:
-            conditions.append(ast.Compare(_name(one.target.id), [ast.Lt()], [end]))
-        if _leaves(one.body, ast.Break):
+            conditions.append(ast.Compare(_name(item.target.id), [ast.Lt()], [end]))
+        if _leaves(item.body, ast.Break):
             self.left = self.fresh("left")
             out.append(_set(self.left, ast.Constant(False)))
             conditions.append(_call("lane_negated", self.left))
-        self.guarded(one.body, conditions, inner, body)
+        self.guarded(item.body, conditions, inner, body)
         self.left = before
-        target = _name(one.target.id, True)
+        target = _name(item.target.id, True)
         out.append(ast.For(target, _call("range", *ends), body, []))
 
     def guarded(
@@ -374,21 +376,21 @@ class _Converter:
         self.guarded(statements, conditions[1:], inner, body)
         out.append(ast.If(_call("lane_enters", mask.name, condition), body, []))
 
-    def while_loop(self, one: ast.While, mask: _Mask, out: list[ast.stmt]) -> None:
+    def while_loop(self, item: ast.While, mask: _Mask, out: list[ast.stmt]) -> None:
         """A loop that lanes leave one after the other."""
-        if _leaves(one.body, ast.Return) or _leaves(one.body, ast.Continue) or one.orelse:
+        if _leaves(item.body, ast.Return) or _leaves(item.body, ast.Continue) or item.orelse:
             raise Unconverted(f"{self.tree.name}: a way out of a loop")
         condition, still = self.fresh("condition"), self.fresh("still")
         inner = _Mask(self.fresh("mask"), mask, "lane_within", still)
         out += [_set(inner.name, _name(mask.name)), _set(still, ast.Constant(True))]
         before, self.left = self.left, None
-        if _leaves(one.body, ast.Break):
+        if _leaves(item.body, ast.Break):
             self.left = self.fresh("left")
             out.append(_set(self.left, ast.Constant(False)))
         body: list[ast.stmt] = []
-        body.append(_set(condition, self.value(one.test, inner, body)))
+        body.append(_set(condition, self.value(item.test, inner, body)))
         self.narrow(inner, still, "lane_enters", "lane_within", condition, body)
-        self.block(one.body, inner, body, False)
+        self.block(item.body, inner, body, False)
         if self.left:
             self.narrow(inner, still, "lane_enters_not", "lane_without", self.left, body)
         self.left = before
@@ -403,139 +405,141 @@ class _Converter:
         out.append(_set(mask.name, _call(helper, mask.name, condition)))
         out.append(_set(still, _call(helper, still, condition)))
 
-    def leave(self, one: ast.Return, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
+    def leave(self, item: ast.Return, mask: _Mask, out: list[ast.stmt], tail: bool) -> None:
         """A return: of the function where it is the only one, else of the lanes here."""
         if not self.gone:
-            out.append(ast.Return(None if one.value is None else self.value(one.value, mask, out)))
+            out.append(
+                ast.Return(None if item.value is None else self.value(item.value, mask, out))
+            )
             return
-        if one.value is not None and self.results:
+        if item.value is not None and self.results:
             target = ast.Tuple(
                 [_name(f"lane_result_{i}", True) for i in range(self.results)], ast.Store()
             )
-            self.unpack(target, one.value, mask, out)
-        elif one.value is not None:
-            value = self.value(one.value, mask, out)
+            self.unpack(target, item.value, mask, out)
+        elif item.value is not None:
+            value = self.value(item.value, mask, out)
             self.store(_name("lane_result", True), value, mask, out)
         if not tail:
             out.append(_set("lane_gone", _call("lane_either", "lane_gone", mask.name)))
 
     # expressions; what has to be done before goes to ``out``
 
-    def value(self, one: ast.expr, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+    def value(self, item: ast.expr, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
         """An expression in lanes."""
-        made = getattr(self, f"_{type(one).__name__.lower()}", None)
-        if made is None:
-            raise Unconverted(f"{self.tree.name}: {ast.unparse(one)}")
-        return made(one, mask, out)
+        built = getattr(self, f"_{type(item).__name__.lower()}", None)
+        if built is None:
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(item)}")
+        return built(item, mask, out)
 
-    def _constant(self, one: ast.Constant, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        return one
+    def _constant(self, item: ast.Constant, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return item
 
-    def _name(self, one: ast.Name, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        return _name(one.id)
+    def _name(self, item: ast.Name, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return _name(item.id)
 
-    def _tuple(self, one: ast.Tuple, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        return ast.Tuple([self.value(each, mask, out) for each in one.elts], ast.Load())
+    def _tuple(self, item: ast.Tuple, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return ast.Tuple([self.value(each, mask, out) for each in item.elts], ast.Load())
 
-    def _starred(self, one: ast.Starred, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        return ast.Starred(self.value(one.value, mask, out), ast.Load())
+    def _starred(self, item: ast.Starred, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        return ast.Starred(self.value(item.value, mask, out), ast.Load())
 
-    def _attribute(self, one: ast.Attribute, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        if isinstance(one.value, ast.Name) and one.value.id not in self.local:
-            return one
-        helper = f"lane_field_{one.attr}"
-        self.space[helper] = vectors.field(one.attr)
-        return _call(helper, self.value(one.value, mask, out))
+    def _attribute(self, item: ast.Attribute, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        if isinstance(item.value, ast.Name) and item.value.id not in self.local:
+            return item
+        helper = f"lane_field_{item.attr}"
+        self.space[helper] = vectors.field(item.attr)
+        return _call(helper, self.value(item.value, mask, out))
 
-    def index(self, one: ast.Subscript, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+    def index(self, item: ast.Subscript, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
         """What stands in the brackets."""
-        if isinstance(one.slice, ast.Slice):
+        if isinstance(item.slice, ast.Slice):
             low, high = (
                 None if end is None else self.value(end, mask, out)
-                for end in (one.slice.lower, one.slice.upper)
+                for end in (item.slice.lower, item.slice.upper)
             )
             return ast.Slice(low, high)
-        return self.value(one.slice, mask, out)
+        return self.value(item.slice, mask, out)
 
-    def _subscript(self, one: ast.Subscript, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        array, index = self.value(one.value, mask, out), self.index(one, mask, out)
-        if isinstance(index, (ast.Slice, ast.Constant)) and not isinstance(one.value, ast.Name):
+    def _subscript(self, item: ast.Subscript, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        array, index = self.value(item.value, mask, out), self.index(item, mask, out)
+        if isinstance(index, (ast.Slice, ast.Constant)) and not isinstance(item.value, ast.Name):
             return ast.Subscript(array, index, ast.Load())
         if isinstance(index, ast.Slice):
             return ast.Subscript(array, index, ast.Load())
         return _call("lane_taken", mask.name, array, index)
 
-    def _unaryop(self, one: ast.UnaryOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        operand = self.value(one.operand, mask, out)
-        if isinstance(one.op, ast.Not):
+    def _unaryop(self, item: ast.UnaryOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        operand = self.value(item.operand, mask, out)
+        if isinstance(item.op, ast.Not):
             return _call("lane_negated", operand)
-        return ast.UnaryOp(one.op, operand)
+        return ast.UnaryOp(item.op, operand)
 
-    def _binop(self, one: ast.BinOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        left = self.value(one.left, mask, out)
-        if isinstance(one.op, ast.Pow):
-            if isinstance(one.right, ast.Constant) and one.right.value == 2:
+    def _binop(self, item: ast.BinOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        left = self.value(item.left, mask, out)
+        if isinstance(item.op, ast.Pow):
+            if isinstance(item.right, ast.Constant) and item.right.value == 2:
                 return _call("lane_square", left)
-            return _call("lane_power", left, self.value(one.right, mask, out))
-        return ast.BinOp(left, one.op, self.value(one.right, mask, out))
+            return _call("lane_power", left, self.value(item.right, mask, out))
+        return ast.BinOp(left, item.op, self.value(item.right, mask, out))
 
-    def _compare(self, one: ast.Compare, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        ends = [self.value(each, mask, out) for each in (one.left, *one.comparators)]
+    def _compare(self, item: ast.Compare, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        ends = [self.value(each, mask, out) for each in (item.left, *item.comparators)]
         pairs = [
-            ast.Compare(a, [op], [b]) for a, op, b in zip(ends, one.ops, ends[1:], strict=False)
+            ast.Compare(a, [op], [b]) for a, op, b in zip(ends, item.ops, ends[1:], strict=False)
         ]
-        made: ast.expr = pairs[0]
+        built: ast.expr = pairs[0]
         for each in pairs[1:]:
-            made = _call("lane_both", made, each)
-        return made
+            built = _call("lane_both", built, each)
+        return built
 
-    def _boolop(self, one: ast.BoolOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+    def _boolop(self, item: ast.BoolOp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
         """``and`` and ``or``; what is not cheap is found for the lanes only that ask for it."""
-        every = isinstance(one.op, ast.And)
+        every = isinstance(item.op, ast.And)
         joined = "lane_both" if every else "lane_either"
-        made = self.value(one.values[0], mask, out)
-        for each in one.values[1:]:
+        built = self.value(item.values[0], mask, out)
+        for each in item.values[1:]:
             if _is_cheap(each):
-                made = _call(joined, made, self.value(each, mask, out))
+                built = _call(joined, built, self.value(each, mask, out))
                 continue
-            kept = self.fresh("truth")
-            out.append(_set(kept, made))
+            retained = self.fresh("truth")
+            out.append(_set(retained, built))
             enters = "lane_enters" if every else "lane_enters_not"
-            inner, body = self.inner(mask, "lane_within" if every else "lane_without", kept)
+            inner, body = self.inner(mask, "lane_within" if every else "lane_without", retained)
             value = self.value(each, inner, body)
-            body.append(_set(kept, _call(joined, kept, value)))
-            out.append(ast.If(_call(enters, mask.name, kept), body, []))
-            made = _name(kept)
-        return made
+            body.append(_set(retained, _call(joined, retained, value)))
+            out.append(ast.If(_call(enters, mask.name, retained), body, []))
+            built = _name(retained)
+        return built
 
-    def _ifexp(self, one: ast.IfExp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+    def _ifexp(self, item: ast.IfExp, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
         condition = self.fresh("condition")
-        out.append(_set(condition, self.value(one.test, mask, out)))
-        if _is_cheap(one.body) and _is_cheap(one.orelse):
-            sides = (self.value(each, mask, out) for each in (one.body, one.orelse))
+        out.append(_set(condition, self.value(item.test, mask, out)))
+        if _is_cheap(item.body) and _is_cheap(item.orelse):
+            sides = (self.value(each, mask, out) for each in (item.body, item.orelse))
             return _call("lane_picked", condition, *sides)
-        kept = self.fresh("value")
-        both = [(one.body, "lane_enters", "lane_within")]
-        both.append((one.orelse, "lane_enters_not", "lane_without"))
+        retained = self.fresh("value")
+        both = [(item.body, "lane_enters", "lane_within")]
+        both.append((item.orelse, "lane_enters_not", "lane_without"))
         for side, enters, narrowed in both:
             inner, body = self.inner(mask, narrowed, condition)
-            self.store(_name(kept, True), self.value(side, inner, body), inner, body)
+            self.store(_name(retained, True), self.value(side, inner, body), inner, body)
             out.append(ast.If(_call(enters, mask.name, condition), body, []))
-        return _name(kept)
+        return _name(retained)
 
-    def _call(self, one: ast.Call, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
-        args = [self.value(each, mask, out) for each in one.args]
-        if isinstance(one.func, ast.Attribute) and isinstance(one.func.value, ast.Name):
-            function: Any = getattr(self.space[one.func.value.id], one.func.attr)
-        elif isinstance(one.func, ast.Name):
-            function = self.space.get(one.func.id, getattr(builtins, one.func.id, None))
+    def _call(self, item: ast.Call, mask: _Mask, out: list[ast.stmt]) -> ast.expr:
+        args = [self.value(each, mask, out) for each in item.args]
+        if isinstance(item.func, ast.Attribute) and isinstance(item.func.value, ast.Name):
+            function: Any = getattr(self.space[item.func.value.id], item.func.attr)
+        elif isinstance(item.func, ast.Name):
+            function = self.space.get(item.func.id, getattr(builtins, item.func.id, None))
         else:
-            raise Unconverted(f"{self.tree.name}: {ast.unparse(one)}")
+            raise Unconverted(f"{self.tree.name}: {ast.unparse(item)}")
         if function in (max, min):
-            made = args[0]
+            built = args[0]
             for each in args[1:]:
-                made = _call("lane_larger" if function is max else "lane_smaller", made, each)
-            return made
+                built = _call("lane_larger" if function is max else "lane_smaller", built, each)
+            return built
         if function is int:
             return _call("lane_whole", *args)
         if function is len:
@@ -544,16 +548,16 @@ class _Converter:
             helper = f"lane_{function.__name__}"
             self.space[helper] = vectors.FUNCTIONS[function]
             return _call(helper, *args)
-        helper = f"lanes_{ast.unparse(one.func)}"
+        helper = f"lanes_{ast.unparse(item.func)}"
         self.space[helper] = of(function)
         return _call(helper, mask.name, *args)
 
 
-def _is_text(one: ast.stmt) -> bool:
-    return isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)
+def _is_text(item: ast.stmt) -> bool:
+    return isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant)
 
 
-def _is_cheap(one: ast.expr) -> bool:
+def _is_cheap(item: ast.expr) -> bool:
     """Whether it does no harm, and costs little, to find a value that may not be asked for."""
     cheap = (*_CHEAP, ast.expr_context, ast.operator, ast.cmpop, ast.unaryop)
-    return all(isinstance(node, cheap) for node in ast.walk(one))
+    return all(isinstance(node, cheap) for node in ast.walk(item))

@@ -95,19 +95,19 @@ def _track(jobs: Sequence[Job]) -> Track:
     valves = jobs[0].model.plant.valves
     late, known = bool(valves["delay"].any()), {}
     tables = [job.commands.tobytes() for job in jobs]
-    for job, own in zip(jobs, tables, strict=True):  # several may be of one log
-        if own not in known:
+    for job, table in zip(jobs, tables, strict=True):  # several may be of one log
+        if table not in known:
             begins = _begins(job.commands, late)
-            known[own] = job.commands[begins[:-1]], begins
-    rows, begins = zip(*(known[own] for own in tables), strict=True)
+            known[table] = job.commands[begins[:-1]], begins
+    rows, begins = zip(*(known[table] for table in tables), strict=True)
     some = [job.model.plant.valves[: valves.size if late else 0] for job in jobs]
     return Track(
         _padded(rows),
         _padded(begins),
         _padded([job.mesh for job in jobs]),
         np.array(filled([job.mesh.size for job in jobs])),
-        side_by_side([own["delay"] for own in some]),
-        side_by_side([own["before"] for own in some]),
+        side_by_side([item["delay"] for item in some]),
+        side_by_side([item["before"] for item in some]),
     )
 
 
@@ -115,13 +115,13 @@ def _padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """Arrays of one shape but for their length, with a last axis of lanes; the last row of shorter
     ones again.
     """
-    longest = max(1, *(len(own) for own in arrays))
-    made = np.zeros((longest, *arrays[0].shape[1:], LANES), arrays[0].dtype)
-    for lane, own in enumerate(filled(arrays)):
-        made[: len(own), ..., lane] = own
-        if len(own):
-            made[len(own) :, ..., lane] = own[-1]
-    return made
+    longest = max(1, *(len(array) for array in arrays))
+    built = np.zeros((longest, *arrays[0].shape[1:], LANES), arrays[0].dtype)
+    for lane, item in enumerate(filled(arrays)):
+        built[: len(item), ..., lane] = item
+        if len(item):
+            built[len(item) :, ..., lane] = item[-1]
+    return built
 
 
 def pace_together(
@@ -206,8 +206,8 @@ def replays_fixed(runs: Sequence[Run], step: float) -> list[Record | None]:
     def together(jobs: Sequence[Job], tick: float) -> Logs:
         return [(log, FREE) for log in run_together(jobs, tick, max(1, round(tick / step)))]
 
-    found = _replays(runs, run_lanes, beat, together, alone)
-    return [None if one is None else one[0] for one in found]
+    result = _replays(runs, run_lanes, beat, together, alone)
+    return [None if item is None else item[0] for item in result]
 
 
 def _replays(
@@ -224,28 +224,28 @@ def _replays(
         return [_tried(alone, run) for run in runs]
     jobs = [_tried(Run.job, run) for run in runs]
     ready = {i: job for i, job in enumerate(jobs) if job is not None}
-    found: list[Replayed | None] = [None] * len(runs)
+    result: list[Replayed | None] = [None] * len(runs)
     kinds = {i: shared(job) for i, job in ready.items()}
     together = [i for i, kind in kinds.items() if kind == kinds[min(kinds)]]
     together = together if len(together) >= LEAST else []
     if together:
         tick = runs[together[0]].record.sample_time
-        made = run_all([ready[i] for i in together], tick)
-        for i, (log, steps) in zip(together, made, strict=True):
-            found[i] = _tried(_replayed, (runs[i], ready[i], log, steps, tick))
+        built = run_all([ready[i] for i in together], tick)
+        for i, (log, steps) in zip(together, built, strict=True):
+            result[i] = _tried(_replayed, (runs[i], ready[i], log, steps, tick))
     for i in ready.keys() - set(together):
-        found[i] = _tried(alone, runs[i])
-    return found
+        result[i] = _tried(alone, runs[i])
+    return result
 
 
-def _replayed(made: tuple[Run, Job, np.ndarray, np.ndarray, float]) -> Replayed:
-    run, job, log, steps, tick = made
+def _replayed(built: tuple[Run, Job, np.ndarray, np.ndarray, float]) -> Replayed:
+    run, job, log, steps, tick = built
     log = finite(log, run.each * tick)
     return run.model.replayed(run.record, job.commands, log, run.start, run.means), steps
 
 
-def _tried(do: Callable[[Asked], Made], asked: Asked) -> Made | None:
+def _tried(do: Callable[[Asked], Made], requested: Asked) -> Made | None:
     try:
-        return do(asked)
+        return do(requested)
     except (EhbenchError, ArithmeticError):
         return None

@@ -116,16 +116,16 @@ def _feel(lane, track, clocks, line, unit):
 def _begin(lane, track, clocks, units, each):
     """What a lane tries first of a new step, in units."""
     sample, part, late = clocks.sample[lane], clocks.part[lane], track.delays.shape[0] > 0
-    ends, most = track.begins[clocks.row[lane] + 1, lane], 1 if late else MOST_TICKS * each
-    until = min(min(ends, clocks.last[lane]), sample + most)
+    ends, maximum = track.begins[clocks.row[lane] + 1, lane], 1 if late else MOST_TICKS * each
+    until = min(min(ends, clocks.last[lane]), sample + maximum)
     room = units - part if part > 0 else (until - sample) * units
-    wanted, given = clocks.next[lane], track.given[lane]
+    required, given = clocks.next[lane], track.given[lane]
     if given > 0:
         if clocks.ahead[lane] == 0:
             clocks.ahead[lane] = track.meshes[min(clocks.begun[lane], given - 1), lane]
             clocks.begun[lane] += 1
-        wanted = clocks.ahead[lane]
-    tried = min(wanted, room)
+        required = clocks.ahead[lane]
+    tried = min(required, room)
     return min(tried, units // LATE) if late else tried
 
 
@@ -171,8 +171,8 @@ def _add_means(lane, way, log, each, sample, ends, ticks, d):
         until = min(ends + 1, (row + 1) * each)
         begin, end, slope, last = weights_of(first, until, ends, ticks, d, each)
         for i in range(way.y.shape[0]):
-            one, other = way.y[i, lane], k[4, i, lane]
-            value = begin * one + end * other + slope * k[0, i, lane] + last * k[5, i, lane]
+            item, other = way.y[i, lane], k[4, i, lane]
+            value = begin * item + end * other + slope * k[0, i, lane] + last * k[5, i, lane]
             log[lane, row, i] += value
         first = until
 
@@ -180,7 +180,7 @@ def _add_means(lane, way, log, each, sample, ends, ticks, d):
 @part_kernel
 def _write(way, clocks, now, log, each, row):
     """Write the samples, or their means, that the steps which stand have come to."""
-    units, most = way.pace.units, 0
+    units, maximum = way.pace.units, 0
     for lane in range(LANES):
         part = clocks.part[lane] + clocks.trial[lane]
         if now.chosen[0, lane] > 0.0 and part % units == 0:
@@ -190,10 +190,10 @@ def _write(way, clocks, now, log, each, row):
                 ticks = clocks.trial[lane] / units
                 _add_means(lane, way, log, each, sample, ends, ticks, ticks * way.line.tick)
             else:
-                most = max(most, ends - sample - 1)
+                maximum = max(maximum, ends - sample - 1)
                 for i in range(way.y.shape[0]):
                     log[lane, ends, i] = way.k[4, i, lane]
-    for ahead in range(1, most + 1):
+    for ahead in range(1, maximum + 1):
         for lane in range(LANES):
             within = now.chosen[0, lane] > 0.0 and ahead * units < clocks.trial[lane]
             now.share[0, lane] = ahead * units / clocks.trial[lane] if within else 1.0
@@ -271,12 +271,12 @@ def _anew(track, clocks, now, way):
 @part_kernel
 def _step(track, clocks, now, way):
     """Take the steps on trial that are not too long; choose the lanes where they stand."""
-    held, units = way.line.held, way.pace.units
+    fixed, units = way.line.held, way.pace.units
     if track.delays.shape[0] > 0:
-        rate = _derivatives(True, way.y, held, way.plant, way.k[0], way.work)
+        rate = _derivatives(True, way.y, fixed, way.plant, way.k[0], way.work)
         _put(True, now.rate, 0, rate)
     _lengths(track, clocks, now, way.line.tick / units, units)
-    error, after = _attempt(True, way, held, _taken(True, now.d, 0))
+    error, after = _attempt(True, way, fixed, _taken(True, now.d, 0))
     _put(True, now.error, 0, error)
     _put(True, now.after, 0, after)
     _judge(track, clocks, now, units)
@@ -299,9 +299,9 @@ def run_apart(y, track, plant, line, pace, each, log):
     size = y.shape[0]
     k, work = np.empty((SCRATCH, size, LANES)), np.empty((plant.at.work, LANES))
     way, row = Way(y, plant, line, pace, k, work), np.empty((size, LANES))
-    at, found = np.zeros((9, LANES), np.int64), np.zeros((6, 1, LANES))
+    at, result = np.zeros((9, LANES), np.int64), np.zeros((6, 1, LANES))
     clocks = Clocks(at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], at[8])
-    now = Now(found[0], found[1], found[2], found[3], found[4], found[5])
+    now = Now(result[0], result[1], result[2], result[3], result[4], result[5])
     steps = np.empty((LANES, 256), np.int64)
     for lane in range(LANES):
         clocks.last[lane], clocks.next[lane] = track.begins[-1, lane] - 1, pace.units

@@ -52,12 +52,12 @@ def _words(rows: np.ndarray) -> np.ndarray:
 
 def _tables(plant: Plant) -> dict[str, np.ndarray]:
     """A plant's tables by name, the supply as one of one row."""
-    found = {
+    results = {
         name: value.view(np.ndarray)
         for name, value in plant._asdict().items()
         if isinstance(value, np.recarray)
     }
-    return found | {"supply": np.array([plant.supply], plant.supply.dtype)}
+    return results | {"supply": np.array([plant.supply], plant.supply.dtype)}
 
 
 def layout_of(plant: Plant) -> tuple[Any, ...]:
@@ -85,19 +85,19 @@ def in_lanes(plants: Sequence[Plant]) -> Plant:
     floats.
     """
     packed, first = [_tables(plant) for plant in plants], plants[0]
-    made: dict[str, Any] = {}
+    built: dict[str, Any] = {}
     for name, rows in packed[0].items():
-        made[name] = wide = table(len(rows), _wide(rows.dtype))
+        built[name] = wide = table(len(rows), _wide(rows.dtype))
         if rows.size:
             floats, to = _floats(rows.dtype)
-            each = side_by_side([_words(one[name])[:, floats] for one in packed])
+            each = side_by_side([_words(item[name])[:, floats] for item in packed])
             words, whole = _words(wide.view(np.ndarray)), _whole(rows.dtype)
             words[:, to] = each
             words[:, _whole(wide.dtype)] = _words(rows)[:, whole]
-    made["supply"] = made["supply"][0]
-    made["gravity"] = side_by_side([plant.gravity for plant in plants])
-    made["maps"] = side_by_side([plant.maps for plant in plants])
-    return first._replace(**made)
+    built["supply"] = built["supply"][0]
+    built["gravity"] = side_by_side([plant.gravity for plant in plants])
+    built["maps"] = side_by_side([plant.maps for plant in plants])
+    return first._replace(**built)
 
 
 def line_in_lanes(plants: Sequence[Plant], tick: float, columns: int) -> Line:
@@ -105,5 +105,5 @@ def line_in_lanes(plants: Sequence[Plant], tick: float, columns: int) -> Line:
     lines = [line_of(plant, tick, columns) for plant in plants]
     depth = max(line.past.shape[0] for line in lines)
     past = [np.resize(line.past, (depth, line.past.shape[1])) for line in lines]
-    held = side_by_side([line.held for line in lines])
-    return Line(float(tick), side_by_side(past), np.zeros(1, np.int64), held)
+    fixed = side_by_side([line.held for line in lines])
+    return Line(float(tick), side_by_side(past), np.zeros(1, np.int64), fixed)

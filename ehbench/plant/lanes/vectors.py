@@ -76,9 +76,9 @@ class _Model(models.PrimitiveModel):
 
 def _splat(builder: Any, value: Any) -> Any:
     vector = ir.VectorType(value.type, LANES)
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(_MINE, 0))
+    item = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(_MINE, 0))
     zeros = ir.Constant(ir.VectorType(_MINE, LANES), [0] * LANES)
-    return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), zeros)
+    return builder.shuffle_vector(item, ir.Constant(vector, ir.Undefined), zeros)
 
 
 @lower_cast(types.Number, Lanes)
@@ -132,11 +132,11 @@ def _arithmetic(real: str, whole: str) -> Callable:
 
 
 def _comparison(sign: str) -> Callable:
-    def code(b: Any, is_real: bool, one: Any, other: Any) -> Any:
+    def code(b: Any, is_real: bool, item: Any, other: Any) -> Any:
         if not is_real:
-            return b.icmp_signed(sign, one, other)
+            return b.icmp_signed(sign, item, other)
         compare = b.fcmp_unordered if sign == "!=" else b.fcmp_ordered
-        return compare(sign, one, other)
+        return compare(sign, item, other)
 
     return code
 
@@ -165,7 +165,7 @@ def _number(typingctx: Any, function: Any, args: tuple[Any, ...]) -> tuple[Any, 
     sig = typingctx.resolve_function_type(known, args, {})
 
     def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
-        cast = [context.cast(builder, *one) for one in zip(values, args, sig.args, strict=True)]
+        cast = [context.cast(builder, *item) for item in zip(values, args, sig.args, strict=True)]
         return context.get_function(known, sig)(builder, cast)
 
     return signature(sig.return_type, *args), code
@@ -178,13 +178,13 @@ def _each_lane(typingctx: Any, function: Any, args: tuple[Any, ...]) -> tuple[An
 
     def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
         wide = [
-            context.cast(builder, value, one, REAL) for value, one in zip(values, args, strict=True)
+            context.cast(builder, value, arg, REAL) for value, arg in zip(values, args, strict=True)
         ]
         call, out = context.get_function(known, sig), ir.Constant(_VECTOR[REAL], ir.Undefined)
         for lane in range(LANES):
             place = ir.Constant(_MINE, lane)
-            one = call(builder, [builder.extract_element(value, place) for value in wide])
-            out = builder.insert_element(out, one, place)
+            item = call(builder, [builder.extract_element(value, place) for value in wide])
+            out = builder.insert_element(out, item, place)
         return out
 
     return signature(REAL, *args), code
@@ -196,8 +196,8 @@ def _llvm(name: str, result: Any = REAL) -> Callable:
     def made(typingctx: Any, function: Any, args: tuple[Any, ...]) -> tuple[Any, Callable]:
         def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
             wide = [
-                context.cast(builder, value, one, REAL)
-                for value, one in zip(values, args, strict=True)
+                context.cast(builder, value, arg, REAL)
+                for value, arg in zip(values, args, strict=True)
             ]
             vector = _VECTOR[REAL]
             kind = ir.FunctionType(vector, [vector] * len(wide))
@@ -210,13 +210,13 @@ def _llvm(name: str, result: Any = REAL) -> Callable:
     return made
 
 
-def _function(function: Any, made: Callable) -> Any:
+def _function(function: Any, built: Callable) -> Any:
     """A function of numbers or of lanes."""
     count = 2 if function in (math.copysign, operator.pow) else 1
 
     def typed(typingctx: Any, args: tuple[Any, ...]) -> tuple[Any, Callable]:
         lanes = any(isinstance(arg, Lanes) for arg in args)
-        return (made if lanes else _number)(typingctx, function, args)
+        return (built if lanes else _number)(typingctx, function, args)
 
     if count == 2:
         return intrinsic(lambda typingctx, x, y: typed(typingctx, (x, y)))
@@ -253,7 +253,7 @@ def _any(builder: Any, mask: Any) -> Any:
 
 
 def _masks(context: Any, builder: Any, kinds: Any, values: Any) -> list[Any]:
-    return [context.cast(builder, *one, MASK) for one in zip(values, kinds, strict=True)]
+    return [context.cast(builder, *item, MASK) for item in zip(values, kinds, strict=True)]
 
 
 def _entering(negated: bool) -> Any:
@@ -264,10 +264,10 @@ def _entering(negated: bool) -> Any:
             if not isinstance(condition, Lanes):
                 plain = _truth(context, builder, condition, values[1])
                 return builder.not_(plain) if negated else plain
-            wanted = builder.not_(values[1]) if negated else values[1]
+            required = builder.not_(values[1]) if negated else values[1]
             if isinstance(mask, Lanes):
-                wanted = builder.and_(values[0], wanted)
-            return _any(builder, wanted)
+                required = builder.and_(values[0], required)
+            return _any(builder, required)
 
         return signature(types.boolean, mask, condition), code
 
@@ -283,8 +283,8 @@ def _narrowed(negated: bool) -> Any:
         def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
             if not isinstance(condition, Lanes):
                 return values[0]
-            wanted = builder.not_(values[1]) if negated else values[1]
-            return builder.and_(values[0], wanted) if isinstance(mask, Lanes) else wanted
+            required = builder.not_(values[1]) if negated else values[1]
+            return builder.and_(values[0], required) if isinstance(mask, Lanes) else required
 
         return signature(MASK if wide else mask, mask, condition), code
 
@@ -296,16 +296,16 @@ within, without = _narrowed(False), _narrowed(True)
 
 
 def _logic(name: str) -> Any:
-    def typed(typingctx: Any, one: Any, other: Any) -> Any:
-        wide = isinstance(one, Lanes) or isinstance(other, Lanes)
+    def typed(typingctx: Any, item: Any, other: Any) -> Any:
+        wide = isinstance(item, Lanes) or isinstance(other, Lanes)
 
         def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
             if wide:
-                return getattr(builder, name)(*_masks(context, builder, (one, other), values))
+                return getattr(builder, name)(*_masks(context, builder, (item, other), values))
             bits = [_truth(context, builder, None, value) for value in values]
             return getattr(builder, name)(*bits)
 
-        return signature(MASK if wide else types.boolean, one, other), code
+        return signature(MASK if wide else types.boolean, item, other), code
 
     return intrinsic(typed)
 
@@ -358,9 +358,9 @@ def picked(typingctx: Any, condition: Any, first: Any, second: Any) -> Any:
     meet = typingctx.unify_types(types.unliteral(first), types.unliteral(second))
 
     def code(context: Any, builder: Any, sig: Any, values: Any) -> Any:
-        one = context.cast(builder, values[1], first, meet)
+        item = context.cast(builder, values[1], first, meet)
         other = context.cast(builder, values[2], second, meet)
-        return builder.select(_truth(context, builder, condition, values[0]), one, other)
+        return builder.select(_truth(context, builder, condition, values[0]), item, other)
 
     return signature(meet, condition, first, second), code
 
@@ -374,10 +374,10 @@ def _extreme(sign: str) -> Any:
             return _number(typingctx, max if sign == ">" else min, (first, second))
 
         def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
-            one = context.cast(builder, values[0], first, wide)
+            item = context.cast(builder, values[0], first, wide)
             other = context.cast(builder, values[1], second, wide)
-            beyond = _comparison(sign)(builder, wide == REAL, other, one)
-            return builder.select(beyond, other, one)
+            beyond = _comparison(sign)(builder, wide == REAL, other, item)
+            return builder.select(beyond, other, item)
 
         return signature(wide, first, second), code
 
@@ -446,9 +446,9 @@ def field(name: str) -> Any:
     return intrinsic(typed)
 
 
-def _floor_mod(builder: Any, real: bool, one: Any, other: Any) -> Any:
+def _floor_mod(builder: Any, real: bool, item: Any, other: Any) -> Any:
     """The remainder of the sign of the divisor, as Python has it."""
-    left = builder.srem(one, other)
+    left = builder.srem(item, other)
     wrong = builder.icmp_signed("<", builder.xor(left, other), ir.Constant(left.type, [0] * LANES))
     off = builder.icmp_signed("!=", left, ir.Constant(left.type, [0] * LANES))
     return builder.select(builder.and_(wrong, off), builder.add(left, other), left)
@@ -475,9 +475,9 @@ def _place(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     parts = [
         context.cast(builder, part, kind, types.intp) for part, kind in zip(parts, of, strict=True)
     ]
-    made = make_array(array)(context, builder, values[0])
+    built = make_array(array)(context, builder, values[0])
     at = cgutils.get_item_pointer(
-        context, builder, array, made, [*parts, ir.Constant(ir.IntType(64), 0)], wraparound=False
+        context, builder, array, built, [*parts, ir.Constant(ir.IntType(64), 0)], wraparound=False
     )
     return builder.bitcast(at, _VECTOR[REAL].as_pointer())
 
@@ -502,8 +502,8 @@ def taken(typingctx: Any, mask: Any, array: Any, index: Any) -> Any:
 
     def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
         cast = [
-            context.cast(builder, *one)
-            for one in zip(values[1:], (array, index), sig.args, strict=True)
+            context.cast(builder, *item)
+            for item in zip(values[1:], (array, index), sig.args, strict=True)
         ]
         return context.get_function(known, sig)(builder, cast)
 
@@ -515,9 +515,9 @@ def _gathered(array: Any, index: Any, mask: Any) -> Callable:
     kinds = list(index) if _is_tuple(index) else [index]
 
     def code(context: Any, builder: Any, _: Any, values: Any) -> Any:
-        made = make_array(array)(context, builder, values[1])
+        built = make_array(array)(context, builder, values[1])
         parts = cgutils.unpack_tuple(builder, values[2]) if _is_tuple(index) else [values[2]]
-        wide = [context.cast(builder, *one, WHOLE) for one in zip(parts, kinds, strict=True)]
+        wide = [context.cast(builder, *item, WHOLE) for item in zip(parts, kinds, strict=True)]
         if isinstance(mask, Lanes):
             none = ir.Constant(_VECTOR[WHOLE], [0] * LANES)
             wide = [builder.select(values[0], part, none) for part in wide]
@@ -527,7 +527,7 @@ def _gathered(array: Any, index: Any, mask: Any) -> Callable:
             at = [builder.extract_element(part, place) for part in wide]
             if array.ndim == len(at) + 1:
                 at.append(ir.Constant(ir.IntType(64), lane))
-            where = cgutils.get_item_pointer(context, builder, array, made, at, wraparound=False)
+            where = cgutils.get_item_pointer(context, builder, array, built, at, wraparound=False)
             out = builder.insert_element(out, builder.load(where), place)
         return out
 
@@ -543,8 +543,8 @@ def put(typingctx: Any, mask: Any, array: Any, index: Any, value: Any) -> Any:
 
         def plain(context: Any, builder: Any, _: Any, values: Any) -> Any:
             cast = [
-                context.cast(builder, *one)
-                for one in zip(values[1:], (array, index, value), sig.args, strict=True)
+                context.cast(builder, *item)
+                for item in zip(values[1:], (array, index, value), sig.args, strict=True)
             ]
             context.get_function(known, sig)(builder, cast)
             return context.get_dummy_value()

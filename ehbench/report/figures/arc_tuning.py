@@ -30,8 +30,8 @@ def margins(path: Path, rig: Rig, tuning: Table) -> None:
 def _over_sum(ax, rig: Rig, tuning: Table) -> None:
     """Margins over the sum of bandwidths."""
     tried = tuning["candidates"]
-    x = np.asarray(shown(rig, "position_bandwidth", np.array([one["sum"] for one in tried])))
-    gains = np.array([one.get("gain_margin") or np.nan for one in tried], float)
+    x = np.asarray(shown(rig, "position_bandwidth", np.array([item["sum"] for item in tried])))
+    gains = np.array([item.get("gain_margin") or np.nan for item in tried], float)
     chosen = float(
         shown(
             rig,
@@ -39,16 +39,16 @@ def _over_sum(ax, rig: Rig, tuning: Table) -> None:
             sum(tuning["gains"][f"{name}_bandwidth"] for name in ("position", "speed", "force")),
         )
     )
-    delays = np.array([_number(one.get("delay_margin")) for one in tried])
+    delays = np.array([_number(item.get("delay_margin")) for item in tried])
     y = np.asarray(shown(rig, "delay_margin", delays))
-    least = float(shown(rig, "delay_margin", tuning["constraints"]["delay_margin"]))
+    minimum = float(shown(rig, "delay_margin", tuning["constraints"]["delay_margin"]))
     ax.plot(x, y, "o-", color=CYCLE[0], markersize=3.5, label="delay margin, stated")
-    ax.axhline(least, color=CYCLE[0], linewidth=1.0, linestyle=(0, (5, 3)))
-    ax.annotate("demanded", (x[-1], least), (-46, 3), textcoords="offset points", fontsize=8)
+    ax.axhline(minimum, color=CYCLE[0], linewidth=1.0, linestyle=(0, (5, 3)))
+    ax.annotate("demanded", (x[-1], minimum), (-46, 3), textcoords="offset points", fontsize=8)
     ax.axvline(chosen, color=MUTED, linewidth=1.0, linestyle=(0, (2, 2)))
     ax.annotate("chosen", (chosen, 0.0), (3, 4), textcoords="offset points", fontsize=8)
     ax.set_xlim(0.0, x[-1])
-    ax.set_ylim(0.0, 6.0 * least)
+    ax.set_ylim(0.0, 6.0 * minimum)
     ax.set_xlabel(axis(rig, "position_bandwidth", "k₁ + k₂ + k₃"))
     ax.set_ylabel(axis(rig, "delay_margin", "delay margin"), color=CYCLE[0])
     other = ax.twinx()

@@ -61,8 +61,8 @@ def _error(ax, rig: Rig, series: Series, channel: str) -> None:
     error = simulated - recorded
     ax.plot(*thin(series.t, error), color=MUTED, linewidth=0.8)
     ax.axhline(0.0, color="#111827", linewidth=0.6)
-    most = 1.1 * float(np.nanmax(np.abs(error), initial=1e-12))
-    ax.set_ylim(-most, most)
+    maximum = 1.1 * float(np.nanmax(np.abs(error), initial=1e-12))
+    ax.set_ylim(-maximum, maximum)
     ax.set_ylabel("error", fontsize=8)
     ax.locator_params(axis="y", nbins=3)
 

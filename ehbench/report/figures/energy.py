@@ -16,8 +16,8 @@ Unit = tuple[float, str]  # (J per unit, unit)
 
 def unit_for(ledgers: Sequence[Ledger]) -> Unit:
     """The unit in which the largest energy is a number of few digits."""
-    most = max((abs(row["energy"]) for ledger in ledgers for row in ledger["rows"]), default=0.0)
-    return (1e6, "MJ") if most >= 1e8 else (1e3, "kJ") if most >= 1e5 else (1.0, "J")
+    maximum = max((abs(row["energy"]) for ledger in ledgers for row in ledger["rows"]), default=0.0)
+    return (1e6, "MJ") if maximum >= 1e8 else (1e3, "kJ") if maximum >= 1e5 else (1.0, "J")
 
 
 def half_of(row: Mapping[str, Any]) -> float | None:

@@ -47,16 +47,18 @@ def bars(
     """
     unit = unit_for([ledger for _, ledger in ledgers])
     stacks = [_stack(ledger, unit) for _, ledger in ledgers]
-    most = max(sum(max(v, 0.0) for v in parts.values()) for parts in stacks)
-    least = min(sum(min(v, 0.0) for v in parts.values()) for parts in stacks)
-    limits = [_sum_of(one, unit) for one in bounds] if bounds is not None else [{}] * len(ledgers)
-    reach = max([most, *(value for one in limits for value in one.values())])
-    drawn = [key for key in _PARTS if any(abs(parts[key]) > SEEN * most for parts in stacks)]
+    maximum = max(sum(max(v, 0.0) for v in parts.values()) for parts in stacks)
+    minimum = min(sum(min(v, 0.0) for v in parts.values()) for parts in stacks)
+    limits = (
+        [_sum_of(bound, unit) for bound in bounds] if bounds is not None else [{}] * len(ledgers)
+    )
+    reach = max([maximum, *(value for limit in limits for value in limit.values())])
+    drawn = [key for key in _PARTS if any(abs(parts[key]) > SEEN * maximum for parts in stacks)]
     with canvas(path, size=(7.4, 0.72 * len(ledgers) + 1.7)) as (figure, ax):
         for i, (_, ledger) in enumerate(ledgers):
             parts = {key: stacks[i][key] for key in drawn}
-            ahead = _draw_stack(ax, i, parts, _ROOM * (reach - least))
-            _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < _EMPTY * most)
+            ahead = _draw_stack(ax, i, parts, _ROOM * (reach - minimum))
+            _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < _EMPTY * maximum)
             for key, value in limits[i].items():
                 look = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.6, "zorder": 5}
                 for side in (-1, 1):  # above and below the bar, whose numbers stay free
@@ -64,7 +66,7 @@ def bars(
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
         ax.set_ylim(len(ledgers) - 0.45, -0.55)
-        ax.set_xlim(1.05 * least, 1.4 * reach)
+        ax.set_xlim(1.05 * minimum, 1.4 * reach)
         ax.grid(False, axis="y")
         ax.set_xlabel(
             f"energy [{unit[1]}]; the bar, less what lies left of zero, is what the supply gave"
@@ -126,11 +128,11 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
         ax.annotate("next to nothing was drawn", (1.0, 0.5), (5, 0), **look)
         return
     rest = total - drawn
-    said = [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]]
+    messages = [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]]
     if abs(rest) > SEEN * abs(total):
         sign = "+" if rest > 0.0 else "−"
-        said.append(f"{sign} {number(abs(rest) / unit[0], 2)} {unit[1]} compression")
-    if text := "\n".join(said):
+        messages.append(f"{sign} {number(abs(rest) / unit[0], 2)} {unit[1]} compression")
+    if text := "\n".join(messages):
         ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=label, fontsize=7.5, bbox=box, **look)
 
 
@@ -140,7 +142,7 @@ def _handles(drawn: Sequence[str], limits: Sequence[Mapping[str, float]]) -> lis
 
     handles: list = [Patch(color=_PARTS[key][1], label=_PARTS[key][0]) for key in drawn]
     for key, (name, style) in _LIMITS.items():
-        if any(key in one for one in limits):
+        if any(key in limit for limit in limits):
             handles.append(Line2D([], [], color=INK, linestyle=style, label=f"bound: {name}"))
     return handles
 
@@ -151,7 +153,7 @@ def _sum_of(bounds: Sequence[Mapping[str, Any]], unit: Unit) -> dict[str, float]
     """
     sums = {}
     for key in _LIMITS:
-        values = [value for one in bounds if (value := one.get(key)) is not None]
+        values = [value for bound in bounds if (value := bound.get(key)) is not None]
         if values and len(values) == len(bounds):
             sums[key] = float(sum(values)) / unit[0]
     return sums

@@ -31,7 +31,7 @@ def energy_map(
         loads, speeds: what rows and columns are of.
         unit: of the energies.
     """
-    least = np.fmin.reduce([energies for _, energies in panels])
+    minimum = np.fmin.reduce([energies for _, energies in panels])
     rows = math.ceil(len(panels) / COLUMNS)
     size = (7.4, rows * (0.42 * len(loads) + 0.75) + 0.5)
     shape = {"sharex": True, "sharey": True, "squeeze": False}
@@ -39,7 +39,7 @@ def energy_map(
         for ax in axes.flat[len(panels) :]:
             ax.set_visible(False)
         for ax, (title, energies) in zip(axes.flat, panels, strict=False):
-            above = energies / least - 1.0
+            above = energies / minimum - 1.0
             ax.pcolormesh(
                 np.arange(len(speeds) + 1) - 0.5,
                 np.arange(len(loads) + 1) - 0.5,

@@ -21,20 +21,20 @@ _MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
 Ends = dict[str, tuple[float, Any]]  # label of a curve → (where it ends, its colour)
 
 
-def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
+def flow_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
     """Flow over pressure drop, one curve a measured command, with readings, outliers and bands;
     residuals below.
     """
-    commands = one.hull_command[one.hull_command > one.deadband]
+    commands = item.hull_command[item.hull_command > item.deadband]
     colours = dict(zip(commands, shades(commands.size), strict=True))
-    colour_of = _colour_of(one, colours)
-    drop = np.linspace(0.0, 1.0, 161) ** 2 * max(one.drop_max, float(one.hull_high.max()))
-    kept = points.flow.size and not points.outlier.all()
-    ratios = [4.2, 1] if kept else [1]
+    colour_of = _colour_of(item, colours)
+    drop = np.linspace(0.0, 1.0, 161) ** 2 * max(item.drop_max, float(item.hull_high.max()))
+    retained = points.flow.size and not points.outlier.all()
+    ratios = [4.2, 1] if retained else [1]
     look = {"sharex": True, "squeeze": False, "gridspec_kw": {"height_ratios": ratios}}
     with canvas(path, len(ratios), 1, (7.2, 5.6), **look) as (figure, axes):
         main = axes[0, 0]
-        ends, tops = _curves(main, rig, one, drop, colours)
+        ends, tops = _curves(main, rig, item, drop, colours)
         flows = shown(rig, "flow", points.flow[~points.outlier])
         limits = _limits([*(y for y, _ in ends.values()), *tops], flows)
         main.set_ylim(*limits)
@@ -44,37 +44,39 @@ def flow_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
         _end_labels(main, ends)
         main.set_ylabel(axis(rig, "flow"))
         handles += _band_handles(
-            beyond=any(not one.inside(drop[1:], command).all() for command in commands)
+            beyond=any(not item.inside(drop[1:], command).all() for command in commands)
         )
-        if kept:
+        if retained:
             _residuals(axes[1, 0], rig, points, colour_of)
         axes[-1, 0].set_xlabel(axis(rig, "pressure_drop"))
         legend(figure, handles)
 
 
-def level_map(path: Path, rig: Rig, one: FlowMap, points: Points) -> None:
+def level_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
     """Flow over command of a map without pressures, with readings, outliers and band."""
     from matplotlib.patches import Patch
 
-    command = np.unique(np.append(np.linspace(0.0, one.command_max, 241), one.deadband))
-    flow = shown(rig, "flow", one.flow(one.drop_max, command))
-    band = shown(rig, "flow", Z95 * one.flow_std(one.drop_max, command))
+    command = np.unique(np.append(np.linspace(0.0, item.command_max, 241), item.deadband))
+    flow = shown(rig, "flow", item.flow(item.drop_max, command))
+    band = shown(rig, "flow", Z95 * item.flow_std(item.drop_max, command))
     with canvas(path, size=(7.2, 4.2)) as (figure, ax):
         colour = shades(2)[0]
-        ax.axvspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
+        ax.axvspan(*item.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
         ax.fill_between(command, flow - band, flow + band, color=colour, alpha=0.22, linewidth=0)
         ax.plot(command, flow, color=colour, linewidth=1.4)
-        kept, read = ~points.outlier, shown(rig, "flow", points.flow)
-        ax.plot(points.command[kept], read[kept], "D", color=colour, markersize=2.6, alpha=0.7)
-        ax.plot(points.command[~kept], read[~kept], "x", color=ACCENT, markersize=6)
-        ax.set_xlim(0.0, 1.01 * one.command_max)
+        retained, read = ~points.outlier, shown(rig, "flow", points.flow)
+        ax.plot(
+            points.command[retained], read[retained], "D", color=colour, markersize=2.6, alpha=0.7
+        )
+        ax.plot(points.command[~retained], read[~retained], "x", color=ACCENT, markersize=6)
+        ax.set_xlim(0.0, 1.01 * item.command_max)
         ax.set_xlabel("command [V]")
         ax.set_ylabel(axis(rig, "flow"))
         legend(figure, [Patch(color=colour, alpha=0.3, linewidth=0, label="95 % band")])
 
 
 def _curves(
-    ax, rig: Rig, one: FlowMap, drop: np.ndarray, colours: dict
+    ax, rig: Rig, item: FlowMap, drop: np.ndarray, colours: dict
 ) -> tuple[Ends, list[float]]:
     """A curve a command with its band, and the line of a shut valve; gives where they end and the
     tops of the bands.
@@ -83,18 +85,18 @@ def _curves(
     tops: list[float] = []
     x = shown(rig, "pressure_drop", drop)
     for command, colour in colours.items():
-        inside = one.inside(drop, command)
-        y = shown(rig, "flow", one.flow(drop, command))
-        band = shown(rig, "flow", Z95 * one.flow_std(drop, command))
+        inside = item.inside(drop, command)
+        y = shown(rig, "flow", item.flow(drop, command))
+        band = shown(rig, "flow", Z95 * item.flow_std(drop, command))
         ax.fill_between(x, y - band, y + band, where=inside, color=colour, alpha=0.22, linewidth=0)
         tops.append(float(np.max(np.where(inside, y + band, y))))
         _in_and_out(ax, x, y, inside, colour)
         ends[f"{number(command, 3)} V"] = (float(y[-1]), colour)
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
-    shut = one.hull_command[one.hull_command <= one.deadband]
+    shut = item.hull_command[item.hull_command <= item.deadband]
     if shut.size:
-        most = f"{number(shut[-1], 3)} V"
-        ends[(f"≤ {most}" if shut.size > 1 else most) + ", shut"] = (0.0, MUTED)
+        maximum = f"{number(shut[-1], 3)} V"
+        ends[(f"≤ {maximum}" if shut.size > 1 else maximum) + ", shut"] = (0.0, MUTED)
     return ends, tops
 
 
@@ -110,17 +112,17 @@ def _band_handles(beyond: bool) -> list:
     return handles
 
 
-def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
+def inverse_map(path: Path, rig: Rig, item: FlowMap) -> None:
     """Command over flow at several pressure drops: the curves a controller looks up."""
-    drops = _round_drops(rig, one)
-    span = np.linspace(one.deadband, one.command_max, 121)
+    drops = _round_drops(rig, item)
+    span = np.linspace(item.deadband, item.command_max, 121)
     with canvas(path, size=(7.2, 4.2)) as (figure, ax):
         beyond = False
         for i, (drop, colour) in enumerate(zip(drops, shades(len(drops)), strict=True)):
             flow, std, inside = (
-                one.flow(drop, span),
-                one.flow_std(drop, span),
-                one.inside(drop, span),
+                item.flow(drop, span),
+                item.flow_std(drop, span),
+                item.inside(drop, span),
             )
             x, band = shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
             ax.fill_betweenx(
@@ -136,11 +138,11 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
                 linestyle=("-", (0, (6, 1, 1, 1)))[i % 2],
                 label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}",
             )
-        ax.axhspan(*one.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
-        ax.axhline(one.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
+        ax.axhspan(*item.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
+        ax.axhline(item.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
         ax.annotate(
-            f"deadband {number(one.deadband, 3)} V",
-            (1.0, one.deadband),
+            f"deadband {number(item.deadband, 3)} V",
+            (1.0, item.deadband),
             (0, 2),
             ("axes fraction", "data"),
             "offset points",
@@ -149,8 +151,8 @@ def inverse_map(path: Path, rig: Rig, one: FlowMap) -> None:
             color=MUTED,
             fontsize=8,
         )
-        low = 0.94 * min(one.deadband_interval[0], one.deadband)
-        ax.set_ylim(low, one.command_max + 0.02 * (one.command_max - low))
+        low = 0.94 * min(item.deadband_interval[0], item.deadband)
+        ax.set_ylim(low, item.command_max + 0.02 * (item.command_max - low))
         ax.set_xlim(left=0.0)
         ax.set_xlabel(axis(rig, "flow"))
         ax.set_ylabel("command [V]")
@@ -191,13 +193,13 @@ def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
     return low - 0.025 * (high - low), high + 0.05 * (high - low)
 
 
-def _colour_of(one: FlowMap, colours: dict) -> Callable[[float], object]:
+def _colour_of(item: FlowMap, colours: dict) -> Callable[[float], object]:
     """The colour of a reading by its command: that of the nearest curve, grey where the valve is
     shut.
     """
     return lambda command: (
         colours[min(colours, key=lambda known: abs(known - command))]
-        if colours and command > one.deadband
+        if colours and command > item.deadband
         else MUTED
     )
 
@@ -258,8 +260,8 @@ def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
             color=colour(command),
         )
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
-    most = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
-    ax.set_ylim(-most, most)
+    maximum = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
+    ax.set_ylim(-maximum, maximum)
     ax.set_ylabel(axis(rig, "flow", "residual\n").replace("\n ", "\n"), fontsize=8)
 
 
@@ -279,13 +281,13 @@ def _end_labels(ax, ends: dict) -> None:
         ax.text(1.023, place, text, color=INK, transform=across, va="center", fontsize=7.5)
 
 
-def _round_drops(rig: Rig, one: FlowMap, count: int = 6) -> list[float]:
+def _round_drops(rig: Rig, item: FlowMap, count: int = 6) -> list[float]:
     """Drops [Pa] that are round numbers to the reader, spread by ratio over what was measured."""
-    passing = one.hull_command > one.deadband
-    low = float(np.median(one.hull_low[passing])) if passing.any() else one.drop_max / 50
-    high = float(np.quantile(one.hull_high[passing], 0.1)) if passing.any() else one.drop_max
+    passing = item.hull_command > item.deadband
+    low = float(np.median(item.hull_low[passing])) if passing.any() else item.drop_max / 50
+    high = float(np.quantile(item.hull_high[passing], 0.1)) if passing.any() else item.drop_max
     low = min(max(low, high / 50), high / 2)
-    per = one.drop_max / float(shown(rig, "pressure_drop", one.drop_max))
+    per = item.drop_max / float(shown(rig, "pressure_drop", item.drop_max))
     even = np.geomspace(low / per, high / per, count)
     step = 10.0 ** (np.floor(np.log10(even)) - 1.0)
     return [float(drop) * per for drop in dict.fromkeys(np.floor(even / step + 1e-9) * step)]

@@ -14,16 +14,16 @@ from ehbench.report.words import axis, shown
 LEVEL = 3.841
 
 
-def profile(path: Path, rig: Rig, found: Table) -> None:
+def profile(path: Path, rig: Rig, result: Table) -> None:
     """Rise of −2 log likelihood over the parameter, with the 95 % level; below, the other
     parameters relative to their values at its best.
     """
     from matplotlib.lines import Line2D
 
-    name, others = found["name"], found["followed"].plain()
-    x = np.asarray(shown(rig, name, np.array(found["values"])), float)
-    rise = np.array(found["rise"])
-    best = float(shown(rig, name, found["best"]))
+    name, others = result["name"], result["followed"].plain()
+    x = np.asarray(shown(rig, name, np.array(result["values"])), float)
+    rise = np.array(result["rise"])
+    best = float(shown(rig, name, result["best"]))
     rows = 2 if others else 1
     ratios = [2.2, 1][:rows]
     look = {"sharex": True, "squeeze": False, "gridspec_kw": {"height_ratios": ratios}}
@@ -31,7 +31,7 @@ def profile(path: Path, rig: Rig, found: Table) -> None:
         main = axes[0, 0]
         main.axhline(LEVEL, color=ACCENT, linewidth=0.9, linestyle=(0, (4, 3)))
         main.plot(x, rise, "-o", color=RECORDED, linewidth=1.4, markersize=4)
-        ends = found.get("interval")
+        ends = result.get("interval")
         if ends:
             low, high = (float(shown(rig, name, end)) for end in ends)
             _parabola(main, x, best, low, high)

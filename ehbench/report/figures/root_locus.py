@@ -41,25 +41,25 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
 
     Where the stability limit lies far out, what swings comes first, and the way to it below.
     """
-    whole = tuple(pick(one["frame"][i] for one in loci) for i, pick in enumerate((min, max, max)))
-    reach = max(_swing(one) for one in loci)
-    panels: list[tuple[Table, Frame, str]] = [(one, whole, "") for one in loci]
+    whole = tuple(pick(item["frame"][i] for item in loci) for i, pick in enumerate((min, max, max)))
+    reach = max(_swing(item) for item in loci)
+    panels: list[tuple[Table, Frame, str]] = [(item, whole, "") for item in loci]
     if whole[2] > _FAR * 1.4 * reach:
         near = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
-        panels = [(one, near, ", what swings") for one in loci]
-        panels += [(one, whole, ", as far as the stability limit") for one in loci]
+        panels = [(item, near, ", what swings") for item in loci]
+        panels += [(item, whole, ", as far as the stability limit") for item in loci]
     columns = min(2, len(loci))
     rows = -(-len(panels) // columns)
     with canvas(path, rows, columns, (7.4, 3.7 * rows + 0.5), squeeze=False) as (figure, axes):
         for ax in axes.flat[len(panels) :]:
             ax.remove()
-        for ax, (one, frame, where) in zip(axes.flat, panels, strict=False):
-            _locus(ax, one, frame)
-            ax.set_title(load_name(by_name[one["name"]]["point"]["payload"]) + where)
+        for ax, (item, frame, where) in zip(axes.flat, panels, strict=False):
+            _locus(ax, item, frame)
+            ax.set_title(load_name(by_name[item["name"]]["point"]["payload"]) + where)
             ax.set_xlabel("real part [rad/s]")
         for ax in axes[:, 0]:
             ax.set_ylabel("imaginary part [rad/s]")
-        crossing = any(one.get("crossing") is not None for one in loci)
+        crossing = any(item.get("crossing") is not None for item in loci)
         symbol = "K_p" if loci[0]["parameter"] == "feedback_gain" else "ω_w"
         legend(figure, _handles(symbol, crossing), handletextpad=0.5)
 
@@ -80,11 +80,11 @@ def _handles(symbol: str, crossing: bool) -> list:
     return handles
 
 
-def _swing(one: Table) -> float:
+def _swing(item: Table) -> float:
     """Size [rad/s] of the least damped pair of poles at the start of a locus, or of the slowest
     pole where none swings.
     """
-    start = np.array(one["real"][0], float) + 1j * np.array(one["imag"][0], float)
+    start = np.array(item["real"][0], float) + 1j * np.array(item["imag"][0], float)
     start = start[np.abs(start) > 0.0]
     pairs = start[start.imag > _ON_AXIS * np.abs(start)]
     return float(
@@ -92,25 +92,25 @@ def _swing(one: Table) -> float:
     )
 
 
-def _locus(ax, one: Table, frame: Frame) -> None:
+def _locus(ax, item: Table, frame: Frame) -> None:
     left, right, top = frame
     _damping_grid(ax, left, top)
     ax.axvspan(0.0, right, color=ACCENT, alpha=0.06, linewidth=0)
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     ax.axvline(0.0, color=MUTED, linewidth=0.8)
-    poles = np.array(one["real"], float) + 1j * np.array(one["imag"], float)
-    values = np.array(one["values"], float)
-    _branches(ax, values, poles, one["chosen"], frame)
+    poles = np.array(item["real"], float) + 1j * np.array(item["imag"], float)
+    values = np.array(item["values"], float)
+    _branches(ax, values, poles, item["chosen"], frame)
     _poles(ax, [(z.real, z.imag) for z in zeros(values, poles)], frame, zorder=3.5, **_ZERO)
     start = zip(poles[0].real, poles[0].imag, strict=True)
     cross = {"marker": "x", "color": INK, "markersize": 5.5, "markeredgewidth": 1.3}
     _poles(ax, start, frame, zorder=4, **cross)
-    if one.get("crossing") is not None:
+    if item.get("crossing") is not None:
         diamond = {"marker": "D", "color": ACCENT, "markersize": 6, "markeredgewidth": 1.4}
-        limit = _crossing(one["crossing_poles"], top)
+        limit = _crossing(item["crossing_poles"], top)
         _poles(ax, limit, frame, markerfacecolor="white", zorder=6, **diamond)
     dot = {"marker": "o", "color": SIMULATED, "markersize": 5.5, "markeredgewidth": 0.6}
-    _poles(ax, one["chosen_poles"], frame, markeredgecolor="white", zorder=5, **dot)
+    _poles(ax, item["chosen_poles"], frame, markeredgecolor="white", zorder=5, **dot)
     ax.set_xlim(left, right)
     ax.set_ylim(-_ROOM * top, top)
     ax.grid(False)
@@ -143,11 +143,11 @@ def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
         values: of the parameter, shape (n,), from the least to the largest.
         poles: at each of them [rad/s], shape (n, m).
     """
-    scale, most = float(np.median(np.abs(poles))) or 1.0, float(np.abs(values).max())
-    if values.size < 3 or most == 0.0:
+    scale, maximum = float(np.median(np.abs(poles))) or 1.0, float(np.abs(values).max())
+    if values.size < 3 or maximum == 0.0:
         return np.empty(0)
     polynomials = np.array([np.poly(row / scale).real for row in poles])
-    parts = np.linalg.lstsq(np.vander(values / most, 3), polynomials, rcond=None)[0]
+    parts = np.linalg.lstsq(np.vander(values / maximum, 3), polynomials, rcond=None)[0]
     square, linear, _ = (np.abs(part).max() for part in parts)
     if linear == 0.0 or square > _NOT_LINEAR * linear:
         return np.empty(0)
@@ -188,9 +188,9 @@ def refined(
 def _through(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
     """The polynomials of least degree through points, a row a value: Lagrange's form."""
     rows = np.zeros((at.size, y.shape[1]))
-    for j, (own, row) in enumerate(zip(x, y, strict=True)):
+    for j, (item, row) in enumerate(zip(x, y, strict=True)):
         other = np.delete(x, j)
-        rows += np.prod((at[:, None] - other) / (own - other), axis=1)[:, None] * row
+        rows += np.prod((at[:, None] - other) / (item - other), axis=1)[:, None] * row
     return rows
 
 

@@ -113,11 +113,11 @@ def _account(ledger: Ledger) -> _Account:
     works = {cylinder: named[f"{cylinder}.work"]["energy"] for cylinder in cylinders}
     given = sum(row["energy"] for row in rows if row["group"] == "supply")
     whole = max(given, sum(abs(work) for work in works.values()), 1e-12)
-    most = {
+    maximum = {
         cylinder: max(abs(row["energy"]) for row in rows if row["cylinder"] == cylinder)
         for cylinder in cylinders
     }
-    busy = [cylinder for cylinder in cylinders if most[cylinder] > SMALL * whole]
+    busy = [cylinder for cylinder in cylinders if maximum[cylinder] > SMALL * whole]
     return _Account(rows, named, works, busy or cylinders[:1], given, whole)
 
 
@@ -219,7 +219,7 @@ def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
     """Leaves and sources below SMALL drawn together, by node, so that labels do not crowd; the
     least are not drawn.
     """
-    kept: list[_Flow] = []
+    retained: list[_Flow] = []
     little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
     small = SMALL * account.whole
     for flow in flows:
@@ -227,12 +227,12 @@ def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
         if ends and flow.energy < small and flow.group != "supply":
             little.setdefault((flow.start, flow.end, flow.group == "residual"), []).append(flow)
         else:
-            kept.append(flow)
+            retained.append(flow)
     for (_, _, rest), few in little.items():
         energy = sum(flow.energy for flow in few)
         if energy >= (0.5 if rest else 0.15) * small:
-            kept.append(_together(few, energy, account))
-    return kept
+            retained.append(_together(few, energy, account))
+    return retained
 
 
 def _together(few: Sequence[_Flow], energy: float, account: _Account) -> _Flow:

@@ -25,13 +25,13 @@ def distribution(
         ordered = np.sort(y)
         share = 100.0 * np.arange(1, y.size + 1) / y.size
         right.step(ordered, share, where="post", color=RECORDED, linewidth=1.3)
-        for one in summary["quantiles"]:
-            low, high = one.get("low"), one.get("high")
+        for quantile in summary["quantiles"]:
+            low, high = quantile.get("low"), quantile.get("high")
             low = float(ordered[0]) if low is None else low
             high = float(ordered[-1]) if high is None else high
-            level = 100.0 * one["share"]
+            level = 100.0 * quantile["share"]
             right.plot([low, high], [level, level], color=SIMULATED, linewidth=3, alpha=0.6)
-            right.plot([one["value"]], [level], "o", color=SIMULATED, markersize=4)
+            right.plot([quantile["value"]], [level], "o", color=SIMULATED, markersize=4)
         right.set_ylabel("samples up to here [%]")
         for ax in (left, right):
             ax.set_xlabel(name)

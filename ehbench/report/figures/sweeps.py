@@ -24,7 +24,7 @@ _LOOKS = {
 _MARKS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # of a gain, which may change by little
 
 
-def sweeps(path: Path, rig: Rig, found: Sequence[Table], least: float) -> None:
+def sweeps(path: Path, rig: Rig, result: Sequence[Table], least: float) -> None:
     """A column a channel: gain and phase where the recording's coherence reaches ``least``, and the
     coherence.
     """
@@ -32,8 +32,8 @@ def sweeps(path: Path, rig: Rig, found: Sequence[Table], least: float) -> None:
 
     rows = ("gain", "phase", "coherence")
     shape = {"sharex": True, "squeeze": False, "height_ratios": (3, 3, 1.6)}
-    with canvas(path, 3, len(found), (7.4, 5.4), **shape) as (figure, axes):
-        for column, sweep in enumerate(found):
+    with canvas(path, 3, len(result), (7.4, 5.4), **shape) as (figure, axes):
+        for column, sweep in enumerate(result):
             for side, look in _LOOKS.items():
                 if sweep.get(side) is not None:
                     _curves(axes[:, column], rig, sweep, side, look)

@@ -96,9 +96,9 @@ def _flow(ax, rig: Rig, case: Case, record: Record) -> None:
     lines = [("of the motion", record["flow_demand"], {"color": SIMULATED, "linewidth": 1.6})]
     if np.any(record["pace"] < 1.0):
         lines.append(("planned", record["flow_planned"], {"color": CYCLE[2], "linewidth": 1.6}))
-    asked = demanded(rig, record)
-    if asked is not None:
-        lines.append(("asked for by controllers", asked, {"color": RECORDED, "linewidth": 0.8}))
+    requested = demanded(rig, record)
+    if requested is not None:
+        lines.append(("asked for by controllers", requested, {"color": RECORDED, "linewidth": 0.8}))
     for text, flow, look in lines:
         ax.plot(*thin(record.t, np.asarray(shown(rig, "flow", flow))), label=text, **look)
     limit = case.row["sharing"].get("flow_limit")

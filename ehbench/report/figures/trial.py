@@ -85,7 +85,7 @@ def function_bars(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -
     ax.set_yticks(range(len(rows)), rows, fontsize=7.5)
     ax.grid(False, axis="y")
     ax.tick_params(axis="y", length=0)
-    return [Patch(color=_SHADES[one], label=words(FUNCTIONS[one])) for one in sorted(seen)]
+    return [Patch(color=_SHADES[item], label=words(FUNCTIONS[item])) for item in sorted(seen)]
 
 
 def _limits_met(record: Record, cylinder: str) -> int:

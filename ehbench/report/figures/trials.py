@@ -66,8 +66,8 @@ def _grid(cases: Sequence[Named]) -> _Grid:
 
 
 def _far_apart(cases: Sequence[Named]) -> bool:
-    most = [case.row["tracking"]["max_error"] for _, case, _ in cases]
-    return max(most) > FAR_APART * max(min(most), 1e-12)
+    maximum = [case.row["tracking"]["max_error"] for _, case, _ in cases]
+    return max(maximum) > FAR_APART * max(min(maximum), 1e-12)
 
 
 def compare(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
@@ -178,8 +178,8 @@ def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]
         ax.plot(*thin(t, error), **(look | {"linestyle": "-", "linewidth": 1.0}))
     ax.axhline(0.0, color=MUTED, linewidth=0.7)
     if len(cases) == 1:
-        most = number(float(np.abs(errors[0][1]).max()), 2)
-        title = f"Error, {words(cases[0][0])}: at most {most}"
+        maximum = number(float(np.abs(errors[0][1]).max()), 2)
+        title = f"Error, {words(cases[0][0])}: at most {maximum}"
         ax.locator_params(axis="y", nbins=3)
     else:
         title = "Tracking error, actual minus desired"

@@ -45,13 +45,13 @@ def equivalents(path: Path, rig: Rig, tuning: Table, what: Equivalent) -> None:
     (thesis B.1–B.4).
     """
     with canvas(path, size=(7.2, 3.4)) as (_, ax):
-        for index, one in enumerate(tuning["equivalents"]):
-            x, y = (np.array(one[key], float) for key in ("x", what.key))
+        for index, equivalent in enumerate(tuning["equivalents"]):
+            x, y = (np.array(equivalent[key], float) for key in ("x", what.key))
             colour, mark = CYCLE[index % len(CYCLE)], MARKS[index % len(MARKS)]
-            look = {"color": colour, "linestyle": mark, "label": load_name(one["payload"])}
+            look = {"color": colour, "linestyle": mark, "label": load_name(equivalent["payload"])}
             ax.plot(shown(rig, "x", x), shown(rig, what.quantity, y), **look)
             points = [p["point"] for p in tuning["points"]]
-            at = np.unique([p["x"] for p in points if p["payload"] == one["payload"]])
+            at = np.unique([p["x"] for p in points if p["payload"] == equivalent["payload"]])
             there = shown(rig, what.quantity, np.interp(at, x, y))
             ax.plot(shown(rig, "x", at), there, "o", markersize=4, color=colour)
         ax.set_xlabel(axis(rig, "x", "stroke"))
@@ -84,14 +84,14 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
     and choice.
     """
     gains = np.array(tuning["gains"], float)
-    kept = gains > 0.0
-    x = np.asarray(shown(rig, "feedback_gain", gains))[kept]
+    retained = gains > 0.0
+    x = np.asarray(shown(rig, "feedback_gain", gains))[retained]
     names = function_names(tuning)
     colours = {name: CYCLE[i % len(CYCLE)] for i, name in enumerate(names)}
     with canvas(path, size=(7.4, 4.6)) as (figure, ax):
-        for one in tuning["points"]:
-            _damping_curve(ax, x, kept, one, colours[one["point"]["function"]])
-        ax.plot(x, np.array(tuning["worst_curve"], float)[kept], color=_BLACK, linewidth=2.0)
+        for point in tuning["points"]:
+            _damping_curve(ax, x, retained, point, colours[point["point"]["function"]])
+        ax.plot(x, np.array(tuning["worst_curve"], float)[retained], color=_BLACK, linewidth=2.0)
         ax.axhline(tuning["target"], color=MUTED, linewidth=1.0, linestyle=(0, (5, 3)))
         _at_left(ax, "target", tuning["target"], MUTED)
         ax.axhspan(_LOW, 0.0, color=ACCENT, alpha=0.07, linewidth=0)
@@ -107,12 +107,12 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
 
-def _damping_curve(ax, x: np.ndarray, kept: np.ndarray, one: Table, colour: str) -> None:
+def _damping_curve(ax, x: np.ndarray, kept: np.ndarray, item: Table, colour: str) -> None:
     """The curve of an operating point; thin and dotted where it does not count."""
-    y = np.array(one["curve"], float)
+    y = np.array(item["curve"], float)
     y[1:][(y[1:] < _LOW) & (y[:-1] < _LOW)] = np.nan  # beyond the frame
     look: dict[str, Any] = {"linewidth": 0.7, "alpha": 0.55}
-    if not one["counts"]:
+    if not item["counts"]:
         look = {"linewidth": 0.8, "alpha": 0.5, "linestyle": (0, (1, 2))}
     ax.plot(x, y[kept], color=colour, **look)
 
@@ -134,9 +134,9 @@ def _choices(ax, rig: Rig, tuning: Table, colours: Mapping[str, str]) -> None:
         at = float(shown(rig, "feedback_gain", gain))
         ax.axvline(at, color=colour, linewidth=0.9, linestyle=(0, (2, 2)))
         reached = [
-            one["damping_ratio_closed"]
-            for one in tuning["points"]
-            if one["counts"] and chosen[one["point"]["function"]] == gain
+            point["damping_ratio_closed"]
+            for point in tuning["points"]
+            if point["counts"] and chosen[point["point"]["function"]] == gain
         ]
         if reached:
             look = {"markerfacecolor": "white", "markeredgecolor": colour, "markeredgewidth": 1.6}
@@ -146,7 +146,7 @@ def _choices(ax, rig: Rig, tuning: Table, colours: Mapping[str, str]) -> None:
 def _damping_handles(tuning: Table, colours: Mapping[str, str]) -> list:
     from matplotlib.lines import Line2D
 
-    counting = {one["point"]["function"] for one in tuning["points"] if one["counts"]}
+    counting = {point["point"]["function"] for point in tuning["points"] if point["counts"]}
     choice = {"color": _BLACK, "linestyle": (0, (2, 2)), "linewidth": 0.9}
     ring = {"marker": "o", "markersize": 6, "markerfacecolor": "white"}
     handles = [
@@ -165,12 +165,12 @@ def step_responses(path: Path, steps: Sequence[Table], by_name: dict[str, Table]
     from matplotlib.lines import Line2D
 
     with canvas(path, 1, len(steps), (7.4, 3.1), squeeze=False, sharey=True) as (figure, axes):
-        for ax, one in zip(axes[0], steps, strict=True):
-            t = np.array(one["t"], float)
+        for ax, step in zip(axes[0], steps, strict=True):
+            t = np.array(step["t"], float)
             ax.axhline(1.0, color=MUTED, linewidth=0.8)
-            ax.plot(t, one["v_open"], color=RECORDED, linewidth=1.0)
-            ax.plot(t, one["v_closed"], color=SIMULATED, linewidth=1.8)
-            ax.set_title(load_name(by_name[one["name"]]["point"]["payload"]))
+            ax.plot(t, step["v_open"], color=RECORDED, linewidth=1.0)
+            ax.plot(t, step["v_closed"], color=SIMULATED, linewidth=1.8)
+            ax.set_title(load_name(by_name[step["name"]]["point"]["payload"]))
             ax.set_xlabel("time [s]")
             ax.set_xlim(0.0, t[-1])
         axes[0, 0].set_ylabel("speed over desired speed [1]")

@@ -17,8 +17,8 @@ def correlations(path: Path, channels: Sequence[Table]) -> None:
     """A column a channel: the residual's autocorrelation, and below its correlation with each
     earlier command, with bands.
     """
-    crossed = [one for channel in channels for one in channel.get("cross_correlation", [])]
-    commands = dict.fromkeys(one["of"] for one in crossed)
+    crossed = [item for channel in channels for item in channel.get("cross_correlation", [])]
+    commands = dict.fromkeys(item["of"] for item in crossed)
     looks = {
         name: (CYCLE[i % len(CYCLE)], MARKS[i % len(MARKS)]) for i, name in enumerate(commands)
     }
@@ -49,11 +49,11 @@ def _handles(looks: dict[str, tuple[str, Any]]) -> list:
 
 
 def _banded(ax, correlations: Sequence[Table], looks: dict) -> None:
-    for one in correlations:
-        lag, value, band = (np.array(one[key], float) for key in ("lag", "value", "band"))
+    for correlation in correlations:
+        lag, value, band = (np.array(correlation[key], float) for key in ("lag", "value", "band"))
         ax.fill_between(
             lag, -band, band, color=MUTED, alpha=0.22 / len(correlations) ** 0.5, linewidth=0
         )
-        colour, mark = looks[one["of"]]
+        colour, mark = looks[correlation["of"]]
         ax.plot(lag, value, color=colour, linestyle=mark, linewidth=1.1)
     ax.axhline(0.0, color=MUTED, linewidth=0.6)

@@ -104,14 +104,14 @@ def _points(rig: Rig, tuning: Table) -> Grid:
     ]
     rows: list[list[Cell | str]] = [
         [
-            words(one["function"]),
-            load_name(one["payload"]),
-            quantity_cell(rig, "x", one["x"]),
-            quantity_cell(rig, "v", one["v"], 3),
-            *(_margin(rig, name, one.get(name)) for name in _MARGINS),
-            quantity_cell(rig, "natural_frequency", one["frequency"], 3),
+            words(point["function"]),
+            load_name(point["payload"]),
+            quantity_cell(rig, "x", point["x"]),
+            quantity_cell(rig, "v", point["v"], 3),
+            *(_margin(rig, name, point.get(name)) for name in _MARGINS),
+            quantity_cell(rig, "natural_frequency", point["frequency"], 3),
         ]
-        for one in tuning["points"]
+        for point in tuning["points"]
     ]
     return Grid(head, rows, f"{DASH}: nothing found that makes it swing.")
 

@@ -66,6 +66,6 @@ def campaign_sections(campaign: Campaign | None) -> list[Section]:
     """The campaign's own sections, which stand before those of the runs."""
     written = campaign.section if campaign else []
     return [
-        Section(one.title, prose(one.text), f"section-{i}-{slug(one.title)}")
-        for i, one in enumerate(written, 1)
+        Section(item.title, prose(item.text), f"section-{i}-{slug(item.title)}")
+        for i, item in enumerate(written, 1)
     ]

@@ -45,56 +45,56 @@ def draw(run: Saved, index: FigureIndex) -> None:
     from ehbench.physics.flow_map import load_flow_maps
 
     maps, points = load_flow_maps(run.folder), read_points(run.folder / "points.csv")
-    for one in maps.each():
+    for item in maps.each():
         path = index.add(
-            f"flow_map_{one.valve}_{one.direction}",
-            f"Flow map of {one.valve}, {one.direction}",
-            _LEVEL_CAPTION if one.level else _MAP_CAPTION,
-            FigureKey("flow_map", valve=one.valve, direction=one.direction),
+            f"flow_map_{item.valve}_{item.direction}",
+            f"Flow map of {item.valve}, {item.direction}",
+            _LEVEL_CAPTION if item.level else _MAP_CAPTION,
+            FigureKey("flow_map", valve=item.valve, direction=item.direction),
         )
-        picture = figures.level_map if one.level else figures.flow_map
-        picture(path, run.rig, one, points.of(one.valve, one.direction))
-    for one in maps.each():
-        if one.level:
+        picture = figures.level_map if item.level else figures.flow_map
+        picture(path, run.rig, item, points.of(item.valve, item.direction))
+    for item in maps.each():
+        if item.level:
             continue
         path = index.add(
-            f"inverse_map_{one.valve}_{one.direction}",
-            f"Inverse map of {one.valve}, {one.direction}",
+            f"inverse_map_{item.valve}_{item.direction}",
+            f"Inverse map of {item.valve}, {item.direction}",
             _INVERSE_CAPTION,
-            FigureKey("inverse_map", valve=one.valve, direction=one.direction),
+            FigureKey("inverse_map", valve=item.valve, direction=item.direction),
         )
-        figures.inverse_map(path, run.rig, one)
+        figures.inverse_map(path, run.rig, item)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Maps, inverse maps, deadbands, calibration, readings left out."""
     rig, maps = run.rig, run.rows("summary.json")
     calibration = [
-        _calibration_row(rig, one, point) for one in maps for point in one["calibration"]
+        _calibration_row(rig, item, point) for item in maps for point in item["calibration"]
     ]
-    left_out = [_outlier_row(rig, one, reading) for one in maps for reading in one["outliers"]]
+    left_out = [_outlier_row(rig, item, reading) for item in maps for reading in item["outliers"]]
     parts = [
         Part("Flow maps", pictures(FigureKey("flow_map"))),
         Part("Inverse maps", pictures(FigureKey("inverse_map"))),
         Part("Deadbands", _deadbands(rig, maps)),
     ]
-    ways = [row for one in maps for row in _way_rows(rig, one)]
+    ways = [row for item in maps for row in _way_rows(rig, item)]
     if ways:
         parts.append(Part("Beside the opening", [_ways(ways)]))
     if calibration:
         parts.append(Part("Calibration", [_calibration(rig, calibration)]))
     if left_out:
         parts.append(Part("Readings left out", [_left_out(rig, left_out)]))
-    verdicts = [point["verdict"] for one in maps for point in one["calibration"]]
+    verdicts = [point["verdict"] for item in maps for point in item["calibration"]]
     return SectionContent("done", _sentence(maps, len(left_out), verdicts), parts)
 
 
 def _sentence(maps: Sequence[Table], left_out: int, verdicts: Sequence[str]) -> str:
-    readings = sum(one["readings"] for one in maps) + left_out
-    valves = {one["valve"] for one in maps}
+    readings = sum(item["readings"] for item in maps) + left_out
+    valves = {item["valve"] for item in maps}
     sentence = (
         f"{count(len(maps), 'map')} of {count(len(valves), 'valve')} from {readings} readings, "
-        f"{left_out} left out; deadbands {span([one['deadband'] for one in maps])} V"
+        f"{left_out} left out; deadbands {span([item['deadband'] for item in maps])} V"
     )
     if verdicts:
         met = f"{verdicts.count('met')} of {count(len(verdicts), 'point')}"
@@ -118,46 +118,46 @@ def _deadbands(rig: Rig, maps: Sequence[Table]) -> list[Block]:
         "The interval also holds where a flow would start that grows softly, so that it reaches "
         "below the deadband; where it is lopsided, there is no ±."
     )
-    return [Grid(head, [_deadband_row(rig, one) for one in maps], note)]
+    return [Grid(head, [_deadband_row(rig, item) for item in maps], note)]
 
 
-def _deadband_row(rig: Rig, one: Table) -> list[Cell | str]:
-    rms = one.get("rms")
+def _deadband_row(rig: Rig, item: Table) -> list[Cell | str]:
+    rms = item.get("rms")
     return [
-        one["valve"],
-        one["direction"],
-        num(estimate(one.number("deadband"), *one["deadband_interval"])),
-        num(interval(*one["deadband_interval"])),
-        chip(one.get("status", "estimated")),
-        num(number(one["readings"], 9)),
-        num(str(len(one["outliers"]))),
+        item["valve"],
+        item["direction"],
+        num(estimate(item.number("deadband"), *item["deadband_interval"])),
+        num(interval(*item["deadband_interval"])),
+        chip(item.get("status", "estimated")),
+        num(number(item["readings"], 9)),
+        num(str(len(item["outliers"]))),
         num(_flow(rig, rms, 2) if rms is not None else "–"),
         "; ".join(
             f"{words(method)} {_flow(rig, floor, 2)} {pretty(unit_of(rig, 'flow'))} "
             f"and {number(100 * share, 2)} %"
-            for method, (floor, share) in one.get("noise", {}).items()
+            for method, (floor, share) in item.get("noise", {}).items()
         ),
     ]
 
 
-def _way_rows(rig: Rig, one: Table) -> Iterator[list[Cell | str]]:
+def _way_rows(rig: Rig, item: Table) -> Iterator[list[Cell | str]]:
     """Rows of what a valve does beside opening smoothly: leak, hysteresis, kinks, a fall."""
 
     def row(what: str, value: str, ends: str) -> list[Cell | str]:
-        return [one["valve"], one["direction"], what, num(value), num(ends)]
+        return [item["valve"], item["direction"], what, num(value), num(ends)]
 
     flow = pretty(unit_of(rig, "flow"))
-    leak, ends = one.get("leakage"), one.get("leakage_interval", (0.0, 0.0))
+    leak, ends = item.get("leakage"), item.get("leakage_interval", (0.0, 0.0))
     if ends[0] > 0.0:
         between = " … ".join(_flow(rig, end, 3) for end in ends)
         yield row(f"leak below the deadband [{flow}]", _flow(rig, leak, 3), between)
-    if one.get("hysteresis") is not None:
-        lag = one["hysteresis"]
-        yield row("hysteresis [V]", number(lag, 3), interval(*one["hysteresis_interval"]))
-    for value, low, high in one.get("kinks", ()):
+    if item.get("hysteresis") is not None:
+        lag = item["hysteresis"]
+        yield row("hysteresis [V]", number(lag, 3), interval(*item["hysteresis_interval"]))
+    for value, low, high in item.get("kinks", ()):
         yield row("kink at [V]", number(value, 4), interval(low, high))
-    if one.get("falls"):
-        yield row("falls from its largest flow [%]", number(100.0 * one["falls"], 2), "–")
+    if item.get("falls"):
+        yield row("falls from its largest flow [%]", number(100.0 * item["falls"], 2), "–")
 
 
 def _ways(rows: Sequence[Sequence[Cell | str]]) -> Grid:
@@ -178,12 +178,12 @@ def _drop(rig: Rig, value: float) -> str:
     return number(float(shown(rig, "pressure_drop", value)))
 
 
-def _calibration_row(rig: Rig, one: Table, point: Table) -> list[Cell | str]:
+def _calibration_row(rig: Rig, item: Table, point: Table) -> list[Cell | str]:
     target = float(shown(rig, "flow", point["target"]))
     measured = point["verdict"] != "not_measured"
     return [
-        one["valve"],
-        one["direction"],
+        item["valve"],
+        item["direction"],
         num(number(point["command"])),
         num(f"{number(target)} ± {number(target * point['tolerance'], 2)}"),
         num(_flow(rig, point["flow"], 3) if measured else "–"),
@@ -217,12 +217,12 @@ def _calibration(rig: Rig, rows: Sequence[Sequence[Cell | str]]) -> Grid:
     return Grid(head, rows, note)
 
 
-def _outlier_row(rig: Rig, one: Table, reading: Table) -> list[Cell | str]:
+def _outlier_row(rig: Rig, item: Table, reading: Table) -> list[Cell | str]:
     file, line = reading["file"], reading["line"]
     return [
         Cell(f"{file}:{line}" if file else f"line {line}", "code"),
-        one["valve"],
-        one["direction"],
+        item["valve"],
+        item["direction"],
         num(number(reading["command"])),
         num(_drop(rig, reading["pressure_drop"])),
         num(_flow(rig, reading["flow"])),

@@ -43,7 +43,7 @@ _PARAMETERS_CAPTION = (
 def draw(run: Saved, index: FigureIndex) -> None:
     """The parameters within their bounds, then each log recorded and simulated."""
     fit = run.json("parameters.json")
-    parameters = [one for one in estimates_of(fit) if one.number("value") is not None]
+    parameters = [item for item in estimates_of(fit) if item.number("value") is not None]
     if parameters:
         title, about = "Parameters within their bounds", FigureKey("parameters")
         path = index.add("parameters", title, _PARAMETERS_CAPTION, about)
@@ -63,15 +63,15 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     rig, fit = run.rig, run.json("parameters.json")
     parameters = estimates_of(fit)
     table = _parameters_table(rig, parameters, fit.get("sensors", []))
-    leans = [one["sentence"] for one in fit.get("leans", [])]
+    leans = [lean["sentence"] for lean in fit.get("leans", [])]
     notes = [
         *filter(None, [fit.get("left_over")]),
         *fit.get("counts_on", []),
         *fit.get("compared", []),
     ]
-    beside: list[Block] = [Bullets(leans, "warn")] if leans else []
-    beside += [Bullets(notes)] if notes else []
-    parts = [Part("Parameters", [table, *beside, *pictures(FigureKey("parameters"))])]
+    additional: list[Block] = [Bullets(leans, "warn")] if leans else []
+    additional += [Bullets(notes)] if notes else []
+    parts = [Part("Parameters", [table, *additional, *pictures(FigureKey("parameters"))])]
     names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
     if len(names) > 1:
         parts.append(Part("Correlation of the estimates", _correlation(names, matrix)))
@@ -87,14 +87,14 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if variants := fit.get("dynamics_comparison", []):
         compared = [Text(_decision(variants)), _dynamics(rig, variants)]
         parts.append(Part("Valve dynamics compared", compared))
-    weak = any(one["status"] != "estimated" for one in parameters)
+    weak = any(parameter["status"] != "estimated" for parameter in parameters)
     return SectionContent("partly_estimated" if weak else "done", _sentence(rig, fit), parts)
 
 
 def _sentence(rig: Rig, fit: Table) -> str:
     parameters = estimates_of(fit)
-    weak = [one for one in parameters if one["status"] != "estimated"]
-    first = next((one for one in parameters if one not in weak), parameters[0])
+    weak = [parameter for parameter in parameters if parameter["status"] != "estimated"]
+    first = next((parameter for parameter in parameters if parameter not in weak), parameters[0])
     name = first["name"]
     value = as_fitted(rig, name, first)
     method = _METHODS.get(fit["method"], words(fit["method"]))
@@ -104,7 +104,7 @@ def _sentence(rig: Rig, fit: Table) -> str:
     )
     if weak:
         sentence += "; not simply estimated: " + ", ".join(
-            f"{one['name']} ({words(one['status'])})" for one in weak
+            f"{item['name']} ({words(item['status'])})" for item in weak
         )
     return sentence + "."
 
@@ -124,33 +124,38 @@ def _parameters_table(rig: Rig, parameters: Sequence[Table], sensors: Sequence[T
         "logs' starts [%]",
     ]
     known = rig.parameters()
-    rows = [_parameter_row(rig, one, known.get(one["name"])) for one in parameters]
+    rows = [
+        _parameter_row(rig, parameter, known.get(parameter["name"])) for parameter in parameters
+    ]
     note = (
         "± is half the width of the 95 % interval, which allows for coloured residuals; where the "
         "interval is lopsided, the value stands alone. Logs' starts: share of the variance that "
         "the estimated starts of the logs are to blame for."
     )
-    if sensors or any(one.get("prior") for one in parameters):
+    if sensors or any(parameter.get("prior") for parameter in parameters):
         head += ["prior ±", "from data [%]"]
-        rows = [row + _prior_cells(rig, one) for row, one in zip(rows, parameters, strict=True)]
-        rows += [_sensor_row(rig, one) for one in sensors]
+        rows = [
+            row + _prior_cells(rig, parameter)
+            for row, parameter in zip(rows, parameters, strict=True)
+        ]
+        rows += [_sensor_row(rig, sensor) for sensor in sensors]
         note += " From data: share of what is known that the prior did not bring."
     return Grid(head, rows, note)
 
 
-def _sensor_row(rig: Rig, one: Table) -> list[Cell | str]:
+def _sensor_row(rig: Rig, item: Table) -> list[Cell | str]:
     """What was found of a channel's sensor, below the parameters."""
-    word, channel = one["word"], one["channel"]
+    word, channel = item["word"], item["channel"]
     row = {"offset": channel, "scale": "sensor_scale"}.get(word, word)
-    std, prior = one.number("std"), one.number("prior")
+    std, prior = item.number("std"), item.number("prior")
     share = 100.0 * max(0.0, 1.0 - (std / prior) ** 2) if std is not None and prior else None
     return [
-        Cell(f"{word} of {channel}" + (f", {one['log']}" if one["log"] else ""), "code"),
-        num(as_fitted(rig, row, one)),
+        Cell(f"{word} of {channel}" + (f", {item['log']}" if item["log"] else ""), "code"),
+        num(as_fitted(rig, row, item)),
         pretty(unit_of(rig, row)),
-        num(range_of(rig, row, one.get("interval"))),
+        num(range_of(rig, row, item.get("interval"))),
         "–",
-        num(plus(rig, row, one.number("known"), None)),
+        num(plus(rig, row, item.number("known"), None)),
         chip("estimated"),
         "sensor",
         *(num("–") for _ in range(3)),
@@ -159,31 +164,31 @@ def _sensor_row(rig: Rig, one: Table) -> list[Cell | str]:
     ]
 
 
-def _prior_cells(rig: Rig, one: Table) -> list[Cell | str]:
+def _prior_cells(rig: Rig, item: Table) -> list[Cell | str]:
     """What was known of a parameter beside the data, and the data's share in what is known now."""
-    if not one.get("prior"):
+    if not item.get("prior"):
         return [num("–"), num("–")]
     return [
-        num(plus(rig, one["name"], one.number("prior"), None)),
-        num(number(100.0 * one["from_data"], 3)),
+        num(plus(rig, item["name"], item.number("prior"), None)),
+        num(number(100.0 * item["from_data"], 3)),
     ]
 
 
-def _parameter_row(rig: Rig, one: Table, value: Value | None) -> list[Cell | str]:
-    name = one["name"]
-    low, high = (plus(rig, name, one.number(key), None) for key in ("lower", "upper"))
+def _parameter_row(rig: Rig, item: Table, value: Value | None) -> list[Cell | str]:
+    name = item["name"]
+    low, high = (plus(rig, name, item.number(key), None) for key in ("lower", "upper"))
     return [
         Cell(name, "code", hint=row_of(name).meaning),
-        num(as_fitted(rig, name, one)),
+        num(as_fitted(rig, name, item)),
         pretty(unit_of(rig, name)),
-        num(range_of(rig, name, one.get("interval"))),
+        num(range_of(rig, name, item.get("interval"))),
         num(f"{low} … {high}"),
-        num(plus(rig, name, one.number("start"), None)),
-        chip(one["status"]),
+        num(plus(rig, name, item.number("start"), None)),
+        chip(item["status"]),
         value.sure if value is not None else "–",
-        num(str(one["samples"])),
-        words(one.get("error_from") or "–"),
-        num(number(100.0 * one["from_starts"], 2) if one.get("from_starts") else "–"),
+        num(str(item["samples"])),
+        words(item.get("error_from") or "–"),
+        num(number(100.0 * item["from_starts"], 2) if item.get("from_starts") else "–"),
     ]
 
 
@@ -195,19 +200,19 @@ def _correlation(names: Sequence[str], matrix: Sequence[Sequence[float | None]])
     values = np.array(matrix[:size], float).reshape(size, -1)[:, :size]
     strong = np.tril(np.abs(values) > CORRELATED, -1)  # not where a value is not known
     _, groups = connected_components(strong, directed=False)
-    said = []
+    messages = []
     for group in np.unique(groups):
         own = np.flatnonzero(groups == group).tolist()
         if len(own) == 1:
             continue
         *others, last = (names[i] for i in own)
-        told = values[np.ix_(own, own)][strong[np.ix_(own, own)]]
-        ends = told if len(own) == 2 else [np.abs(told).min(), np.abs(told).max()]
+        message = values[np.ix_(own, own)][strong[np.ix_(own, own)]]
+        ends = message if len(own) == 2 else [np.abs(message).min(), np.abs(message).max()]
         by = " to ".join(dict.fromkeys(number(float(end), 3) for end in ends))
-        said.append(
+        messages.append(
             f"{', '.join(others)} and {last} correlate by {by}: the logs tell them only together."
         )
-    return [*([Bullets(said, "warn")] if said else []), Heat(names, matrix)]
+    return [*([Bullets(messages, "warn")] if messages else []), Heat(names, matrix)]
 
 
 def _groups(groups: Sequence[Table]) -> Grid:
@@ -217,12 +222,12 @@ def _groups(groups: Sequence[Table]) -> Grid:
     )
     rows: list[list[Cell | str]] = [
         [
-            Cell(one["text"], "code"),
-            num(number(one["value"], 4)),
-            num(interval(*one["interval"])),
-            num(f"± {number(100.0 * Z95 * one['std'], 2)} %"),
+            Cell(group["text"], "code"),
+            num(number(group["value"], 4)),
+            num(interval(*group["interval"])),
+            num(f"± {number(100.0 * Z95 * group['std'], 2)} %"),
         ]
-        for one in groups
+        for group in groups
     ]
     return Grid(["product", "value", "95 % interval", "known to"], rows, note)
 
@@ -262,27 +267,29 @@ def _decision(variants: Sequence[Table]) -> str:
     """Whether the data tell the best of some valve dynamics from the others."""
     best, *others = variants
     larger = [
-        f"{one['dynamics']} {number(100.0 * (one['relative_rms'] - 1.0), 2)} % "
-        f"({interval(*(100.0 * (end - 1.0) for end in one['interval']))} %)"
-        for one in others
+        f"{other['dynamics']} {number(100.0 * (other['relative_rms'] - 1.0), 2)} % "
+        f"({interval(*(100.0 * (end - 1.0) for end in other['interval']))} %)"
+        for other in others
     ]
-    open_ones = [one["dynamics"] for one in others if one["interval"][0] <= 1.0]
+    open_ones = [other["dynamics"] for other in others if other["interval"][0] <= 1.0]
     lead = f"The data decide for {best['dynamics']}"
     if open_ones:
         lead = f"Not decided between {best['dynamics']} and {', '.join(open_ones)}"
     text = f"{lead}: residuals larger than with {best['dynamics']} by {'; '.join(larger)}, in "
     text += "brackets the 95 % interval."
     lags = [
-        f"{one['channel']} {number(1e3 * one['value'], 2)} ms"
-        for one in best.get("fit", {}).get("sensors", [])
-        if one["word"] == "lag"
+        f"{sensor['channel']} {number(1e3 * sensor['value'], 2)} ms"
+        for sensor in best.get("fit", {}).get("sensors", [])
+        if sensor["word"] == "lag"
     ]
     return text + (f" Sensors' lags fitted alongside: {', '.join(lags)}." if lags else "")
 
 
 def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
     fits = [
-        {one["name"]: one for one in variant["fit"]["parameters"]} if variant.get("fit") else {}
+        {parameter["name"]: parameter for parameter in variant["fit"]["parameters"]}
+        if variant.get("fit")
+        else {}
         for variant in variants
     ]
     errors = [num(number(variant["relative_rms"], 4)) for variant in variants]
@@ -298,8 +305,8 @@ def _dynamics(rig: Rig, variants: Sequence[Table]) -> Grid:
     return Grid(["", *(variant["dynamics"] for variant in variants)], rows, note)
 
 
-def _fitted_cell(rig: Rig, name: str, one: Table | None) -> Cell:
-    return num("–" if one is None else as_fitted(rig, name, one))
+def _fitted_cell(rig: Rig, name: str, item: Table | None) -> Cell:
+    return num("–" if item is None else as_fitted(rig, name, item))
 
 
 REPORT = StageReport(

@@ -27,36 +27,36 @@ _SHAPES = {
 
 def draw(run: Saved, index: FigureIndex) -> None:
     """The profile."""
-    found = run.json("profile.json")
-    path = index.add("profile", f"Profile of {found['name']}", _CAPTION, FigureKey("profile"))
-    figures.profile(path, run.rig, found)
+    result = run.json("profile.json")
+    path = index.add("profile", f"Profile of {result['name']}", _CAPTION, FigureKey("profile"))
+    figures.profile(path, run.rig, result)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Picture, ends and the others' values."""
-    rig, found = run.rig, run.json("profile.json")
-    parts = [Part("Profile", [_ends(rig, found), *pictures(FigureKey("profile"))])]
-    return SectionContent("done", _sentence(rig, found), parts)
+    rig, result = run.rig, run.json("profile.json")
+    parts = [Part("Profile", [_ends(rig, result), *pictures(FigureKey("profile"))])]
+    return SectionContent("done", _sentence(rig, result), parts)
 
 
-def _sentence(rig: Rig, found: Table) -> str:
-    name, unit = found["name"], pretty(unit_of(rig, found["name"]))
-    low, high = found["ends"]
-    value = float(shown(rig, name, found["best"]))
+def _sentence(rig: Rig, result: Table) -> str:
+    name, unit = result["name"], pretty(unit_of(rig, result["name"]))
+    low, high = result["ends"]
+    value = float(shown(rig, name, result["best"]))
     if low is None or high is None:
         text = number(value)
     else:
         text = estimate(value, *(float(shown(rig, name, end)) for end in (low, high)))
-    return f"Profile of {name}, {text} {unit}".rstrip() + f": {_SHAPES[found['shape']]}."
+    return f"Profile of {name}, {text} {unit}".rstrip() + f": {_SHAPES[result['shape']]}."
 
 
-def _ends(rig: Rig, found: Table) -> Block:
-    name = found["name"]
-    low, high = found["ends"]
+def _ends(rig: Rig, result: Table) -> Block:
+    name = result["name"]
+    low, high = result["ends"]
     ends = ["open" if end is None else number(float(shown(rig, name, end))) for end in (low, high)]
     rows = [
         ["by the profile", num(f"{ends[0]} … {ends[1]}")],
-        ["by the fit", num(range_of(rig, name, found.get("interval")))],
+        ["by the fit", num(range_of(rig, name, result.get("interval")))],
     ]
     return Grid(["95 % interval", axis(rig, name, name)], rows)
 

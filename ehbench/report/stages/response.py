@@ -87,8 +87,8 @@ def bode(path: Path, columns: dict[str, np.ndarray], table: Table, unit: str) ->
         axes[2].set_title("Coherence")
         axes[2].set_xlabel("frequency [Hz]")
         for ax, key, text in ((axes[0], "bandwidth", "−3 dB"), (axes[1], "quadrature", "−90°")):
-            if (found := table.get(key)) is not None:
-                _mark(ax, found["value"], text)
+            if (result := table.get(key)) is not None:
+                _mark(ax, result["value"], text)
 
 
 def _frame_gain(ax, columns: dict[str, np.ndarray], coherent: np.ndarray, title: str) -> None:
@@ -124,7 +124,7 @@ def _mark(ax, frequency: float, text: str) -> None:
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """The figure, the numbers with their intervals, how it was averaged, what is to be said."""
     table = run.json("response.json")
-    rows = [_number_row(table, *one) for one in _NUMBERS]
+    rows = [_number_row(table, *item) for item in _NUMBERS]
     low, high = table["coherent_range"]
     averaged = [
         ["logs", ", ".join(table["logs"])],
@@ -151,11 +151,11 @@ def _forms(logs: Sequence[str], forms: Sequence[Table]) -> Grid:
     """Transfer functions fitted in time, the preferred first."""
     head = ["form", "poles [rad/s]", "delay [ms]", *(f"fit of {log} [%]" for log in logs), ""]
     rows: list[list[Cell | str]] = []
-    for one in forms:
-        poles, delay = _poles_and_delay(one)
-        fits = [num(number(fit, 4)) for fit in one["fit_percent"]]
-        words = "preferred" if one["preferred"] else ""
-        rows.append([one["form"], num(poles), num(delay), *fits, words])
+    for form in forms:
+        poles, delay = _poles_and_delay(form)
+        fits = [num(number(fit, 4)) for fit in form["fit_percent"]]
+        words = "preferred" if form["preferred"] else ""
+        rows.append([form["form"], num(poles), num(delay), *fits, words])
     note = (
         "Fitted to the logs in time, each with an offset of its own; ± is half the width of the "
         "95 % interval. Preferred: of the forms within 1 % of the best fit those with the fewest "
@@ -176,19 +176,19 @@ def _poles_and_delay(form: Table) -> tuple[str, str]:
 
 def _preferred(forms: Sequence[Table]) -> str:
     """The form that is preferred, in words."""
-    one = next(form for form in forms if form["preferred"])
-    poles, delay = _poles_and_delay(one)
+    item = next(form for form in forms if form["preferred"])
+    poles, delay = _poles_and_delay(item)
     late = "" if delay == "–" else f" and {delay} ms"
-    fits = ", ".join(number(fit, 3) for fit in one["fit_percent"])
-    return f" Of the plain forms {one['form']} is preferred, {poles} rad/s{late}: fit {fits} %."
+    fits = ", ".join(number(fit, 3) for fit in item["fit_percent"])
+    return f" Of the plain forms {item['form']} is preferred, {poles} rad/s{late}: fit {fits} %."
 
 
 def _number_row(table: Table, key: str, text: str, unit: str, factor: float) -> list[Cell | str]:
-    found = table.get(key)
-    if found is None:
+    result = table.get(key)
+    if result is None:
         return [text, num("–"), num("the data do not show it"), unit]
-    ends = [None if end is None else factor * end for end in found["interval"]]
-    return [text, num(number(factor * found["value"], 4)), num(_span(ends)), unit]
+    ends = [None if end is None else factor * end for end in result["interval"]]
+    return [text, num(number(factor * result["value"], 4)), num(_span(ends)), unit]
 
 
 def _span(ends: list[float | None]) -> str:
@@ -199,16 +199,16 @@ def _span(ends: list[float | None]) -> str:
 def _sentence(table: Table) -> str:
     low, high = table["coherent_range"]
     parts = [
-        f"{text} {number(factor * found['value'], 3)} {unit}"
+        f"{text} {number(factor * result['value'], 3)} {unit}"
         for key, text, unit, factor in _NUMBERS
-        if (found := table.get(key)) is not None
+        if (result := table.get(key)) is not None
     ]
     lead = (
         f"{table['output']} over {table['input']} from {count(len(table['logs']), 'log')}, "
         f"coherent from {number(low, 3)} to {number(high, 3)} Hz"
     )
-    said = f"{lead}: {', '.join(parts)}." if parts else f"{lead}."
-    return said + (_preferred(forms) if (forms := table.get("transfers")) else "")
+    message = f"{lead}: {', '.join(parts)}." if parts else f"{lead}."
+    return message + (_preferred(forms) if (forms := table.get("transfers")) else "")
 
 
 REPORT = StageReport(

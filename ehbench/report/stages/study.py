@@ -23,7 +23,7 @@ _ENDED = ("done", "incomplete", "rejected")
 def draw(run: Saved, index: FigureIndex) -> None:
     """Each measure's distribution, scatter, what moves it, and its maps."""
     study, table = run.json("study.json"), _columns(run)
-    targets = {one["measure"]: one for one in study["targets"]}
+    targets = {item["measure"]: item for item in study["targets"]}
     for measure in study["measures"]:
         name, head = measure["name"], _head(measure["name"], measure["unit"])
         y = table[head]
@@ -36,12 +36,12 @@ def draw(run: Saved, index: FigureIndex) -> None:
             path = index.add(f"spread_{name}", f"Spread of {name}", caption, _key("spread", name))
             figures.distribution(path, _shown(measure), y[there], measure, target)
             _scatter(index, study, table, measure, y)
-    for one in study["sensitivity"]:
-        rows = sorted(one["inputs"], key=lambda row: -abs(_weight(row)))
-        name = one["measure"]
-        caption = _SOBOL if one["way"] == "sobol" else _RANK
+    for item in study["sensitivity"]:
+        rows = sorted(item["inputs"], key=lambda row: -abs(_weight(row)))
+        name = item["measure"]
+        caption = _SOBOL if item["way"] == "sobol" else _RANK
         path = index.add(f"moves_{name}", f"What moves {name}", caption, _key("moves", name))
-        figures.bars(path, rows[:20], one["way"])
+        figures.bars(path, rows[:20], item["way"])
     _maps(index, study)
 
 
@@ -70,13 +70,13 @@ def _head(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _shown(one: Table) -> str:
-    return _head(words(one["name"]), pretty(one["unit"]))
+def _shown(item: Table) -> str:
+    return _head(words(item["name"]), pretty(item["unit"]))
 
 
-def _unit(one: Table) -> str:
+def _unit(item: Table) -> str:
     """The unit of an input; that of factors is ×."""
-    return "×" if one["factor"] else pretty(one["unit"])
+    return "×" if item["factor"] else pretty(item["unit"])
 
 
 def _key(kind: str, measure: str) -> FigureKey:
@@ -91,12 +91,12 @@ def _scatter(
     index: FigureIndex, study: Table, table: dict[str, np.ndarray], measure: Table, y: np.ndarray
 ) -> None:
     inputs = []
-    for one in study["inputs"]:
-        x = table[_head(one["key"], one["unit"])]
-        if one["varied"] != "seed" and not one["is_text"] and np.ptp(x) > 0.0:
-            inputs.append((_head(one["key"], _unit(one)), x))
+    for item in study["inputs"]:
+        x = table[_head(item["key"], item["unit"])]
+        if item["varied"] != "seed" and not item["is_text"] and np.ptp(x) > 0.0:
+            inputs.append((_head(item["key"], _unit(item)), x))
     if inputs:
-        marks = np.array([one["sample"] for one in study["worst"]], int)
+        marks = np.array([item["sample"] for item in study["worst"]], int)
         name = measure["name"]
         caption = "Each sample; circles: the worst, kept as runs of their own."
         path = index.add(f"over_{name}", f"{name} over the inputs", caption, _key("over", name))
@@ -105,10 +105,10 @@ def _scatter(
 
 def _maps(index: FigureIndex, study: Table) -> None:
     """A map of each measure over the first two swept keys, where two were swept."""
-    listed = [one for one in study["inputs"] if one["values"]]
+    listed = [item for item in study["inputs"] if item["values"]]
     if len(listed) != 2 or not study["groups"]:
         return
-    across, up = (one["values"] for one in listed)
+    across, up = (item["values"] for item in listed)
     for at, measure in enumerate(study["measures"]):
         z = np.full((len(up), len(across)), np.nan)
         for group in study["groups"]:
@@ -144,14 +144,14 @@ def _sentence(study: Table) -> str:
     ended = sum(study["status"].get(word, 0) for word in _ENDED)
     what = " and ".join(f"'{name}'" for name in study["recipe"])
     sentence = f"{count(study['samples'], 'sample')} of {what}, {ended} of which came to their end"
-    for one in study["targets"]:
-        sentence += f"; {_met(one)} keep {one['measure']} {ends_of(one)}"
+    for target in study["targets"]:
+        sentence += f"; {_met(target)} keep {target['measure']} {ends_of(target)}"
     return sentence + "."
 
 
-def _met(one: Table) -> str:
-    span = interval(100.0 * one["low"], 100.0 * one["high"])
-    return f"{number(100.0 * one['share'], 3)} % ({span} %)"
+def _met(item: Table) -> str:
+    span = interval(100.0 * item["low"], 100.0 * item["high"])
+    return f"{number(100.0 * item['share'], 3)} % ({span} %)"
 
 
 def _unfinished(study: Table) -> list[Block]:
@@ -166,8 +166,13 @@ def _unfinished(study: Table) -> list[Block]:
 
 def _targets(study: Table) -> list[Block]:
     rows = [
-        [one["measure"], num(ends_of(one)), num(f"{one['count']} of {one['of']}"), num(_met(one))]
-        for one in study["targets"]
+        [
+            target["measure"],
+            num(ends_of(target)),
+            num(f"{target['count']} of {target['of']}"),
+            num(_met(target)),
+        ]
+        for target in study["targets"]
     ]
     head = ["target", "", "samples that keep it", "share (95 % interval)"]
     return [Grid(head, rows)] if rows else []
@@ -175,15 +180,15 @@ def _targets(study: Table) -> list[Block]:
 
 def _measures(study: Table) -> Grid:
     rows = []
-    for one in study["measures"]:
-        cells = [one["name"], num(str(one["samples"]))]
-        if "quantiles" in one:
-            cells += [num(number(one["mean"])), num(number(one.get("std")))]
-            cells += [num(_quantile(each)) for each in one["quantiles"]]
-            cells += [num(number(one["least"])), num(number(one["most"]))]
+    for measure in study["measures"]:
+        cells = [measure["name"], num(str(measure["samples"]))]
+        if "quantiles" in measure:
+            cells += [num(number(measure["mean"])), num(number(measure.get("std")))]
+            cells += [num(_quantile(each)) for each in measure["quantiles"]]
+            cells += [num(number(measure["least"])), num(number(measure["most"]))]
         else:
             cells += [num(number(None))] * (2 + len(_SHARES) + 2)
-        rows.append([*cells, pretty(one["unit"])])
+        rows.append([*cells, pretty(measure["unit"])])
     heads = [f"{100 * share:g} % quantile" for share in _SHARES]
     head = ["measure", "samples", "mean", "spread", *heads, "least", "most", "unit"]
     caption = "Of samples that came to their end; quantiles with 95 % intervals."
@@ -193,9 +198,9 @@ def _measures(study: Table) -> Grid:
 _SHARES = (0.05, 0.5, 0.95, 0.99)
 
 
-def _quantile(one: Table) -> str:
-    low, high = (number(one.get(end), 3) for end in ("low", "high"))
-    return f"{number(one['value'])} ({low} … {high})"
+def _quantile(item: Table) -> str:
+    low, high = (number(item.get(end), 3) for end in ("low", "high"))
+    return f"{number(item['value'])} ({low} … {high})"
 
 
 def _groups(study: Table) -> list[Block]:
@@ -203,48 +208,48 @@ def _groups(study: Table) -> list[Block]:
     groups = study["groups"]
     if not groups or len(groups) > MOST_ROWS:
         return []
-    keys = [one["key"] for one in study["inputs"] if one["values"]]
+    keys = [item["key"] for item in study["inputs"] if item["values"]]
     head = [*keys, "came to their end"]
     for measure in study["measures"]:
         ways = ("median", "95 %", "most") if study["points"] > 1 else ("",)
         head += [f"{_shown(measure)}{', ' * bool(way)}{way}" for way in ways]
-    head += [f"keep {one['measure']} {ends_of(one)}" for one in study["targets"]]
+    head += [f"keep {target['measure']} {ends_of(target)}" for target in study["targets"]]
     rows = []
     for group in groups:
         cells: list[Cell | str] = [group["values"][key] for key in keys]
         cells.append(num(f"{group['whole']} of {group['samples']}"))
-        for one in group["measures"]:
+        for item in group["measures"]:
             ways = ("median", "q95", "most") if study["points"] > 1 else ("median",)
-            cells += [num(number(one.get(way), 3)) for way in ways]
-        rows.append(cells + [num(_met(one)) for one in group["targets"]])
+            cells += [num(number(item.get(way), 3)) for way in ways]
+        rows.append(cells + [num(_met(target)) for target in group["targets"]])
     return [Grid(head, rows)]
 
 
 def _moves(study: Table) -> list[Block]:
     sentences = [
-        f"ranks of {one['measure']}: the inputs explain {number(100.0 * one['explained'], 2)} %"
-        for one in study["sensitivity"]
-        if one.get("explained") is not None
+        f"ranks of {item['measure']}: the inputs explain {number(100.0 * item['explained'], 2)} %"
+        for item in study["sensitivity"]
+        if item.get("explained") is not None
     ]
     return [Bullets(sentences)] if sentences else []
 
 
 def _worst(study: Table) -> list[Block]:
     """The samples that were kept: what they measured and what was set, and where they are."""
-    varied = [one for one in study["inputs"] if one["varied"] != "seed"]
-    inputs = [i for i, one in enumerate(study["inputs"]) if one in varied]
-    heads = [_head(one["key"], _unit(one)) for one in varied]
+    varied = [item for item in study["inputs"] if item["varied"] != "seed"]
+    inputs = [i for i, item in enumerate(study["inputs"]) if item in varied]
+    heads = [_head(item["key"], _unit(item)) for item in varied]
     rows: list[Sequence[Cell | str]] = []
-    for one in study["worst"]:
-        cells = [num(str(one["sample"])), Cell(one["folder"], "code"), words(one["status"])]
-        cells += [num(number(value, 4)) for value in one["measures"]]
+    for item in study["worst"]:
+        cells = [num(str(item["sample"])), Cell(item["folder"], "code"), words(item["status"])]
+        cells += [num(number(value, 4)) for value in item["measures"]]
         for i in inputs:
-            value = one["inputs"][i]
+            value = item["inputs"][i]
             cells.append(value if isinstance(value, str) else num(number(value, 4)))
-        rows.append([*cells, one["said"]])
+        rows.append([*cells, item["said"]])
     if not rows:
         return []
-    measures = [_shown(one) for one in study["measures"]]
+    measures = [_shown(measure) for measure in study["measures"]]
     caption = "Each was run again and kept whole; by its number it can be made anew."
     return [Grid(["sample", "its run", "status", *measures, *heads, ""], rows, caption)]
 
@@ -252,12 +257,12 @@ def _worst(study: Table) -> list[Block]:
 def _inputs(study: Table) -> Grid:
     rows: list[Sequence[Cell | str]] = [
         [
-            Cell(one["key"], "code"),
-            _unit(one),
-            words(one["varied"]),
-            ", ".join(one["values"]) or one["law"],
+            Cell(item["key"], "code"),
+            _unit(item),
+            words(item["varied"]),
+            ", ".join(item["values"]) or item["law"],
         ]
-        for one in study["inputs"]
+        for item in study["inputs"]
     ]
     return Grid(["key", "unit", "varied by", "values"], rows)
 

@@ -143,7 +143,7 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
     rows: list[list[Cell | str]] = [
         ["on", facts["on"]],
         ["controller", words(facts["controller"])],
-        ["cylinder", ", ".join(one.cylinder for one in cases)],
+        ["cylinder", ", ".join(item.cylinder for item in cases)],
         ["payload", load_name(row["payload"])],
         *_circumstances(facts),
     ]

@@ -90,7 +90,9 @@ def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Ca
     path = index.add(f"energy_{stem_of(motion)}", title, energy_caption(rig, cases), about)
     ledgers = [ledger for case in cases if (ledger := case.energy()) is not None]
     if len(ledgers) == len(cases):
-        limits = [[one for one in ledger.get("bounds", []) if one["closed"]] for ledger in ledgers]
+        limits = [
+            [bound for bound in ledger.get("bounds", []) if bound["closed"]] for ledger in ledgers
+        ]
         bars(path, list(zip(names, ledgers, strict=True)), limits if any(limits) else None)
     else:
         figures.pump_energies(path, rig, cases, names)
@@ -170,7 +172,7 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
         named += [picture for picture in drawn if picture.named is not None]
         if others := [picture for picture in drawn if picture.named is None]:
             folds.append(Fold(f"{name}, on the {case.row['on']}", others))
-    named.sort(key=lambda one: one.named or 0)
+    named.sort(key=lambda item: item.named or 0)
     return [*named], folds
 
 

@@ -80,8 +80,8 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 def _draw_function(rig: Rig, tuning: Table, function: str, index: FigureIndex) -> None:
     """Root loci and step responses of one working function."""
-    by_name = {one["name"]: one for one in tuning["points"]}
-    counts = any(one["point"]["function"] == function for one in counted(tuning))
+    by_name = {point["name"]: point for point in tuning["points"]}
+    counts = any(item["point"]["function"] == function for item in counted(tuning))
     whose = f"{words(tuning['cylinder'])}, {words(function)}"
 
     def about(kind: str) -> FigureKey:
@@ -91,7 +91,7 @@ def _draw_function(rig: Rig, tuning: Table, function: str, index: FigureIndex) -
         return [r for r in results if by_name[r["name"]]["point"]["function"] == function]
 
     for parameter, lead, text in _LOCI:
-        loci = [one for one in own(tuning["loci"]) if one["parameter"] == parameter]
+        loci = [item for item in own(tuning["loci"]) if item["parameter"] == parameter]
         if loci:
             caption = locus_caption(rig, loci, by_name, counts)
             path = index.add(f"{lead}_{function}", f"{text}: {whose}", caption, about("locus"))
@@ -169,7 +169,7 @@ def _operating_points(rig: Rig, tuning: Table) -> list[Block]:
         "Speed lost: what the static pressure takes where there is no washout. "
         "Open: without any feedback, that of the off-side (K_o) included."
     )
-    every = Grid(_point_head(rig), [_point_row(rig, one) for one in points], note)
+    every = Grid(_point_head(rig), [_point_row(rig, point) for point in points], note)
     return [
         _points_by_load(rig, tuning),
         Fold(f"All {count(len(points), 'operating point')}", [every]),
@@ -195,9 +195,9 @@ def _points_by_load(rig: Rig, tuning: Table) -> Grid:
     for function in function_names(tuning):
         for payload in payloads_of(tuning):
             group = [
-                one
-                for one in tuning["points"]
-                if (one["point"]["function"], one["point"]["payload"]) == (function, payload)
+                point
+                for point in tuning["points"]
+                if (point["point"]["function"], point["point"]["payload"]) == (function, payload)
             ]
             if group:
                 rows.append([words(function), load_name(payload), *_group_cells(rig, group)])
@@ -214,18 +214,18 @@ def _group_cells(rig: Rig, group: Sequence[Table]) -> list[Cell]:
     def spanned(name: str, values: Sequence[float]) -> Cell:
         return num(span([float(shown(rig, name, value)) for value in values]))
 
-    margins = [one["margins"] for one in group]
-    phases = [one.get("phase_margin") for one in margins]
+    margins = [item["margins"] for item in group]
+    phases = [margin.get("phase_margin") for margin in margins]
     return [
         num(str(len(group))),
-        chip("counts" if any(one["counts"] for one in group) else "shown only"),
-        spanned("mass", [one["point"]["mass"] for one in group]),
-        spanned("force", [one["point"]["gravity_force"] for one in group]),
-        spanned("natural_frequency", [one["natural_frequency_open"] for one in group]),
-        num(span([one["damping_ratio_open"] for one in group], 2)),
-        num(span([one["damping_ratio_held"] for one in group], 2)),
-        num(span([one["damping_ratio_closed"] for one in group], 2)),
-        num(_least([one.get("gain_margin") for one in margins])),
+        chip("counts" if any(item["counts"] for item in group) else "shown only"),
+        spanned("mass", [item["point"]["mass"] for item in group]),
+        spanned("force", [item["point"]["gravity_force"] for item in group]),
+        spanned("natural_frequency", [item["natural_frequency_open"] for item in group]),
+        num(span([item["damping_ratio_open"] for item in group], 2)),
+        num(span([item["damping_ratio_held"] for item in group], 2)),
+        num(span([item["damping_ratio_closed"] for item in group], 2)),
+        num(_least([margin.get("gain_margin") for margin in margins])),
         num(_least([None if v is None else float(shown(rig, "phase_margin", v)) for v in phases])),
     ]
 
@@ -258,8 +258,8 @@ def _point_head(rig: Rig) -> list[str]:
     ]
 
 
-def _point_row(rig: Rig, one: Table) -> list[Cell | str]:
-    point, limit = one["point"], one.get("gain_limit")
+def _point_row(rig: Rig, item: Table) -> list[Cell | str]:
+    point, limit = item["point"], item.get("gain_limit")
     stable = "none found"
     if limit is not None:
         stable = number(float(shown(rig, "feedback_gain", limit)), 3)
@@ -273,15 +273,15 @@ def _point_row(rig: Rig, one: Table) -> list[Cell | str]:
         quantity_cell(rig, "damping", point["damping"]),
         quantity_cell(rig, "p_head", point["p_head"]),
         quantity_cell(rig, "p_rod", point["p_rod"]),
-        quantity_cell(rig, "natural_frequency", one["natural_frequency_open"], 3),
-        num(number(one["damping_ratio_open"], 2)),
-        num(number(one["damping_ratio_held"], 2)),
-        quantity_cell(rig, "natural_frequency", one["natural_frequency_closed"], 3),
-        num(number(one["damping_ratio_closed"], 2)),
-        num(number(one.get("damping_ratio_plain"), 2)),
-        quantity_cell(rig, "v", one.get("bias"), 2),
+        quantity_cell(rig, "natural_frequency", item["natural_frequency_open"], 3),
+        num(number(item["damping_ratio_open"], 2)),
+        num(number(item["damping_ratio_held"], 2)),
+        quantity_cell(rig, "natural_frequency", item["natural_frequency_closed"], 3),
+        num(number(item["damping_ratio_closed"], 2)),
+        num(number(item.get("damping_ratio_plain"), 2)),
+        quantity_cell(rig, "v", item.get("bias"), 2),
         num(stable),
-        chip("counts" if one["counts"] else "shown only"),
+        chip("counts" if item["counts"] else "shown only"),
     ]
 
 
@@ -306,14 +306,17 @@ def _parameters(rig: Rig, tuning: Table) -> Grid:
     )
     rows.append(["damping ratio", "", "", target, reached])
     points = counted(tuning)
-    rows += [_demand_row(rig, points, key, least) for key, least in tuning["constraints"].items()]
+    rows += [
+        _demand_row(rig, points, key, constraint)
+        for key, constraint in tuning["constraints"].items()
+    ]
     head = ["", "value", "unit", "demanded", "reached at worst"]
     return Grid(head, rows, "", "controller_parameters", "Controller parameters.")
 
 
 def _demand_row(rig: Rig, points: Sequence[Table], key: str, least: float) -> list[Cell | str]:
     unit = "natural_frequency" if key == "bandwidth" else key
-    reached = [value for one in points if (value := one["margins"].get(key)) is not None]
+    reached = [value for point in points if (value := point["margins"].get(key)) is not None]
     return [
         words(key),
         "",
@@ -328,11 +331,11 @@ def _alternatives(rig: Rig, tuning: Table) -> list[Block]:
     if not laws:
         return []
     first, *others = laws
-    better = [one["what"] for one in others if one["damping_ratio"] > first["damping_ratio"]]
+    better = [other["what"] for other in others if other["damping_ratio"] > first["damping_ratio"]]
     text = "None of them beats the chosen law by this number."
     if better:
         text = f"Better than the chosen law by this number: {', '.join(better)}."
-    second = ["ramp_washout"] if any(one.get("ramp_washout") for one in laws) else []
+    second = ["ramp_washout"] if any(law.get("ramp_washout") for law in laws) else []
     head = [
         "law",
         "fed back",
@@ -343,17 +346,17 @@ def _alternatives(rig: Rig, tuning: Table) -> list[Block]:
         "worst ζ",
     ]
     names = ("washout", *second, "off_gain", "feedback_gain")
-    rows = [_law_row(rig, one, names) for one in laws]
+    rows = [_law_row(rig, law, names) for law in laws]
     note = "Each law at its own best gain, without the demands on margins and bandwidth."
     return [Text(text), Grid(head, rows, note, "alternatives", "Other laws.")]
 
 
-def _law_row(rig: Rig, one: Table, names: Sequence[str]) -> list[Cell | str]:
+def _law_row(rig: Rig, item: Table, names: Sequence[str]) -> list[Cell | str]:
     return [
-        one["what"],
-        words(one["feedback"]) + (" chamber" if one["feedback"] == "metered" else ""),
-        *(quantity_cell(rig, name, one[name], 3) for name in names),
-        num(number(one["damping_ratio"], 2)),
+        item["what"],
+        words(item["feedback"]) + (" chamber" if item["feedback"] == "metered" else ""),
+        *(quantity_cell(rig, name, item[name], 3) for name in names),
+        num(number(item["damping_ratio"], 2)),
     ]
 
 

@@ -49,18 +49,18 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 def _draw_sweeps(run: Saved, index: FigureIndex, log: Table) -> None:
     """A figure for each command of a log that sweeps."""
-    least = run.json("validation.json").get("thresholds", {}).get("response_coherence", 0.0)
+    minimum = run.json("validation.json").get("thresholds", {}).get("response_coherence", 0.0)
     by_command: dict[str, list[Table]] = {}
     for sweep in log.get("sweeps", []):
         by_command.setdefault(sweep["input"], []).append(sweep)
-    for command, found in by_command.items():
+    for command, result in by_command.items():
         path = index.add(
             f"sweep_{log['name']}_{command.replace('.', '_')}",
             f"Response to {command.removesuffix('.command')} in {words(log['name'])}",
             CAPTION,
             FigureKey("sweep", log=log["name"]),
         )
-        sweeps(path, run.rig, found, least)
+        sweeps(path, run.rig, result, minimum)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -130,20 +130,20 @@ def _beside_others(rig: Rig, table: Table) -> list[Part]:
     """
     others = table.get("references", [])
     rows = []
-    for channel, measure in dict.fromkeys((one["channel"], one["measure"]) for one in others):
-        found = [
-            (one["value"], one["name"], one["source"])
-            for one in others
-            if (one["channel"], one["measure"]) == (channel, measure)
+    for channel, measure in dict.fromkeys((other["channel"], other["measure"]) for other in others):
+        results = [
+            (other["value"], other["name"], other["source"])
+            for other in others
+            if (other["channel"], other["measure"]) == (channel, measure)
         ]
         for log in table["logs"]:
-            for own in log.get("channels", []):
-                if own["channel"] == channel and own.get(measure) is not None:
-                    found.append((own[measure], "this model", words(log["name"])))
-        found.sort(reverse=measure == "fit_percent")
+            for item in log.get("channels", []):
+                if item["channel"] == channel and item.get(measure) is not None:
+                    results.append((item[measure], "this model", words(log["name"])))
+        results.sort(reverse=measure == "fit_percent")
         fit = measure == "fit_percent"
         unit = "%" if fit else pretty(unit_of(rig, channel))
-        for value, who, source in found:
+        for value, who, source in results:
             text = number(value if fit else float(shown(rig, channel, value)), 3)
             name = Cell(who, "name") if who == "this model" else who
             cells = (name, Cell(channel, "code"), "fit" if fit else "rms error", num(text), unit)
@@ -157,8 +157,8 @@ def _beside_others(rig: Rig, table: Table) -> list[Part]:
 
 def _structure(table: Table) -> list[Part]:
     """What the residuals say of the model: the likeliest cures, and what each channel follows."""
-    asked = table.get("structure")
-    if asked is None or not (asked["findings"] or asked["follows"]):
+    requested = table.get("structure")
+    if requested is None or not (requested["findings"] or requested["follows"]):
         return []
     lead = (
         "Each likely fault was built into the model or the log. These explain the residuals, the "
@@ -166,27 +166,27 @@ def _structure(table: Table) -> list[Part]:
     )
     blocks: list[Block] = [Text(lead)]
     rows = [
-        [one["sentence"], one["cure"], num(f"{100.0 * one['explains']:.0f} %")]
-        for one in asked["findings"]
+        [finding["sentence"], finding["cure"], num(f"{100.0 * finding['explains']:.0f} %")]
+        for finding in requested["findings"]
     ]
     if rows:
         blocks.append(Grid(["what is seen", "what cures it", "of the residuals' squares"], rows))
     else:
         blocks = [Text("No likely fault explains the residuals better than chance.")]
-    if asked["follows"]:
-        found = [
+    if requested["follows"]:
+        results = [
             [
-                words(one["log"]),
-                Cell(one["channel"], "code"),
-                one["what"],
-                num(number(one["correlation"], 2)),
-                num(number(one["band"], 2)),
+                words(follow["log"]),
+                Cell(follow["channel"], "code"),
+                follow["what"],
+                num(number(follow["correlation"], 2)),
+                num(number(follow["band"], 2)),
             ]
-            for one in asked["follows"]
+            for follow in requested["follows"]
         ]
         head = ["log", "residual of", "follows", "correlation", "95 % band"]
-        title = f"What the residuals go along with: {count(len(found), 'pair')} outside the band"
-        blocks.append(Fold(title, [Grid(head, found)]))
+        title = f"What the residuals go along with: {count(len(results), 'pair')} outside the band"
+        blocks.append(Fold(title, [Grid(head, results)]))
     return [Part("What the residuals follow", blocks)]
 
 
@@ -221,9 +221,9 @@ def _log_blocks(rig: Rig, log: Table, pictures: Pictures) -> list[Block]:
     if rings := log.get("transients", []):
         blocks.append(ringing_table(rig, rings))
         blocks += _unjudged(rings)
-    if found := log.get("sweeps", []):
+    if result := log.get("sweeps", []):
         blocks += pictures(FigureKey("sweep", log=log["name"]))
-        blocks.append(_sweep_table(found))
+        blocks.append(_sweep_table(result))
     if residuals := pictures(FigureKey("residuals", log=log["name"])):
         blocks.append(Fold("Residual correlations", residuals))
     if log.get("warnings"):
@@ -242,14 +242,14 @@ def _sensor(rig: Rig, name: str, value: float) -> str:
 def _unjudged(rings: Sequence[Table]) -> list[Block]:
     """The windows whose ringing was found and is not judged, with the reason."""
     sentences = [
-        f"{one['cylinder']}, {interval(one['start'], one['stop'])} s: not judged, {one['note']}"
-        for one in rings
-        if one.get("note")
+        f"{ring['cylinder']}, {interval(ring['start'], ring['stop'])} s: not judged, {ring['note']}"
+        for ring in rings
+        if ring.get("note")
     ]
     return [Bullets(sentences, "note")] if sentences else []
 
 
-def _sweep_table(found: Sequence[Table]) -> Grid:
+def _sweep_table(result: Sequence[Table]) -> Grid:
     """Recording and model compared over the coherent band, a row a channel."""
     head = [
         "response of",
@@ -265,28 +265,28 @@ def _sweep_table(found: Sequence[Table]) -> Grid:
     ]
     rows = [
         [
-            Cell(one["channel"], "code", hint=one["input"]),
-            num(interval(*one["band"])),
-            num(str(one["frequencies"])),
+            Cell(item["channel"], "code", hint=item["input"]),
+            num(interval(*item["band"])),
+            num(str(item["frequencies"])),
             *(
                 num("–" if value is None else number(factor * value, 3))
                 for value, factor in (
-                    (one.get("gain_ratio"), 1.0),
-                    (one.get("gain_error"), 100.0),
-                    (one.get("phase_error"), 180.0 / math.pi),
-                    *((value, 1e3) for value in one["delay"]),
-                    *((value, 1.0) for value in one["coherence"]),
+                    (item.get("gain_ratio"), 1.0),
+                    (item.get("gain_error"), 100.0),
+                    (item.get("phase_error"), 180.0 / math.pi),
+                    *((value, 1e3) for value in item["delay"]),
+                    *((value, 1.0) for value in item["coherence"]),
                 )
             ),
         ]
-        for one in found
+        for item in result
     ]
     note = "Errors are root mean squares over the band, beyond what noise makes of them."
     return Grid(head, rows, note)
 
 
 def _channel_table(rig: Rig, log: Table) -> list[Block]:
-    rows = [_channel_row(rig, one) for one in log.get("channels", [])]
+    rows = [_channel_row(rig, channel) for channel in log.get("channels", [])]
     head = [
         "channel",
         "unit",
@@ -304,18 +304,18 @@ def _channel_table(rig: Rig, log: Table) -> list[Block]:
     return [Grid(head, rows, note)] if rows else []
 
 
-def _channel_row(rig: Rig, one: Table) -> list[Cell | str]:
-    name = one["channel"]
-    with_itself, with_commands = one.get("autocorrelation"), one.get("cross_correlation", [])
+def _channel_row(rig: Rig, item: Table) -> list[Cell | str]:
+    name = item["channel"]
+    with_itself, with_commands = item.get("autocorrelation"), item.get("cross_correlation", [])
     worst = max(with_commands, key=lambda c: c["outside_percent"]) if with_commands else None
-    label = name + (" (derived)" if one.get("derived") else "")
+    label = name + (" (derived)" if item.get("derived") else "")
     outside = "–" if worst is None else f"{worst['outside_percent']:.0f} %"
     return [
-        Cell(label, "code", hint=one.get("note", "")),
+        Cell(label, "code", hint=item.get("note", "")),
         pretty(unit_of(rig, name)),
-        num(number(one.number("fit_percent"), 3)),
+        num(number(item.number("fit_percent"), 3)),
         *(
-            num(number(float(shown(rig, name, one[key])), 3))
+            num(number(float(shown(rig, name, item[key])), 3))
             for key in ("max_error", "bias", "rms_error")
         ),
         num(f"{with_itself['outside_percent']:.0f} %" if with_itself else "–"),

@@ -67,17 +67,17 @@ def page(sources: Sequence[Path], columns: Path | None = None) -> str:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
     """
     names = _names(sources)
-    found: dict[tuple[str, str], Sheet] = {}
+    results: dict[tuple[str, str], Sheet] = {}
     for of, source in enumerate(sources):
         for sheet in _sheets(Path(source), of, columns):
             title = sheet.title or ("" if len(sources) > 1 else names[0])
-            held = found.get((title, sheet.across))
-            curves = (*(held.curves if held else ()), *sheet.curves)
-            still = (*(held.still if held else ()), *sheet.still)
-            found[title, sheet.across] = Sheet(title, sheet.across, curves, still)
-    if not any(sheet.curves for sheet in found.values()):
+            fixed = results.get((title, sheet.across))
+            curves = (*(fixed.curves if fixed else ()), *sheet.curves)
+            still = (*(fixed.still if fixed else ()), *sheet.still)
+            results[title, sheet.across] = Sheet(title, sheet.across, curves, still)
+    if not any(sheet.curves for sheet in results.values()):
         raise InputError("holds nothing that changes", file=sources[0])
-    sheets = [sheet for sheet in found.values() if sheet.curves]
+    sheets = [sheet for sheet in results.values() if sheet.curves]
     return _render(" and ".join(names), [_data(sheet, len(sheets)) for sheet in sheets], names)
 
 
@@ -96,7 +96,7 @@ def _sheets(source: Path, of: int, columns: Path | None) -> Iterator[Sheet]:
         yield from _run(source, of)
     elif source.suffix == ".json":
         maps = load_flow_maps(source)
-        yield from (_map(one, None, of) for one in maps.each())
+        yield from (_map(item, None, of) for item in maps.each())
     elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
         yield _log(source, None, of, "", columns)
     else:
@@ -110,8 +110,8 @@ def _run(folder: Path, of: int) -> Iterator[Sheet]:
     rig = run.rig if (folder / "rig.toml").is_file() else None
     if run.what == "flow_map":
         points = folder / "points.csv"
-        for one in load_flow_maps(folder).each():
-            yield _map(one, rig, of, points if points.is_file() else None)
+        for item in load_flow_maps(folder).each():
+            yield _map(item, rig, of, points if points.is_file() else None)
     for path in [*sorted(folder.glob("*.mcap")), *sorted((folder / "logs").glob("*.mcap"))]:
         yield _log(path, rig, of, words(path.stem))
     for path in sorted((folder / "series").glob("*.csv")):
@@ -150,7 +150,7 @@ def _over_time(
     return Sheet(title, "time [s]", tuple(curves), tuple(still))
 
 
-def _map(one: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) -> Sheet:
+def _map(item: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) -> Sheet:
     """Flow over pressure drop, a curve a measured command, and the readings."""
 
     def seen(name: str, values: np.ndarray) -> np.ndarray:
@@ -160,24 +160,24 @@ def _map(one: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) -
 
     unit = pretty(unit_of(rig, "flow") if rig else row_of("flow").display)
     across = axis(rig, "pressure_drop") if rig else f"pressure drop [{_drop_unit()}]"
-    drop = np.linspace(0.0, 1.0, _DROPS) ** 2 * max(one.drop_max, float(one.hull_high.max()))
+    drop = np.linspace(0.0, 1.0, _DROPS) ** 2 * max(item.drop_max, float(item.hull_high.max()))
     curves = [
         Curve(
             f"{number(u, 3)} V",
             unit,
             seen("pressure_drop", drop),
-            seen("flow", np.asarray(one.flow(drop, u))),
+            seen("flow", np.asarray(item.flow(drop, u))),
             of,
             what="flow",
         )
-        for u in one.hull_command[one.hull_command > one.deadband]
+        for u in item.hull_command[item.hull_command > item.deadband]
     ]
     if readings is not None:
-        points = read_points(readings).of(one.valve, one.direction)
+        points = read_points(readings).of(item.valve, item.direction)
         order = np.argsort(points.pressure_drop)
         x, y = seen("pressure_drop", points.pressure_drop)[order], seen("flow", points.flow)[order]
         curves.append(Curve("readings", unit, x, y, of, dots=True, what="flow"))
-    return Sheet(f"{one.valve}, {one.direction}", across, tuple(curves))
+    return Sheet(f"{item.valve}, {item.direction}", across, tuple(curves))
 
 
 def _drop_unit() -> str:
@@ -186,12 +186,12 @@ def _drop_unit() -> str:
 
 def _data(sheet: Sheet, sheets: int) -> dict[str, Any]:
     """A sheet as the page reads it: panels by unit, arrays as base64 of little-endian numbers."""
-    most = max(MOST // (sheets * len(sheet.curves)), 2000)
+    maximum = max(MOST // (sheets * len(sheet.curves)), 2000)
     panels: dict[str, list[dict[str, Any]]] = {}
     axes: dict[tuple[int, int, int], int] = {}
     xs: list[str] = []
     for curve in sheet.curves:
-        x, y = extremes(curve.x, curve.y, most)
+        x, y = extremes(curve.x, curve.y, maximum)
         key = (id(curve.x), x.size, curve.of)
         if key not in axes:
             axes[key] = len(xs)
@@ -222,13 +222,13 @@ def _packed(values: np.ndarray, kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(values, kind).tobytes()).decode("ascii")
 
 
-def extremes(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+def extremes(x: np.ndarray, y: np.ndarray, maximum: int) -> tuple[np.ndarray, np.ndarray]:
     """At most ``most`` points that keep every extreme: the first and the second half of each
     stretch stand for its least and largest sample, in the order in which these come.
     """
-    if x.size <= most:
+    if x.size <= maximum:
         return x, y
-    size = -(-2 * x.size // most)
+    size = -(-2 * x.size // maximum)
     count = x.size // size
     blocks = np.where(np.isfinite(y), y, np.nan)[: count * size].reshape(count, size)
     empty = np.isnan(blocks).all(axis=1)
@@ -238,8 +238,8 @@ def extremes(x: np.ndarray, y: np.ndarray, most: int) -> tuple[np.ndarray, np.nd
     pair = np.stack([filled[rows, np.minimum(low, high)], filled[rows, np.maximum(low, high)]], 1)
     pair[empty] = np.nan
     starts = x[: count * size].reshape(count, size)
-    kept = np.stack([starts[:, 0], starts[:, size // 2]], 1).ravel()
-    return np.append(kept, x[count * size :]), np.append(pair.ravel(), y[count * size :])
+    retained = np.stack([starts[:, 0], starts[:, size // 2]], 1).ravel()
+    return np.append(retained, x[count * size :]), np.append(pair.ravel(), y[count * size :])
 
 
 def _render(title: str, sheets: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
@@ -251,8 +251,8 @@ def _render(title: str, sheets: Sequence[Mapping[str, Any]], names: Sequence[str
         return (files / name).read_text(encoding="utf-8").strip()
 
     scripts = [text("uplot/uPlot.iife.min.js"), text("show.js")]
-    digests = (hashlib.sha256(one.encode("utf-8")).digest() for one in scripts)
-    allowed = " ".join(f"'sha256-{base64.b64encode(one).decode()}'" for one in digests)
+    digests = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
+    allowed = " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
     data = json.dumps({"names": list(names), "sheets": list(sheets)}, separators=(",", ":"))
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     return environment.from_string(text("show.html")).render(
@@ -273,7 +273,7 @@ def place(sources: Sequence[Path], out: Path | None) -> Path:
     Raises:
         InputError: something stands there that is no page of this command.
     """
-    path = out or Path("_and_".join(Path(one).resolve().stem for one in sources) + ".html")
+    path = out or Path("_and_".join(Path(source).resolve().stem for source in sources) + ".html")
     if path.is_dir():
         raise InputError("is a folder", file=path, hint="name a file, like --out look.html")
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace")[:2000]:
