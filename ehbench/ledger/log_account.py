@@ -214,8 +214,7 @@ def ledger_of_log(
         InputError: no such payload, or an edge without its map.
     """
     must_have_samples(record)
-    if payload is None:
-        payload = record.meta.get("payload", "none")
+    payload = record.meta.get("payload", "none") if payload is None else payload
     load = None if payload in ("none", "") else payload
     model = Model.of(rig, maps, load)
     readings, notes = read_log(model, record)
@@ -238,9 +237,8 @@ def ledger_of_log(
     every = np.arange(readings.t.size)
     rest = sheet.facts(record, account.energies(model, readings, states, power, every), points)
     rest |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
-    return sheet.ledger(
-        model, record, shown, base, std, sources=sources, notes=tuple(notes), **rest
-    )
+    rest |= {"sources": sources, "notes": tuple(notes)}
+    return sheet.ledger(model, record, shown, base, std, **rest)
 
 
 def _effects(

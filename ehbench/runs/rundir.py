@@ -31,6 +31,7 @@ from ehbench.runtime.disk import DATA, impossible, read_bytes
 from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.sources import sources
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.messages import Message
 from ehbench.vocabulary.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -99,6 +100,8 @@ def plain(value: Any) -> Any:
     """``value`` as JSON can hold it: arrays as lists, numpy numbers as Python's, NaN and infinities
     as null.
     """
+    if isinstance(value, Message) and value.key:
+        return {"key": value.key, "text": str(value), "fields": plain(value.fields)}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -130,7 +133,7 @@ def read_json(path: Path) -> Any:
         InputError: not there or not JSON.
     """
     try:
-        return json.loads(read_bytes(path, DATA).decode("utf-8"))
+        return json.loads(read_bytes(path, DATA).decode("utf-8"), object_hook=_messages)
     except FileNotFoundError:
         raise InputError(
             "no such file", file=path, hint="is this a finished run folder of the right stage?"
@@ -138,6 +141,13 @@ def read_json(path: Path) -> Any:
     except (ValueError, RecursionError) as error:
         reason = str(error) or "nested too deeply"
         raise InputError(f"not JSON: {reason}", file=path) from None
+
+
+def _messages(value: dict[str, Any]) -> Any:
+    """A message of the catalogue where `plain` wrote one."""
+    if value.keys() != {"key", "text", "fields"}:
+        return value
+    return Message(value["text"], value["key"], value["fields"])
 
 
 @dataclass

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ehbench.vocabulary.messages import Message
+
 _LONGEST = 700  # characters of a sentence
 
 
 class EhbenchError(Exception):
     """Base of all errors that are the user's or the data's, never a bug.
 
-    The message is one sentence; ``file`` and ``line`` say where, ``hint`` what would be right.
+    The message is one sentence; ``file`` and ``line`` say where, ``hint`` what would be right, by
+    default that of the catalogue. ``key`` and ``fields`` are those of a message of the catalogue.
     ``exit_code`` is what the command line returns.
     """
 
@@ -24,6 +27,10 @@ class EhbenchError(Exception):
         line: int | None = None,
         hint: str | None = None,
     ) -> None:
+        if isinstance(message, Message):
+            hint = hint or message.hint or None
+        self.key = getattr(message, "key", "")
+        self.fields = getattr(message, "fields", {})
         self.message = _one_line(message)
         self.file = None if file is None else _one_line(str(file))
         self.line = line

@@ -138,10 +138,10 @@ class Cylinder(FileModel):
             )
         swept = rod * float(self.stroke)
         if float(self.volume_rod) <= swept:
-            message = self.volume_rod.like
+            both = self.volume_rod.like
             raise Misplaced(
-                f"volume_rod at x = 0 is {message('volume_rod', float(self.volume_rod))}, "
-                f"but the full stroke displaces {message('volume_rod', swept)}",
+                f"volume_rod at x = 0 is {both('volume_rod', float(self.volume_rod))}, "
+                f"but the full stroke displaces {both('volume_rod', swept)}",
                 "volume_rod",
             )
         return self

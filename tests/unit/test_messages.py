@@ -1,0 +1,96 @@
+"""The catalogue of messages: every entry is used, and every use has its entry and its fields."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import pickle
+import string
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ehbench.runs.rundir import read_json, write_json
+from ehbench.vocabulary import messages
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import rows, setting
+
+PACKAGE = Path(messages.__file__).parents[1]
+ENTRIES = {
+    f"{path.stem}.{name}": entry if isinstance(entry, dict) else {"text": entry}
+    for path in messages.CATALOGUE.glob("*.toml")
+    for name, entry in tomllib.loads(path.read_text(encoding="utf-8")).items()
+}
+
+
+def _uses() -> list[tuple[str, str, set[str] | None]]:
+    """(place, key, names of fields or None where they are unpacked) of each call of `message`."""
+    uses = []
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "message"):
+                continue
+            names = [keyword.arg for keyword in node.keywords]
+            fields = None if None in names else {name for name in names if name}
+            place = f"{path.relative_to(PACKAGE)}:{node.lineno}"
+            keys = [n for n in ast.walk(node.args[0]) if isinstance(n, ast.Constant)]
+            uses += [(place, str(key.value), fields) for key in keys if key.value in ENTRIES]
+            if isinstance(node.args[0], ast.Constant) and node.args[0].value not in ENTRIES:
+                uses.append((place, str(node.args[0].value), fields))
+    return uses
+
+
+def _named(entry: dict[str, str]) -> set[str]:
+    """The fields that an entry names."""
+    parsed = [part for text in entry.values() for part in string.Formatter().parse(text)]
+    return {name.split(".")[0].split("[")[0] for _, name, _, _ in parsed if name}
+
+
+def test_every_use_has_its_entry_and_every_entry_its_fields():
+    wrong = []
+    for place, key, fields in _uses():
+        if key not in ENTRIES:
+            wrong.append(f"{place}: no entry {key}")
+        elif fields is not None and (missing := _named(ENTRIES[key]) - fields):
+            wrong.append(f"{place}: {key} lacks {missing}")
+    assert wrong == []
+
+
+def test_every_entry_is_used():
+    texts = "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    assert [key for key in ENTRIES if f'"{key}"' not in texts] == []
+
+
+def test_a_message_is_text_that_keeps_its_key_and_fields(tmp_path):
+    original = Message("3 of 4 fail", "data.fail", {"count": 3}, "look at them")
+    for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):
+        assert (copied, copied.key, copied.fields) == ("3 of 4 fail", "data.fail", {"count": 3})
+    error = InputError(original)
+    assert (error.key, error.fields["count"], error.hint) == ("data.fail", 3, "look at them")
+    write_json(tmp_path / "a.json", {"notes": [original, "plain"]})
+    first, second = read_json(tmp_path / "a.json")["notes"]
+    assert (first, first.key, first.fields) == (str(original), "data.fail", {"count": 3})
+    assert second == "plain"
+
+
+def test_an_unknown_key_or_a_missing_field_is_a_bug():
+    with pytest.raises(KeyError):
+        message("data.no_such_entry")
+
+
+def test_settings_list_themselves():
+    from dataclasses import dataclass
+
+    @dataclass(frozen=True)
+    class Settings:
+        window: float = setting(0.1, "s", "Length of a window.", "Half a period at 5 Hz.")
+
+    assert rows(Settings())[0] == (
+        "window",
+        0.1,
+        "s",
+        "Length of a window.",
+        "Half a period at 5 Hz.",
+    )
