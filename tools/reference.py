@@ -1,5 +1,5 @@
-"""The key tables of docs/rig_file.md and docs/recipes.md, made from the models they are of, and the
-package's own table of usual units, made by the registry of all units.
+"""The key tables of docs/reference/, made from the models they are of, and the package's own table
+of usual units, made by the registry of all units.
 
 ``python -m tools.reference`` writes them anew, ``--check`` only says whether they are so already.
 A table stands under a comment that names its model, ``<!-- Limits -->``, or another set of keys,
@@ -247,7 +247,9 @@ def gain_tables() -> dict[str, list[Key]]:
 
 
 def pages() -> dict[str, dict[str, list[Key]]]:
-    """The tables of each page by their name."""
+    """The tables of each page by their name, where their comments stand. A table that stands on no
+    page yet is the last page's.
+    """
 
     def tables(roots: Iterable[type[BaseModel]]) -> dict[str, list[Key]]:
         return {
@@ -255,10 +257,16 @@ def pages() -> dict[str, dict[str, list[Key]]]:
             for model in models(roots)
         }
 
-    return {
-        "rig_file.md": tables([Rig]),
-        "recipes.md": tables(recipe_models()) | gain_tables(),
-    }
+    every = tables([Rig]) | tables(recipe_models()) | gain_tables()
+    results: dict[str, dict[str, list[Key]]] = {}
+    for path in sorted((DOCS / "reference").glob("*.md")):
+        names = [match[1] for match in _BLOCK.finditer(path.read_text(encoding="utf-8"))]
+        if names:
+            name = path.relative_to(DOCS).as_posix()
+            results[name] = {table: every[table] for table in names if table in every}
+    placed = {table for page in results.values() for table in page}
+    results[name] |= {table: keys for table, keys in every.items() if table not in placed}
+    return results
 
 
 # --- a page made anew

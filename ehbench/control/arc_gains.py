@@ -1,5 +1,5 @@
 """Gains of the energy-saving adaptive robust controller: their names, defaults and bounds;
-derivation in docs/arc.md.
+derivation in docs/explanation/arc.md.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def pack_arc(
 
     The valves are asked for phase up to the sum of the bandwidths k1 + k2 + k3 [rad/s]. By default
     that sum times the loop's lag is ``lag_budget``, shared out by PARTS: the margins that these
-    defaults keep are in ``docs/arc.md``, with where the others come from.
+    defaults keep are in ``docs/explanation/arc.md``, with where the others come from.
 
     Args:
         site: what it is designed for.
@@ -495,7 +495,7 @@ def guaranteed(site: Site, packed: np.record) -> dict[str, float]:
     [m/s] and ``stroke`` z_1 [m] after the transient.
 
     ``V̇_z ≤ −K V_z + h_2²/(2 K_2) + w h_3²/(2 K_3)`` with K_i = k_i and their robust shares, K the
-    lesser (docs/arc.md)."""
+    lesser (docs/explanation/arc.md)."""
     load, _ = reference_load(site.axis)
     width = (packed.upper - packed.lower)[:3]
     span = float(packed.upper[1] - packed.lower[1])

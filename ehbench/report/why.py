@@ -29,14 +29,23 @@ from ehbench.vocabulary.errors import EhbenchError, InputError
 
 # how each kind of run comes to its numbers, and the page of the docs that says it in full
 _METHODS = {
-    "flow_map": ("penalised splines through the means of repeated readings", "flow_maps.md"),
-    "hydraulics": ("the model simulated along the logs, fitted to them", "identification.md"),
-    "profile": ("fits of all else with the parameter held", "identification.md"),
-    "response": ("averaged spectra of the logs", "response.md"),
-    "validation": ("the identified rig simulated along logs it was not fitted to", "validation.md"),
-    "tuning": ("root loci over postures, loads and functions", "tuning.md"),
-    "trial": ("measured on the trial's own log", "trials.md"),
-    "trials": ("measured on the logs of the trials", "trials.md"),
+    "flow_map": (
+        "penalised splines through the means of repeated readings",
+        "explanation/flow_maps.md",
+    ),
+    "hydraulics": (
+        "the model simulated along the logs, fitted to them",
+        "explanation/identification.md",
+    ),
+    "profile": ("fits of all else with the parameter held", "explanation/identification.md"),
+    "response": ("averaged spectra of the logs", "explanation/frequency_response.md"),
+    "validation": (
+        "the identified rig simulated along logs it was not fitted to",
+        "explanation/validation.md",
+    ),
+    "tuning": ("root loci over postures, loads and functions", "explanation/tuning.md"),
+    "trial": ("measured on the trial's own log", "howto/run_trials.md"),
+    "trials": ("measured on the logs of the trials", "howto/run_trials.md"),
 }
 _ERRORS = {
     "hac": "intervals from the covariance of correlated residuals",

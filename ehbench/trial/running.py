@@ -49,7 +49,7 @@ class Facts:
 
     ``stopped`` is empty, or says which limit stopped it and what came of it; ``stop`` and ``after``
     have the same as numbers. ``measures`` says how well a controlled cylinder did and with which
-    gains (docs/trials.md), SI; empty without a controller. Its energies are the ledger's: see
+    gains (docs/reference), SI; empty without a controller. Its energies are the ledger's: see
     `ehbench.trial.accounts`. ``payload_change``: (time [s], payload from then on);
     ``first_pressure_error`` [Pa] by channel."""
 

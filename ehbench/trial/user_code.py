@@ -1,5 +1,5 @@
 """A controller of the user's own: loads the class, asks it tick by tick, and says where it went
-wrong; the protocol is in docs/trials.md.
+wrong; the protocol is in docs/howto/run_trials.md.
 """
 
 from __future__ import annotations
@@ -236,7 +236,7 @@ class _Code:
             if not callable(self.call(f".{method}", getattr, controller, method, None)):
                 raise self.error(
                     f"has no method '{method}'",
-                    hint="docs/trials.md has the protocol of a controller",
+                    hint="docs/howto/run_trials.md has the protocol of a controller",
                 )
         return controller
 

@@ -1,5 +1,5 @@
 """A controller of the user's own: proportional position feedback with the speed fed forward. The
-protocol is in docs/trials.md.
+protocol is in docs/howto/run_trials.md.
 """
 
 from __future__ import annotations

@@ -99,7 +99,9 @@ def test_the_site_has_every_page_and_no_dead_link(tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    made = {path.stem for path in (tmp_path / "site").glob("*.html")}
-    assert made - {"404"} == {path.stem for path in (ROOT / "docs").glob("*.md")}
-    start = (tmp_path / "site" / "index.html").read_text()
-    assert all(f'href="{name}.html"' in start for name in made - {"404", "index"})
+    site, docs = tmp_path / "site", ROOT / "docs"
+    pages = {path.relative_to(site).with_suffix("").as_posix() for path in site.rglob("*.html")}
+    sources = {path.relative_to(docs).with_suffix("").as_posix() for path in docs.rglob("*.md")}
+    assert pages - {"404"} == sources
+    start = (site / "index.html").read_text()
+    assert all(f'href="{name}.html"' in start for name in sources - {"index"})

@@ -21,7 +21,9 @@ from ehbench.vocabulary.quantities import VOCABULARY
 
 ROOT = Path(__file__).parents[2]
 UP = ("supply", "head")
-PAGE = (Path(__file__).parents[2] / "docs" / "rig_file.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "rig_file.md").read_text(
+    encoding="utf-8"
+)
 CRANE, *_ = EXAMPLES = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
 (PRESS,) = (text for text in EXAMPLES if text.startswith("# a press"))
 PRESS = (

@@ -154,7 +154,7 @@ def test_the_running_machine_is_damped_as_promised(name, cylinder, payloads, unl
     controller at its tick, the other joints free on their oil; the promise holds them. Points whose
     lever changes by more than half in one swing are no steady motion on which to promise anything.
     Nor are most of the arm's with 100 lb: slow pairs feel its weight change with the posture, which
-    a model about a steady speed has not (docs/tuning.md).
+    a model about a steady speed has not (docs/explanation/tuning.md).
     """
     rig = load_rig(RIGS / f"{name}.toml")
     recipe = TuneRecipe(

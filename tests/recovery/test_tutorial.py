@@ -1,4 +1,4 @@
-"""The way of docs/identification.md from a bad first fit to an accepted model, as it is told."""
+"""The path of the tutorial from a rejected first fit to an accepted model."""
 
 from __future__ import annotations
 
@@ -42,6 +42,6 @@ def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(undrawn, tm
     inherits = workflow.run(bare, session)  # the lag that the fit found, as its recipe says none
     assert inherits.code == workflow.DONE
     assert any("press.v is taken to have a lag of 4.9 ±" in note for note in inherits.notes)
-    text = (ROOT / "docs" / "identification.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "explanation" / "identification.md").read_text(encoding="utf-8")
     for name in ("first_fit", "first_validation", "better_fit", "better_validation"):
         assert f"recipes/tutorial/{name}.toml" in text

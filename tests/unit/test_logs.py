@@ -469,7 +469,7 @@ def test_facts_are_plain_json(tmp_path):
 
 
 def test_the_examples_of_the_documentation_run(tmp_path, monkeypatch):
-    text = (Path(__file__).parents[2] / "docs" / "logs.md").read_text()
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "logs.md").read_text()
     blocks = re.findall(r"```(\w+)\n(.*?)```", text, re.DOTALL)
     monkeypatch.chdir(tmp_path)
     (table,) = [body for kind, body in blocks if kind == "csv"]
