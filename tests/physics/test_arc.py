@@ -209,7 +209,7 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.0, 40.0])
 def test_lyapunov_function_falls_as_derived(payload):
-    """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (explanation/arc), wherever no
+    """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (docs), wherever no
     estimate is at a bound.
     """
 
