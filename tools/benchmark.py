@@ -21,9 +21,6 @@ import numpy as np
 from ehbench.config.recipe import FlowMapRecipe, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.integrate import STEP
-from ehbench.plant.lanes.many import Job, pace_together, run_together
-from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.many import run_many
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
@@ -169,40 +166,6 @@ def chosen_steps(rig: Rig, repeats: int = 10) -> Iterator[Row]:
         10.0,
         "s",
     )
-
-
-def lanes(rig: Rig, repeats: int = 5) -> Iterator[Row]:
-    """What a rig takes side by side with others of its layout, as a share of what it takes alone:
-    in fixed steps, and along a given mesh as in the differences of a fit.
-    """
-    value = float(rig.parameters()["bulk_modulus"])
-    _, table = thesis_trial(rig)
-    models = [
-        Model.of(rig.with_values({"bulk_modulus": share * value}))
-        for share in np.linspace(0.9, 1.1, LANES)
-    ]
-    jobs = [Job(model, model.trim(model.posture(None)), table) for model in models]
-    _, mesh = jobs[0].model.paced(jobs[0].start, table, flows=False)
-    steps, given = round(1e-3 / STEP), [job._replace(mesh=mesh) for job in jobs]
-    for what, alone, together in (
-        (
-            "500 µs steps",
-            lambda: [job.model.run(job.start, table) for job in jobs],
-            lambda: run_together(jobs, 1e-3, steps),
-        ),
-        (
-            "given steps",
-            lambda: [job.model.paced(job.start, table, 1e-3, mesh, False) for job in jobs],
-            lambda: pace_together(given, 1e-3),
-        ),
-        (
-            "chosen steps",
-            lambda: [job.model.paced(job.start, table, flows=False) for job in jobs],
-            lambda: pace_together(jobs, 1e-3),
-        ),
-    ):
-        share = _best(together, repeats) / _best(alone, repeats)
-        yield Row(f"{LANES} trials of 10 s in lanes, {what}", share, 0.6, "of the time alone")
 
 
 def closed_loop(rig: Rig, repeats: int = 10) -> Iterator[Row]:
@@ -567,7 +530,6 @@ def main(arguments: Sequence[str] = ()) -> None:
         studies,  # first: its peak of memory is the process's
         lambda: speed(rig),
         lambda: chosen_steps(rig),
-        lambda: lanes(rig),
         lambda: closed_loop(rig),
         lambda: together(rig),
         lambda: accuracy(rig),

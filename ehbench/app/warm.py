@@ -98,24 +98,6 @@ def together(what: str) -> str:
     return what
 
 
-def lanes(what: str) -> str:
-    """Compile what takes models side by side, for open-loop trials and in steps that each chooses;
-    gives back what it is called.
-    """
-    from ehbench.plant.lanes.many import LEAST, Job, pace_together
-    from ehbench.trial import run
-    from ehbench.trial.ahead import foresee
-
-    rig = started()
-    trials = [prepared(rig, next(recipes(rig, "model"))) for _ in range(LEAST)]
-    foresee(trials)
-    model = run(trials[0]).model
-    assert model is not None  # it ran on one
-    job = Job(model, model.trim(model.posture(None)), model.rest_commands(3))
-    pace_together([job], 1e-3)
-    return what
-
-
 def fits(what: str) -> str:
     """Compile what fits flow maps and oscillations; gives back what it is called."""
     from ehbench.flow_maps import banded
@@ -165,9 +147,8 @@ def main() -> None:
     names = get_args(TrialRecipe.model_fields["on"].annotation)
     compile_dir(PACKAGE, quiet=2)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor(len(names) + 3, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(len(names) + 2, mp_context=get_context("spawn")) as pool:
         jobs = [pool.submit(warm, name) for name in names]
-        jobs += [pool.submit(lanes, "model in lanes")]
         jobs += [pool.submit(together, "model, of several cylinders")]
         last = pool.submit(fits, "fits of flow maps and oscillations")
         for job in jobs:

@@ -18,9 +18,7 @@ from ehbench.diagnosis.cases import Case, commanded, total
 from ehbench.diagnosis.cures import Cure, cures
 from ehbench.diagnosis.follows import Follows, followed
 from ehbench.diagnosis.pins import disagreements
-from ehbench.plant.lanes.many import Run, replays_fixed
-from ehbench.plant.lanes.vectors import LANES
-from ehbench.plant.model import STEP
+from ehbench.plant.many import Replay, replay_many
 from ehbench.preprocessing.observations import position_of
 from ehbench.vocabulary.errors import EhbenchError
 
@@ -163,14 +161,9 @@ class _Search:
         """What is left of each case with a cure of a size, for each of these; None where it cannot
         be simulated.
         """
-        parts = [points[i : i + LANES] for i in range(0, len(points), LANES)]
-        return [left for part in parts for left in self._at_once(part)]
-
-    def _at_once(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:
-        """`_at` for no more points than go side by side."""
         results: list[list[np.ndarray] | None] = [list(self.left) for _ in points]
         for k, case in enumerate(self.cases):
-            runs: dict[int, Run] = {}
+            runs: dict[int, Replay] = {}
             for i, (cure, delta) in enumerate(points):
                 if cure.cylinder and cure.cylinder not in case.cylinders:
                     continue
@@ -178,7 +171,7 @@ class _Search:
                     runs[i] = case.run_of(*cure.vary(case, delta))
                 except EhbenchError:
                     results[i] = None
-            built = replays_fixed(list(runs.values()), STEP)
+            built = replay_many(list(runs.values()))
             for i, replayed in zip(runs, built, strict=True):
                 left, own = self._left(case, points[i], replayed), results[i]
                 if left is None or own is None:

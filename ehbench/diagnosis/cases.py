@@ -12,7 +12,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.plant.build import Maps
-from ehbench.plant.lanes.many import Run
+from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import LogStart, best_shifts, start_of_log
@@ -52,11 +52,11 @@ class Case:
         run = self.run_of(model, record)
         return self.seen(run.model.replay(run.record, start=run.start))
 
-    def run_of(self, model: Model, record: Record) -> Run:
+    def run_of(self, model: Model, record: Record) -> Replay:
         """(a model, a record as sound sensors would have it, the start) of `simulated`."""
         true = corrected(record, self.terms, self.excess)
         start = self._start if true is self._start.record else replace(self._start, record=true)
-        return Run(model, true, start.at(model, self._shifts))
+        return Replay(model, true, start.at(model, self._shifts))
 
     def seen(self, replayed: Record) -> Record:
         """A simulation as the log's sensors show it."""

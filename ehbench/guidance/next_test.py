@@ -187,9 +187,8 @@ class _Planner:
         ends = {item.name: item.interval[1] for item in fitted if item.interval is not None}
         self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
         search = self._search(prepared.logs)
-        with search.simulator.pool:
-            search.settle_starts(self.values)
-            blocks, prior = search.said()
+        search.settle_starts(self.values)
+        blocks, prior = search.said()
         self.sensors = search.theta[len(fitted) :]
         self.scales, self.weight = search.scales, search.weight
         self.normal = np.sum([eliminate(b, self.weight).normal for b in blocks], axis=0)
@@ -254,12 +253,11 @@ class _Planner:
         try:
             log = self._log(trial)
             search = self._search([log])
-            with search.simulator.pool:
-                search.coarse = False
-                search.scales = {c: self.scales.get(c, 1.0) for c in search.scales}
-                pairs = zip(self.prepared.search, self.values, strict=True)
-                search.theta = np.array([*(c.of(x) for c, x in pairs), *self.sensors])
-                (block,), _ = search.said()
+            search.coarse = False
+            search.scales = {c: self.scales.get(c, 1.0) for c in search.scales}
+            pairs = zip(self.prepared.search, self.values, strict=True)
+            search.theta = np.array([*(c.of(x) for c, x in pairs), *self.sensors])
+            (block,), _ = search.said()
         except EhbenchError:
             return []
         after = self.normal + eliminate(block, self.weight).normal

@@ -67,20 +67,19 @@ def profile(
     if requested.method != "output_error":
         raise InputError("a profile needs method 'output_error'", hint="the recipe says another")
     simulator = simulator_of(prepared, prepared.logs)
-    with simulator.pool:
-        search = OutputError(
-            simulator, prepared.search, tell, requested.max_iterations, requested.cutoff
-        )
-        fit = search.fit()
-        which = names.index(name)
-        own, c = fit[name], prepared.search[which]
-        thetas = _values(c, own)
-        stands, result = (search.theta, search.shifts), []
-        for side in (thetas[thetas < c.of(own.value)][::-1], thetas[thetas >= c.of(own.value)]):
-            search.theta, search.shifts = stands
-            for theta in side:
-                tell(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
-                result.append((float(theta), *search.held_at(which, float(theta))))
+    search = OutputError(
+        simulator, prepared.search, tell, requested.max_iterations, requested.cutoff
+    )
+    fit = search.fit()
+    which = names.index(name)
+    own, c = fit[name], prepared.search[which]
+    thetas = _values(c, own)
+    stands, result = (search.theta, search.shifts), []
+    for side in (thetas[thetas < c.of(own.value)][::-1], thetas[thetas >= c.of(own.value)]):
+        search.theta, search.shifts = stands
+        for theta in side:
+            tell(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
+            result.append((float(theta), *search.held_at(which, float(theta))))
     result.sort(key=lambda item: item[0])
     return fit, _profile(c, own, result, [n for n in names if n != name])
 

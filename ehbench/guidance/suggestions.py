@@ -296,8 +296,7 @@ class _Trials:
             EhbenchError, ValueError, ArithmeticError: there is no such rig, or no such fit.
         """
         _, search = self._prepared(setup, 0)
-        with search.simulator.pool:
-            return min(search.foreseen({**now.found[0], **start}) for start in starts)
+        return min(search.foreseen({**now.found[0], **start}) for start in starts)
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
@@ -312,8 +311,7 @@ class _Trials:
     def _first(self) -> Tried:
         """The fit as the recipe has it, from a look over the whole range of its parameters."""
         logs, search = self._prepared(self.base, None)
-        with search.simulator.pool:
-            search.arrive()
+        search.arrive()
         self.spread = dict(search.spread)
         for log in logs:
             for channel, y in zip(log.channels, log.recorded.T, strict=True):
@@ -401,18 +399,17 @@ class _Trials:
         """A fit from some numbers on, with the windows of a fold left out."""
         logs, search = self._prepared(setup, which)
         left: dict[tuple[str, int], dict[str, float]] = {}
-        with search.simulator.pool:
-            cost = search.descend(begin)
-            for k, (log, rest) in enumerate(zip(logs, search.beside(logs), strict=True)):
-                windows = _windows(log)
-                for w in range(int(windows[-1]) + 1):
-                    own = (windows == w) & _out(log, k, which)
-                    if own.any():
-                        left[log.name, w] = {
-                            channel: float(np.mean(rest[own & log.counts[:, i], i] ** 2))
-                            for i, channel in enumerate(log.channels)
-                            if (own & log.counts[:, i]).any()
-                        }
+        cost = search.descend(begin)
+        for k, (log, rest) in enumerate(zip(logs, search.beside(logs), strict=True)):
+            windows = _windows(log)
+            for w in range(int(windows[-1]) + 1):
+                own = (windows == w) & _out(log, k, which)
+                if own.any():
+                    left[log.name, w] = {
+                        channel: float(np.mean(rest[own & log.counts[:, i], i] ** 2))
+                        for i, channel in enumerate(log.channels)
+                        if (own & log.counts[:, i]).any()
+                    }
         return _Fold(cost, search.named(), left)
 
     def _by_window(self, item: Tried, scale: Tried) -> np.ndarray:

@@ -337,13 +337,10 @@ def run_fit(
     simulator = simulator_of(item, item.logs, fixed)
     tell = progress or (lambda sentence, share: None)
     maximum = requested.max_iterations
-    with simulator.pool:
-        if requested.method == "thesis":
-            return Matching(simulator, item.search, tell, maximum).fit()
-        search = OutputError(
-            simulator, item.search, tell, maximum, requested.cutoff, fixed, journal
-        )
-        return search.fit()
+    if requested.method == "thesis":
+        return Matching(simulator, item.search, tell, maximum).fit()
+    search = OutputError(simulator, item.search, tell, maximum, requested.cutoff, fixed, journal)
+    return search.fit()
 
 
 def simulator_of(

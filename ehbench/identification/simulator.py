@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +15,7 @@ from ehbench.data.record import Means, Record, block_means
 from ehbench.identification.means import Decimate, means_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Kept, Maps
-from ehbench.plant.lanes.many import LEAST, Run, has_lanes, replays_paced
-from ehbench.plant.lanes.paced import run_apart
-from ehbench.plant.lanes.vectors import LANES
+from ehbench.plant.many import map_threads
 from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
@@ -57,8 +54,6 @@ Where = tuple[Sequence[float], int, np.ndarray]  # parameters, a log by index, s
 Simulated = tuple[np.ndarray, np.ndarray]  # channels, shape (samples, channels), and steps taken
 REMEMBERED = 2**25  # bytes of simulations
 ENTRY = 2**10  # bytes of one beside its numbers
-Asked = TypeVar("Asked")
-Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -342,17 +337,6 @@ def _simulated_means(log: Log) -> Means | None:
     return None if any(channel.endswith(BENT) for channel in log.channels) else log.means
 
 
-def _tempo(log: Log) -> tuple[float, int]:
-    """(time between samples [s], samples of which the simulation is to be the means)."""
-    means = _simulated_means(log)
-    return log.record.sample_time, 1 if means is None else means.each
-
-
-def _worth_it(part: list[int]) -> list[list[int]]:
-    """A set, or its members one by one where they are too few to go side by side."""
-    return [part] if len(part) >= LEAST else [[item] for item in part]
-
-
 @dataclass
 class _First:
     """Where a log starts before it is moved, once that is known; points share it."""
@@ -451,7 +435,6 @@ class Simulator:
         self.logs, self.names = tuple(logs), tuple(names)
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
         self.workers = workers or cores()
-        self.pool = ThreadPoolExecutor(self.workers)
         self.evaluations = 0
         self._kept, self._latest = Kept(), _Latest()
 
@@ -571,50 +554,7 @@ class Simulator:
             first = firsts.setdefault(own, _First())
             mesh = FREE if meshes is None else meshes[k]
             tasks.append(_Task(model, log, shifts, shared, first, mesh, slack))
-        if self.step != AUTO or not has_lanes(run_apart):
-            return self._all(self._one, tasks)
-        sets = self._sets(tasks)
-        done: list[Simulated | None] = [None] * len(tasks)
-        several = self._all(self._several, [[tasks[i] for i in item] for item in sets])
-        for own, result in zip(sets, several, strict=True):
-            for i, item in zip(own, result, strict=True):
-                done[i] = item
-        return done
-
-    def _all(self, do: Callable[[Asked], Made], tasks: Sequence[Asked]) -> list[Made]:
-        """What is done of each task, by this thread and those of the pool: each takes the next one
-        that is left, for to hand them over one by one takes long beside a short simulation.
-        """
-        results: dict[int, Made] = {}
-        ahead = iter(range(len(tasks)))
-
-        def work() -> None:
-            for i in ahead:
-                results[i] = do(tasks[i])
-
-        additional = [self.pool.submit(work) for _ in range(min(self.workers, len(tasks)) - 1)]
-        try:
-            work()
-        finally:
-            for _ in ahead:  # nothing more is begun where this was stopped
-                pass
-        for other in additional:
-            other.result()
-        return [results[i] for i in range(len(tasks))]
-
-    @staticmethod
-    def _sets(tasks: Sequence[_Task]) -> list[list[int]]:
-        """Tasks in sets that may go side by side: full ones, for a call in lanes takes as long with
-        a few of them.
-        """
-        additional: dict[Hashable, list[int]] = {}
-        for i, task in enumerate(tasks):
-            alone = i if _needs_flows(task.log) else None
-            additional.setdefault((alone, *_tempo(task.log)), []).append(i)
-        parts = [
-            item[i : i + LANES] for item in additional.values() for i in range(0, len(item), LANES)
-        ]
-        return [item for part in parts for item in _worth_it(part)]
+        return map_threads(self._one, tasks, self.workers)
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
@@ -634,30 +574,6 @@ class Simulator:
             return channels_of(log, log.start.seen(built, shifts, shared)), mesh
         except (EhbenchError, ArithmeticError):
             return None
-
-    def _several(self, tasks: Sequence[_Task]) -> list[Simulated | None]:
-        """`_one` of tasks of one tempo, side by side where that pays."""
-        if len(tasks) < LEAST:
-            return [self._one(task) for task in tasks]
-        runs: dict[int, Run] = {}
-        for i, task in enumerate(tasks):
-            try:
-                if task.model is not None:
-                    true = task.log.start.true(task.shifts, task.shared)
-                    along = task.mesh, task.slack, _simulated_means(task.log)
-                    runs[i] = Run(task.model, true, task.start(task.model), *along)
-            except (EhbenchError, ArithmeticError):
-                continue
-        result: list[Simulated | None] = [None] * len(tasks)
-        for i, built in zip(runs, replays_paced(list(runs.values())), strict=True):
-            log, task = tasks[i].log, tasks[i]
-            try:
-                if built is not None:
-                    seen = log.start.seen(built[0], task.shifts, task.shared)
-                    result[i] = channels_of(log, seen), built[1]
-            except (EhbenchError, ArithmeticError):
-                continue
-        return result
 
     def _replay(self, task: tuple[Model, Log, np.ndarray, dict[str, float]]) -> Record:
         model, log, shifts, shared = task
@@ -681,7 +597,7 @@ class Simulator:
         starts = [
             log.start.numbers(log.start.at(model, item, shared)) for model, log, item, _ in tasks
         ]
-        return starts, self._all(self._replay, tasks)
+        return starts, map_threads(self._replay, tasks, self.workers)
 
 
 def columns_of(log: Log, record: Record) -> np.ndarray:

@@ -123,26 +123,6 @@ def _advance(first, stop, own, rows, law, pace):
     return -1
 
 
-@kernel
-def _recall(first, stop, own, rows, seen):
-    """`_advance` without a law where it is known what comes: ``seen`` holds the states, edge flows
-    and the pump's flow of every row, and of one more.
-    """
-    sample = rows.sample
-    for i in range(first, stop):
-        if violated(rows, i):
-            return i
-        for j in range(seen.shape[1]):
-            rows.truth[i, j] = seen[i, j]
-        for j in range(sample.shape[0]):
-            rows.samples[i, j] = sample[j]
-        for j in range(own.y.shape[0]):
-            own.y[j] = seen[i + 1, j]
-        line_push(own.line, rows.commands[i])
-        model_sample(own.y, own.plant, sample)
-    return -1
-
-
 class SimulatedMachine:
     """A model as a machine: ``start`` puts it at rest in a posture, ``tick`` lets a command act;
     samples are exact.
@@ -175,14 +155,6 @@ class SimulatedMachine:
         )
         self._pace = pace_of(plant, model.layout, 1.0 / self.rate) if step == AUTO else None
         self.truth = ModelTruth(model, self._own)
-        self.foreseen: np.ndarray | None = None
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether `Model.run` in its ``steps`` says what it will do: the next to `advance` it may
-        find that in ``foreseen``, the log table with a row more than there will be.
-        """
-        return self._pace is None
 
     @classmethod
     def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine:
@@ -223,9 +195,6 @@ class SimulatedMachine:
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own, pace = self._own, self._pace
-        seen, self.foreseen = self.foreseen, None
-        if law is None and seen is not None:
-            return lambda first, stop: _recall(first, stop, own, rows, seen)
         run = bound(_advance, 0, 0, own, rows, law, pace) if often else _advance
         return lambda first, stop: run(first, stop, own, rows, law, pace)
 

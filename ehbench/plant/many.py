@@ -1,25 +1,33 @@
-"""Many rigs, each simulated by itself, side by side on the cores, for kernels hold no lock, and in
-the lanes of each (`ehbench.plant.lanes`).
-"""
+"""Several simulations at once, on threads: kernels release Python's lock."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import starmap
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ehbench.data.record import Record
 from ehbench.plant.integrate import STEP
-from ehbench.plant.lanes.many import LEAST, Job, go_together, has_lanes, run_together
-from ehbench.plant.lanes.steps import run_lanes
-from ehbench.plant.lanes.vectors import LANES
-from ehbench.plant.model import Model, finite
-from ehbench.plant.paced import AUTO, Step
+from ehbench.plant.model import Model, Start
+from ehbench.plant.paced import Step
 from ehbench.runtime.cores import cores
+from ehbench.vocabulary.errors import EhbenchError
 
-AHEAD = 4  # simulations a core that may wait to be taken; in lanes, sets of them for two cores
+WAITING = 4  # results of `run_many` that may wait to be taken, for each worker
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class Replay(NamedTuple):
+    """A recording that a model follows from a start."""
+
+    model: Model
+    record: Record
+    start: Start
 
 
 def run_many(
@@ -27,11 +35,9 @@ def run_many(
     tick: float = 1e-3,
     step: Step = STEP,
     workers: int | None = None,
-    lanes: bool = True,
 ) -> Iterator[np.ndarray]:
-    """The log tables of `Model.run`, in the order of the jobs and the same to the bit on any number
-    of workers, in lanes or not; no more of them are held than AHEAD a worker, or that many sets of
-    lanes for every two.
+    """The log tables of `Model.run`, in the order of the jobs and independent of the number of
+    workers. At most WAITING tables for each worker are in memory.
 
     Example:
         jobs = ((model, model.trim(model.posture(None)), table) for model in models)
@@ -42,39 +48,64 @@ def run_many(
             taken as they are needed.
         tick: time between samples [s].
         step: of the integration [s], or ``"auto"``.
-        workers: threads; by default one a core.
-        lanes: let neighbours of one layout go side by side, in fixed steps, where the kernel for it
-            is compiled (`ehbench.app.warm`).
+        workers: threads; by default one for each core.
 
     Raises:
         SimulationError: a state stopped being finite.
     """
     workers = workers or cores()
-    together = lanes and step != AUTO and has_lanes(run_lanes)
-    fixed = max(2, AHEAD * workers // 2) if together else AHEAD * workers
-    waiting: deque[Future[list[np.ndarray]]] = deque()
+    waiting: deque[Future[np.ndarray]] = deque()
     with ThreadPoolExecutor(workers) as pool:
-        for some in _sets(starmap(Job, jobs), LANES if together else 1):
-            waiting.append(pool.submit(_runs, some, tick, step))
-            if len(waiting) >= fixed:
-                yield from (finite(log, tick) for log in waiting.popleft().result())
+        for model, start, commands in jobs:
+            waiting.append(pool.submit(model.run, start, commands, tick, step))
+            if len(waiting) >= WAITING * workers:
+                yield waiting.popleft().result()
         while waiting:
-            yield from (finite(log, tick) for log in waiting.popleft().result())
+            yield waiting.popleft().result()
 
 
-def _sets(jobs: Iterable[Job], maximum: int) -> Iterator[list[Job]]:
-    """Jobs in sets that may go side by side, each of its neighbours."""
-    some: list[Job] = []
-    for job in jobs:
-        if some and (len(some) == maximum or not go_together(some[0], job)):
-            yield some
-            some = []
-        some.append(job)
-    if some:
-        yield some
+def replay_many(
+    replays: Sequence[Replay], step: Step = STEP, workers: int | None = None
+) -> list[Record | None]:
+    """`Model.replay` of each; None for those that cannot be simulated.
+
+    Args:
+        step: of the integration [s], or ``"auto"``.
+        workers: threads; by default one for each core.
+    """
+
+    def one(replay: Replay) -> Record | None:
+        try:
+            return replay.model.replay(replay.record, step, start=replay.start)
+        except (EhbenchError, ArithmeticError):
+            return None
+
+    return map_threads(one, replays, workers)
 
 
-def _runs(jobs: Sequence[Job], tick: float, step: Step) -> list[np.ndarray]:
-    if step == AUTO or len(jobs) < LEAST:
-        return [job.model.run(job.start, job.commands, tick, step) for job in jobs]
-    return run_together(jobs, tick, max(1, round(tick / step)))
+def map_threads(
+    function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None = None
+) -> list[Result]:
+    """The results of a function for all tasks, in their order. This thread and others each take the
+    next task that remains, until one fails.
+    """
+    results: dict[int, Result] = {}
+    indices = iter(range(len(tasks)))
+
+    def work() -> None:
+        for i in indices:
+            results[i] = function(tasks[i])
+
+    others = min(workers or cores(), len(tasks)) - 1
+    if others < 1:
+        work()
+        return list(results.values())
+    with ThreadPoolExecutor(others) as pool:
+        futures = [pool.submit(work) for _ in range(others)]
+        try:
+            work()
+        finally:
+            deque(indices, maxlen=0)  # no task begins after an error here
+    for future in futures:
+        future.result()
+    return [results[i] for i in range(len(tasks))]

@@ -19,9 +19,8 @@ from ehbench.data.record import Record
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.valve import valve_lag, valve_settle
 from ehbench.plant.integrate import STEP
-from ehbench.plant.lanes.many import Run, replays_fixed
-from ehbench.plant.lanes.vectors import LANES
 from ehbench.plant.layout import SIDES
+from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.model import Model, Seen, Start, seen_of
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.plant.trim import settle_parts
@@ -549,9 +548,9 @@ class _Follow:
         run = self.run_of(shifts)
         return self.left_by(run.model.replay(run.record, self.step_time, start=run.start), shifts)
 
-    def run_of(self, shifts: np.ndarray) -> Run:
+    def run_of(self, shifts: np.ndarray) -> Replay:
         """What is replayed, and from where."""
-        return Run(self.model, self.start.true(shifts), self.start.at(self.model, shifts))
+        return Replay(self.model, self.start.true(shifts), self.start.at(self.model, shifts))
 
     def left_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
         """`left` of a replay."""
@@ -559,14 +558,13 @@ class _Follow:
         return _columns(seen, self.channels, self.start.record) - self.recorded
 
     def all_left(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-        """`left` of several shifts, side by side."""
-        for first in range(0, len(every), LANES):
-            part = every[first : first + LANES]
-            built = replays_fixed([self.run_of(shifts) for shifts in part], self.step_time)
-            for shifts, replayed in zip(part, built, strict=True):
-                # one that failed says why when it runs alone
-                failed = replayed is None
-                yield self.left(shifts) if failed else self.left_by(replayed, shifts)
+        """`left` of several shifts."""
+        runs = [self.run_of(shifts) for shifts in every]
+        replays = replay_many(runs, self.step_time)
+        for shifts, replayed in zip(every, replays, strict=True):
+            # a replay that failed says why when it runs again
+            failed = replayed is None
+            yield self.left(shifts) if failed else self.left_by(replayed, shifts)
 
     def weigh(self, left: np.ndarray) -> None:
         """Take scales of the channels and the weight of priors from what is left."""

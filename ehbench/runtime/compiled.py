@@ -1,5 +1,5 @@
 """How the hot functions are compiled: one decorator for the laws, the plant and the integrator, one
-for loops that allocate, one cache for their code.
+for loops that allocate, one cache for their code. It uses numba through its public interface.
 """
 
 from __future__ import annotations
@@ -17,22 +17,21 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import binding as llvm
-from numba.core import config
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
-from numba.core.runtime.nrt import rtsys
-from numba.extending import overload
+from numba.extending import overload, typeof_impl
 
 from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.sources import sources
 
 PACKAGE = Path(__file__).resolve().parents[1]
-_SETTINGS: Any = config
+_SETTINGS: Any = numba.config
 _SETTING = Lock()
 _MARKS = (
-    *(b"njit", b"@kernel", b"@part_kernel", b"@allocating_kernel", b"choice(", b"Generic("),
-    *(b"intrinsic(", b"LaneKernel"),
+    b"@kernel",
+    b"@part_kernel",
+    b"@allocating_kernel",
+    b"choice(",
+    b"Generic(",
+    b"@inlined",
 )
 
 
@@ -56,74 +55,11 @@ def is_cold() -> bool:
     return not (_SETTINGS.DISABLE_JIT or any(_FOLDER.rglob("*.nbc")))
 
 
-class _LinkedLibrary(JITCodeLibrary):
-    """Code that only goes into that of its callers: numba would optimise it, and make machine code
-    of it and of all that it calls, for every kernel on the way up. Here that is left to the kernel
-    on top.
-    """
-
-    def _optimize_final_module(self) -> None:
-        """Nothing: the caller's does it."""
-
-    def _finalize_final_module(self) -> None:
-        """Keep the code for callers; the engine gets the environments alone, which numba sets."""
-        shared, names = self._final_module, []
-        for function in shared.functions:
-            if not function.is_declaration and function.linkage == llvm.Linkage.external:
-                function.linkage = "linkonce_odr"
-        for variable in shared.global_variables:
-            if variable.name.startswith("_ZN08NumbaEnv"):
-                names.append(f'@"{variable.name}" = common global i64 0\n')
-        self._shared_module = shared
-        self._final_module = llvm.parse_assembly("".join(names))
-        self._final_module.name = shared.name
-        super()._finalize_final_module()
-
-
-class _WholeLibrary(JITCodeLibrary):
-    """Code that Python calls, with all that it calls in turn, which nothing else will ever call: so
-    the optimiser may put a function into its only caller, and pass no argument that is not used. A
-    plant or a controller has a hundred of them.
-    """
-
-    def _optimize_final_module(self) -> None:
-        """numba's own, with no function to be seen from outside but those that it compiled here."""
-        for function in self._final_module.functions:
-            if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
-                function.linkage = "internal"
-        super()._optimize_final_module()
-
-
-class _Compiler(Compiler):
-    """numba's compiler, into a library of ours, while nothing collects garbage: it makes millions
-    of objects that stay, and to look through them again and again takes a tenth of the time.
-    """
-
-    library: type[JITCodeLibrary] = _WholeLibrary
-
-    def compile_extra(self, func: Callable) -> Any:
-        """Compile a function and, on the way, all that it calls."""
-        with unbroken(), _uncollected():
-            return super().compile_extra(func)
-
-    def define_pipelines(self) -> list[Any]:
-        """numba's own, into a library of ours."""
-        state = self.state
-        if state.library is None:
-            name = state.func_id.func_qualname
-            state.library = self.library(state.targetctx.codegen(), name)
-            state.library.enable_object_caching()
-        return super().define_pipelines()
-
-
-class _LinkedCompiler(_Compiler):
-    """The same for what only kernels call."""
-
-    library = _LinkedLibrary
-
-
 @contextmanager
 def _uncollected() -> Iterator[None]:
+    """A block without garbage collection: the compiler creates millions of objects that stay, and
+    to look through them again and again takes a tenth of its time.
+    """
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -133,23 +69,14 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
-# Without numba's reference counting a kernel cannot allocate (the compiler refuses it), and passing
-# rows and slices of arrays costs nothing: 1.4 times as fast a plant. Arguments are the caller's.
-OPTIONS: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "_nrt": False,
-    "pipeline_class": _Compiler,
-}
+# Without reference counting (_nrt) a kernel cannot allocate, and passing rows and slices of arrays
+# costs nothing: a trial takes a twelfth of the time. The caller owns all arrays.
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
 # numba hands forceinline down from callers that have it: the derivatives would stand ten times in
 # one loop, which takes half as long again to compile and is no faster
 _APART: Any = {**OPTIONS, "forceinline": False}
 _INLINED: Any = {**OPTIONS, "forceinline": True}
-_WITHIN: Any = {  # called by kernels only
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "pipeline_class": _LinkedCompiler,
-}
+_WITHIN: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # called by kernels only
 
 
 class Kernel:
@@ -168,84 +95,69 @@ class Kernel:
         update_wrapper(self, function)
         self._function, self._options = function, options
         self._folder = str(_FOLDER) if kept else ""
-        self._outer: Any = None
-        self._found = False
-
-    @cached_property
-    def _inner(self) -> Any:
-        """The function that kernels call: wanted by the compiler alone, so made for it."""
-        return self._dispatcher(self._folder, **_WITHIN)
+        self._called = False
 
     def _dispatcher(self, folder: str, **more: Any) -> Any:
-        """numba's own, its code kept in ``folder``. numba reads where from its global settings
-        only, when it wraps a function; they are as before then.
+        """numba's dispatcher, its code cached in ``folder``. numba reads where from its global
+        settings only, when it wraps a function; they are as before then.
         """
         with _SETTING:
             before, _SETTINGS.CACHE_DIR = _SETTINGS.CACHE_DIR, folder
             try:
-                built: Any = numba.njit(cache=bool(folder), **{**self._options, **more})(
-                    self._function
-                )
+                options = {**self._options, **more}
+                dispatcher: Any = numba.njit(cache=bool(folder), **options)(self._function)
             finally:
                 _SETTINGS.CACHE_DIR = before
-        if folder:
-            _name_apart(built._cache._cache_file)
-            _load_alone(built._cache)
-        return built
+        _name_apart(dispatcher)
+        return dispatcher
 
-    @property
-    def _numba_type_(self) -> Any:
-        """By which numba knows what a kernel calls."""
-        return self._inner._numba_type_
+    @cached_property
+    def inner(self) -> Any:
+        """The function that kernels call. Only the compiler needs it."""
+        return self._dispatcher(self._folder, **_WITHIN)
 
-    @property
+    @cached_property
     def outer(self) -> Any:
         """The function that Python calls."""
-        if self._outer is None:
-            self._outer = self._dispatcher(self._folder and f"{self._folder}/outer")
-        return self._outer
+        return self._dispatcher(self._folder and f"{self._folder}/outer")
 
     def compile(self, *like: Any) -> None:
         """Compile it for calls by kernels with arguments of the types of ``like``."""
-        self._inner.compile(tuple(numba.typeof(each) for each in like))
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether a cache has code of it that Python can call; asked until it has."""
-        if not self._found:
-            files = self.outer._cache._cache_file
-            self._found = Path(files._index_path).exists()
-        return self._found
-
-    @property
-    def made_of(self) -> tuple[Callable, Mapping[str, Any]]:
-        """(the function, options of numba)."""
-        return self._function, self._options
+        _entry_point(self.inner, like)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it from Python."""
-        return (self._outer or self.outer)(*arguments)
+        if not self._called:
+            _entry_point(self.outer, arguments)
+            self._called = True
+        return self.outer(*arguments)
 
 
-def _name_apart(files: Any) -> None:
-    """Let each file of a cache have a name of its own. numba counts from 1, and of two processes
-    that compile at once for different types, one would call the other's code.
+@typeof_impl.register(Kernel)
+def _type_of_kernel(value: Kernel, _: Any) -> Any:
+    """The type by which numba knows what a kernel calls."""
+    return numba.typeof(value.inner)
+
+
+def _entry_point(dispatcher: Any, like: Sequence[Any]) -> Callable:
+    """A function compiled, or loaded from the cache, for arguments of the types of ``like``. No
+    signal interrupts the compiler.
     """
-    name = files._data_name_pattern
-    files._data_name = lambda _: name.format(number=randbits(48))
+    types = tuple(numba.typeof(argument) for argument in like)
+    with unbroken(), _uncollected():
+        return dispatcher.compile(types)
 
 
-def _load_alone(cache: Any) -> None:
-    """Let a cache load code without all that numba can compile: it makes that known before, a third
-    of a second in every process, and code that is compiled needs its memory management alone.
+def _name_apart(dispatcher: Any) -> None:
+    """Give each file of a cache a unique name, where numba has this attribute (0.61 to 0.68).
+
+    numba counts from 1. Of two processes that compile at once for different types, one could load
+    the other's code.
     """
-
-    def load(signature: Any, target: Any) -> Any:
-        with unbroken(), cache._guard_against_spurious_io_errors():
-            rtsys.initialize(target)
-            return cache._load_overload(signature, target)
-
-    cache.load_overload = load
+    files = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    name = getattr(files, "_data_name_pattern", "")
+    if "{number" in name:
+        files._data_name = lambda _: name.format(number=randbits(48))
 
 
 def _compiler(options: Mapping[str, Any], kept: bool = True) -> Callable[[Callable], Any]:
@@ -262,7 +174,7 @@ kernel = _compiler(_APART)
 # for the small kernels of which a large one is made: they go into its code, without a call
 part_kernel = _compiler(_INLINED)
 
-allocating_kernel = _compiler({"nogil": True, "pipeline_class": _Compiler})
+allocating_kernel = _compiler({"nogil": True})
 
 # for what is made at import, which no cache can find again: it goes into the code of its callers
 inlined = _compiler(_INLINED, kept=False)
@@ -278,9 +190,7 @@ def bound(function: Any, *like: Any) -> Callable:
     """
     if not hasattr(function, "outer"):  # nothing is compiled
         return function
-    types = tuple(numba.typeof(argument) for argument in like)
-    function.outer.compile(types)
-    return function.outer.get_overload(types)
+    return _entry_point(function.outer, like)
 
 
 def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
@@ -300,8 +210,6 @@ def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
     text = f"(law, {arguments}):\n{chain}    return law_{last}({arguments})\n"
     exec(f"def {name}{text}def typed(law, {arguments}): return chosen\ndef chosen{text}", space)
     overload(space[name], jit_options=_CHOSEN)(space["typed"])
-    space[name].text = f"def {name}{text}"
-    space[name].made_of = space[name], _INLINED
     return space[name]
 
 
@@ -322,7 +230,6 @@ class Generic:
         space: dict[str, Any] = {"kernels": self.kernels}
         exec(f"def {name}({arguments}): return kernels[type(plant)]({arguments})\n", space)
         self.call: Any = space[name]
-        self.call.generic = self
 
     def of(self, plant: type) -> Callable[[Callable], Callable]:
         """Decorate the kernel that serves this type of plant."""

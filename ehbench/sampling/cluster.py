@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ehbench.runs import rundir
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import DEATHS, GRACE, WARMING, Chunks
-from ehbench.sampling.sample import Make, Sample, Task, samples_of
+from ehbench.sampling.sample import Make, Sample, Task
 from ehbench.vocabulary.errors import InputError
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def make_chunk(sent: Sent, chunk: list[Task]) -> list[Sample]:
     """What a worker of the cluster does."""
     with _OPENING:
         make = _opened(*sent)
-    return list(samples_of(make, chunk))
+    return [make(*task) for task in chunk]
 
 
 class Cluster:

@@ -11,12 +11,13 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from itertools import starmap
 from multiprocessing import Pipe
 from multiprocessing import connection as connections
 from multiprocessing.connection import Connection
 from typing import Protocol
 
-from ehbench.sampling.sample import Open, Sample, Task, samples_of
+from ehbench.sampling.sample import Open, Sample, Task
 
 AIM = 0.3  # [s] that a chunk of tasks shall take
 MOST = 5000  # tasks in a chunk
@@ -79,7 +80,7 @@ class Threads:
         make, chunks = self._open(), Chunks(tasks)
         if self._workers == 1:
             while chunk := chunks.take():
-                built = list(samples_of(make, chunk))
+                built = [make(*task) for task in chunk]
                 chunks.learn(built)
                 yield built
             return
@@ -88,7 +89,7 @@ class Threads:
             try:
                 while True:
                     while len(waiting) <= self._workers and (chunk := chunks.take()):
-                        waiting.add(pool.submit(lambda c: list(samples_of(make, c)), chunk))
+                        waiting.add(pool.submit(lambda c: [make(*task) for task in c], chunk))
                     if not waiting:
                         return
                     done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
@@ -229,5 +230,5 @@ def serve(pipe: Connection) -> None:
     """What a process of `Processes` does: make samples, one after the other, until it is ended."""
     make = pickle.loads(pipe.recv_bytes())()
     while True:
-        for item in samples_of(make, pipe.recv()):
+        for item in starmap(make, pipe.recv()):
             pipe.send(item)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 # status word by exit code
@@ -41,21 +41,3 @@ class Sample(NamedTuple):
 Task = tuple[int, Mapping[str, Any]]  # a sample's number and what it sets
 Make = Callable[[int, Mapping[str, Any]], Sample]
 Open = Callable[[], Make]  # makes ready what makes samples, in the process where it is called
-
-
-def samples_of(make: Make, tasks: Sequence[Task]) -> Iterator[Sample]:
-    """The samples of tasks, one after the other. What makes them may have a look at as many of them
-    ``ahead`` as go side by side, which changes no sample.
-    """
-    look: Callable[[Sequence[Task]], None] | None = getattr(make, "ahead", None)
-    if look is None:
-        for task in tasks:
-            yield make(*task)
-        return
-    from ehbench.plant.lanes.vectors import LANES  # and with it the compiler
-
-    for first in range(0, len(tasks), LANES):
-        part = tasks[first : first + LANES]
-        look(part)
-        for task in part:
-            yield make(*task)

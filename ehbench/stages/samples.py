@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import lru_cache, partial
@@ -31,7 +31,7 @@ from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
 from ehbench.sampling.measures import lookup, of_channels, refuse_unknown, value_of
-from ehbench.sampling.sample import LATE, STATUS, Make, Sample, Task
+from ehbench.sampling.sample import LATE, STATUS, Make, Sample
 from ehbench.stages.base import Prepared, Stage, stage_of
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, Runs
@@ -119,14 +119,6 @@ class Plan:
         return None if limit is None else float(limit)
 
 
-@dataclass(frozen=True)
-class _Ahead:
-    """A trial that was looked at ahead, and the time [s] that this took."""
-
-    prepared: PreparedOne
-    seconds: float
-
-
 class Sampler:
     """Makes samples of a plan.
 
@@ -142,27 +134,7 @@ class Sampler:
         }
         self._cases = {case.name: case.set for case in plan.study.case}
         self._states: dict[Any, RigState] = {}
-        self._ahead: dict[int, _Ahead] = {}
         self._warm = False
-
-    def ahead(self, tasks: Sequence[Task]) -> None:
-        """Simulate open-loop trials on the model side by side where that pays, before their samples
-        are made of them. Where samples have a time limit each is simulated by itself.
-        """
-        from ehbench.trial.ahead import can_foresee, foresee
-
-        if self.plan.limit is not None or not can_foresee(len(tasks)):
-            return
-        began, result = time.monotonic(), {}
-        for index, settings in tasks:
-            with suppress(Exception):  # the sample will say so
-                if self._is_trial(settings):
-                    _, prepared = self.prepared(settings, self.scratch)
-                    assert isinstance(prepared, PreparedOne)
-                    result[index] = prepared
-        foresee([prepared.trial for prepared in result.values()])
-        each = (time.monotonic() - began) / max(1, len(result))
-        self._ahead |= {index: _Ahead(prepared, each) for index, prepared in result.items()}
 
     def __call__(self, index: int, settings: Mapping[str, Any]) -> Sample:
         """As `sample`."""
@@ -170,11 +142,10 @@ class Sampler:
 
     def sample(self, index: int, settings: Mapping[str, Any]) -> Sample:
         """One sample, whatever becomes of it."""
-        ahead = self._ahead.pop(index, None)
-        began = time.monotonic() - (0.0 if ahead is None else ahead.seconds)
+        began = time.monotonic()
         blank = tuple(float("nan") for _ in self.plan.study.measures)
         try:
-            code, message, measures = self._made(settings, began, ahead)
+            code, message, measures = self._made(settings, began)
             status = STATUS.get(code, STATUS[1])
         except Late as error:
             code, status, message, measures = error.exit_code, LATE, error.message, blank
@@ -245,11 +216,9 @@ class Sampler:
         )
 
     def _made(
-        self, settings: Mapping[str, Any], began: float, ahead: _Ahead | None
+        self, settings: Mapping[str, Any], began: float
     ) -> tuple[int, str, tuple[float, ...]]:
         progress = self._watch(began)
-        if ahead is not None:
-            return self._trial(ahead.prepared, settings, progress)
         with self._folder(settings) as name:
             folder = Path(name)
             stage, prepared = self.prepared(settings, folder)

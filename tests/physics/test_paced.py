@@ -11,7 +11,7 @@ import pytest
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.plant.integrate import STEP
-from ehbench.plant.many import run_many
+from ehbench.plant.many import Replay, map_threads, replay_many, run_many
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of
 from ehbench.vocabulary.errors import SimulationError
@@ -128,14 +128,41 @@ def test_the_steps_of_another_run_are_taken_again(name):
     assert np.all(np.abs(small - large).max(axis=0)[moved] < 0.05 * effect[moved])
 
 
-def test_many_rigs_side_by_side_are_each_by_itself():
+def test_many_runs_on_threads_equal_single_runs():
     rig = load_rig(RIGS / "slide_servo.toml")
-    models = [Model.of(rig.with_values({"bulk_modulus": 1e9 * (1 + i)})) for i in range(5)]
+    models = [Model.of(rig.with_values({"bulk_modulus": 1e9 * (1 + i)})) for i in range(9)]
     jobs = [(m, m.trim(m.posture(None)), commands(m, 200 + i)) for i, m in enumerate(models)]
     alone = [m.run(start, table, step=AUTO) for m, start, table in jobs]
-    for workers in (1, 3):
+    for workers in (1, 2):
         logs = list(run_many(iter(jobs), step=AUTO, workers=workers))
         assert all(map(np.array_equal, logs, alone)) and len(logs) == len(alone)
+
+
+def test_a_replay_that_fails_is_none_and_the_others_are_as_alone():
+    model = made("slide_servo")
+    table = commands(model, 200)
+    record = model.record(
+        1e-3 * np.arange(200), table, model.run(model.trim(model.posture(None)), table)
+    )
+    start = model.rest_start(record)
+    failed = start._replace(y=np.full_like(start.y, np.nan))
+    first, none, last = replay_many([Replay(model, record, y) for y in (start, failed, start)])
+    alone = model.replay(record, start=start)
+    assert none is None
+    for replayed in (first, last):
+        assert all(np.array_equal(replayed[name], alone[name]) for name in alone.channels)
+
+
+def test_threads_begin_no_task_after_an_error():
+    begun = []
+
+    def fail(task: int) -> None:
+        begun.append(task)
+        raise ValueError
+
+    with pytest.raises(ValueError):
+        map_threads(fail, range(9), 2)
+    assert len(begun) <= 2
 
 
 def test_what_leaves_finite_numbers_is_said():

@@ -19,7 +19,6 @@ from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.identification.means import SHARE, fastest
 from ehbench.identification.simulator import seen_as
-from ehbench.plant.lanes.many import LEAST, Run, replays_paced
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.gaps import parts_of
@@ -122,7 +121,7 @@ def test_a_step_may_be_taken_at_any_sample():
 
 
 def test_means_of_a_simulation_are_means_of_its_samples():
-    """Added up in the kernel, alone or in lanes, or taken of all samples afterwards; of what is
+    """Added up in the kernel or taken of all samples afterwards; of what is
     not linear in the state, the stroke of a joint, to the square of what it moves in a mean.
     """
     boom = rig("boom_four_valve")
@@ -134,15 +133,12 @@ def test_means_of_a_simulation_are_means_of_its_samples():
     whole, mesh = model.replay_paced(made, start)
     wanted = Means.of(whole, 10).record
     alone, _ = model.replay_paced(made, start, mesh, means=means)
-    several = replays_paced([Run(model, made, start, mesh, means=means)] * LEAST)
     assert alone.t.size == 700 and np.array_equal(alone.t, means.record.t)
     assert not any(name.endswith(("command", "opening")) for name in alone.channels)
     for name, y in alone.channels.items():
         close = 1e-6 if name.endswith((".x", ".v")) else 1e-11
         span = max(float(np.ptp(wanted[name])), 1e-9 * float(np.abs(wanted[name]).max()), 1e-300)
         assert np.abs(y - wanted[name]).max() < close * span, name
-        for one in several:
-            assert one is not None and np.array_equal(one[0][name], y), name
     chosen, steps = model.replay_paced(made, start, means=means)
     assert steps.size < mesh.size  # over several means at once, where nothing moves
     assert np.abs(chosen["boom.p_head"] - wanted["boom.p_head"]).max() < 1e-5 * np.ptp(

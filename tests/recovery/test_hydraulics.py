@@ -380,8 +380,7 @@ def test_pins_that_cannot_be_do_not_end_the_search():
         1,
         5e-4,
     )
-    with impossible.pool:
-        assert impossible.simulate([[0.1]]) == [[None]]
+    assert impossible.simulate([[0.1]]) == [[None]]
 
 
 def test_more_freedom_ends_no_worse():

@@ -55,8 +55,7 @@ def fitted():
         for seed in (1, 2)
     ]
     made = Simulator(rig, logs, ["bulk_modulus", "carriage.damping"], None, 2)
-    with made.pool:
-        yield made
+    yield made
 
 
 def test_a_point_is_simulated_once(fitted, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 
@@ -59,21 +60,19 @@ def twice(x):
     return 2.0 * x
 
 
-def test_what_kernels_call_has_no_machine_code_of_its_own():
-    """It stands in that of its callers alone."""
-    inner = compiled._compiler(compiled._APART, kept=False)(twice)
-
-    def calls(x):
-        return inner(x) + 1.0
-
-    assert compiled._compiler(compiled._APART, kept=False)(calls)(3.0) == 7.0
-    (made,) = inner._inner.overloads.values()
-    assert made.library.get_pointer_to_function(made.fndesc.llvm_func_name) == 0
+def test_numba_is_used_through_its_public_interface_only():
+    used = {
+        line.strip()
+        for path in compiled.PACKAGE.rglob("*.py")
+        for line in path.read_text().splitlines()
+        if re.match(r"\s*(import|from) (numba|llvmlite)", line)
+    }
+    assert all(line == "import numba" or "numba.extending" in line for line in used)
 
 
 def test_processes_that_compile_at_once_write_files_of_their_own():
     """Else one would load the other's code, which was compiled for other types."""
-    files = compiled.kernel(twice)._inner._cache._cache_file
+    files = compiled.kernel(twice).inner._cache._cache_file
     assert files._data_name(1) != files._data_name(1)
 
 
