@@ -1,5 +1,4 @@
-"""The key tables of docs/reference/, made from the models they are of, and the package's own table
-of usual units, made by the registry of all units.
+"""The key tables of docs/reference/, made from the models they are of.
 
 ``python -m tools.reference`` writes them anew, ``--check`` only says whether they are so already.
 A table stands under a comment that names its model, ``<!-- Limits -->``, or another set of keys,
@@ -23,10 +22,9 @@ from ehbench.config.rig import Rig
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Q, Value
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
-from ehbench.vocabulary.units import asked, from_si
+from ehbench.vocabulary.units import from_si
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-USUAL = DOCS.parent / "ehbench" / "vocabulary" / "usual_units.py"
 HEADER = ("key", "symbol", "unit", "range", "default", "what for")
 _BLOCK = re.compile(r"<!-- (\w[\w ]*) -->\n((?:\|.*\n)*)")
 
@@ -336,69 +334,9 @@ def made(text: str, tables: Mapping[str, list[Key]], name: str) -> str:
     return _BLOCK.sub(table, text)
 
 
-# --- usual units
-# -------------------------------------------------------------------------------------------------
-
-UNITS = """
-% 1/V 1/s A C GPa Hz J K L L/min L/min/V L/min/V/MPa^0.5 L/min/V/bar^0.5 L/min/bar L/min/bar^0.5
-L/min/mA L/s L/s/V MPa MPa/V MPa/s N N*m N*m*s/rad N*s/m N/m N/mm Pa Pa*s Pa*s/m^3 Pa/V Pa/s V V/mA
-V/s W bar bar*min/L bar/V bar/mA bar/s cc cc/rev cm cm/s cm^2 cm^3 counts daN deg deg/V deg/s
-deg/s^2 degC degF dimensionless duty ft g gpm gpm/MPa^0.5 gpm/V gpm/V/MPa^0.5 h hp in in/s in^2 in^3
-kHz kN kN*m*s/rad kN*s/m kN/m kN/mm kPa kPa/s kW kg kg*m^2 km l l/min lb lbf lpm m m/V m/rad m/s
-m/s^2 m/s^3 m^2 m^3 m^3/(s*Pa) m^3/(s*Pa^0.5) m^3/(s*V) m^3/(s*V*Pa^0.5) m^3/h m^3/rad m^3/s mA mL
-mL/min mL/min/bar mL/rev mL/s mV mbar min mm mm/V mm/mA mm/rad mm/s mm/s^2 mm^2 mm^3 ms ns psi psi/V
-rad rad/(s*V) rad/s rad/s^2 rpm rpm/V rpm/mA s s^2 t turn um us ° °/s °C °F µm µs
-"""
-
-
-def usual_units() -> str:
-    """The text of the module of usual units."""
-    si = sorted({row.unit for row in VOCABULARY.values()})
-    named = {row.display for row in VOCABULARY.values()} | {"", *UNITS.split(), *si}
-    lines = []
-    for unit in sorted(named):
-        messages = {item: asked(unit, item) for item in si}
-        retained = {
-            item: what
-            for item, what in messages.items()
-            if not isinstance(what, str) or "cannot be turned" not in what
-        }
-        name = json.dumps(unit, ensure_ascii=False)
-        if not retained:
-            lines.append(f"    {name}: {{}},")
-            continue
-        rows = (f'        "{item}": {_literal(what)},' for item, what in retained.items())
-        lines += [f"    {name}: {{", *rows, "    },"]
-    head = [
-        '"""How many SI units one usual unit is, by the registry of all units: to import it takes',
-        "longer than most runs take to read their files. Made by ``python -m tools.reference``.",
-        '"""',
-        "",
-        "from __future__ import annotations",
-        "",
-        "SI = frozenset(",
-        "    {",
-        *(f'        "{item}",' for item in si),
-        "    }",
-        ")",
-        "# by unit and SI unit (factor, offset): value_si = factor·value + offset; or why there",
-        "# is none; without a row the unit is one of another quantity",
-        "IN_SI: dict[str, dict[str, tuple[float, float] | str]] = {",
-    ]
-    return "\n".join([*head, *lines, "}"]) + "\n"
-
-
-def _literal(what: tuple[float, float] | str) -> str:
-    return json.dumps(what, ensure_ascii=False) if isinstance(what, str) else repr(what)
-
-
 def main(arguments: list[str]) -> int:
-    """Write pages and units, or with ``--check`` say which are not as they would be."""
+    """Write the pages, or with ``--check`` say which are not as they would be."""
     stale = []
-    if (units := usual_units()) != USUAL.read_text(encoding="utf-8"):
-        stale.append("../ehbench/vocabulary/usual_units.py")
-        if "--check" not in arguments:
-            USUAL.write_text(units, encoding="utf-8")
     for name, tables in pages().items():
         path = DOCS / name
         old = path.read_text(encoding="utf-8")

@@ -42,7 +42,7 @@ class MultiStart(Descent):
         first, then the bottoms of other basins that are not much worse."""
         chosen = self._first_logs()
         bulk, damping = (
-            [i for i in self.free if self.search[i].row.rings == what and self.search[i].log]
+            [i for i in self.free if self.search[i].row.mode_role == what and self.search[i].log]
             for what in ("frequency", "decay")
         )
         others = [

@@ -46,7 +46,6 @@ _LIBRARIES = (
     "numba",
     "matplotlib",
     "pydantic",
-    "pint",
     "mcap",
     "control",
 )
@@ -73,7 +72,7 @@ def shipped(name: str) -> Path:
 def code_version() -> str:
     """SHA-256 over the package's own sources: changes whenever the code does."""
     digest = hashlib.sha256()
-    for path in sources(PACKAGE, ".py", ".html", ".css", ".toml"):
+    for path in sources(PACKAGE, ".py", ".html", ".css", ".toml", ".csv"):
         digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 

@@ -1,41 +1,99 @@
-"""Conversion between what people write and SI. Pressures are gauge; pint is imported only when a
-unit is met that `ehbench.vocabulary.usual_units` does not have.
+"""Units: a table of base factors, one grammar over it, and conversion to and from SI.
+
+A unit is made of words, products, quotients and small powers: ``m^3/(s*V*Pa^0.5)``, ``L/min/√bar``,
+``kg·m²``. Nothing else of a text is read and nothing is evaluated. Pressures are gauge. Angles
+count in radians or in cycles; a unit that names neither, such as ``1/s``, fits both.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 from ehbench.vocabulary.errors import UnitError
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import Quantity
 from ehbench.vocabulary.text import shortened
-from ehbench.vocabulary.usual_units import IN_SI, SI
 
-if TYPE_CHECKING:
-    import pint
+_DIMENSIONS = ("kg", "m", "s", "A", "K", "rad", "cycle")
+_ANGLE, _CYCLE = _DIMENSIONS.index("rad"), _DIMENSIONS.index("cycle")
+# symbols; a factor with the unit, above in the table, that it counts; whether it takes prefixes
+_TABLE: tuple[tuple[str, float, str, bool], ...] = (
+    ("m meter metre", 1.0, "m", True),
+    ("g gram", 1e-3, "kg", True),
+    ("s sec second", 1.0, "s", True),
+    ("A amp ampere", 1.0, "A", True),
+    ("K kelvin", 1.0, "K", True),
+    ("rad radian", 1.0, "rad", True),
+    ("cycle", 1.0, "cycle", False),
+    ("dimensionless duty counts count digits 1", 1.0, "", False),
+    ("% percent", 0.01, "", False),
+    ("deg degree °", math.pi / 180.0, "rad", True),
+    ("rev turn revolution", 2.0 * math.pi, "rad", False),
+    ("in inch", 0.0254, "m", False),
+    ("ft foot", 0.3048, "m", False),
+    ("min minute", 60.0, "s", False),
+    ("h hr hour", 3600.0, "s", False),
+    ("d day", 86400.0, "s", False),
+    ("t tonne", 1000.0, "kg", False),
+    ("lb lbm pound", 0.45359237, "kg", False),
+    ("N newton", 1.0, "kg*m/s^2", True),
+    ("lbf", 0.45359237 * 9.80665, "N", True),
+    ("kgf kp", 9.80665, "N", False),
+    ("Pa pascal", 1.0, "N/m^2", True),
+    ("bar", 1e5, "Pa", True),
+    ("psi", 6894.757293168362, "Pa", False),
+    ("ksi", 6894757.293168362, "Pa", False),
+    ("atm", 101325.0, "Pa", False),
+    ("mmHg torr", 133.322387415, "Pa", False),
+    ("J joule", 1.0, "N*m", True),
+    ("W watt", 1.0, "J/s", True),
+    ("hp horsepower", 745.6998715822702, "W", False),
+    ("PS", 735.49875, "W", False),
+    ("V volt", 1.0, "W/A", True),
+    ("C coulomb", 1.0, "A*s", True),
+    ("ohm Ω", 1.0, "V/A", True),
+    ("L l liter litre", 1e-3, "m^3", True),
+    ("cc", 1e-6, "m^3", False),
+    ("gallon gal", 3.785411784e-3, "m^3", False),
+    ("lpm", 1e-3 / 60.0, "m^3/s", False),
+    ("gpm", 3.785411784e-3 / 60.0, "m^3/s", False),
+    ("Hz hertz cps", 1.0, "cycle/s", True),
+    ("rpm", 2.0 * math.pi / 60.0, "rad/s", False),
+    ("P poise", 0.1, "Pa*s", True),
+    ("St stokes", 1e-4, "m^2/s", True),
+)
+_PREFIXES = {
+    **{"G": 1e9, "giga": 1e9, "M": 1e6, "mega": 1e6, "k": 1e3, "kilo": 1e3, "h": 1e2, "hecto": 1e2},
+    **{"da": 1e1, "d": 1e-1, "c": 1e-2, "centi": 1e-2, "m": 1e-3, "milli": 1e-3},
+    **{"u": 1e-6, "µ": 1e-6, "μ": 1e-6, "micro": 1e-6, "n": 1e-9, "nano": 1e-9},
+}
+_ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67 / 1.8, "°F": 459.67 / 1.8}  # [K]
 
 _NUMBER = re.compile(
     r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*$", re.S
 )
-_CYCLES = re.compile(r"(hz|hertz|cps)\b", re.I)
-_ANGLES = re.compile(r"rad|deg|turn|rev|rpm", re.I)
-_ALIASES = {
-    "gpm": "(gallon / minute)",
-    "lpm": "(liter / minute)",
-    "in": "inch",
-    "cc": "(cm**3)",
-    "%": "percent",
-    "°": "degree",
-    "°C": "degC",
-    "°F": "degF",
-    "duty": "dimensionless",
-    "counts": "dimensionless",
-    "digits": "dimensionless",
-}
-# as instruments and spreadsheets have them; absolute pressures are not among them
+_LONGEST = 80  # characters of a unit
+_WORD = r"(?:%|°[CF]?|[^\W\d_]\w*)"
+_SUPERSCRIPT = re.compile("[²³⁴⁵⁶]")
+_POWER = r"\s*(?:\*\*|\^)\s*[-+]?(?:0?\.5|[1-6](?:\.[05])?)(?![0-9.])"
+_JOIN = r"(?:\s*[*·⋅/]\s*|\s+)"
+_FACTOR = rf"(?:√{_WORD}|(?:{_WORD}|1(?![0-9.]))(?:{_POWER})?)"
+_PRODUCT = rf"{_FACTOR}(?:{_JOIN}{_FACTOR})*"
+_GROUP = rf"(?:{_FACTOR}|\(\s*{_PRODUCT}\s*\)(?:{_POWER})?)"
+_UNIT = re.compile(rf"{_GROUP}(?:{_JOIN}{_GROUP})*")
+_PIECE = re.compile(
+    rf"(?P<join>{_JOIN})?(?:\(\s*(?P<group>{_PRODUCT})\s*\)|(?P<root>√)?(?P<word>{_WORD}|1))"
+    rf"(?P<power>{_POWER})?"
+)
+_BARE_POWER = re.compile(r"\b([kcdm]?m|in|ft)([23])\b(?!\s*(?:\^|\*\*))")  # cm2, m3/h
+_CUBIC = re.compile(rf"\bcubic ({_WORD})")
+_NO_UNIT = ("", "-", "1")
+
+# words of instruments and spreadsheets for a unit; absolute pressures are not among them
 _SPOKEN = {
     **dict.fromkeys(("volt", "volts", "vdc"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere", "adc"), "A"),
@@ -60,165 +118,119 @@ _SPOKEN = {
     **dict.fromkeys(("deg f", "°f", "fahrenheit", "degf"), "degF"),
 }
 _ABSOLUTE = re.compile(r"(m?bar|psi|[km]?pa)[\s_]*\(?a(?:bs(?:ol\w*)?)?\.?\)?", re.I)
-_GAUGE = {one.lower(): one for one in ("mbar", "bar", "psi", "Pa", "kPa", "MPa")}
-_NO_UNIT = ("", "-", "1")
-_LONGEST = 80  # characters of a unit
-_WORD = r"(?:%|°[CF]?|[^\W\d_]\w*)"
-_POWER = r"\s*(?:[²³]|(?:\*\*|\^)\s*[-+]?(?:0?\.5|[1-6](?:\.[05])?)(?![0-9.]))"
-_JOIN = r"(?:\s*[*·⋅/]\s*|\s+)"
-_FACTOR = rf"(?:√{_WORD}|(?:{_WORD}|1(?![0-9.]))(?:{_POWER})?)"
-_PRODUCT = rf"{_FACTOR}(?:{_JOIN}{_FACTOR})*"
-_GROUP = rf"(?:{_FACTOR}|\(\s*{_PRODUCT}\s*\)(?:{_POWER})?)"
-_AREA = re.compile(
-    r"\b([kcdm]?m|in|ft)([23])\b(?!\s*(?:\^|\*\*))"
-)  # cm2, m3/h: a power without its sign
-_UNIT = re.compile(rf"{_GROUP}(?:{_JOIN}{_GROUP})*")
+_GAUGE = {unit.lower(): unit for unit in ("mbar", "bar", "psi", "Pa", "kPa", "MPa")}
+
+# how else to give a quantity that a data sheet has in another form
+_INSTEAD = {"V": "volts", "m^3/(s*V*Pa^0.5)": "rated_drop", "m^3/(s*V)": "rated_flow"}
 
 
-# what else helps who gives a quantity in a unit that it cannot have
-_INSTEAD = {
-    "V": "; where a valve is driven in mA or %, count in volts of your own, as 1 V for 100 mA, "
-    'here and in the map of columns, scale = "0.01 V/mA"',
-    "m^3/(s*V*Pa^0.5)": "; a data sheet's flow at a drop goes in as "
-    "rated = { flow, command, drop }",
-    "m^3/(s*V)": "; a data sheet's flow goes in as rated = { flow, command }",
-}
+class _Unit(NamedTuple):
+    """A unit as ``factor`` of SI units to the powers of ``_DIMENSIONS``; ``zero`` [SI] is where it
+    counts from.
+    """
+
+    factor: float
+    powers: tuple[float, ...]
+    zero: float = 0.0
+
+    def times(self, other: _Unit, power: float) -> _Unit:
+        """This unit times a power of another.
+
+        Raises:
+            KeyError: the other counts from a zero of its own.
+        """
+        if other.zero:
+            raise KeyError
+        # a division and a root round once where a negative or broken power rounds twice
+        scale = math.sqrt(other.factor) if abs(power) == 0.5 else other.factor ** abs(power)
+        factor = self.factor / scale if power < 0.0 else self.factor * scale
+        return _Unit(factor, tuple(a + power * b for a, b in zip(self.powers, other.powers)))
+
+
+_ONE = _Unit(1.0, (0.0,) * len(_DIMENSIONS))
 
 
 @lru_cache(maxsize=1)
-def _registry() -> pint.UnitRegistry:
-    import pint
+def _words() -> dict[str, _Unit]:
+    """The units of the table by each of their words, with prefixes and in the plural."""
+    results = {
+        name: _Unit(1.0, tuple(float(name == other) for other in _DIMENSIONS))
+        for name in _DIMENSIONS
+    }
+    scaled: dict[str, _Unit] = {}
+    for words, factor, of, takes_prefixes in _TABLE:
+        base = _product(of, results)
+        unit = _Unit(factor * base.factor, base.powers)
+        for word in words.split():
+            results.setdefault(word, unit)
+            prefixes = _PREFIXES if takes_prefixes else {}
+            scaled |= {p + word: _Unit(x * unit.factor, unit.powers) for p, x in prefixes.items()}
+    scale = {"K": 1.0, "C": 1.0, "F": 1.0 / 1.8}
+    zeros = {
+        word: _Unit(scale[word[-1]], results["K"].powers, zero) for word, zero in _ZEROS.items()
+    }
+    results = {**scaled, **results, **zeros}
+    return {**{f"{word}s": unit for word, unit in results.items() if len(word) > 3}, **results}
 
-    registry = pint.UnitRegistry(cache_folder=":auto:")
-    registry.define("lb_mass = pound = lbm")
-    registry.define("@alias turn = rev")
-    return registry
 
-
-def _checked(unit: str) -> str:
-    """A unit as the registry takes it: words, products, quotients and small powers, nothing else.
-    The registry by itself would evaluate any number and power in a text, however large.
+def _product(text: str, words: dict[str, _Unit]) -> _Unit:
+    """A product of words as one unit.
 
     Raises:
-        UnitError: it is made of anything else.
+        KeyError: a word that is no unit.
     """
-    text = unit.strip()
-    if text in _NO_UNIT:
-        return "dimensionless"
-    if len(text) > _LONGEST or not _UNIT.fullmatch(text):
-        raise UnitError(f"unknown unit {shortened(unit, 60)}")
-    text = re.sub("[·⋅]", "*", text).replace("²", "**2").replace("³", "**3")
-    text = re.sub(rf"√({_WORD})", r"\1**0.5", text)
-    text = _AREA.sub(r"\1**\2", text)
-    return re.sub(_WORD, lambda result: _ALIASES.get(result[0], result[0]), text)
+    result, pieces = _ONE, list(_PIECE.finditer(text))
+    for piece in pieces:
+        part = words[piece["word"]] if piece["word"] else _product(piece["group"], words)
+        power = 0.5 if piece["root"] else float((piece["power"] or "1").strip("*^ "))
+        power = -power if "/" in (piece["join"] or "") else power
+        if len(pieces) == 1 and power == 1.0:
+            return part
+        result = result.times(part, power)
+    return result
 
 
-def _affine(unit: str, si: str) -> tuple[float, float]:
-    """(factor, offset) with value_si = factor·value + offset.
+@lru_cache(maxsize=1024)
+def _unit(text: str) -> _Unit | None:
+    """A unit as it is written; None of a text that is none."""
+    plain = _SUPERSCRIPT.sub(lambda match: f"^{unicodedata.digit(match[0])}", text.strip())
+    plain = _BARE_POWER.sub(r"\1^\2", _CUBIC.sub(r"\1^3", plain))
+    if plain in _NO_UNIT:
+        return _ONE
+    if len(plain) > _LONGEST or not _UNIT.fullmatch(plain):
+        return None
+    try:
+        result = _product(plain, _words())
+    except (KeyError, OverflowError, ZeroDivisionError):
+        return None
+    return result if 0.0 < result.factor < math.inf else None
+
+
+@lru_cache(maxsize=1024)
+def _conversion(unit: str, si: str) -> tuple[float, float] | Message:
+    """(factor, offset) with value_si = factor·value + offset, or why there is none."""
+    given, target = _unit(unit), _unit(si)
+    if given is None or target is None:
+        return message("vocabulary.unknown_unit", unit=shortened(unit, 60))
+    if given.powers[:_ANGLE] != target.powers[:_ANGLE]:
+        return message("vocabulary.unit_of_another_kind", unit=unit, si=si)
+    angle, cycle = given.powers[_ANGLE], given.powers[_CYCLE]
+    if si == "m^3/rad" and not (angle or cycle):  # a turn or a radian is a factor of 6.28
+        return message("vocabulary.unit_without_angle", unit=unit)
+    turns = cycle if target.powers[_ANGLE] else -angle if target.powers[_CYCLE] else 0.0
+    return (2.0 * math.pi) ** turns * given.factor / target.factor, given.zero
+
+
+def factor(unit: str, si: str) -> float:
+    """How many ``si`` one ``unit`` is, for units without offset.
 
     Raises:
         UnitError: no unit, or not of that dimension.
     """
-    result = _tried(unit, si)
-    if isinstance(result, str):
+    result = _conversion(unit, si)
+    if isinstance(result, Message):
         raise UnitError(result)
-    return result
-
-
-@lru_cache(maxsize=512)
-def _tried(unit: str, si: str) -> tuple[float, float] | str:
-    """What `_affine` gives, or why it gives nothing: a text that may be an angle or a length is
-    tried as both, again and again.
-    """
-    usual = IN_SI.get(unit)
-    if usual is None or si not in SI:
-        return asked(unit, si)
-    return usual.get(si) or _cannot(unit, si)
-
-
-def asked(unit: str, si: str) -> tuple[float, float] | str:
-    """What the registry says of a unit: (factor, offset) with value_si = factor·value + offset, or
-    why there is none.
-    """
-    try:
-        return _converted(unit, si)
-    except UnitError as error:
-        return error.message
-
-
-def _cannot(unit: str, si: str) -> str:
-    return f"'{unit}' cannot be turned into {si}"
-
-
-def _converted(unit: str, si: str) -> tuple[float, float]:
-    text = _checked(unit)
-    import pint
-
-    registry = _registry()
-    try:
-        zero = registry.Quantity(0.0, text).to(si).magnitude
-        item = registry.Quantity(1.0, text).to(si).magnitude
-    except pint.DimensionalityError as error:
-        raise UnitError(_cannot(unit, si)) from error
-    except (
-        Exception
-    ) as error:  # pint raises tokenizer, attribute and assertion errors on malformed text
-        raise UnitError(f"unknown unit '{unit}'") from error
-    if not (math.isfinite(item) and math.isfinite(zero) and item != zero):
-        raise UnitError(f"unknown unit '{unit}'")
-    if si == "m^3/rad" and not _ANGLES.search(text):  # a turn or a radian is a factor of 6.28
-        raise UnitError(f"'{unit}' says no angle")
-    turns = 1.0
-    if _CYCLES.search(text) and "rad" in si:  # the registry counts a cycle and a radian alike as 1
-        turns = 2 * math.pi
-    elif si == "Hz" and _ANGLES.search(text):
-        turns = 0.5 / math.pi
-    return turns * (item - zero), zero
-
-
-@lru_cache(maxsize=512)
-def named_unit(text: str) -> str:
-    """The unit that a text of a foreign file means, as it is written here: ``bar`` of ``[bar(g)]``;
-    '' of one that is no unit.
-    """
-    plain = text.strip()
-    while len(plain) > 1 and plain[0] + plain[-1] in ("[]", "()", "{}", '""', "''"):
-        plain = plain[1:-1].strip()
-    if spoken := _SPOKEN.get(plain.lower()):
-        return spoken
-    if plain in (*_NO_UNIT, "dimensionless") or plain[:1].isdigit():
-        return ""
-    if plain in IN_SI:
-        return plain
-    try:
-        known = _checked(plain)
-        _registry().Unit(known)
-    except Exception:  # pint raises all kinds on a text that is no unit
-        return ""
-    return plain
-
-
-def absolute_unit(text: str) -> str:
-    """The unit of an absolute pressure that a text of a foreign file means: ``bar`` of ``bar(a)``
-    or ``bara``; '' of any other.
-    """
-    plain = text.strip()
-    while len(plain) > 1 and plain[0] + plain[-1] in ("[]", "()", "{}", '""', "''"):
-        plain = plain[1:-1].strip()
-    match = _ABSOLUTE.fullmatch(plain)
-    return _GAUGE[match[1].lower()] if match else ""
-
-
-def split_number(text: str) -> tuple[float, str]:
-    """``"0.625 V/mA"`` as (0.625, "V/mA"); the unit may be ''.
-
-    Raises:
-        UnitError: it does not begin with a number.
-    """
-    match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
-    if not match or not math.isfinite(float(match[1])):
-        raise UnitError(f"{shortened(text, 60)} is no number with a unit")
-    return float(match[1]), match[2]
+    return result[0]
 
 
 def product(first: str, second: str, si: str) -> float:
@@ -231,23 +243,50 @@ def product(first: str, second: str, si: str) -> float:
     return factor("*".join(f"({item})" if item != "1" else item for item in each), si)
 
 
-def ratio(unit: str, other: str) -> float:
-    """How many ``other`` one ``unit`` is, of whatever quantity.
-
-    Raises:
-        UnitError: no units, or not of one quantity.
-    """
-    return factor(unit, _checked(other))
-
-
 def is_of(unit: str, row: Quantity) -> bool:
     """Whether a unit is one of a row's quantity."""
-    return not isinstance(_tried(unit, row.unit), str)
+    return not isinstance(_conversion(unit, row.unit), Message)
 
 
-def factor(unit: str, si: str) -> float:
-    """How many ``si`` one ``unit`` is, for units without offset."""
-    return _affine(unit, si)[0]
+def _unwrapped(text: str) -> str:
+    """A text without the brackets or quotes about it."""
+    plain = text.strip()
+    while len(plain) > 1 and plain[0] + plain[-1] in ("[]", "()", "{}", '""', "''"):
+        plain = plain[1:-1].strip()
+    return plain
+
+
+@lru_cache(maxsize=512)
+def named_unit(text: str) -> str:
+    """The unit that a text of a foreign file means, as it is written here: ``bar`` of ``[bar(g)]``;
+    '' of one that is no unit.
+    """
+    plain = _unwrapped(text)
+    if spoken := _SPOKEN.get(plain.lower()):
+        return spoken
+    if plain in (*_NO_UNIT, "dimensionless") or plain[:1].isdigit():
+        return ""
+    return plain if _unit(plain) else ""
+
+
+def absolute_unit(text: str) -> str:
+    """The unit of an absolute pressure that a text of a foreign file means: ``bar`` of ``bar(a)``
+    or ``bara``; '' of any other.
+    """
+    match = _ABSOLUTE.fullmatch(_unwrapped(text))
+    return _GAUGE[match[1].lower()] if match else ""
+
+
+def split_number(text: str) -> tuple[float, str]:
+    """``"0.625 V/mA"`` as (0.625, "V/mA"); the unit may be ''.
+
+    Raises:
+        UnitError: it does not begin with a number.
+    """
+    match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
+    if not match or not math.isfinite(float(match[1])):
+        raise UnitError(message("vocabulary.no_number_with_unit", text=shortened(text, 60)))
+    return float(match[1]), match[2]
 
 
 def to_si(value, unit: str, row: Quantity):
@@ -258,22 +297,30 @@ def to_si(value, unit: str, row: Quantity):
     """
     if unit.strip() == row.unit:
         return value
-    try:
-        scale, offset = _affine(unit, row.unit)
-    except UnitError as error:
+    result = _conversion(unit, row.unit)
+    if isinstance(result, Message):
         usual = ", ".join(dict.fromkeys((row.unit, row.display)))
-        raise UnitError(
-            f"{error.message} for {row.name}",
-            hint=f"{row.name} is in {usual} or the like{_INSTEAD.get(row.unit, '')}",
-        ) from None
+        instead = _INSTEAD.get(row.unit, "")
+        hint = message("vocabulary.usual_units", name=row.name, usual=usual)
+        more = message(f"vocabulary.instead_{instead}") if instead else ""
+        text = message("vocabulary.unit_for_quantity", reason=result, name=row.name)
+        raise UnitError(text, hint="; ".join(filter(None, (hint, more))))
+    scale, offset = result
     return value * scale + offset if offset else value * scale
 
 
 def from_si(value, unit: str, row: Quantity):
-    """SI ``value`` of ``row`` in ``unit``."""
+    """SI ``value`` of ``row`` in ``unit``.
+
+    Raises:
+        UnitError: no unit, or not of the row's dimension.
+    """
     if unit == row.unit:
         return value
-    scale, offset = _affine(unit, row.unit)
+    result = _conversion(unit, row.unit)
+    if isinstance(result, Message):
+        raise UnitError(result)
+    scale, offset = result
     return (value - offset) / scale
 
 
@@ -284,18 +331,19 @@ def parse(text: str, row: Quantity) -> float:
         UnitError: no number, no unit, wrong unit, or a value that is surely a slip.
     """
     match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
+    shown = shortened(text, 60)
     if not match:
         raise UnitError(
-            f"{shortened(text, 60)} is no number with a unit for {row.name}",
-            hint=f'write it like "1.5 {row.display}"',
+            message("vocabulary.no_number_for", text=shown, name=row.name, display=row.display)
         )
-    number, unit = float(match[1]), match[2]
-    if not unit and row.unit != "dimensionless":
+    if not match[2] and row.unit != "dimensionless":
+        number = match[1][:20]
         raise UnitError(
-            f"{shortened(text, 60)} has no unit for {row.name}",
-            hint=f'write it like "{match[1][:20]} {row.display}"',
+            message(
+                "vocabulary.no_unit", text=shown, name=row.name, number=number, display=row.display
+            )
         )
-    value = float(to_si(number, unit, row))
+    value = float(to_si(float(match[1]), match[2], row))
     plausible(value, row, text.strip())
     return value
 
@@ -308,9 +356,7 @@ def unit_of(text: object) -> str:
 
 def zero_of(text: str, row: Quantity) -> float:
     """What "0" of the unit of a text is in SI of ``row``: 273.15 of ``"2 degC"``, else mostly 0."""
-    match = _NUMBER.match(text)
-    unit = match[2] if match else ""
-    return 0.0 if unit in ("", row.unit) else _affine(unit, row.unit)[1]
+    return float(to_si(0.0, unit_of(text) or row.unit, row))
 
 
 def plausible(value: float, row: Quantity, shown: str) -> None:
@@ -321,11 +367,8 @@ def plausible(value: float, row: Quantity, shown: str) -> None:
     """
     if not row.lower <= value <= row.upper:
         low, high = (
-            from_si(v, row.display, row) if abs(v) != float("inf") else v
-            for v in (row.lower, row.upper)
+            from_si(v, row.display, row) if math.isfinite(v) else v for v in (row.lower, row.upper)
         )
         unit = "" if row.display == "dimensionless" else f" {row.display}"
-        raise UnitError(
-            f"{row.name} = {shown} lies outside {low:g} to {high:g}{unit}",
-            hint="check the unit and the sign" if unit else "check the number and its sign",
-        )
+        key = "vocabulary.implausible" if unit else "vocabulary.implausible_number"
+        raise UnitError(message(key, name=row.name, shown=shown, low=low, high=high, unit=unit))

@@ -160,8 +160,6 @@ def test_a_key_without_words_and_a_table_of_nothing_are_refused(page, words):
 
 def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(reference, "DOCS", tmp_path)
-    units = reference.usual_units()  # the same each time, and the registry takes long to ask
-    monkeypatch.setattr(reference, "usual_units", lambda: units)
     (tmp_path / "reference").mkdir()
     for name in TABLES:
         (tmp_path / name).write_text(PAGES[f"docs/{name}"], encoding="utf-8")

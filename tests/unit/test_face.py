@@ -66,7 +66,7 @@ def imported() -> dict:
     """
     code = """
 import json, locale, logging, os, pkgutil, signal, sys, threading, types, warnings
-import control, jinja2, matplotlib, mcap, numba, numpy, pandas, pint, pydantic, rich, scipy.optimize
+import control, jinja2, matplotlib, mcap, numba, numpy, pandas, pydantic, rich, scipy.optimize
 import scipy.signal, typer
 import matplotlib.figure, mcap.writer, mcap.reader, rich.console, threadpoolctl
 

@@ -1,4 +1,4 @@
-"""Every unit of the vocabulary is one that pint knows, and every float field of a rig or recipe has
+"""Every unit of the vocabulary converts both ways, and every float field of a rig or recipe has
 a row.
 """
 

@@ -14,7 +14,7 @@ from ehbench.config.recipe.toml import lines_of, read_toml, validated
 from ehbench.vocabulary.errors import EhbenchError, InputError, UnitError
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity, meant, quantity
-from ehbench.vocabulary.units import product, ratio, split_number, to_si, zero_of
+from ehbench.vocabulary.units import factor, product, split_number, to_si, zero_of
 
 LEAVE_OUT = "leave out"
 WORDS = ("valve", "direction", "trial", "method", "note")  # of flowmeter readings
@@ -96,7 +96,7 @@ class MappedColumn(FileModel):
             slope, zero = _slope(unit, row)
         gain = self.sign * scale * slope
         neutral, of = _number(self.neutral)
-        neutral *= ratio(of, unit) if of and of != unit else 1.0
+        neutral *= factor(of, unit) if of and of != unit else 1.0
         return gain, zero - gain * neutral + _offset(self.offset, by, slope, row)
 
 
@@ -139,7 +139,7 @@ def _through(
     for text in first:
         number, own = split_number(text)
         unit = unit or own
-        readings.append(number * (ratio(own, unit) if own and own != unit else 1.0))
+        readings.append(number * (factor(own, unit) if own and own != unit else 1.0))
     means = []
     for text in second:
         number, own = split_number(text)
