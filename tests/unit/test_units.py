@@ -175,7 +175,9 @@ def test_units_are_as_pint_has_them():
                 ), (unit, row.unit)
 
 
-@pytest.mark.parametrize("unit", ["degC/V", "1/degF", "kPaa", "kmin", "mrpm", "csv", "rod", "a", "B"])
+@pytest.mark.parametrize(
+    "unit", ["degC/V", "1/degF", "kPaa", "kmin", "mrpm", "csv", "rod", "a", "B"]
+)
 def test_what_is_no_unit(unit):
     assert named_unit(unit) == ""
     with pytest.raises(UnitError) as error:
