@@ -64,8 +64,8 @@ def refuse_unmatched(search: Sequence[Coordinate]) -> None:
         InputError: names the first.
     """
     for c in search:
-        of_the_oil = c.row.rings == "frequency" and not c.owner
-        if not of_the_oil and c.row.rings != "decay":
+        of_the_oil = c.row.mode_role == "frequency" and not c.owner
+        if not of_the_oil and c.row.mode_role != "decay":
             raise InputError(
                 f"method 'thesis' cannot fit {c.name}",
                 hint="it takes bulk_modulus and joint dampings; use method 'output_error'",
@@ -179,7 +179,7 @@ class Matching:
         """What parameter i is matched on, by window: ln ω_n for the bulk modulus, ζ for a damping;
         nan where there is none.
         """
-        if self.search[i].row.rings == "frequency":
+        if self.search[i].row.mode_role == "frequency":
             return np.array(
                 [math.log(ring.natural_frequency) if ring.ok else math.nan for ring in rings]
             )
@@ -262,7 +262,7 @@ class Matching:
     def _tame(self, low: np.ndarray) -> bool:
         """Damp the simulation less; whether it can be."""
         tame = [
-            i for i in self.live if self.search[i].row.rings == "decay" and self.theta[i] > low[i]
+            i for i in self.live if self.search[i].row.mode_role == "decay" and self.theta[i] > low[i]
         ]
         if tame:
             less = 0.7 if self.search[tame[0]].log else 0.1
@@ -360,7 +360,7 @@ class Matching:
         recorded = [w.recorded for w, used in zip(self.windows, use, strict=True) if used]
         own = [
             ring.natural_frequency_std / ring.natural_frequency
-            if self.search[i].row.rings == "frequency"
+            if self.search[i].row.mode_role == "frequency"
             else ring.damping_ratio_std
             for ring in recorded
         ]

@@ -100,7 +100,7 @@ class MultiStart(Descent):
             max(-SCAN, max(low[some] - self.theta[some])),
             min(SCAN, min(high[some] - self.theta[some])),
         )
-        count = FINER if self.search[some[0]].row.rings != "frequency" else COARSE
+        count = FINER if self.search[some[0]].row.mode_role != "frequency" else COARSE
         losses = (0.0, -1.4, 1.4) if damping else (0.0,)
         vectors = []
         for shift in (0.0, *np.linspace(*ends, count)):
