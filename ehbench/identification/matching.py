@@ -262,7 +262,9 @@ class Matching:
     def _tame(self, low: np.ndarray) -> bool:
         """Damp the simulation less; whether it can be."""
         tame = [
-            i for i in self.live if self.search[i].row.mode_role == "decay" and self.theta[i] > low[i]
+            i
+            for i in self.live
+            if self.search[i].row.mode_role == "decay" and self.theta[i] > low[i]
         ]
         if tame:
             less = 0.7 if self.search[tame[0]].log else 0.1
