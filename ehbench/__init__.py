@@ -47,7 +47,7 @@ __all__ = [
 _HOME = {
     "load_flow_maps": "ehbench.physics.flow_map",
     "load_rig": "ehbench.config.recipe",
-    "read_log": "ehbench.data.logs",
+    "read_log": "ehbench.data",
     "simulate": "ehbench.plant.model",
 }
 

@@ -319,7 +319,8 @@ def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
     """Time to write a long log as MCAP and to read it into pandas, which is imported before."""
     import pandas  # noqa: F401
 
-    from ehbench.data.logs import read_log, write_log
+    from ehbench.data import read_log
+    from ehbench.data.logs import write_log
     from ehbench.data.record import Record
 
     t = np.arange(samples) * 1e-3
@@ -503,7 +504,7 @@ def _three_at_once() -> TrialRecipe:
 
 def _maps(rig: Rig) -> FlowMaps:
     """Flow maps of the thesis arm's valves from the shipped dataset."""
-    from ehbench.data.readers import read_flowmeter
+    from ehbench.data.flowmeter import read_flowmeter
     from ehbench.flow_maps.map import fit_flow_maps
     from ehbench.physics.flow_map import collect
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.quantities import quantity
@@ -38,7 +38,7 @@ def convert(path: Path, to: str, out: Path | None = None, columns: Path | None =
         raise InputError(
             "stands already; nothing was written", file=out, hint="name another by --out"
         )
-    record = read_record(log, columns=columns)
+    record = read(log, columns=columns)
     part = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
         {"parquet": _parquet, "mat": _mat}[to](part, record)

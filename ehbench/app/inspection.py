@@ -11,8 +11,8 @@ import numpy as np
 
 from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, load_rig
 from ehbench.config.rig import NODES, Rig
-from ehbench.data.readers import suffixes
-from ehbench.runtime.disk import DATA, impossible, read_bytes
+from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
+from ehbench.runtime.disk import impossible
 from ehbench.stages.findings import counted, line_naming
 from ehbench.stages.inputs import with_laws
 from ehbench.stages.look import Look
@@ -58,13 +58,7 @@ def check(path: Path, look: Look | None = None) -> Inspection:
         return _rig(path) if kind == "rig" else _map(path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise InputError("is a folder", file=path, hint="name a file in it")
-    if not path.is_dir() and not path.name.lower().removesuffix(".gz").endswith(suffixes()):
-        known = ", ".join((".toml", *suffixes()))
-        kind = path.suffix or path.name
-        raise InputError(
-            f"ehbench does not know '{kind}' files", file=path, hint=f"it reads {known}"
-        )
-    if path.suffix == ".csv" and _is_flowmeter(path):
+    if path.suffix == ".csv" and is_flowmeter(path):
         return _flowmeter(path)
     return _log(path)
 
@@ -180,20 +174,7 @@ def _cut_off(rig: Rig) -> list[str]:
     return sentences
 
 
-def _is_flowmeter(path: Path) -> bool:
-    for line in read_bytes(path, DATA).decode("utf-8-sig", errors="replace").splitlines():
-        if line.strip() and not line.startswith("#"):
-            names = [
-                cell.split("[")[0].strip().lower()
-                for cell in line.replace(";", ",").replace("\t", ",").split(",")
-            ]
-            return "valve" in names or ("flow" in names and "t" not in names)
-    return False
-
-
 def _flowmeter(path: Path) -> Inspection:
-    from ehbench.data.readers import read_flowmeter
-
     data = read_flowmeter(path)
     lines = [f"flowmeter readings: {data.flow.size} rows"]
     for valve, direction in data.groups():
@@ -214,11 +195,11 @@ def _flowmeter(path: Path) -> Inspection:
 
 
 def _log(path: Path) -> Inspection:
-    from ehbench.data.logs import read_record
+    from ehbench.data import read
     from ehbench.preprocessing.gaps import parts_of
     from ehbench.preprocessing.preparation import LEAST_SAMPLES, evened
 
-    record = read_record(path)
+    record = read(path)
     lines = [
         f"log: {record.t.size} samples of {len(record.channels)} channels, "
         f"{record.t[0]:g} to {record.t[-1]:g} s, every {record.sample_time * 1e3:.4g} ms"

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.quantities import like_channel, quantity
 
@@ -38,10 +39,8 @@ class Record:
     def __post_init__(self) -> None:
         for name, values in self.channels.items():
             if values.shape != self.t.shape:
-                raise LogError(
-                    f"channel '{name}' has {values.shape[0]} samples, "
-                    f"the time has {self.t.shape[0]}"
-                )
+                size, t = values.shape[0], self.t.shape[0]
+                raise LogError(message("data.samples_of_channel", name=name, size=size, t=t))
             quantity(name)
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -53,9 +52,8 @@ class Record:
         if name == "t":
             return self.t
         if name not in self.channels:
-            raise LogError(
-                f"the log has no channel '{name}'", hint=like_channel(name, list(self.channels))
-            )
+            like = like_channel(name, list(self.channels))
+            raise LogError(message("data.no_channel", name=name, like=like))
         return self.channels[name]
 
     def __repr__(self) -> str:
@@ -109,6 +107,8 @@ class Record:
 
     def at(self, samples: Sequence[int] | np.ndarray | slice) -> Record:
         """These samples alone, by number, by a mask or from one to another."""
+        if isinstance(samples, np.ndarray) and samples.dtype == bool and samples.all():
+            return self
         channels = {name: values[samples] for name, values in self.channels.items()}
         return replace(self, t=self.t[samples], channels=channels)
 
@@ -172,7 +172,7 @@ def payloads_of(record: Record) -> list[tuple[float, str | None]]:
         changes = json.loads(record.meta.get("payload_change", "[]"))
         steps += [(float(at), str(name)) for at, name in changes]
     except (ValueError, TypeError):
-        raise LogError("the log does not say when its payload changed") from None
+        raise LogError(message("data.bad_payload_changes")) from None
     first, last = float(record.t[0]), float(record.t[-1])
     results: list[tuple[float, str | None]] = []
     for at, name in steps:

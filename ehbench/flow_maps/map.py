@@ -71,7 +71,7 @@ from ehbench.physics.flow_map import FlowMap, root_drop
 from ehbench.vocabulary.errors import InsufficientData
 
 if TYPE_CHECKING:
-    from ehbench.data.readers import FlowmeterData
+    from ehbench.data.flowmeter import FlowmeterData
 
 __all__ = [
     "Calibration",

@@ -17,7 +17,7 @@ from ehbench.physics.flow_map import root_drop
 from ehbench.vocabulary.errors import InsufficientData
 
 if TYPE_CHECKING:
-    from ehbench.data.readers import FlowmeterData
+    from ehbench.data.flowmeter import FlowmeterData
 
 # below this the readings are not those of a valve that opens with its command
 _LEAST_EFFECT = 0.1

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.data.readers import FlowmeterData
+from ehbench.data.flowmeter import FlowmeterData
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import chamber_of, chamber_oil, linkage_arrays
 from ehbench.parts.nodes import SUPPLY, TANK

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.rig import Edge, Rig, Valve
-from ehbench.data.readers import FlowmeterData, merge_flowmeter
-from ehbench.data.readers.flowmeter import LeftOut
+from ehbench.data.flowmeter import FlowmeterData, LeftOut, merge_flowmeter
 from ehbench.flow_maps.map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
 from ehbench.flow_maps.warmth import warm_flow, warmed
 from ehbench.vocabulary.errors import InputError

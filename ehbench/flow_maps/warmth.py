@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ehbench.data.readers import FlowmeterData
+from ehbench.data.flowmeter import FlowmeterData
 from ehbench.flow_maps.results import FlowMapFit, Units
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si

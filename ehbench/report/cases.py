@@ -32,9 +32,9 @@ class Case:
 
     def record(self) -> Record:
         """Its log."""
-        from ehbench.data.logs import read_record
+        from ehbench.data import read
 
-        return read_record(self.log)
+        return read(self.log)
 
     @property
     def cylinder(self) -> str:

@@ -478,10 +478,10 @@ def _free(place: Path) -> Path:
 
 
 def _holds_samples(path: Path) -> bool:
-    from ehbench.data.logs import read_record
+    from ehbench.data import read
 
     try:
-        return read_record(path, check=False).t.size > 0
+        return read(path, check=False).t.size > 0
     except EhbenchError:
         return False
 

@@ -46,8 +46,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     writes = "flow_maps.json, flow_maps.csv, summary.json, points.csv, rig.toml, figures"
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
-        from ehbench.data.logs.readings import mapped_readings
-        from ehbench.data.readers import read_flowmeter
+        from ehbench.data.flowmeter import read_flowmeter
         from ehbench.flow_maps.tables import prepare_readings
 
         findings = inputs.findings
@@ -60,12 +59,9 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         for name in recipe.data:
             with findings.noting():
                 files.append(inputs.existing(name))
-                lost: list[str] = []
-                lines = None if columns is None else mapped_readings(files[-1], columns, lost)
                 part = read_flowmeter(
-                    files[-1], supply_pressure=supply, lines=lines, leave_out=leave_out
+                    files[-1], columns, supply_pressure=supply, leave_out=leave_out
                 )
-                part = replace(part, losses=(*lost, *part.losses))
                 parts.append(part)
                 groups = ", ".join(" ".join(group) for group in part.groups())
                 findings.say("reads", f"{name} ({len(part)} readings of {groups})")

@@ -31,7 +31,7 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 
 if TYPE_CHECKING:
-    from ehbench.data.logs.beside import Beside
+    from ehbench.data.additional import AdditionalFile
     from ehbench.data.record import Record
     from ehbench.physics.flow_map import FlowMaps
 
@@ -213,8 +213,7 @@ class Inputs:
         """
         import numpy as np
 
-        from ehbench.data.logs import read_record
-        from ehbench.data.logs.beside import with_beside
+        from ehbench.data import read
         from ehbench.preprocessing.gaps import parts_of
         from ehbench.preprocessing.preparation import distinct_names
 
@@ -234,13 +233,11 @@ class Inputs:
             is_run = (place / "log.mcap").is_file()
             path = place / "log.mcap" if is_run else place
             columns = None if is_run else self.columns(item, index)
-            additional = self._beside(item, index)
+            additional = self._additional(item, index)
             for entry in (columns, *(other.columns for other in additional)):
                 used = () if entry is None else entry.files
                 maps += [("columns", file) for file in used if ("columns", file) not in maps]
-            whole = read_record(path, columns=columns, window=_span(item))
-            if additional:
-                whole = with_beside(whole, path, additional, _span(item))
+            whole = read(path, columns, window=_span(item), additional=additional)
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = self._tied(_window(whole, item, path), item, index)
             span = getattr(item, "scored", None)
@@ -258,9 +255,9 @@ class Inputs:
         self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
         return Logs(records, tuple(inputs), losses, numbers, tuple(maps), tuple(files))
 
-    def _beside(self, item: DataFile, index: int) -> list[Beside]:
-        """The files beside a log, each with its map of columns."""
-        from ehbench.data.logs.beside import Beside
+    def _additional(self, item: DataFile, index: int) -> list[AdditionalFile]:
+        """The additional files of a log, each with its map of columns."""
+        from ehbench.data.additional import AdditionalFile
 
         results = []
         for at, other in enumerate(item.beside):
@@ -270,7 +267,7 @@ class Inputs:
                 columns = whole_map(other.columns, self.recipe.path, place)
             shift = None if other.shift is None else float(other.shift)
             path = self.existing(other.path)
-            results.append(Beside(path, columns, shift, other.clock == "shared"))
+            results.append(AdditionalFile(path, columns, shift, other.clock == "shared"))
         return results
 
     def _tied(self, record: Record, item: DataFile, index: int) -> Record:

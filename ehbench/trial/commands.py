@@ -108,11 +108,11 @@ def _check_entry(recipe: TrialRecipe, index: int, rig: Rig, taken: Collection[st
 
 def _played(recipe: TrialRecipe, entry: Command) -> Record:
     """The log that an entry plays."""
-    from ehbench.data.logs import read_record
+    from ehbench.data import read
 
     assert entry.file is not None
     path = recipe.file(entry.file)
-    record = read_record(path)
+    record = read(path)
     if f"{entry.valve}.command" not in record:
         there = ", ".join(record.channels)
         raise InputError(

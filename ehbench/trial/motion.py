@@ -260,11 +260,11 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
     """
     from scipy.interpolate import make_interp_spline
 
-    from ehbench.data.logs import read_record
+    from ehbench.data import read
 
     assert motion.file is not None  # the recipe's model sees to it
     path = recipe.file(motion.file)
-    record = read_record(path)
+    record = read(path)
     own = [f"{design.cylinder}.{name}_desired" for name in "xvaj"]
     if own[X] not in record:
         raise InputError(

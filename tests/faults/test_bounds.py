@@ -17,9 +17,10 @@ from mcap.writer import CompressionType, Writer
 
 from ehbench.app import inspection
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.logs import LogWriter, read_record, write_log
+from ehbench.data import read
+from ehbench.data.flowmeter import read_flowmeter
+from ehbench.data.logs import LogWriter, write_log
 from ehbench.data.logs.layout import MAGIC, pack
-from ehbench.data.readers import read_flowmeter
 from ehbench.data.record import Record
 from ehbench.runs import rundir
 from ehbench.trial import run_trial
@@ -93,12 +94,12 @@ def test_a_bomb_is_not_unpacked(tmp_path):
     end = data.index(struct.pack("<BQ", 0x0F, 4))
     bad.write_bytes(data[:end] + bomb + data[end:])
     begun = time.monotonic()
-    record = read_record(bad)
+    record = read(bad)
     assert record.t.size == 100 and any("would unpack to more" in loss for loss in record.losses)
     assert time.monotonic() - begun < 5.0
     many = data[:end] + 30 * chunk_of(hollow(4 * 2**20)) + data[end:]
     bad.write_bytes(many)
-    assert any("would unpack" in loss for loss in read_record(bad).losses)
+    assert any("would unpack" in loss for loss in read(bad).losses)
 
 
 def test_a_damaged_size_does_not_keep_sound_chunks_from_being_read(tmp_path):
@@ -110,7 +111,7 @@ def test_a_damaged_size_does_not_keep_sound_chunks_from_being_read(tmp_path):
     size = data.index(struct.pack("<Q", struct.unpack_from("<Q", data, first)[0]), first)
     data[size + 4] ^= 0x40
     path.write_bytes(bytes(data))
-    assert 2400 <= read_record(path).t.size < 3000
+    assert 2400 <= read(path).t.size < 3000
 
 
 @pytest.mark.parametrize("every", [1, 3, 100])
@@ -131,7 +132,7 @@ def test_topics_in_no_order_are_read_in_a_time_that_goes_with_their_number(tmp_p
                 writer.add_message(b, i * 1_000_000, said, i * 1_000_000)
         writer.finish()
     begun = time.monotonic()
-    record = read_record(path)
+    record = read(path)
     assert time.monotonic() - begun < 3.0
     assert np.array_equal(record["press.x"], np.arange(samples) * 1e-5)
 
@@ -157,11 +158,11 @@ def test_facts_of_any_shape_are_a_loss_and_no_more(tmp_path, facts):
     chunk = data.index(b"\x04\x00\x00\x00zstd") - 28 - 9
     extra = pack(Attachment(0, 0, "ehbench/facts.json", "application/json", facts))
     path.write_bytes(head + extra + data[chunk:])
-    record = read_record(path)
+    record = read(path)
     assert record.t.size == 9 and record.losses
 
 
-@pytest.mark.parametrize("reading", [read_record, read_flowmeter, load_rig, load_recipe])
+@pytest.mark.parametrize("reading", [read, read_flowmeter, load_rig, load_recipe])
 def test_a_pipe_keeps_nobody_waiting(tmp_path, reading):
     os.mkfifo(tmp_path / "a.csv")
     for reader in (reading, inspection.check):
@@ -196,7 +197,7 @@ def test_a_file_too_large_is_not_read(tmp_path):
     with open(tmp_path / "a.mcap", "wb") as file:
         file.truncate(10**11)
     with pytest.raises(LogError, match="MB large"):
-        read_record(tmp_path / "a.mcap")
+        read(tmp_path / "a.mcap")
     with pytest.raises(InputError):
         rundir.sha256(tmp_path / "a.mcap")
 
@@ -211,7 +212,7 @@ def test_a_flipped_bit_takes_one_chunk_of_half_a_second_at_most(tmp_path):
         flipped = bytearray(data)
         flipped[at] ^= 1 << int(rng.integers(8))
         path.write_bytes(bytes(flipped))
-        record = read_record(path)
+        record = read(path)
         assert record.t.size >= 2001 - 501, at
         assert record.losses or record.t.size == 2001
 
@@ -223,4 +224,4 @@ def test_slow_samples_are_in_chunks_of_half_a_second_too(tmp_path):
             for i in range(4):
                 writer.append(i / rate, [0.1])
         assert path.read_bytes().count(b"\x04\x00\x00\x00zstd") == 2 * chunks  # and in the index
-        assert np.array_equal(read_record(path).t, np.arange(4) / rate)
+        assert np.array_equal(read(path).t, np.arange(4) / rate)

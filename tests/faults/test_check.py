@@ -11,7 +11,8 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.data.logs import read_record, write_log
+from ehbench.data import read
+from ehbench.data.logs import write_log
 from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
 
 ROOT = Path(__file__).parents[2]
@@ -262,7 +263,7 @@ def test_numbers_of_a_rig_without_a_source_are_counted(recipes, tmp_path):
 
 def test_a_log_in_which_nothing_is_commanded_does_not_support_a_fit(recipes, tmp_path):
     still = recipes.parent / "still.mcap"
-    record = read_record(ROOT / "datasets/slide_servo/heldout/press_no_load.mcap")
+    record = read(ROOT / "datasets/slide_servo/heldout/press_no_load.mcap")
     write_log(
         still,
         type(record)(record.t[:50], {n: v[:50] for n, v in record.channels.items()}, record.meta),

@@ -15,7 +15,7 @@ import pytest
 
 from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.config.recipe.trial import Limits
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.trial import guard as guards
 from ehbench.trial import prepare, run, run_trial
 from ehbench.vocabulary.errors import InputError
@@ -59,7 +59,7 @@ def test_a_note_never_stands_for_what_was_measured(tmp_path):
     for name, values in plain[0].channels.items():
         assert np.array_equal(noted.record[name], values), name
     assert noted.facts.measures["tracking"] == plain[1].measures["tracking"]
-    back = read_record(tmp_path / "log.mcap")
+    back = read(tmp_path / "log.mcap")
     assert (back["note.press.x"] == 0.2).all() and (back["note.t"] == 7.0).all()
     assert np.array_equal(back.t, noted.record.t)
 

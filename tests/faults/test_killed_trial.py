@@ -18,7 +18,8 @@ import pytest
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.config.recipe import load_recipe
-from ehbench.data.logs import LogWriter, read_record, write_log
+from ehbench.data import read
+from ehbench.data.logs import LogWriter, write_log
 from ehbench.data.record import Record
 from ehbench.runs import rundir
 from ehbench.vocabulary.errors import InputError
@@ -154,7 +155,7 @@ def test_a_killed_trial_keeps_all_but_its_last_second(lived, undrawn, monkeypatc
     (log,) = Path("reports/salvaged").rglob("log.mcap")
     assert log.parent.name.endswith(f"_{process.pid}") and str(log) in note
     assert not left.exists()
-    record = read_record(log)
+    record = read(log)
     assert record.t.size >= before and "breaks off" in record.losses[-1]
     assert np.array_equal(record.t, np.arange(record.t.size) / 1000)
     assert (record["press.servo.command"] == 2.0).all() and record.meta["controller"] == "Slow"
@@ -184,7 +185,7 @@ def test_two_logs_of_one_name_are_both_kept(tmp_path, gone):
         (said,) = rundir.clear_left(tmp_path)
         assert "run of 'a' was killed" in said and not left.exists()
     sizes = [
-        read_record(tmp_path / "salvaged" / name / "logs" / "case.mcap").t.size
+        read(tmp_path / "salvaged" / name / "logs" / "case.mcap").t.size
         for name in (f"a_{gone}", f"a_{gone}_2")
     ]
     assert sizes == [3, 4]

@@ -16,7 +16,7 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.report import style
 from ehbench.runs.rundir import read_json
 from ehbench.sampling import pools
@@ -275,7 +275,7 @@ def test_a_sample_is_made_again_bit_for_bit(study, undrawn, tmp_path):
     for name in ("log.mcap", "ledger.json", "rig.toml"):
         assert (made.folder / name).read_bytes() == (here / kept["folder"] / name).read_bytes()
     row = (here / "samples.csv").read_text(encoding="utf-8").splitlines()[kept["sample"] + 1]
-    fastest = float(read_record(made.folder / "log.mcap")["press.v"].max())
+    fastest = float(read(made.folder / "log.mcap")["press.v"].max())
     assert repr(1e3 * fastest)[:12] in row
     with pytest.raises(InputError, match="has no sample 16 "):
         workflow.sample(path, 16, session)

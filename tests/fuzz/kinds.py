@@ -21,8 +21,10 @@ import numpy as np
 from ehbench import workflow
 from ehbench.app import cli, inspection, mapping
 from ehbench.config.recipe import load_columns
-from ehbench.data.logs import read_record, write_log
-from ehbench.data.readers import open_source, read_flowmeter
+from ehbench.data import read
+from ehbench.data.flowmeter import read_flowmeter
+from ehbench.data.logs import write_log
+from ehbench.data.readers import open_source
 from ehbench.data.record import Record
 from ehbench.report import build
 from ehbench.runs import rundir
@@ -132,7 +134,7 @@ def mcap_logs() -> tuple[bytes, ...]:
 
 
 def take_mcap(data: bytes, folder: Path) -> None:
-    read_record(_written(folder, "log.mcap", data))
+    read(_written(folder, "log.mcap", data))
 
 
 @cache
@@ -339,7 +341,7 @@ def take_foreign(data: bytes, folder: Path, name: str = "a.txt") -> None:
     text = mapping.drafted(path, source, mapping.guessed(source, None))
     columns = _written(folder, "m.map.toml", text.encode())
     if load_columns(columns).columns.names:
-        read_record(path, columns=columns)
+        read(path, columns=columns)
 
 
 @cache
@@ -378,7 +380,7 @@ def take_map(data: bytes, folder: Path) -> None:
     """It is checked, and a text read by it."""
     path = _written(folder, "m.map.toml", data)
     load_columns(path)
-    read_record(_written(folder, "a.csv", foreign_texts()[1].encode()), columns=path)
+    read(_written(folder, "a.csv", foreign_texts()[1].encode()), columns=path)
 
 
 KINDS = {

@@ -17,7 +17,7 @@ from ehbench.control.functions import METERING, SUPPLY_HEAD
 from ehbench.control.measured import Pressures
 from ehbench.control.oil_learning import BACK, MORE
 from ehbench.control.trajectory import V, speeds_soon, with_preview
-from ehbench.data.readers import read_flowmeter
+from ehbench.data.flowmeter import read_flowmeter
 from ehbench.flow_maps.tables import prepare_readings, run_readings
 from ehbench.physics.flow_map import collect
 from ehbench.trial import prepare, run

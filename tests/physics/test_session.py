@@ -12,7 +12,8 @@ import pytest
 
 from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.control import LAW_NAMES
-from ehbench.data.logs import read_record, write_log
+from ehbench.data import read
+from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.machines.protocol import advance_of, truth_of
 from ehbench.machines.simulated import SimulatedMachine
@@ -205,7 +206,7 @@ def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path,
     monkeypatch.setattr(session, "SYNC", sync)
     prepared = trial("arc", tmp_path, on=on, limits=limits)
     record = run(prepared, log=tmp_path / "live.mcap").record
-    back = read_record(tmp_path / "live.mcap")
+    back = read(tmp_path / "live.mcap")
     assert same(back, record) and not back.losses
     attached = back.attachments
     assert attached["recipe.toml"] == b"# the recipe\n" and b"press" in attached["rig.toml"]
@@ -225,7 +226,7 @@ def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkey
     (tmp_path / "mine.py").write_text(slow)
 
     def told(_: str, share: float) -> None:
-        seen.append((share * prepared.t.size, read_record(tmp_path / "live.mcap").t.size))
+        seen.append((share * prepared.t.size, read(tmp_path / "live.mcap").t.size))
 
     run(prepared, log=tmp_path / "live.mcap", progress=told)
     assert len(seen) > 20

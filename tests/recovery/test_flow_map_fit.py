@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ehbench.data.readers import merge_flowmeter, read_flowmeter
+from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps import deadband as flow_deadband
 from ehbench.flow_maps.cells import Cells
 from ehbench.flow_maps.map import (

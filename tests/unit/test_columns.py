@@ -14,9 +14,9 @@ import foreign  # noqa: E402
 
 from ehbench.app import cli, converting, inspection, mapping  # noqa: E402
 from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_rig  # noqa: E402
-from ehbench.data.logs import read_log, read_record  # noqa: E402
-from ehbench.data.logs.readings import mapped_readings  # noqa: E402
-from ehbench.data.readers import open_source, read_flowmeter  # noqa: E402
+from ehbench.data import read, read_log  # noqa: E402
+from ehbench.data.flowmeter import read_flowmeter  # noqa: E402
+from ehbench.data.readers import open_source  # noqa: E402
 from ehbench.signals.series import lowpass  # noqa: E402
 from ehbench.vocabulary.errors import InputError, LogError, UnitError  # noqa: E402
 
@@ -172,7 +172,7 @@ def test_a_bad_sample_is_refused_with_its_line(cell, said, tmp_path):
     lines[40] = f"0.040;{cell};0"
     path, columns = write(tmp_path, lines)
     with pytest.raises(LogError, match=rf"a.csv:42: ram.p_head: {said}.*leave out"):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
 
 
 def test_an_implausible_sample_is_refused_in_the_unit_people_see(tmp_path):
@@ -180,7 +180,7 @@ def test_an_implausible_sample_is_refused_in_the_unit_people_see(tmp_path):
     lines[40] = "0.040;50000;0"
     path, columns = write(tmp_path, lines)
     with pytest.raises(UnitError, match="a.csv:42: ram.p_head = 5e.06 kPa lies outside"):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
 
 
 def test_outside_of_the_window_a_bad_sample_is_no_matter(tmp_path):
@@ -188,12 +188,12 @@ def test_outside_of_the_window_a_bad_sample_is_no_matter(tmp_path):
     lines[40] = "0.040;;0"
     lines[150] = "x;1e9;0"
     path, columns = write(tmp_path, lines)
-    record = read_record(path, columns=columns, window=(0.05, 0.14))
+    record = read(path, columns=columns, window=(0.05, 0.14))
     inside = (record.t >= 0.05) & (record.t <= 0.14)
     assert inside.sum() == 91 and np.isfinite(record["ram.p_head"][inside]).all()
     assert record.losses == ()
     with pytest.raises(LogError, match="is blank"):
-        read_record(path, columns=columns, window=(0.03, 0.14))
+        read(path, columns=columns, window=(0.03, 0.14))
 
 
 def test_of_a_csv_with_channels_as_names_too(tmp_path):
@@ -201,13 +201,12 @@ def test_of_a_csv_with_channels_as_names_too(tmp_path):
     lines[40], lines[180] = "0.040,abc", "0.180,nan"
     path = tmp_path / "a.csv"
     path.write_text("t [s],ram.p_head [MPa]\n" + "\n".join(lines) + "\n")
-    record = read_record(path, window=(0.05, 0.14))
+    record = read(path, window=(0.05, 0.14))
     assert np.isnan(record["ram.p_head"][[40, 180]]).all()
-    for window, said in (((0.0, 0.1), "a.csv:42: ram.p_head: 'abc'"), ((0.1, 1.0), "a.csv:182")):
-        with pytest.raises(LogError, match=said):
-            read_record(path, window=window)
-    with pytest.raises(LogError, match="a.csv:42: ram.p_head: 'abc' is no number"):
-        read_record(path)
+    for window, line in (((0.0, 0.1), 42), ((0.1, 1.0), 182), (None, 42)):
+        with pytest.raises(LogError) as error:
+            read(path, window=window)
+        assert (error.value.line, "ram.p_head" in error.value.message) == (line, True)
 
 
 def test_left_out_samples_are_named_counted_and_bridged_where_they_are_few(tmp_path):
@@ -219,15 +218,19 @@ def test_left_out_samples_are_named_counted_and_bridged_where_they_are_few(tmp_p
     lines[30] = "0.030;50.3;"
     path, columns = write(tmp_path, lines)
     columns.write_text('bad_samples = "leave out"\n' + columns.read_text())
-    record = read_record(path, columns=columns)
-    assert record.losses[:3] == (
-        "ram.p_head: 3 bad samples are left out at t = 0.02, 0.021, 0.06 s (lines 22, 23, 62): "
-        "bridged by a straight line",
-        "ram.spool.command: 1 bad sample is left out at t = 0.03 s (line 32): the last is held",
-        "ram.spool.command: 20 bad samples are left out between t = 0.1 and 0.119 s (lines 102, "
-        "103, 104, 105, …), with their rows",
-    )
-    assert any("about 20 samples are missing" in loss for loss in record.losses)
+    record = read(path, columns=columns)
+    notes = [(note.key.removeprefix("data."), note.fields) for note in record.losses]
+    assert [key for key, _ in notes] == [
+        "samples_bridged",
+        "command_bridged",
+        "rows_left_out",
+        "samples_missing",
+    ]
+    bridged, command, rows_gone, missing = (fields for _, fields in notes)
+    assert (bridged["channel"], bridged["times"]) == ("ram.p_head", "0.02, 0.021, 0.06")
+    assert bridged["lines"] == " (lines 22, 23, 62)" and command["lines"] == " (line 32)"
+    assert (rows_gone["first"], rows_gone["last"]) == pytest.approx((0.1, 0.119))
+    assert rows_gone["samples"] == "20 bad samples" and missing["samples"] == "20 samples"
     assert record.t.size == 180 and not ((record.t > 0.0995) & (record.t < 0.1195)).any()
     at = np.searchsorted(record.t, [0.020, 0.021, 0.060]) + 0
     np.testing.assert_allclose(record["ram.p_head"][at], [50.2e5, 50.21e5, 50.6e5])
@@ -243,9 +246,9 @@ def test_a_column_has_a_policy_of_its_own(tmp_path):
     )
     path, columns = write(tmp_path, lines, names)
     with pytest.raises(LogError, match="ram.spool.command: '.' is no number"):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
     path, columns = write(tmp_path, [*lines[:40], "0.040;;0", *lines[41:]], names)
-    assert "1 bad sample is left out" in read_record(path, columns=columns).losses[0]
+    assert "1 bad sample left out" in read(path, columns=columns).losses[0]
 
 
 def test_what_was_written_late_is_put_back(tmp_path):
@@ -260,7 +263,7 @@ def test_what_was_written_late_is_put_back(tmp_path):
         'u = { channel = "ram.a.command", unit = "V", late = "12 ms" }\n'
         'x = { channel = "ram.x", unit = "m", late = "-4 ms" }\n'
     )
-    record = read_record(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
+    record = read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
     kept = slice(2, 94)
     assert np.allclose(record.t, t[kept])
     for name, values in true.items():
@@ -270,7 +273,7 @@ def test_what_was_written_late_is_put_back(tmp_path):
     with pytest.raises(
         LogError, match=r"nothing is left of 0\.198 s .*ram\.a\.command by 12000 ms"
     ):
-        read_record(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
+        read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
 
 
 def test_a_filter_runs_both_ways(tmp_path):
@@ -279,7 +282,7 @@ def test_a_filter_runs_both_ways(tmp_path):
     lines = [f"{i / 1000:.3f};{value!r};0" for i, value in enumerate(noise.tolist())]
     names = 'time = "t [s]"\nA = { channel = "ram.p_head", unit = "bar", filter = "20 Hz" }\n'
     path, columns = write(tmp_path, lines, names)
-    found = read_record(path, columns=columns)["ram.p_head"]
+    found = read(path, columns=columns)["ram.p_head"]
     np.testing.assert_allclose(found, lowpass(noise, 1e-3, 20.0) * 1e5, rtol=1e-9)
 
 
@@ -287,27 +290,27 @@ def test_a_rate_stands_for_a_time_that_is_rounded(tmp_path):
     lines = [f"{i // 10 / 100:.2f};50;0" for i in range(200)]
     path, columns = write(tmp_path, lines)
     with pytest.raises(LogError, match="stands still.*rate = "):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
     columns.write_text('rate = "1 kHz"\n' + columns.read_text())
-    np.testing.assert_allclose(read_record(path, columns=columns).t, np.arange(200) / 1e3)
+    np.testing.assert_allclose(read(path, columns=columns).t, np.arange(200) / 1e3)
 
 
 def test_a_file_without_a_time_says_so(tmp_path):
     path, columns = write(tmp_path, rows(), 'A = "ram.p_head [bar]"\n')
     with pytest.raises(LogError, match="says no time.*rate = "):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
 
 
 def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
     path, columns = write(tmp_path, rows(), 'time = "t [s]"\nAOO = "ram.p_head [bar]"\n')
     with pytest.raises(LogError, match="no column 'AOO' .nearest is 'AO'"):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
 
 
 def test_a_unit_that_nobody_says_is_asked_for_where_it_would_stand(tmp_path):
     path, columns = write(tmp_path, rows(), 'time = "t [s]"\nA = "ram.p_head"\n')
     with pytest.raises(UnitError, match="m.toml:3: column 'A': has no unit .*unit = \"kPa\""):
-        read_record(path, columns=columns)
+        read(path, columns=columns)
 
 
 # --- recipes
@@ -316,7 +319,7 @@ def test_a_unit_that_nobody_says_is_asked_for_where_it_would_stand(tmp_path):
 
 def raw_log(path: Path) -> None:
     """A shipped log as a foreign recorder would have written it."""
-    log = read_record(LOG)
+    log = read(LOG)
     milliamps = 12.0 + 0.8 * log["press.servo.command"]
     table = [log.t, log["press.x"] * 1e3, log["press.p_head"] / 1e5, log["press.p_rod"] / 1e5]
     lines = ["Tester;me", "", "Zeit;Weg;Druck A;Druck B;Ventil", "s;mm;bar;bar;mA"]
@@ -397,8 +400,8 @@ def test_a_raw_file_is_taken_at_the_first_go(tmp_path, monkeypatch):
     made = mapping.draft(Path("raw.csv"), None, load_rig(RIG))
     assert made.path == Path("raw.map.toml") and made.picture.read_text().startswith("<svg")
     assert any(line.startswith("taken with this map: <Record: 2001") for line in made.lines)
-    record, log = read_record(Path("raw.csv"), columns=made.path), read_record(LOG)
-    assert "1 bad sample is left out" in record.losses[0] and "line 51" in record.losses[0]
+    record, log = read(Path("raw.csv"), columns=made.path), read(LOG)
+    assert "1 bad sample left out" in record.losses[0] and "line 51" in record.losses[0]
     for name in ("press.x", "press.p_head", "press.p_rod"):
         whole = np.arange(log.t.size) != 46  # that of line 51
         np.testing.assert_allclose(record[name][whole], log[name][whole], rtol=1e-8)
@@ -421,7 +424,7 @@ def test_a_draft_of_each_format_can_be_read_back(name, tmp_path, unpictured):
     columns = load_columns(out).columns
     assert "?" not in {one.channel for one in columns.names.values()}
     if ".mat" not in name and name not in ("a_bag", "a_db3"):
-        record = read_record(path, columns=out)
+        record = read(path, columns=out)
         assert {"cylinder.p_head", "p_supply"} <= set(record.channels)
         np.testing.assert_allclose(record["cylinder.p_head"], foreign.HEAD * 1e5, atol=100.0)
 
@@ -458,9 +461,7 @@ def test_readings_of_a_flowmeter_are_drafted_and_taken(tmp_path):
     }
     assert "100 of PA forward" in made.lines[-2] and "100 of PB forward" in made.lines[-2]
     columns = load_columns(made.path)
-    data = read_flowmeter(
-        tmp_path / "sweep.txt", lines=mapped_readings(tmp_path / "sweep.txt", columns)
-    )
+    data = read_flowmeter(tmp_path / "sweep.txt", columns)
     assert data.pressure_drop[0] == pytest.approx(100 * 6894.757, rel=1e-6)
     assert data.command[:2] == pytest.approx([-10.0, -9.5])
 
@@ -478,9 +479,7 @@ def test_a_workbook_with_a_sheet_a_valve_is_one_of_readings(tmp_path, monkeypatc
     book.save("flow.xlsx")
     lines = mapping.draft(Path("flow.xlsx")).lines
     assert "the same columns: table 'bt'" in lines and "3 of bt forward, 3 of pa" in lines[-2]
-    data = read_flowmeter(
-        Path("flow.xlsx"), lines=mapped_readings(Path("flow.xlsx"), load_columns("flow.map.toml"))
-    )
+    data = read_flowmeter(Path("flow.xlsx"), load_columns("flow.map.toml"))
     flows = {valve: data.select(valve, "forward").flow for valve in ("pa", "bt")}
     assert np.allclose(flows["bt"], 2.0 * flows["pa"]) and flows["pa"][0] > 0.0
 
@@ -555,7 +554,7 @@ def test_a_clock_that_begins_again_is_named_as_one(tmp_path):
     head = "t [s],lift.p_head [bar]\n"
     (tmp_path / "b.csv").write_text(head + rows)
     with pytest.raises(LogError, match="goes back from 2.99 s to 0 s .*into a file of its own"):
-        read_record(tmp_path / "b.csv")
+        read(tmp_path / "b.csv")
 
 
 def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
@@ -582,7 +581,7 @@ def test_a_log_is_written_and_comes_back(to, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     out = converting.convert(LOG, to)
     assert out == Path(f"press_no_load.{to}")
-    record, log = read_record(out), read_record(LOG)
+    record, log = read(out), read(LOG)
     assert set(record.channels) == set(log.channels)
     np.testing.assert_array_equal(record.t, log.t)
     for name in log.channels:
@@ -659,8 +658,7 @@ def test_flowmeter_readings_take_a_map_too(valves, tmp_path):
     data = read_flowmeter(READINGS)
     assert not found.errors
     assert any(f"sh.csv ({len(data)} readings of sh" in line for line in found.lines)
-    lines = mapped_readings(tmp_path / "sh.csv", load_columns(tmp_path / "m.toml"))
-    back = read_flowmeter(tmp_path / "sh.csv", lines=lines)
+    back = read_flowmeter(tmp_path / "sh.csv", load_columns(tmp_path / "m.toml"))
     for name in ("command", "flow", "pressure_drop"):
         np.testing.assert_allclose(getattr(back, name), getattr(data, name), rtol=1e-6, atol=1e-9)
     assert back.line[0] == 5
@@ -673,8 +671,9 @@ def test_a_bad_reading_is_refused_or_left_out(tmp_path):
     (tmp_path / "sh.csv").write_text("\n".join(text))
     own = tmp_path / "m.toml"
     own.write_text("[names]\n" + READING_MAP + 'Ventil = "valve"\n')
-    with pytest.raises(LogError, match="sh.csv:10: a cell holds no number"):
-        mapped_readings(tmp_path / "sh.csv", load_columns(own))
+    with pytest.raises(InputError) as error:
+        read_flowmeter(tmp_path / "sh.csv", load_columns(own))
+    assert (error.value.key, error.value.line) == ("data.blank", 10)
     own.write_text('bad_samples = "leave out"\n' + own.read_text())
-    lines = mapped_readings(tmp_path / "sh.csv", load_columns(own))
-    assert len(lines) == len(read_flowmeter(READINGS)) and 10 not in [line for line, _ in lines]
+    back = read_flowmeter(tmp_path / "sh.csv", load_columns(own), leave_out=True)
+    assert len(back) == len(read_flowmeter(READINGS)) - 1 and 10 not in back.line

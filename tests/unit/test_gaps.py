@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ehbench.app import inspection
-from ehbench.data.logs import read_record, write_log
+from ehbench.data import read
+from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.preprocessing.gaps import parts_of
 
@@ -88,7 +89,7 @@ def test_a_log_of_which_nothing_would_be_left_stays_as_it_is():
 
 
 def test_a_recipe_takes_a_log_with_a_gap_as_two(tmp_path):
-    whole = read_record(ROOT / "datasets/slide_servo/steps/press_no_load.mcap")
+    whole = read(ROOT / "datasets/slide_servo/steps/press_no_load.mcap")
     write_log(tmp_path / "gap.mcap", whole.at(np.flatnonzero(abs(whole.t - 1.38) > 0.08)))
     (tmp_path / "fit.toml").write_text(
         f'stage = "identify"\nwhat = "hydraulics"\nrig = "{ROOT}/recipes/rigs/slide_servo.toml"\n'

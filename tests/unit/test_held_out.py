@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.validation import PreparedValidation, read_validation, run_validation, taken_log
@@ -151,7 +151,7 @@ def test_windows_of_one_file_fit_and_judge(undrawn, tmp_path):
         f'data = [{{ path = "{LOG}", stop = "1 s" }}]',
         'parameters = ["carriage.damping"]',
     )
-    record = read_record(LOG)
+    record = read(LOG)
     table = np.column_stack([record.t, *record.channels.values()])
     units = {"x": "m", "q": "rad", "v": "m/s", "qd": "rad/s", "command": "V"}
     heads = [f"{n} [{units.get(n.rsplit('.', 1)[-1], 'Pa')}]" for n in record.channels]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_rig
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.identification.simulator import prepare
 from ehbench.plant.model import Model
 from ehbench.preprocessing.preparation import at_limit
@@ -60,7 +60,7 @@ def test_readings_at_an_end_are_found(step, end):
 
 
 def test_a_fit_does_not_count_them_and_a_validation_ends_there_too():
-    rig, record = load_rig(RIG), read_record(LOG)
+    rig, record = load_rig(RIG), read(LOG)
     top = 0.8 * np.max(record["press.p_head"])
     cut = np.clip(record["press.p_head"], None, top)
     clipped = replace(record, channels=record.channels | {"press.p_head": cut})

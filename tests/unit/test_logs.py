@@ -20,7 +20,8 @@ from mcap.records import Channel, Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from ehbench.data.logs import CHUNK_SIZE, LogWriter, check_record, read_log, read_record, write_log
+from ehbench.data import read, read_log
+from ehbench.data.logs import CHUNK_SIZE, LogWriter, check_record, write_log
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import LogError, UnitError
 
@@ -60,14 +61,14 @@ def same(a: Record, b: Record) -> bool:
 def test_a_record_comes_back_bit_for_bit(tmp_path):
     record = recording()
     write_log(tmp_path / "a.mcap", record)
-    assert same(read_record(tmp_path / "a.mcap"), record)
+    assert same(read(tmp_path / "a.mcap"), record)
 
 
 def test_what_was_lost_once_stays_told(tmp_path):
     record = recording(50)
     record = Record(record.t, record.channels, losses=("half of it is missing",))
     write_log(tmp_path / "a.mcap", record)
-    assert read_record(tmp_path / "a.mcap").losses == record.losses
+    assert read(tmp_path / "a.mcap").losses == record.losses
 
 
 def test_same_record_same_bytes(tmp_path):
@@ -80,7 +81,7 @@ def test_write_replaces_a_file_whole_and_leaves_no_part(tmp_path):
     for seed in (1, 2):
         write_log(tmp_path / "a.mcap", recording(seed=seed))
     assert [each.name for each in tmp_path.iterdir()] == ["a.mcap"]
-    assert same(read_record(tmp_path / "a.mcap"), recording(seed=2))
+    assert same(read(tmp_path / "a.mcap"), recording(seed=2))
 
 
 def test_the_plain_library_reads_every_message(tmp_path):
@@ -154,7 +155,7 @@ def test_ros_names_are_legal_and_unique(tmp_path):
     assert len(set(fields)) == len(names) + 1
     assert all(re.fullmatch(r"[a-z](_?[a-z0-9])*", name) for name in fields)
     assert re.fullmatch(r"ehbench/msg/[A-Z][A-Za-z0-9]*", schema.name)
-    assert list(read_record(tmp_path / "a.mcap").channels) == names
+    assert list(read(tmp_path / "a.mcap").channels) == names
 
 
 def test_live_samples_give_the_same_record(tmp_path):
@@ -164,21 +165,21 @@ def test_live_samples_give_the_same_record(tmp_path):
     ) as writer:
         for n, row in enumerate(np.stack(list(record.channels.values()), axis=1)):
             writer.append(record.t[n], row)
-    assert same(read_record(tmp_path / "a.mcap"), record)
+    assert same(read(tmp_path / "a.mcap"), record)
 
 
 def test_an_exception_still_closes_the_log(tmp_path):
     with pytest.raises(RuntimeError), LogWriter(tmp_path / "a.mcap", ["boom.q"]) as writer:
         writer.append(0.0, [1.0])
         raise RuntimeError
-    back = read_record(tmp_path / "a.mcap")
+    back = read(tmp_path / "a.mcap")
     assert back["boom.q"] == [1.0] and back.losses == ()
 
 
 def test_times_before_zero_round_trip(tmp_path):
     record = Record(np.array([-0.3, -0.1, 0.2]), {"boom.q": np.arange(3.0)})
     write_log(tmp_path / "a.mcap", record)
-    assert same(read_record(tmp_path / "a.mcap"), record)
+    assert same(read(tmp_path / "a.mcap"), record)
     with open(tmp_path / "a.mcap", "rb") as file:
         assert [message.log_time for _, _, message in make_reader(file).iter_messages()] == [
             0,
@@ -197,7 +198,7 @@ def test_slow_topics_are_held_on_the_fast_time_base(tmp_path):
             writer.append(t, [n, 1e5 * n], "/fast")
             if n in (2, 7, 12, 17):
                 writer.append(t, [300.0 + n], "/slow")
-    back = read_record(tmp_path / "a.mcap")
+    back = read(tmp_path / "a.mcap")
     assert list(back.channels) == ["boom.temperature", "boom.q", "boom.p_head"]
     assert np.array_equal(back.t, fast[2:])
     assert np.array_equal(back["boom.q"], np.arange(2.0, 20.0))
@@ -212,7 +213,7 @@ def test_a_slow_topic_is_not_held_past_its_end(tmp_path):
     with LogWriter(tmp_path / "a.mcap", ["boom.q", "boom.x"], groups=groups) as writer:
         writer.extend(np.arange(100) * 1e-3, np.zeros((100, 1)), "/fast")
         writer.extend(np.arange(3) * 10e-3, np.ones((3, 1)), "/slow")
-    back = read_record(tmp_path / "a.mcap")
+    back = read(tmp_path / "a.mcap")
     assert back.t[-1] == pytest.approx(30e-3) and "69 samples are left out" in back.losses[0]
 
 
@@ -222,7 +223,7 @@ def test_groups_of_one_rate_share_the_time_base(tmp_path):
     groups = {"boom": names[::2], "others/2": names[1::2]}
     with LogWriter(tmp_path / "a.mcap", names, record.meta, record.attachments, groups) as writer:
         writer.extend(record.t, np.stack(list(record.channels.values()), axis=1))
-    assert same(read_record(tmp_path / "a.mcap"), record)
+    assert same(read(tmp_path / "a.mcap"), record)
 
 
 def test_a_topic_that_never_spoke_is_named(tmp_path):
@@ -230,7 +231,7 @@ def test_a_topic_that_never_spoke_is_named(tmp_path):
         tmp_path / "a.mcap", ["boom.q", "boom.x"], groups={"/a": ["boom.q"], "/b": ["boom.x"]}
     ) as writer:
         writer.append(0.0, [1.0], "/a")
-    assert read_record(tmp_path / "a.mcap").losses == ("no samples of boom.x",)
+    assert read(tmp_path / "a.mcap").losses == ("no samples of boom.x",)
 
 
 @pytest.mark.parametrize(
@@ -264,7 +265,7 @@ def test_the_writer_refuses_what_no_reader_could_trust(tmp_path):
         LogWriter(tmp_path / "a.mcap", ["boom.q"])
     with pytest.raises(LogError, match=r"unknown channel 'boom.p_haed'.*nearest is 'boom.p_head'"):
         LogWriter(tmp_path / "b.mcap", ["boom.p_haed"])
-    assert read_record(tmp_path / "a.mcap").t == [1.0]
+    assert read(tmp_path / "a.mcap").t == [1.0]
 
 
 def test_frame_has_units_and_losses(tmp_path):
@@ -292,7 +293,7 @@ def test_csv_in_any_unit_comes_in_si(tmp_path):
         't [ms], boom.q [deg] ,boom.p_head [kPa],"boom.temperature [degC]",boom.hect.flow [gpm]\n'
         "0,180,1000,20,1\n# a remark\n0.5,-90,2.5e3,25.5,-1\n"
     )
-    record = read_record(csv(tmp_path, text))
+    record = read(csv(tmp_path, text))
     assert list(record.channels) == ["boom.q", "boom.p_head", "boom.temperature", "boom.hect.flow"]
     # one multiplication by a factor that is itself rounded: a few units in the last place
     close = {"rtol": 1e-14, "atol": 0}
@@ -311,7 +312,7 @@ def test_csv_dialects(tmp_path, comma, encoding, end):
     text = end.join(
         comma.join(row) for row in (["t [s]", "boom.q [rad]"], ["0", "0.1"], ["1", "0.2"])
     )
-    record = read_record(csv(tmp_path, text, encoding))
+    record = read(csv(tmp_path, text, encoding))
     assert list(record.t) == [0, 1] and list(record["boom.q"]) == [0.1, 0.2]
 
 
@@ -329,7 +330,7 @@ def test_csv_and_mcap_tell_the_same(tmp_path):
     rows += [
         ",".join(map(repr, map(float, row))) for row in zip(record.t, *record.channels.values())
     ]
-    back = read_record(csv(tmp_path, "\n".join(rows)))
+    back = read(csv(tmp_path, "\n".join(rows)))
     assert np.array_equal(back.t, record.t) and all(
         np.array_equal(back[name], record[name]) for name in record.channels
     )
@@ -385,7 +386,7 @@ def test_labelled_ros_topics_are_read(tmp_path, compression, chunked):
     path = foreign(
         tmp_path / "a.mcap", LABELS, compression=compression, use_chunking=chunked, chunk_size=400
     )
-    record = read_record(path)
+    record = read(path)
     n = np.arange(30)
     np.testing.assert_array_equal(record.t, n / 100)
     np.testing.assert_array_equal(record["boom.p_head"], 1000 * (100.5 + n))
@@ -400,9 +401,9 @@ def test_ros_topics_without_labels_are_refused_by_name(tmp_path):
         LogError,
         match=r"/rosout \(cdr, std_msgs/msg/String\), /arm \(cdr, lab/msg/Arm\).*ehbench reads",
     ):
-        read_record(foreign(tmp_path / "a.mcap", {}, bare))
+        read(foreign(tmp_path / "a.mcap", {}, bare))
     with pytest.raises(LogError, match=r"/arm \(json, lab/msg/Arm\)"):
-        read_record(foreign(tmp_path / "b.mcap", LABELS, encoding="json"))
+        read(foreign(tmp_path / "b.mcap", LABELS, encoding="json"))
 
 
 @pytest.mark.parametrize(
@@ -416,7 +417,7 @@ def test_ros_topics_without_labels_are_refused_by_name(tmp_path):
 )
 def test_wrong_labels_are_refused(tmp_path, label, error, said):
     with pytest.raises(error, match=said):
-        read_record(foreign(tmp_path / "a.mcap", {**LABELS, "p": label}))
+        read(foreign(tmp_path / "a.mcap", {**LABELS, "p": label}))
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the shared recordings are not here")
@@ -425,7 +426,7 @@ def test_every_shared_recording_opens_or_is_refused_with_a_sentence():
     assert files
     for path in files:
         try:
-            assert read_record(path).t.size
+            assert read(path).t.size
         except LogError as error:
             assert error.file == str(path)
             with open(path, "rb") as file:
@@ -477,4 +478,4 @@ def test_the_examples_of_the_documentation_run(tmp_path, monkeypatch):
     for body in [body for kind, body in blocks if kind == "python"]:
         Path("example.py").write_text(body)
         runpy.run_path("example.py")
-    assert same(read_record("step.mcap"), read_record("step.csv"))
+    assert same(read("step.mcap"), read("step.csv"))

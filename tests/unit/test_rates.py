@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.app.mapping import draft
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.data.readers import open_source
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.units import absolute_unit
@@ -36,10 +36,10 @@ def bus(turns: int = 300) -> list[str]:
     return rows
 
 
-def read(tmp_path, rows: list[str], policy: str = "refuse"):
+def read_bus(tmp_path, rows: list[str], policy: str = "refuse"):
     (tmp_path / "bus.csv").write_text("\n".join([HEAD, *rows]) + "\n")
     (tmp_path / "m.toml").write_text(MAP.format(policy=policy))
-    return read_record(tmp_path / "bus.csv", columns=tmp_path / "m.toml")
+    return read(tmp_path / "bus.csv", columns=tmp_path / "m.toml")
 
 
 @pytest.mark.parametrize("turns", [300, 800])  # rows that are looked at may fall in step
@@ -47,7 +47,7 @@ def test_signals_that_take_turns_are_each_of_their_own_rate(turns, tmp_path):
     """All come on the times of the fastest, by time and not by row; no sample is called bad, and
     that they begin some milliseconds apart is no loss.
     """
-    record = read(tmp_path, bus(turns))
+    record = read_bus(tmp_path, bus(turns))
     assert record.losses == ()
     assert np.median(np.diff(record.t)) == pytest.approx(0.01)
     assert record.t.size >= turns - 3
@@ -66,7 +66,7 @@ def test_a_slow_signal_in_rows_of_the_fast_one_has_its_own_rate(tmp_path):
         else f"{0.01 * n:.4f},{20 + 0.1 * n:.6f},,{0}"
         for n in range(200)
     ]
-    record = read(tmp_path, rows)
+    record = read_bus(tmp_path, rows)
     np.testing.assert_allclose(np.degrees(record["ram.q"][:191]), 3.0 * np.arange(191), atol=1e-9)
 
 
@@ -74,20 +74,22 @@ def test_a_slow_signal_in_rows_of_the_fast_one_has_its_own_rate(tmp_path):
 def test_a_signal_that_is_missing_is_no_slow_one(gone, tmp_path):
     rows = [f"{0.01 * n:.4f},20,{'' if gone(n) else '1.5'},0" for n in range(200)]
     with pytest.raises(LogError, match="ram.q: is blank"):
-        read(tmp_path, rows)
+        read_bus(tmp_path, rows)
 
 
 def test_rows_written_twice_are_named_and_left_out(tmp_path):
     rows = bus()
     rows.insert(10, rows[9])
     with pytest.raises(LogError, match=r"bus.csv:12: the time stands still.*repeat the one before"):
-        read(tmp_path, rows)
-    record = read(tmp_path, rows, "leave out")
+        read_bus(tmp_path, rows)
+    record = read_bus(tmp_path, rows, "leave out")
     assert len(record.losses) == 1
-    assert "1 row that repeats the one before is left out (line 12)" in record.losses[0]
+    note = record.losses[0]
+    assert (note.key, note.fields["rows"]) == ("data.repeated_rows", "1 row")
+    assert note.fields["lines"] == " (line 12)"
     rows[10] += "1"  # the same time, another value
     with pytest.raises(LogError, match="the time stands still"):
-        read(tmp_path, rows, "leave out")
+        read_bus(tmp_path, rows, "leave out")
 
 
 def test_a_time_that_stands_still_is_found_where_rows_went_before(tmp_path):
@@ -96,7 +98,7 @@ def test_a_time_that_stands_still_is_found_where_rows_went_before(tmp_path):
     rows[20] = rows[20].replace("0.20", "n/a", 1)
     rows[100] = rows[100].replace("1.00", "0.99", 1)
     with pytest.raises(LogError, match=r"bus.csv:102: the time stands still at 0.99 s"):
-        read(tmp_path, rows, "leave out")
+        read_bus(tmp_path, rows, "leave out")
 
 
 def test_a_draft_of_such_a_file_knows_its_time_and_rates(tmp_path, monkeypatch):

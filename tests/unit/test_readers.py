@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import struct
 import sys
+from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,10 +16,23 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import foreign  # noqa: E402
 
-from ehbench.data.logs import read_record  # noqa: E402
-from ehbench.data.readers import READERS, Dialect, open_source, reader_of, suffixes  # noqa: E402
+from ehbench.app.converting import convert  # noqa: E402
+from ehbench.app.inspection import check  # noqa: E402
+from ehbench.app.mapping import draft  # noqa: E402
+from ehbench.data import read, readers  # noqa: E402
+from ehbench.data.readers import (  # noqa: E402
+    READERS,
+    Column,
+    Dialect,
+    Reader,
+    Source,
+    Table,
+    open_source,
+    reader_of,
+    suffixes,
+)
 from ehbench.data.readers.clock import clock  # noqa: E402
-from ehbench.data.readers.delimited import split  # noqa: E402
+from ehbench.data.text import split  # noqa: E402
 from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data"
@@ -39,7 +54,7 @@ def test_a_foreign_file_comes_back_in_si(name, files, tmp_path):
     same between its samples.
     """
     (tmp_path / "m.toml").write_text(foreign.map_of(name))
-    record = read_record(files[name], columns=tmp_path / "m.toml")
+    record = read(files[name], columns=tmp_path / "m.toml")
     # behind its last sample a slow channel stands for one of its periods
     np.testing.assert_allclose(record.t, foreign.T, atol=1e-9)
     off = DIGITS.get(name, 1e-6) * 1e5
@@ -157,7 +172,7 @@ def test_a_time_that_a_formula_converts_refuses_the_file(version, tmp_path):
 
 def test_several_rates_are_said(files, tmp_path):
     (tmp_path / "m.toml").write_text(foreign.map_of("a.mf4"))
-    record = read_record(files["a.mf4"], columns=tmp_path / "m.toml")
+    record = read(files["a.mf4"], columns=tmp_path / "m.toml")
     assert record.meta["rates"] == "table 'slow': 100 Hz, brought to 1000 Hz"
 
 
@@ -173,11 +188,9 @@ def test_a_gap_is_named_and_not_bridged(tmp_path):
         file.write_segment([ChannelObject("slow", key, one) for key, one in columns.items()])
     names = 'A = "ram.p_head"\nt = "t [s]"\nP = "p_supply [bar]"\n'
     (tmp_path / "m.toml").write_text("[names]\n" + names)
-    record = read_record(tmp_path / "a.tdms", columns=tmp_path / "m.toml")
-    assert (
-        "table 'slow': about 10 samples are missing, 10 between t = 0.09 and 0.2 s" in record.losses
-    )
-    assert any("rows are left out" in loss for loss in record.losses)
+    record = read(tmp_path / "a.tdms", columns=tmp_path / "m.toml")
+    assert "table 'slow': about 10 samples missing, 10 between t = 0.09 and 0.2 s" in record.losses
+    assert any("rows left out" in loss for loss in record.losses)
     assert not ((record.t > 0.0905) & (record.t < 0.1995)).any()
     assert record.t.size == pytest.approx(290, abs=2)
 
@@ -194,7 +207,7 @@ def test_a_file_is_known_by_how_it_begins(files, tmp_path):
     path = tmp_path / "named_wrong.csv"
     path.write_bytes(files["a.tdms"].read_bytes())
     assert reader_of(path).name == "TDMS"
-    with pytest.raises(LogError, match="of no format that is read"):
+    with pytest.raises(LogError, match="does not know '.py' files"):
         reader_of(Path(foreign.__file__))
     with pytest.raises(LogError, match="no ROS 2 bag"):
         reader_of(tmp_path)
@@ -303,11 +316,33 @@ def test_split_keeps_what_stands_in_quotes():
     assert split("1  2\t3", " ") == ["1", "2", "3"]
 
 
+def test_a_new_reader_of_archives_is_reached_beside_excel(tmp_path, monkeypatch):
+    """An archive begins alike whatever is packed in it: its ending tells, and one that no reader
+    has is known to none.
+    """
+    module = ModuleType("ehbench.data.readers.npz")
+
+    def read_npz(path: Path, dialect: Dialect) -> Source:
+        with np.load(path) as file:
+            return Source((Table("", tuple(Column(name, file[name]) for name in file)),))
+
+    module.read = read_npz
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(readers, "READERS", (*READERS, Reader("NumPy", (".npz",), "npz")))
+    np.savez(tmp_path / "a.npz", **{"boom.p_head [bar]": np.arange(5.0), "t [s]": np.arange(5.0)})
+    assert read(tmp_path / "a.npz")["boom.p_head"][-1] == pytest.approx(4e5)
+    (tmp_path / "a.zip").write_bytes((tmp_path / "a.npz").read_bytes())
+    for door in (read, open_source, draft, partial(convert, to="mat"), check):
+        with pytest.raises(InputError) as error:
+            door(tmp_path / "a.zip")
+        assert (error.value.key, error.value.fields["kind"]) == ("data.unknown_format", ".zip")
+
+
 def test_a_bomb_is_refused(tmp_path, monkeypatch):
     import gzip
 
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"0,0\n" * 2_000_000))
-    monkeypatch.setattr("ehbench.data.readers.delimited.available", lambda: 8e6)
+    monkeypatch.setattr("ehbench.data.text.available", lambda: 8e6)
     with pytest.raises(InputError, match="unpacks to more than"):
         open_source(tmp_path / "a.csv.gz")
 

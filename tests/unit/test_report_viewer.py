@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.report import viewer
 from ehbench.vocabulary.errors import InputError
 from tests.unit.test_report import flow_map_run, hydraulics_run
@@ -30,7 +30,7 @@ def numbers(text: str, kind: str) -> np.ndarray:
 
 
 def test_a_log_is_in_its_page_sample_by_sample():
-    record = read_record(LOG)
+    record = read(LOG)
     (sheet,) = data_of(viewer.page([LOG]))["sheets"]
     curves = {one["name"]: one for panel in sheet["panels"] for one in panel["curves"]}
     one = curves["press.p_head"]

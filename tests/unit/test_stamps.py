@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_columns
-from ehbench.data.logs import read_record
+from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.preprocessing.gaps import parts_of
 from ehbench.preprocessing.preparation import evened
@@ -84,7 +84,7 @@ def mapped(tmp_path: Path, stamps: np.ndarray) -> Record:
     path, columns = tmp_path / "bus.csv", tmp_path / "bus.map.toml"
     path.write_text("time;A\n" + "".join(f"{t:.4f};{t:.4f}\n" for t in stamps))
     columns.write_text('rate = "100 Hz"\n[names]\ntime = "t [s]"\nA = "ram.p_head [bar]"\n')
-    return read_record(path, columns=load_columns(columns))
+    return read(path, columns=load_columns(columns))
 
 
 def test_a_rate_beside_stamps_keeps_what_they_say_of_missing_rows(tmp_path):
@@ -96,7 +96,7 @@ def test_a_rate_beside_stamps_keeps_what_they_say_of_missing_rows(tmp_path):
     record = mapped(tmp_path, (PERIOD * ROWS + by)[keep])
     np.testing.assert_allclose(record.t, PERIOD * ROWS[keep], atol=1e-12)
     assert record.losses == (
-        "ram.p_head: about 10 samples are missing, 1 between t = 2.49 and 2.51 s, "
+        "ram.p_head: about 10 samples missing, 1 between t = 2.49 and 2.51 s, "
         "9 between t = 7.99 and 8.09 s",
     )
 

@@ -17,10 +17,10 @@ from ehbench.app.mapping.readings import holds_readings, reading_guesses
 from ehbench.app.mapping.written import drafted, own_rows, range_of
 from ehbench.config.recipe.columns import ENDING, load_columns
 from ehbench.config.rig import Rig
-from ehbench.data.logs import read_record
-from ehbench.data.logs.mapped import CLOCK
-from ehbench.data.logs.readings import alike, mapped_readings
-from ehbench.data.readers import Source, Table, open_source, read_flowmeter, reader_of
+from ehbench.data import read
+from ehbench.data.channels import FROM_1970
+from ehbench.data.flowmeter import alike, read_flowmeter
+from ehbench.data.readers import Source, Table, open_source, reader_of
 from ehbench.preprocessing.preparation import outside_stroke
 from ehbench.vocabulary.errors import EhbenchError, InputError
 
@@ -127,7 +127,7 @@ def _span(
             scale = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(guesses[name].unit, 1.0)
             t = table.columns[j].values * scale
             first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
-            began = first if began is None and first > CLOCK else began
+            began = first if began is None and first > FROM_1970 else began
     if t is None or t.size < 2:
         return ""
     step = float(np.nanmedian(np.diff(t)))
@@ -150,7 +150,7 @@ def _from(began: float | None, daytime: float | None) -> str:
 def _taken_readings(path: Path, out: Path) -> list[str]:
     """Whether the draft takes a file of readings as it stands, and what to do next."""
     try:
-        data = read_flowmeter(path, lines=mapped_readings(path, load_columns(out)))
+        data = read_flowmeter(path, load_columns(out))
     except EhbenchError as error:
         return [f"not yet: {error}"]
     groups = ", ".join(
@@ -181,7 +181,7 @@ def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) ->
     if not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
         return [*lines, f"next: say in {out} which columns are which channels"]
     try:
-        record = read_record(path, columns=out)
+        record = read(path, columns=out)
     except EhbenchError as error:
         return [*lines, f"not yet: {error}"]
     lines.append(f"taken with this map: {record!r}")

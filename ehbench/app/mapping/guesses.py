@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.data.logs.rates import REPEATED, apart
+from ehbench.data.rates import SETTINGS, apart
 from ehbench.data.readers import Column, Source, Table
 from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -180,7 +180,7 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
         return Guess("t", "s", False, "rises evenly: the time?") if even else None
     if table.t is not None:
         return Guess(remark="the file knows its time without it")
-    if np.mean(steps == 0.0) > REPEATED:
+    if np.mean(steps == 0.0) > SETTINGS.repeated:
         rate = (values.size - 1) / (values[-1] - values[0])
         return Guess(
             "t", unit or "s", False, f"{ROUNDED}; about {rate:.5g} samples a {unit or 's'}"

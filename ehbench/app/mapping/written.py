@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.app.mapping.guesses import ROUNDED, Guess
-from ehbench.data.logs.rates import apart
+from ehbench.data.rates import apart
 from ehbench.data.readers import Column, Source
 
 _FEW = 0.01  # share of a column that may be bad and yet be left out by itself

@@ -8,7 +8,6 @@ read without the others."""
 from __future__ import annotations
 
 from ehbench.data.logs.checks import check_record
-from ehbench.data.logs.reading import read_log, read_record
 from ehbench.data.logs.writing import CHUNK_SIZE, LogWriter, write_log
 
-__all__ = ["CHUNK_SIZE", "LogWriter", "check_record", "read_log", "read_record", "write_log"]
+__all__ = ["CHUNK_SIZE", "LogWriter", "check_record", "write_log"]

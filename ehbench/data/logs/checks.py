@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import LogError, UnitError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, quantity
 from ehbench.vocabulary.units import from_si, to_si
 
@@ -43,46 +43,35 @@ def check_record(
         UnitError: a value outside the plausible range of its quantity; says which unit would fit.
     """
     if not record.t.size:
-        raise LogError("the log holds no samples", file=file)
+        raise LogError(message("data.no_samples"), file=file)
     check_time(record.t, file=file, lines=lines)
     tables: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for name, values in record.channels.items():
         row, (low, high) = quantity(name), _ends(values, tables)
         if row.lower <= low and high <= row.upper and np.isfinite(low) and np.isfinite(high):
             continue
-        finite = np.isfinite(values)
-        at = int(np.argmin(finite & (values >= row.lower) & (values <= row.upper)))
+        at = int(np.argmin((values >= row.lower) & (values <= row.upper) & np.isfinite(values)))
         line = lines[at] if lines is not None else None
         where = "" if line else f" at t = {record.t[at]:.9g} s"
-        if not finite[at]:
-            raise LogError(
-                f"{name} is {values[at]}{where}",
-                file=file,
-                line=line,
-                hint="a log holds finite numbers only",
-            )
+        if not np.isfinite(values[at]):
+            text = message("data.not_finite", name=name, value=values[at], where=where)
+            raise LogError(text, file=file, line=line)
         unit = (units or {}).get(name, row.unit)
-        written = from_si(values[at], unit, row)
-        hint = "check the unit and the sign"
+        value, low, high = (from_si(x, unit, row) for x in (values[at], row.lower, row.upper))
         fits = [
-            u
-            for u in (row.display, row.unit)
-            if u != unit and row.lower <= to_si(written, u, row) <= row.upper
+            other
+            for other in (row.display, row.unit)
+            if other != unit and row.lower <= to_si(value, other, row) <= row.upper
         ]
-        if fits:
-            hint = f"in {fits[0]} it would be plausible: check the unit"
-        bounds = " to ".join(f"{from_si(bound, unit, row):g}" for bound in (row.lower, row.upper))
-        raise UnitError(
-            f"{name} = {written:g} {unit}{where} lies outside {bounds} {unit}",
-            file=file,
-            line=line,
-            hint=hint,
-        )
+        key = "data.implausible_unit" if fits else "data.implausible"
+        fields = {"unit": unit, "where": where, "fits": fits[0] if fits else ""}
+        text = message(key, name=name, value=value, low=low, high=high, **fields)
+        raise UnitError(text, file=file, line=line)
 
 
 def _ends(values: np.ndarray, tables: dict[int, tuple[np.ndarray, np.ndarray]]) -> tuple[Any, Any]:
-    """(least, largest) of a channel, nan where it has one. Where it is a whole column of a table,
-    all columns are scanned at once and kept in ``tables``: that is ten times as fast.
+    """(smallest, largest) of a channel, nan where it has one. Where it is a whole column of a
+    table, all columns are scanned at once and cached in ``tables``: that is ten times as fast.
     """
     whole = values.base
     if (
@@ -100,30 +89,22 @@ def _ends(values: np.ndarray, tables: dict[int, tuple[np.ndarray, np.ndarray]]) 
     return low[at], high[at]
 
 
-def _over_rows(least: np.ufunc, whole: np.ndarray) -> np.ndarray:
-    """The least or largest of each column of a table that lies row by row in memory.
+def _over_rows(extreme: np.ufunc, whole: np.ndarray) -> np.ndarray:
+    """The smallest or largest of each column of a table that lies row by row in memory.
 
     Several rows count as one long one at first: numpy goes row by row, which takes it longer to
     begin than to compare."""
     columns = whole.shape[1]
     many = min(SIDE_BY_SIDE, len(whole))
     even = len(whole) // many * many
-    result = least.reduce(whole[:even].reshape(-1, many * columns)).reshape(many, columns)
-    return least.reduce(np.concatenate([result, whole[even:]]))
+    result = extreme.reduce(whole[:even].reshape(-1, many * columns)).reshape(many, columns)
+    return extreme.reduce(np.concatenate([result, whole[even:]]))
 
 
 def inside(t: np.ndarray, window: tuple[float, float] | None) -> np.ndarray:
     """Which times [s] lie inside a window; all where none does."""
     keep = np.ones(t.size, bool) if window is None else (t >= window[0]) & (t <= window[1])
     return keep if keep.any() else ~keep
-
-
-def part_of(record: Record, keep: np.ndarray) -> Record:
-    """The samples of a record that a mask keeps."""
-    if keep.all():
-        return record
-    channels = {name: values[keep] for name, values in record.channels.items()}
-    return replace(record, t=record.t[keep], channels=channels)
 
 
 def check_time(
@@ -138,20 +119,13 @@ def check_time(
     if good.all():
         return
     at = int(np.argmin(good))
-    line = lines[at] if lines is not None else None
     before, now = float(t[at - 1]), float(t[at])
     if not finite[at]:
-        raise LogError(
-            f"{name} is {now}", file=file, line=line, hint="a log holds finite numbers only"
-        )
-    how = "stands still at" if now == before else f"goes back from {before:.9g} s to"
-    raise LogError(
-        f"{name} {how} {now:.9g} s",
-        file=file,
-        line=line,
-        hint="each sample must be later than the one before; where a clock began again, put what "
-        "comes after into a file of its own",
-    )
+        text = message("data.not_finite", name=name, value=now, where="")
+    else:
+        key = "data.time_stands_still" if now == before else "data.time_goes_back"
+        text = message(key, name=name, now=now, before=before)
+    raise LogError(text, file=file, line=lines[at] if lines is not None else None)
 
 
 def check_known(name: str, *, file: str | Path | None = None, line: int | None = None) -> None:
@@ -161,15 +135,11 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
         return
     plain = word.strip().lower()
     near = ["t"] if plain in TIMES else get_close_matches(plain, VOCABULARY, 1, cutoff=0.5)
-    nearest = ".".join([*path, *near])
-    hint = (
-        f"nearest is '{nearest}'" + ", written 't [s]'" * (near == ["t"])
-        if near
-        else "a name ends in a word such as q, x, p_head, p_rod or command"
-    )
+    key = "near_time" if near == ["t"] else "near_channel" if near else "no_near_channel"
+    hint = message(f"data.{key}", near=".".join([*path, *near]))
     if path and all(path) and near != ["t"] and plain.isidentifier():
-        hint += f"; if '{plain}' is a valve, its command is '{name}.command'"
-    raise LogError(f"unknown channel '{name}'", file=file, line=line, hint=hint)
+        hint += message("data.if_valve", word=plain, name=name)
+    raise LogError(message("data.unknown_channel", name=name, near=hint), file=file, line=line)
 
 
 def label_of(text: str, *, file: str | Path, line: int | None = None) -> tuple[str, str]:
@@ -177,18 +147,13 @@ def label_of(text: str, *, file: str | Path, line: int | None = None) -> tuple[s
     match = LABEL.match(text)
     name, unit = match.groups() if match else (text.split("(")[0].strip(), "")
     check_known(name, file=file, line=line)
-    row = quantity(name)
+    row, label = quantity(name), text.strip()
     if not unit.strip() and row.unit != "dimensionless":
-        raise UnitError(
-            f"'{text.strip()}' has no unit",
-            file=file,
-            line=line,
-            hint=f"write it like '{name} [{row.display}]'",
-        )
+        error = message("data.label_without_unit", label=label, name=name, display=row.display)
+        raise UnitError(error, file=file, line=line)
     try:
         to_si(0.0, unit, row)
     except UnitError as error:
-        raise UnitError(
-            f"'{text.strip()}': {error.message}", file=file, line=line, hint=error.hint
-        ) from None
+        reason = message("data.label_error", label=label, error=error.message)
+        raise UnitError(reason, file=file, line=line, hint=error.hint) from None
     return name, unit

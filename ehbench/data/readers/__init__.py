@@ -1,9 +1,8 @@
 """Files by others as tables of named columns, one file here a format.
 
 A reader says what stands in a file and changes nothing: names, units and time bases are the file's
-own; a map of columns makes channels of them (`ehbench.data.logs`). To add a format, write one file
-here
-with a function ``read(path, dialect) -> Source`` and a row in ``READERS``."""
+own; a map of columns makes channels of them (`ehbench.data.channels`). To add a format, write one
+file here with a function ``read(path, dialect) -> Source`` and a row in ``READERS``."""
 
 from __future__ import annotations
 
@@ -19,22 +18,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from ehbench.data.readers.flowmeter import FlowmeterData, merge_flowmeter, read_flowmeter
 from ehbench.data.readers.table import Column, Dialect, Source, Table
 from ehbench.vocabulary.errors import EhbenchError, LogError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened_path
 
 __all__ = [
     "Column",
     "Dialect",
-    "FlowmeterData",
     "READERS",
     "Reader",
     "Source",
     "Table",
-    "merge_flowmeter",
     "open_source",
-    "read_flowmeter",
     "reader_of",
     "suffixes",
 ]
@@ -42,7 +38,8 @@ __all__ = [
 
 class Reader(NamedTuple):
     """A format: what it is called, how its files end and begin, the module here that reads it and
-    the package that this needs beside those of every installation.
+    the package that this needs beside those of every installation. Files that begin as other
+    formats do too, as all archives, are ``packed``: their ending has to fit.
     """
 
     name: str
@@ -50,6 +47,7 @@ class Reader(NamedTuple):
     module: str
     package: str = ""
     magic: tuple[bytes, ...] = ()
+    packed: bool = False
 
 
 READERS = (
@@ -60,7 +58,7 @@ READERS = (
     Reader("MAT v7.3", (".mat",), "hdf5", "h5py", (b"MATLAB 7.3 MAT-file",)),
     Reader("HDF5", (".h5", ".hdf5", ".hdf", ".he5"), "hdf5", "h5py", (b"\x89HDF\r\n\x1a\n",)),
     Reader("Parquet", (".parquet", ".pq"), "parquet", "pyarrow", (b"PAR1",)),
-    Reader("Excel", (".xlsx", ".xlsm"), "excel", "openpyxl", (b"PK\x03\x04",)),
+    Reader("Excel", (".xlsx", ".xlsm"), "excel", "openpyxl", (b"PK\x03\x04",), True),
     Reader(
         "ROS 2 bag", (".mcap", ".db3"), "ros", "rosbags", (b"\x89MCAP0\r\n", b"SQLite format 3")
     ),
@@ -82,32 +80,27 @@ def reader_of(path: Path) -> Reader:
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
-            return READERS[-1]
-        raise LogError(
-            "cannot be read: it is a folder, and no ROS 2 bag", file=path, hint="name a file in it"
-        )
+            return next(reader for reader in READERS if reader.module == "ros")
+        raise LogError(message("data.is_folder"), file=path)
     try:
         head = b""
         if stat.S_ISREG(path.stat().st_mode):  # a pipe would keep the process waiting
             with path.open("rb") as file:
                 head = file.read(_HEAD)
     except (FileNotFoundError, NotADirectoryError):
-        raise LogError("cannot be read: there is no such file", file=path) from None
+        raise LogError(message("data.no_file"), file=path) from None
     except (OSError, ValueError) as error:
-        words = getattr(error, "strerror", None) or error
-        raise LogError(f"cannot be read: {words}", file=shortened_path(path)) from None
-    for reader in READERS:
-        if any(head.startswith(magic) for magic in reader.magic):
-            return reader
+        reason = getattr(error, "strerror", None) or error
+        path = shortened_path(path)
+        raise LogError(message("data.unreadable", reason=reason), file=path) from None
     name = path.name.lower().removesuffix(".gz")
-    for reader in READERS:
-        if name.endswith(reader.suffixes):
-            return reader
-    raise LogError(
-        f"is of no format that is read ('{path.suffix or path.name}')",
-        file=path,
-        hint="it reads " + ", ".join(suffixes()),
-    )
+    begins = [reader for reader in READERS if head.startswith(reader.magic)]
+    ends = [reader for reader in READERS if name.endswith(reader.suffixes)]
+    both = [reader for reader in begins if reader in ends]
+    for reader in (*both, *(reader for reader in begins if not reader.packed), *ends):
+        return reader
+    kind, known = path.suffix or path.name, ", ".join((".toml", *suffixes()))
+    raise LogError(message("data.unknown_format", kind=kind, known=known), file=path)
 
 
 def open_source(path: Path, dialect: Dialect | None = None) -> Source:
@@ -122,11 +115,8 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
         try:
             import_module(reader.package)
         except ImportError:
-            raise LogError(
-                f"{reader.name} files are read by {reader.package}, which is not installed",
-                file=path,
-                hint='install it with: pip install "ehbench[import]"',
-            ) from None
+            text = message("data.reader_missing", name=reader.name, package=reader.package)
+            raise LogError(text, file=path) from None
     read: Callable[[Path, Dialect], Source] = import_module(f"{__name__}.{reader.module}").read
     with _quiet():
         source = _read(reader, read, path, dialect or Dialect())
@@ -135,11 +125,12 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
         there = ", ".join(f"'{table.name}'" for table in source.tables)
         retained = tuple(table for table in source.tables if table.name == requested)
         if not retained:
-            raise LogError(f"has no table '{requested}'", file=path, hint=f"it has {there}")
+            text = message("data.no_table", table=requested, there=there)
+            raise LogError(text, file=path)
         source = replace(source, tables=retained)
     if not any(table.size for table in source.tables):
         hint = "; ".join(source.losses[:4]) or None
-        raise LogError("holds no column of numbers", file=path, hint=hint)
+        raise LogError(message("data.no_column_of_numbers"), file=path, hint=hint)
     return source
 
 
@@ -156,16 +147,17 @@ def _read(
             raise
         raise LogError(error.message, file=path, hint=error.hint) from None
     except RecursionError:
-        message = "it is too deep"
+        reason = "it is too deep"
     except MemoryError:
-        message = "it is too large"
+        reason = "it is too large"
     except Exception as error:  # the libraries raise all kinds on a damaged file
-        message = str(error) or type(error).__name__
+        reason = str(error) or type(error).__name__
     finally:
         if was_on:
             gc.enable()
     gc.collect(0)  # what they leave of it complains as it goes
-    raise LogError(f"cannot be read as {reader.name}: {message}", file=path)
+    text = message("data.unreadable_as", format=reader.name, reason=reason)
+    raise LogError(text, file=path)
 
 
 @contextmanager

@@ -3,11 +3,9 @@ units below it, decimal commas, times of day, gzip."""
 
 from __future__ import annotations
 
-import csv
 import re
-import zlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -15,19 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.data.readers.clock import clock, time_of_day
-from ehbench.data.readers.table import Column, Dialect, Source, Table, is_hole, numbered
-from ehbench.runtime.disk import DATA, read_bytes
-from ehbench.runtime.memory import available, refuse_beyond
+from ehbench.data.readers.table import Column, Dialect, Source, Table, numbered
+from ehbench.data.text import NUMBER, cells_of, is_hole, lines_of, numbers, split, text_of
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
-COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
-_GZIP = b"\x1f\x8b"
 _REMARKS = ("#", "%", "//")
-_NUMBER = {
-    ".": re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"),
-    ",": re.compile(r"[-+]?(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eE][-+]?[0-9]+)?"),
-}
 _UNIT_HEADS = ("unit", "units", "einheit", "einheiten", "unité", "unidad")
 _BRACKETED = re.compile(r"\(.*\)|\[.*\]")
 # how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
@@ -39,56 +31,6 @@ _CLOCK_FORM = re.compile(
 _HEADS = 6  # rows of facts between the header and the numbers
 _LOOKED_AT = 200  # lines that tell a dialect
 _TOGETHER = 20  # lines in a row that are looked at: signals of several rates take turns
-_BLOCK = 512  # rows that are read at once
-_QUOTED = 60  # characters of a cell in a message
-
-
-def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
-    """(text, encoding) of a file, also of one packed by gzip: UTF-8, UTF-16 with its mark, else
-    Windows' own western one.
-
-    Raises:
-        LogError: not there, too large, no text, or not in the encoding asked for.
-    """
-    try:
-        data = read_bytes(path, DATA, LogError)
-    except FileNotFoundError:
-        raise LogError("cannot be read: there is no such file", file=path) from None
-    data = unpacked(data, path)
-    refuse_beyond(COPIES * len(data), "reading it")
-    marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
-    marked = [item for mark, item in marks.items() if data.startswith(mark)]
-    for item in [encoding] if encoding else [*marked, "utf-8", "cp1252", "latin-1"]:
-        try:
-            text = data.decode(item)
-        except (UnicodeDecodeError, LookupError):
-            continue
-        if "\0" in text:
-            break
-        return text, item
-    hint = f"it is not in {encoding}" if encoding else "save it as CSV in UTF-8"
-    raise LogError("is no text", file=path, hint=hint)
-
-
-def unpacked(data: bytes, path: Path) -> bytes:
-    """The bytes of a file, unpacked where gzip has packed them.
-
-    Raises:
-        LogError: broken, or larger than can be held.
-    """
-    if not data.startswith(_GZIP):
-        return data
-    maximum = int(available() / COPIES)
-    unpacker = zlib.decompressobj(31)
-    try:
-        result = unpacker.decompress(data, maximum)
-    except zlib.error as error:
-        raise LogError(f"cannot be unpacked: {error}", file=path) from None
-    if unpacker.unconsumed_tail:
-        raise LogError(f"unpacks to more than the {maximum / 1e6:.4g} MB that are read", file=path)
-    if not unpacker.eof:
-        raise LogError("cannot be unpacked: it breaks off", file=path)
-    return result
 
 
 @dataclass(frozen=True)
@@ -106,7 +48,7 @@ class _Layout:
 def read(path: Path, dialect: Dialect) -> Source:
     """The table of a text file; what the dialect leaves open is looked for."""
     text, encoding = text_of(path, dialect.encoding)
-    table, result = table_of(text.splitlines(), dialect)
+    table, result = table_of(lines_of(text), dialect)
     return Source((table,), replace(result, encoding=encoding))
 
 
@@ -122,46 +64,29 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
     units = [] if layout.units is None else split(_bare(lines[layout.units]), separator)
     width = len(layout.kinds)
     names = numbered((top + [""] * width)[:width])
-    messages = [
-        "" if cell.lower() in _UNIT_HEADS else named_unit(cell) or _plain(cell)
-        for cell in (units + [""] * width)[:width]
-    ]
     at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
     rows = [lines[n] for n in at]
-    values, odd = numbers(rows, separator, decimal, layout.kinds)
+    of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
+    values, odd = numbers(rows, separator, decimal, of_numbers)
     columns, began, daytime, words = [], None, None, {}
     for index, kind in enumerate(layout.kinds):
-        if kind == "words":
-            words[names[index]] = [_cell(row, separator, index) for row in rows]
+        if kind == "numbers":
+            place = of_numbers.index(index)
+            unit = _unit(units[index]) if index < len(units) else ""
+            columns.append(Column(names[index], values[:, place], unit, odd[place]))
             continue
-        own = odd.get(index, {})
-        column, unit = values[:, index], messages[index]
-        if kind == "times":
-            cells = [_cell(row, separator, index) for row in rows]
-            column, start = clock(cells)
-            unit, own = "s", {}
-            began = start if began is None else began
-            daytime = time_of_day(cells) if daytime is None and start is None else daytime
-        columns.append(Column(names[index], column, unit, own))
+        cells = cells_of(rows, separator, index)
+        if kind == "words":
+            words[names[index]] = cells
+            continue
+        column, start = clock(cells)
+        began = start if began is None else began
+        daytime = time_of_day(cells) if daytime is None and start is None else daytime
+        columns.append(Column(names[index], column, "s"))
     daytime = None if began is not None else daytime
     table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words, daytime)
     skip = layout.first if layout.header is None else layout.header
     return table, Dialect(separator, decimal, skip, layout.units is not None)
-
-
-def split(line: str, separator: str) -> list[str]:
-    """The cells of a line; a separator ' ' is any white space."""
-    if separator == " ":
-        return line.replace('"', "").split()
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(separator)]
-    row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-    return [cell.strip() for cell in row]
-
-
-def _cell(line: str, separator: str, index: int) -> str:
-    cells = split(line, separator)
-    return cells[index] if index < len(cells) else ""
 
 
 def _bare(line: str) -> str:
@@ -174,7 +99,7 @@ def _is_row(line: str, separator: str) -> bool:
 
 def _kind(cell: str, decimal: str) -> str:
     """What a cell holds: a number, a time of day, nothing, or words."""
-    if _NUMBER[decimal].fullmatch(cell):
+    if NUMBER[decimal].fullmatch(cell):
         return "numbers"
     if is_hole(cell):
         return "holes"
@@ -216,7 +141,7 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
     at = [n for n in range(skip, len(lines)) if _is_row(lines[n], separator)]
     kinds = _kinds_of([split(lines[n], separator) for n in at], decimal)
     if not kinds:
-        raise LogError("holds no rows of numbers")
+        raise LogError(message("data.no_rows_of_numbers"))
 
     def fits(n: int, least: float) -> bool:
         row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
@@ -230,7 +155,7 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
 
     strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
     if strict is None:
-        raise LogError("holds no rows of numbers")
+        raise LogError(message("data.no_rows_of_numbers"))
     while strict > 0 and fits(at[strict - 1], 0.5):  # a row with a broken cell is a row still
         strict -= 1
     first = at[strict]
@@ -282,7 +207,7 @@ def _heads(
         filled = [cell for cell in cells if cell.strip("-")]
         if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
             break
-        if sum(bool(_NUMBER["."].fullmatch(cell)) for cell in filled) < 0.5 * len(filled):
+        if sum(bool(NUMBER["."].fullmatch(cell)) for cell in filled) < 0.5 * len(filled):
             wide.append(filled)
             at.append(n)
     for index, cells in enumerate(wide[:-1]):
@@ -305,41 +230,9 @@ def _is_unit(cell: str) -> bool:
     return bool(named_unit(cell) or absolute_unit(cell) or _CLOCK_FORM.fullmatch(plain))
 
 
-def _plain(cell: str) -> str:
-    """A unit that is not known here without the brackets about it."""
-    return cell.strip() if absolute_unit(cell) else cell.strip(" []()")
-
-
-def numbers(
-    rows: Sequence[str], separator: str, decimal: str, kinds: Sequence[str]
-) -> tuple[np.ndarray, dict[int, dict[int, str]]]:
-    """(numbers, shape (rows, columns), NaN where none stands; what stands there, by column and row)
-    of the columns of numbers.
-    """
-    required = [index for index, kind in enumerate(kinds) if kind == "numbers"]
-    values = np.full((len(rows), len(kinds)), np.nan)
-    odd: dict[int, dict[int, str]] = {}
-    for start in range(0, len(rows), _BLOCK):
-        block = rows[start : start + _BLOCK]
-        plain: Iterable[str] = block if decimal == "." else (r.replace(",", ".") for r in block)
-        try:
-            if separator == decimal:  # numbers in quotes
-                raise ValueError
-            values[start : start + len(block), required] = np.loadtxt(
-                plain,
-                delimiter=None if separator == " " else separator,
-                ndmin=2,
-                comments=None,
-                usecols=required,
-                quotechar='"',
-            )
-        except ValueError:
-            for at, row in enumerate(block, start):
-                cells = split(row, separator)
-                for index in required:
-                    cell = cells[index] if index < len(cells) else ""
-                    if _NUMBER[decimal].fullmatch(cell):
-                        values[at, index] = float(cell.replace(",", "."))
-                    else:
-                        odd.setdefault(index, {})[at] = cell[:_QUOTED]
-    return values, odd
+def _unit(cell: str) -> str:
+    """The unit that a cell says; one that is not known here without the brackets about it."""
+    if cell.lower() in _UNIT_HEADS:
+        return ""
+    plain = cell.strip() if absolute_unit(cell) else cell.strip(" []()")
+    return named_unit(cell) or plain

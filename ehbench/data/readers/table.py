@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.data.readers.clock import moments
+from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _UNIT_LAST = (
@@ -23,7 +25,6 @@ _UNIT_LAST = (
     # at the end of words only such as are hardly anything else
     r"[\s_](m?bar|psi|[kM]Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
 )
-_HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 WIDEST = 256  # columns that a matrix may have
 
 
@@ -35,11 +36,6 @@ def unit_in(name: str) -> str:
         if (result := re.search(pattern, name)) and (unit := named_unit(result[1])):
             return unit
     return ""
-
-
-def is_hole(cell: str) -> bool:
-    """Whether a cell says that there is no value: blank, NaN, n/a, -, …"""
-    return bool(_HOLE.fullmatch(cell))
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,14 +154,10 @@ class Source:
         at = known.get(name, whole.get(name))
         if at is not None:
             return at
-        near = get_close_matches(name, known, 1, 0.6)
-        some = list(known)
-        there = ", ".join(f"'{item}'" for item in some[:12]) + ", …" * (len(some) > 12)
-        raise LogError(
-            f"has no column '{name}'",
-            file=file,
-            hint=f"nearest is '{near[0]}'" if near else f"it has {there}",
-        )
+        if near := get_close_matches(name, known, 1, 0.6):
+            raise LogError(message("data.no_column_near", name=name, near=near[0]), file=file)
+        there = ", ".join(f"'{item}'" for item in list(known)[:12]) + ", …" * (len(known) > 12)
+        raise LogError(message("data.no_column", name=name, there=there), file=file)
 
 
 def numbered(names: Sequence[str]) -> list[str]:

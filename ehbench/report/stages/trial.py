@@ -44,9 +44,9 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 
 def _log_of(run: Saved) -> Record:
-    from ehbench.data.logs import read_record
+    from ehbench.data import read
 
-    return read_record(run.folder / "log.mcap")
+    return read(run.folder / "log.mcap")
 
 
 def _draw_cylinders(

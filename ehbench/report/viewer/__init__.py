@@ -119,9 +119,9 @@ def _run(folder: Path, of: int) -> Iterator[Sheet]:
 
 
 def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None = None) -> Sheet:
-    from ehbench.data.logs import read_record
+    from ehbench.data import read
 
-    record = read_record(path, check=False, columns=columns)
+    record = read(path, check=False, columns=columns)
     return _over_time(title, record.t, record.channels, rig, of)
 
 

@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.recipe.columns import ColumnMap
-from ehbench.data.logs.mapped import Group, Window, joined
-from ehbench.data.logs.reading import read_record
+from ehbench.data.rates import Group, Window, joined
 from ehbench.data.readers import Table
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 _DAY = 86400.0
 _HALF_HOUR = 1800.0
-_AFTER = 'shift = "0 s" where both began at once, else how much later this file\'s time 0 lies'
 
 
 @dataclass(frozen=True)
-class Beside:
+class AdditionalFile:
     """A file that another recorder wrote of the same run: its map of columns, and by how much its
     samples were taken later [s] than its time says (None where its clock is to tell). Without a
     ``shared_clock`` both times count from their own zero, whatever their clocks say.
@@ -34,50 +33,63 @@ class Beside:
     shared_clock: bool = True
 
 
-def with_beside(
-    record: Record, path: Path, others: Sequence[Beside], window: Window | None = None
-) -> Record:
-    """A log with the channels of files beside it, its time counting on as in ``path``, its own
-    file. The fastest file gives the time base, as the fastest table of a file does.
+def lateness(record: Record, path: Path, result: Record, other: AdditionalFile) -> float:
+    """By how much the time 0 of an additional file lies after that of the log [s].
 
     Raises:
-        LogError: a file cannot be read, or has a bad sample inside of the window.
-        InputError: nothing tells when it began, it has a channel that is there already, or no
-            sample at the log's time.
+        InputError: nothing tells.
+    """
+    clock = _clock(record, result) if other.shared_clock else None
+    if clock is None and other.shift is None and other.shared_clock:
+        fields = {"log": path.name, "there": _began(record), "here": _began(result)}
+        raise InputError(message("data.no_common_clock", **fields), file=other.path)
+    return (clock or 0.0) + (other.shift or 0.0)
+
+
+def with_additional(
+    record: Record, path: Path, others: Sequence[tuple[AdditionalFile, Record, float]]
+) -> Record:
+    """A log with the channels of additional files, its time counting on as in ``path``, its own
+    file. The fastest file gives the time base, as the fastest table of a file does.
+
+    Args:
+        record: the log.
+        path: its file.
+        others: file, record and lateness [s] of each additional one.
+
+    Raises:
+        InputError: a file has a channel that is there already, or no sample at the log's time.
     """
     groups, losses = [_group(path, record, 0.0)], list(record.losses)
     rates = [record.meta["rates"]] if "rates" in record.meta else []
-    for other in others:
-        whole = window is None or not np.isfinite(window).any()
-        result = read_record(other.path, whole, other.columns)
-        late = _lateness(record, path, result, other)
-        if window is not None and not whole:
-            span = (window[0] - late, window[1] - late)
-            result = read_record(other.path, True, other.columns, span)
-        if twice := sorted(
-            {name for group in groups for name in group.channels} & {*result.channels}
-        ):
-            raise InputError(
-                f"has {', '.join(twice)}, and so has a file beside it",
-                file=other.path,
-                hint="leave it out of one of the maps",
-            )
+    for other, result, late in others:
+        there = {name for group in groups for name in group.channels}
+        if twice := sorted(there & {*result.channels}):
+            text = message("data.in_two_files", channels=", ".join(twice))
+            raise InputError(text, file=other.path)
         t = result.t + late
         if not ((t >= record.t[0]) & (t <= record.t[-1])).any():
-            raise InputError(
-                f"has no sample while {path.name} runs: {_ends(record, 0.0)} there, "
-                f"{_ends(result, late)} here",
-                file=other.path,
-                hint=_cure(t, record),
+            text = message(
+                "data.no_common_time",
+                log=path.name,
+                there=_ends(record, 0.0),
+                here=_ends(result, late),
+                zones=_zones(t, record),
             )
+            raise InputError(text, file=other.path)
         groups.append(_group(other.path, result, late))
         losses += [f"{other.path.name}: {loss}" for loss in result.losses]
         rates += [result.meta["rates"]] if "rates" in result.meta else []
     t, channels, brought = joined(groups, losses)
     if not t.size:
-        raise InputError("has no sample at which all files beside it have one", file=path)
+        raise InputError(message("data.no_common_sample"), file=path)
     meta = record.meta | ({"rates": "; ".join(rates + brought)} if rates + brought else {})
     return replace(record, t=t, channels=channels, meta=meta, losses=tuple(losses))
+
+
+def moved(window: Window, late: float) -> Window:
+    """A window of the log in the time of a file that is late [s]."""
+    return window[0] - late, window[1] - late
 
 
 def _group(path: Path, record: Record, late: float) -> Group:
@@ -85,24 +97,9 @@ def _group(path: Path, record: Record, late: float) -> Group:
     return Group(Table(path.name, ()), record.t + late, None, channels=dict(record.channels))
 
 
-def _lateness(record: Record, path: Path, result: Record, other: Beside) -> float:
-    """By how much the time 0 of a file lies after that of the log [s]."""
-    message = _clock(record, result) if other.shared_clock else None
-    if message is None and other.shift is None:
-        if not other.shared_clock:
-            return 0.0
-        raise InputError(
-            f"nothing tells when it began against {path.name}: {_began(record)} there, "
-            f"{_began(result)} here",
-            file=other.path,
-            hint=_AFTER,
-        )
-    return (message or 0.0) + (other.shift or 0.0)
-
-
 def _clock(record: Record, result: Record) -> float | None:
-    """What the clocks of two logs say of that [s]: by date and time, by the times of day where one
-    knows no more; None where one knows neither.
+    """What the clocks of two logs say of the lateness [s]: by date and time, by the times of day
+    where one knows no more; None where one knows neither.
     """
     moments = [_moment(item) for item in (record, result)]
     if moments[0] is not None and moments[1] is not None:
@@ -127,26 +124,21 @@ def _began(record: Record) -> str:
     if (text := record.meta.get("began")) is not None:
         return text.replace("T", " ").replace("+00:00", "")
     if (day := record.meta.get("time_of_day")) is not None:
-        return _daytime(float(day))
+        minutes, seconds = divmod(float(day), 60.0)
+        return f"{int(minutes) // 60:02d}:{int(minutes) % 60:02d}:{seconds:06.3f}"
     return "no clock"
 
 
-def _cure(t: np.ndarray, record: Record) -> str:
-    """What to write where two files have no time in common; clocks of other zones are whole half
-    hours apart.
+def _zones(t: np.ndarray, record: Record) -> str:
+    """The shift that brings two files together where their clocks are of two time zones, whole
+    half hours apart; '' where none does.
     """
-    cure = "say by how much their clocks differ: shift, which counts beside them"
     if t.size:
         halves = -round((0.5 * (t[0] + t[-1]) - 0.5 * (record.t[0] + record.t[-1])) / _HALF_HOUR)
         near = t + halves * _HALF_HOUR
         if halves and near[0] < record.t[-1] and near[-1] > record.t[0]:
-            cure = f'clocks of two time zones? shift = "{0.5 * halves:g} h" puts them together'
-    return f'{cure}; or clock = "own" where each counts from its own start'
-
-
-def _daytime(seconds: float) -> str:
-    minutes, rest = divmod(seconds, 60.0)
-    return f"{int(minutes) // 60:02d}:{int(minutes) % 60:02d}:{rest:06.3f}"
+            return message("data.two_time_zones", hours=0.5 * halves)
+    return ""
 
 
 def _ends(record: Record, late: float) -> str:
@@ -154,6 +146,6 @@ def _ends(record: Record, late: float) -> str:
     if not record.t.size:
         return "no sample"
     clock = _began(record)
-    message = "" if clock == "no clock" else f" (its time 0 is {clock})"
+    zero = "" if clock == "no clock" else f" (its time 0 is {clock})"
     first, last = (record.t[[0, -1]] + late).tolist()
-    return f"{first:.6g} to {last:.6g} s{message}"
+    return f"{first:.6g} to {last:.6g} s{zero}"

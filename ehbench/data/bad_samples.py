@@ -1,0 +1,120 @@
+"""Bad samples of a foreign file: refused, bridged, or left out with their rows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap
+from ehbench.data.rates import NAMED, SETTINGS, Group, Window, in_window, is_bad, lines_text
+from ehbench.vocabulary.errors import LogError, UnitError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.units import from_si
+
+
+def clean(
+    group: Group, columns: ColumnMap, path: Path, window: Window | None, losses: list[str]
+) -> Group:
+    """Refuse bad samples inside of the window, or give the group without them, as the map says: a
+    few in a row are bridged, of more the rows are gone.
+
+    Raises:
+        LogError, UnitError: a bad sample that the map does not allow; no row has a time.
+    """
+    count = np.arange(group.t.size)
+    timed = np.isfinite(group.t)
+    if not timed.any():
+        raise LogError(message("data.no_row_timed"), file=path)
+    t = np.interp(count, count[timed], group.t[timed])
+    inside = in_window(t, window)
+    policies = {item.channel: item.bad_samples for item in columns.columns.names.values()}
+    general = columns.columns.bad_samples
+    if (lost := np.flatnonzero(~timed & inside)).size:
+        if general != LEAVE_OUT:
+            raise LogError(
+                message("data.row_without_time"), file=path, line=_line(group, int(lost[0]))
+            )
+        rows, lines = plural(lost.size, "row"), lines_text(group, lost)
+        losses.append(message("data.rows_without_time", rows=rows, lines=lines))
+    gone = ~timed
+    for channel, values in group.channels.items():
+        bad = is_bad(channel, values)
+        if not bad.any():
+            continue
+        at = np.flatnonzero(bad & inside & timed)
+        if at.size and (policies.get(channel) or general) != LEAVE_OUT:
+            raise _bad_sample(group, channel, int(at[0]), path)
+        bridged = bad & _short(bad) & ~gone
+        _bridge(channel, values, count, bad, bridged)
+        gone |= bad & ~bridged & inside
+        for some, is_bridged in ((at[bridged[at]], True), (at[~bridged[at]], False)):
+            if some.size:
+                losses.append(_left_out(channel, group, t, some, is_bridged))
+    return group.taken(np.flatnonzero(~gone)) if gone.any() else group
+
+
+def _bridge(
+    channel: str, values: np.ndarray, count: np.ndarray, bad: np.ndarray, bridged: np.ndarray
+) -> None:
+    """Put a straight line, or the last command, in place of the samples to be bridged."""
+    good = np.flatnonzero(~bad)
+    if not good.size:
+        return
+    if channel.endswith(".command"):
+        before = np.searchsorted(good, count[bridged], side="right") - 1
+        values[bridged] = values[good[before.clip(0)]]
+    else:
+        values[bridged] = np.interp(count[bridged], good, values[good])
+
+
+def _short(bad: np.ndarray) -> np.ndarray:
+    """Where a run of bad samples is short enough to be bridged, with good ones at both ends."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]])))
+    result = np.zeros(bad.size, bool)
+    for start, stop in edges.reshape(-1, 2):
+        few = stop - start <= SETTINGS.bridged
+        result[start:stop] = few and start > 0 and stop < bad.size
+    return result
+
+
+def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, is_bridged: bool) -> str:
+    """A note on samples that are left out."""
+    samples, lines = plural(at.size, "bad sample"), lines_text(group, at)
+    if not is_bridged:
+        first, last = t[at[0]], t[at[-1]]
+        fields = {"channel": channel, "samples": samples, "lines": lines}
+        return message("data.rows_left_out", first=first, last=last, **fields)
+    some = ", ".join(f"{t[item]:.6g}" for item in at[:NAMED]) + ", …" * (at.size > NAMED)
+    key = "data.command_bridged" if channel.endswith(".command") else "data.samples_bridged"
+    return message(key, channel=channel, samples=samples, times=some, lines=lines)
+
+
+def _line(group: Group, at: int) -> int | None:
+    return None if group.table.lines is None else group.table.lines[at]
+
+
+def _bad_sample(group: Group, channel: str, at: int, path: Path) -> LogError | UnitError:
+    """The error of a bad sample."""
+    row, value, column = quantity(channel), group.channels[channel][at], group.columns[channel]
+    line = _line(group, at)
+    where = "" if line else f" at t = {group.t[at]:.9g} s"
+    if np.isfinite(value):
+        low, high, shown = (from_si(x, row.display, row) for x in (row.lower, row.upper, value))
+        text = message(
+            "data.bad_value",
+            channel=channel,
+            value=shown,
+            unit=row.display,
+            where=where,
+            low=low,
+            high=high,
+            column=column.name,
+        )
+        return UnitError(text, file=path, line=line)
+    odd = column.odd.get(at)
+    what = f"is {value:g}" if odd is None else f"'{odd}' is no number" if odd else "is blank"
+    text = message("data.bad_sample", channel=channel, what=what, where=where)
+    return LogError(text, file=path, line=line)

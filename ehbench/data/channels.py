@@ -1,0 +1,307 @@
+"""Foreign files as a `Record`: by a map, columns become channels in SI, on one time base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
+from ehbench.data.bad_samples import clean
+from ehbench.data.logs.checks import LABEL, TIMES, check_known, check_time
+from ehbench.data.rates import (
+    SETTINGS,
+    Group,
+    Window,
+    apart,
+    gaps,
+    in_window,
+    is_bad,
+    joined,
+    lines_text,
+    repeated,
+)
+from ehbench.data.readers import Column, Dialect, Source, open_source
+from ehbench.data.record import Record
+from ehbench.signals.series import lowpass
+from ehbench.signals.timestamps import FEWEST, stamps_of
+from ehbench.vocabulary.errors import InputError, LogError, UnitError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary.quantities import VOCABULARY
+
+FROM_1970 = 1e8  # [s] from which a time counts from 1970
+_LISTED = 8  # columns that a hint names
+
+
+def read_mapped(
+    path: Path, columns: ColumnMap | None, check: bool = True, window: Window | None = None
+) -> Record:
+    """A log of any format that is read, by a map of its columns; without one, of the columns that
+    are named as channels.
+
+    Args:
+        path: the file.
+        columns: which column is which channel.
+        check: refuse bad samples, or leave them out, as the map says.
+        window: [s] only what lies inside is checked.
+
+    Raises:
+        LogError: no such column, no time, a bad sample inside of the window.
+        UnitError: a unit that does not become the channel's.
+    """
+    source = open_source(path, dialect_of(columns))
+    columns = columns or named_channels(source, path)
+    groups = _Mapping(path, columns, source).groups()
+    losses = [note for group in groups for note in _rate_note(group)]
+    began, daytime = _one_clock(groups)
+    if check and columns.columns.bad_samples == LEAVE_OUT:
+        groups = [_without_repeats(group, losses) for group in groups]
+    for index, group in enumerate(groups):
+        _filter(group, columns)
+        if check:
+            group = clean(group, columns, path, window, losses)
+            _check_time(group, path, window)
+        groups[index] = _in_time(group, columns)
+    for group in groups:
+        losses += gaps(group, window)
+    t, channels, rates = joined(groups, losses)
+    if check and not t.size:
+        raise LogError(message("data.no_samples"), file=path)
+    meta = {"rates": "; ".join(rates)} if rates else {}
+    if began is not None:
+        meta["began"] = datetime.fromtimestamp(began, UTC).isoformat()
+    elif daytime is not None:
+        meta["time_of_day"] = f"{daytime:.6f}"
+    return Record(t, channels, meta, losses=tuple(losses))
+
+
+def dialect_of(columns: ColumnMap | None) -> Dialect:
+    """How a map says that its files are to be read."""
+    if columns is None:
+        return Dialect()
+    keys = columns.columns
+    return Dialect(*columns.marks, keys.skip, keys.unit_row, keys.encoding, keys.table)
+
+
+def named_channels(source: Source, path: Path) -> ColumnMap:
+    """The map of a file whose columns are named as channels, with their units: ``boom.q [deg]``.
+
+    Raises:
+        LogError: there is none; says how to make a map.
+    """
+    results = {}
+    for name, (i, j) in source.names().items():
+        label = LABEL.match(name)
+        channel, unit = label.groups() if label else (name, source.tables[i].columns[j].known_unit)
+        channel = "t" if channel.lower() in TIMES else channel.replace("/", ".").strip(".")
+        if channel.rpartition(".")[2] in VOCABULARY and unit:
+            results[name] = MappedColumn(channel=channel, unit=unit)
+    if not any(column.channel != "t" for column in results.values()):
+        names = list(source.names())
+        there = ", ".join(f"'{name}'" for name in names[:_LISTED])
+        there += ", …" * (len(names) > _LISTED)
+        raise LogError(message("data.no_named_channel", there=there, file=path.name), file=path)
+    return ColumnMap(Columns(names=results))
+
+
+def si_of(
+    name: str, mapped: MappedColumn, column: Column, columns: ColumnMap, path: Path
+) -> np.ndarray:
+    """A column in SI, by what a map says of it.
+
+    Raises:
+        UnitError: no unit, or one that does not become the channel's.
+    """
+    unit = column.known_unit
+    try:
+        gain, zero = mapped.line(unit)
+    except UnitError as error:
+        key = "data.unit_of_file" if column.unit and not unit else "data.column_error"
+        text = message(key, name=name, error=error.message, unit=column.unit)
+        where = columns.at("names", name) or {"file": path}
+        raise UnitError(text, hint=error.hint, **where) from None
+    return gain * column.values + zero
+
+
+@dataclass(frozen=True)
+class _Mapping:
+    """A file under its map; ``places`` are the (table, column) of each name of the map."""
+
+    path: Path
+    columns: ColumnMap
+    source: Source
+    places: dict[str, tuple[int, int]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        places = {name: self.source.place(name, self.path) for name in self.columns.columns.names}
+        object.__setattr__(self, "places", places)
+
+    def groups(self) -> list[Group]:
+        """The mapped channels in SI, those of one table and one rate together."""
+        groups: dict[int, Group] = {}
+        for name, mapped in self.columns.columns.names.items():
+            if mapped.channel == "t":
+                continue
+            check_known(mapped.channel, **self.columns.at("names", name))
+            index = self.places[name][0]
+            if index not in groups:
+                groups[index] = self._timed(index)
+            groups[index].channels[mapped.channel] = self._si(name)
+            groups[index].columns[mapped.channel] = self._column(name)
+        if not groups:
+            raise InputError(message("data.maps_nothing"), **self.columns.at())
+        return [part for group in groups.values() for part in _parts(group)]
+
+    def _column(self, name: str) -> Column:
+        table, column = self.places[name]
+        return self.source.tables[table].columns[column]
+
+    def _si(self, name: str) -> np.ndarray:
+        """A column of the map in SI."""
+        mapped = self.columns.columns.names[name]
+        return si_of(name, mapped, self._column(name), self.columns, self.path)
+
+    def _timed(self, index: int) -> Group:
+        """A table with its time, and no channel yet: by the rate that the map says, a column of its
+        own or of another table as long, or as the format knows it.
+        """
+        table, tables = self.source.tables[index], self.source.tables
+        names = self.columns.columns.names.items()
+        times = [name for name, item in names if item.channel == "t"]
+        own = [name for name in times if self.places[name][0] == index]
+        same = [name for name in times if tables[self.places[name][0]].size == table.size]
+        began, t = table.began, table.t
+        for name in [*own, *same][:1]:
+            t = self._si(name)
+            began = tables[self.places[name][0]].began if began is None else began
+        stamped = None
+        if self.columns.columns.rate is not None:
+            stamped = t
+            t = _counted(t, table.size, float(self.columns.columns.rate))
+        if t is None:
+            what = f"table '{table.name}' " if table.name else ""
+            raise LogError(message("data.no_time", table=what), file=self.path)
+        good = t[np.isfinite(t)]
+        if good.size and good[0] > FROM_1970:
+            began, t = float(good[0]), t - good[0]
+        return Group(table, t, began, table.daytime if began is None else None, stamped=stamped)
+
+
+def _parts(group: Group) -> list[Group]:
+    """The channels of a table by the rows in which they stand: a group a rate."""
+    names = list(group.channels)
+    parts = apart([group.columns[name] for name in names])
+    if len(parts) == 1:
+        return [group]
+    return [
+        group.taken(np.flatnonzero(rows), [names[index] for index in item]) for item, rows in parts
+    ]
+
+
+def _counted(t: np.ndarray | None, size: int, rate: float) -> np.ndarray:
+    """Time [s] of the rows of a table by their rate [Hz], from 0 on. Where stamps ``t`` stand
+    beside them that are finer than the rate, these tell which rows are missing, and no more.
+    """
+    count = np.arange(size) / rate
+    if t is None or not np.isfinite(t).all() or np.mean(np.diff(t) <= 0.0) > SETTINGS.repeated:
+        return count
+    stamps = stamps_of(t, 1.0 / rate)
+    return count if stamps is None or not stamps.even else stamps.number / rate
+
+
+def _rate_note(group: Group) -> list[str]:
+    """A note where the rows of a table that a rate counts last another time than their stamps do,
+    by more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
+    """
+    if group.stamped is None or group.t.size < FEWEST or not np.isfinite(group.stamped).all():
+        return []
+    stamped, lasts = float(np.ptp(group.stamped)), float(np.ptp(group.t))
+    rounded = float(np.percentile(np.abs(np.diff(group.stamped)), 99))
+    if abs(stamped - lasts) <= 2.0 * rounded + SETTINGS.wrong_rate * lasts:
+        return []
+    return [message("data.wrong_rate", group=group.title, rows=lasts, stamps=stamped)]
+
+
+def _one_clock(groups: list[Group]) -> tuple[float | None, float | None]:
+    """(wall clock [s since 1970], time of day [s since midnight]) of t = 0, that of the first table
+    to begin: the others are shifted to it.
+    """
+    known = [group.began for group in groups if group.began is not None]
+    days = [group.daytime for group in groups if group.daytime is not None]
+    for group in groups:
+        if group.began is not None:
+            group.t = group.t + (group.began - min(known))
+        elif group.daytime is not None:
+            group.t = group.t + (group.daytime - min(days))
+    return min(known, default=None), min(days, default=None)
+
+
+def _without_repeats(group: Group, losses: list[str]) -> Group:
+    """The group without rows that are the one before once more, as loggers write them twice."""
+    again = np.flatnonzero(repeated(group.t, list(group.columns.values())))
+    if not again.size:
+        return group
+    rows, lines = plural(again.size, "row"), lines_text(group, again)
+    losses.append(message("data.repeated_rows", group=group.title, rows=rows, lines=lines))
+    return group.taken(np.delete(np.arange(group.t.size), again))
+
+
+def _check_time(group: Group, path: Path, window: Window | None) -> None:
+    """Refuse a time that stands still or goes back inside of the window."""
+    inside = np.flatnonzero(in_window(group.t, window))
+    lines = None if group.table.lines is None else [group.table.lines[int(at)] for at in inside]
+    try:
+        check_time(group.t[inside], file=path, lines=lines)
+    except LogError as error:
+        again = repeated(group.t, list(group.columns.values())).any()
+        cure = message("data.leave_repeats_out" if again else "data.give_a_rate")
+        hint = f"{error.hint}; {cure}"
+        raise LogError(error.message, file=path, line=error.line, hint=hint) from None
+
+
+def _filter(group: Group, columns: ColumnMap) -> None:
+    """Low-pass what the map asks it for; over bad samples it goes on along a straight line."""
+    for name, mapped in columns.columns.names.items():
+        if mapped.filter is None or mapped.channel not in group.channels:
+            continue
+        span, cutoff = group.period * group.t.size, float(mapped.filter)
+        if cutoff * span < 1.0:
+            text = message("data.filter_of_short_log", frequency=cutoff, span=span)
+            raise InputError(text, **columns.at("names", name))
+        values = group.channels[mapped.channel]
+        good = ~is_bad(mapped.channel, values)
+        if good.sum() > 3 and 0.0 < group.period < np.inf:
+            at = np.arange(values.size)
+            smooth = lowpass(np.interp(at, at[good], values[good]), group.period, cutoff)
+            group.channels[mapped.channel] = np.where(good, smooth, values)
+
+
+def _in_time(group: Group, columns: ColumnMap) -> Group:
+    """The group with the channels that were written late, or early, put to where they belong; the
+    rows at an end for which they have no values are left out.
+    """
+    late = {
+        item.channel: float(item.late)
+        for item in columns.columns.names.values()
+        if item.late is not None and item.channel in group.channels
+    }
+    if not any(late.values()):
+        return group
+    t, slack = group.t, 0.01 * group.period
+    for name, by in late.items():
+        values = group.channels[name]
+        if name.endswith(".command"):
+            at = np.searchsorted(t, t + by + slack, side="right") - 1
+            group.channels[name] = values[at.clip(0)]
+        else:
+            group.channels[name] = np.interp(t + by, t, values)
+    keep = (t + max(0.0, *late.values()) <= np.nanmax(t) + slack) & (
+        t + min(0.0, *late.values()) >= np.nanmin(t) - slack
+    )
+    if not keep.any():
+        shifts = ", ".join(f"{name} by {1e3 * by:g} ms" for name, by in late.items() if by)
+        raise LogError(message("data.nothing_in_time", span=t[-1] - t[0], shifts=shifts))
+    return group.taken(np.flatnonzero(keep))

@@ -1,0 +1,515 @@
+"""Flowmeter readings as arrays in SI, by the header of a CSV or by a map of columns."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ehbench.config.recipe.columns import WORDS, ColumnMap
+from ehbench.data.channels import dialect_of, si_of
+from ehbench.data.readers import Source, Table, open_source
+from ehbench.data.text import is_hole, text_table
+from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.units import from_si, plausible, to_si
+
+_PRESSURES = ("upstream_pressure", "downstream_pressure")
+_NUMBERS = ("command", "pressure_drop", *_PRESSURES, "flow", "temperature")
+_METHODS = ("flowmeter", "cylinder")
+_EXAMPLE = "valve,direction,command [V],pressure_drop [kPa],flow [gpm],trial,method"
+_HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
+_NAMED, _LISTED = 4, 12  # readings left out that are reported with their reason, with their line
+
+
+@dataclass(frozen=True)
+class FlowmeterSettings:
+    """Limits of what a reading of a flowmeter can be."""
+
+    zero_share: float = setting(
+        0.02, "", "share of the largest reading below which a sign says nothing", "scatter at rest"
+    )
+    supply_margin: float = setting(
+        1.5,
+        "",
+        "drop, in supply pressures, from which its unit is wrong",
+        "units differ by 7 to 10",
+    )
+    supply_share: float = setting(
+        0.005, "", "largest drop, in supply pressures, below which its unit is doubted", "as above"
+    )
+    most_left_out: float = setting(
+        1.0 / 3.0, "", "share of a valve's readings that may be left out as slips", "a majority is"
+    )
+    fewest_reverse: int = setting(
+        4,
+        "",
+        "readings with both signs turned from which they are a map's other direction",
+        "a fit",
+    )
+
+
+SETTINGS = FlowmeterSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class FlowmeterData:
+    """Flowmeter readings, one array entry a row, in the order of the file. SI.
+
+    ``valve``, ``direction`` (``forward``, ``reverse`` or ``from->to``) and ``method``
+    (``flowmeter``, ``cylinder``) are arrays of text; ``command`` [V]; ``pressure_drop`` [Pa], NaN
+    where a cylinder's speed was taken without, and ``flow`` [m³/s] along the direction, so positive
+    up to the scatter about zero; ``trial`` counts;
+    ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings`` are
+    notes on what looks odd and was retained, ``losses`` on what was left out; ``units`` those in
+    which the file, the first of several, has its columns."""
+
+    valve: np.ndarray
+    direction: np.ndarray
+    command: np.ndarray
+    pressure_drop: np.ndarray
+    flow: np.ndarray
+    trial: np.ndarray
+    method: np.ndarray
+    temperature: np.ndarray
+    file: np.ndarray
+    line: np.ndarray
+    warnings: tuple[str, ...] = ()
+    losses: tuple[str, ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return self.line.size
+
+    def shown(self, word: str, value: float) -> str:
+        """A value [SI] of ``pressure_drop`` or ``flow`` in the unit that the file has it in."""
+        row = VOCABULARY[word]
+        unit = _drop_unit(self.units) if word == "pressure_drop" else self.units.get(word)
+        return f"{float(from_si(value, unit or row.display, row)):.3g} {unit or row.display}"
+
+    def groups(self) -> list[tuple[str, str]]:
+        """(valve, direction) pairs there are readings of, sorted."""
+        return sorted(set(zip(self.valve.tolist(), self.direction.tolist(), strict=True)))
+
+    def select(self, valve: str, direction: str = "forward") -> FlowmeterData:
+        """The readings of one valve in one direction.
+
+        Raises:
+            InputError: there are none; names the valves and directions there are.
+        """
+        at = (self.valve == valve) & (self.direction == direction)
+        if not at.any():
+            there = ", ".join(" ".join(group) for group in self.groups())
+            raise InputError(
+                message("data.no_readings_of", valve=valve, direction=direction, there=there)
+            )
+        return self.at(at)
+
+    def at(self, rows: np.ndarray) -> FlowmeterData:
+        """These readings alone, by number or by a mask."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+
+
+_ARRAYS = tuple(f.name for f in fields(FlowmeterData) if f.type == "np.ndarray")
+
+
+class LeftOut:
+    """Readings that cannot be right: the first stops the reading of a file, or each is ``allowed``
+    to be left out and reported, as long as they are few.
+    """
+
+    def __init__(self, allowed: bool) -> None:
+        self.allowed = allowed
+        self.errors: list[tuple[str, InputError]] = []
+
+    def take(self, valve: str, error: InputError) -> None:
+        """Note what is wrong with a reading of a valve.
+
+        Raises:
+            InputError: where nothing may be left out.
+        """
+        if not self.allowed:
+            cure = message("data.leave_readings_out")
+            hint = cure if error.hint is None else f"{error.hint}; {cure}"
+            raise type(error)(error.message, file=error.file, line=error.line, hint=hint)
+        self.errors.append((valve, error))
+
+    def passes(self, valve: str, check: Callable[..., Any], *given: Any) -> bool:
+        """Whether a check of a reading raises nothing; takes what it raises."""
+        try:
+            check(*given)
+        except InputError as error:
+            self.take(valve, error)
+            return False
+        return True
+
+    def sentences(self, kept: Sequence[str]) -> tuple[str, ...]:
+        """A note for each file on the readings of it that are left out.
+
+        Args:
+            kept: the valve of each reading that is not.
+
+        Raises:
+            InputError: they are too many of a valve's readings to be slips.
+        """
+        stay, gone = Counter(kept), Counter(valve for valve, _ in self.errors)
+        files: dict[str, list[InputError]] = {}
+        for valve, error in self.errors:
+            count, every = gone[valve], gone[valve] + stay[valve]
+            if count > max(1, SETTINGS.most_left_out * every):
+                text = message(
+                    "data.too_many_left_out",
+                    error=error.message,
+                    count=count,
+                    every=every,
+                    valve=valve,
+                )
+                hint = "; ".join(filter(None, (error.hint, text.hint)))
+                raise type(error)(text, file=error.file, line=error.line, hint=hint)
+            files.setdefault(Path(str(error.file)).name, []).append(error)
+        return tuple(_left_out(*pair) for pair in files.items())
+
+
+def _left_out(name: str, errors: Sequence[InputError]) -> str:
+    """How many readings of a file are left out, and of the first of them why."""
+    first = "; ".join(f"line {error.line}: {error.message}" for error in errors[:_NAMED])
+    others = ", ".join(str(error.line) for error in errors[_NAMED:][:_LISTED])
+    more = f"; lines {others}{', …' * (len(errors) > _NAMED + _LISTED)}" if others else ""
+    readings = plural(len(errors), "reading")
+    return message("data.readings_left_out", name=name, readings=readings, first=first, more=more)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sheet:
+    """Columns of readings: ``numbers`` in SI with the text of what is none, by row (``odd``), the
+    ``units`` that they were written in, ``words``, and the line of each row.
+    """
+
+    path: Path
+    lines: Sequence[int]
+    numbers: Mapping[str, np.ndarray]
+    odd: Mapping[str, Mapping[int, str]]
+    words: Mapping[str, Sequence[str]]
+    units: Mapping[str, str]
+
+
+def read_flowmeter(
+    path: str | Path,
+    columns: ColumnMap | None = None,
+    *,
+    supply_pressure: float | None = None,
+    leave_out: bool = False,
+) -> FlowmeterData:
+    """Flowmeter readings from a CSV file, or from any file by a map of its columns.
+
+    The first line that is no comment (``#``) names the columns, in any order, with any unit of the
+    right kind: ``valve, command [V], pressure_drop [kPa], flow [gpm]``, or ``upstream_pressure``
+    and ``downstream_pressure`` in place of ``pressure_drop``; neither where all rows are of the
+    method ``cylinder``; optional ``direction`` (``forward``,
+    ``reverse``, or nodes as ``head->rod``), ``trial``, ``method`` (``flowmeter`` or ``cylinder``),
+    ``temperature [degC]``, ``note``. Columns are separated by commas, or by semicolons or tabs,
+    where decimal commas are understood. A row without direction whose drop and flow are both
+    negative is a reading in the reverse direction. By a map without a column of valves a file is of
+    the valve that its name says, and so is each of several tables that have all columns of the map.
+
+    Args:
+        columns: the map; one that names no column leaves the names to the file.
+        supply_pressure: [Pa]; a drop above 1.5 times as much is refused as a slip of unit.
+        leave_out: leave out a row that cannot be right, and say so in ``losses``; more than a third
+            of a valve's rows are refused nevertheless.
+
+    Raises:
+        InputError, UnitError: with file, line and what would be right.
+    """
+    path = Path(path)
+    named = columns is not None and bool(columns.columns.names)
+    sheets = list(_mapped(path, columns)) if columns and named else [_named(path)]
+    left_out = LeftOut(leave_out)
+    rows: list[dict[str, Any]] = []
+    for sheet in sheets:
+        for index, valve in enumerate(sheet.words["valve"]):
+            left_out.passes(valve, lambda *given: rows.append(_row(*given)), sheet, index)
+    if not rows and not left_out.errors:
+        raise InputError(message("data.no_readings", example=_EXAMPLE), file=path)
+    units = sheets[0].units
+    if supply_pressure is not None:
+        rows = [
+            row
+            for row in rows
+            if left_out.passes(row["valve"], _check_supply, row, supply_pressure, units)
+        ]
+    rows = _signs(rows, left_out)
+    losses = left_out.sentences([row["valve"] for row in rows])
+    warnings = () if supply_pressure is None else _small_drops(path, rows, supply_pressure, units)
+    arrays: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ARRAYS}
+    return FlowmeterData(**arrays, warnings=warnings, losses=losses, units=units)
+
+
+def is_flowmeter(path: Path) -> bool:
+    """Whether the header of a CSV is one of flowmeter readings."""
+    try:
+        header = text_table(path, _EXAMPLE).header
+    except InputError:
+        return False
+    names = [cell.split("[")[0].strip().lower() for cell in header]
+    return "valve" in names or ("flow" in names and "t" not in names)
+
+
+def _named(path: Path) -> _Sheet:
+    """The columns of a CSV whose header names them."""
+    table = text_table(path, _EXAMPLE)
+    where: dict[str, Any] = {"file": path, "line": table.head}
+    places: dict[str, int] = {}
+    units: dict[str, str] = {}
+    for place, cell in enumerate(table.header):
+        match = _HEADER.fullmatch(cell)
+        text, unit = (match[1], match[2] or "") if match else (cell, "")
+        name = text.lower().replace(" ", "_")
+        if name not in (*_NUMBERS, *WORDS):
+            raise InputError(_unknown(cell), **where)
+        if name in places:
+            raise InputError(message("data.column_twice", name=name), **where)
+        places[name] = place
+        if name in _NUMBERS:
+            if not unit:
+                display = VOCABULARY[name].display
+                raise UnitError(
+                    message("data.column_without_unit", name=name, display=display), **where
+                )
+            try:
+                to_si(1.0, unit, VOCABULARY[name])
+            except UnitError as error:
+                text = message("data.column_error", name=name, error=error.message)
+                raise UnitError(text, hint=error.hint, **where) from None
+            units[name] = unit
+        elif unit not in ("", "-", "1"):
+            raise UnitError(message("data.unit_of_words", name=name, unit=unit), **where)
+    _check_columns(places, where)
+    values, odd = table.numbers([places[name] for name in units])
+    numbers = {
+        name: to_si(values[:, at], unit, VOCABULARY[name])
+        for at, (name, unit) in enumerate(units.items())
+    }
+    words = {name: table.cells(places[name]) for name in WORDS if name in places}
+    return _Sheet(path, table.lines, numbers, dict(zip(units, odd, strict=True)), words, units)
+
+
+def _unknown(cell: str) -> str:
+    """The message on a column that is none of a file of readings."""
+    near = get_close_matches(
+        re.split(r"[\s(\[{]", cell.lower())[0], (*_NUMBERS, *WORDS), 1, cutoff=0.5
+    )
+    if not near:
+        return message("data.unknown_column", cell=cell, example=_EXAMPLE)
+    unit = f" [{VOCABULARY[near[0]].display}]" if near[0] in _NUMBERS else ""
+    return message("data.unknown_column_near", cell=cell, near=near[0], unit=unit)
+
+
+def _check_columns(names: Mapping[str, int], where: Mapping[str, Any]) -> None:
+    """Refuse a header that lacks a column, or says the drop twice."""
+    sides = any(name in names for name in _PRESSURES)
+    if "pressure_drop" in names and sides:
+        raise InputError(message("data.drop_and_pressures"), **where)
+    needed = ["valve", "command", "flow"]
+    if sides:
+        needed += _PRESSURES
+    elif "method" not in names:  # a cylinder's speed may stand alone, row by row
+        needed.append("pressure_drop")
+    if missing := [name for name in needed if name not in names]:
+        shown = [f"{n} [{VOCABULARY[n].display}]" if n in _NUMBERS else n for n in missing]
+        columns, cells = " and ".join(missing), " and ".join(f'"{text}"' for text in shown)
+        raise InputError(message("data.missing_column", columns=columns, cells=cells), **where)
+
+
+def _mapped(path: Path, columns: ColumnMap) -> Iterator[_Sheet]:
+    """The readings of each table of a foreign file that has all columns of a map; of the first
+    where there is one such table, or none.
+    """
+    source = open_source(path, dialect_of(columns))
+    tables = alike(source, list(columns.columns.names))
+    if len(tables) < 2:
+        yield _mapped_table(path, source, Path(path.name.removesuffix(".gz")).stem, columns)
+        return
+    for table in tables:
+        yield _mapped_table(path, replace(source, tables=(table,)), table.name, columns)
+
+
+def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> _Sheet:
+    """The readings of the first table of a source, those of a valve where no column names it."""
+    table, numbers, odd, words = source.tables[0], {}, {}, {}
+    for name, mapped in columns.columns.names.items():
+        what = mapped.channel.rpartition(".")[2]
+        if what in WORDS and name in table.words:
+            words[what] = table.words[name]
+            continue
+        index, place = source.place(name, path)
+        if index:
+            other = source.tables[index].name
+            raise InputError(message("data.other_table", name=name, table=other), file=path)
+        column = table.columns[place]
+        if what in WORDS:
+            words[what] = [f"{value:g}" for value in column.values]
+        elif what != "t":
+            numbers[what], odd[what] = si_of(name, mapped, column, columns, path), column.odd
+    words.setdefault("valve", [valve] * table.size)
+    lines = table.lines or range(2, table.size + 2)
+    units = {name: VOCABULARY[name].unit for name in numbers}
+    _check_columns(dict.fromkeys([*numbers, *words], 0), columns.at("names"))
+    return _Sheet(path, lines, numbers, odd, words, units)
+
+
+def alike(source: Source, names: Sequence[str] | None = None) -> list[Table]:
+    """The tables of a workbook that have all columns of some names; without names those of the
+    first. A sheet for each valve, with the same columns, is one workbook of readings.
+    """
+    has = [{*(column.name for column in item.columns), *item.words} for item in source.tables]
+    required = set(names) if names is not None else has[0] if has else set()
+    return [table for table, there in zip(source.tables, has, strict=True) if required <= there]
+
+
+def _row(sheet: _Sheet, index: int) -> dict[str, Any]:
+    """One reading in SI, its drop signed along the direction as the file has it.
+
+    Raises:
+        InputError: a cell that is blank, no number or no word that is known.
+    """
+    where: dict[str, Any] = {"file": sheet.path, "line": sheet.lines[index]}
+    words = {name: cells[index] for name, cells in sheet.words.items()}
+    row: dict[str, Any] = {
+        "file": str(sheet.path),
+        "line": sheet.lines[index],
+        "valve": words["valve"],
+        "temperature": math.nan,
+        "pressure_drop": math.nan,
+    }
+    if not row["valve"]:
+        raise InputError(message("data.blank_valve"), **where)
+    for name, values in sheet.numbers.items():
+        quantity, number = VOCABULARY[name], float(values[index])
+        if not math.isfinite(number):
+            cell = sheet.odd[name].get(index, f"{number:g}")
+            if name == "temperature" and is_hole(cell):
+                continue
+            key = "data.no_number" if cell else "data.blank"
+            raise InputError(message(key, name=name, cell=cell), **where)
+        row[name] = number
+        unit = sheet.units[name]
+        try:
+            plausible(number, quantity, f"{from_si(number, unit, quantity):.6g} {unit}")
+        except UnitError as error:
+            raise UnitError(error.message, hint=error.hint, **where) from None
+    if _PRESSURES[0] in row:
+        row["pressure_drop"] = row.pop(_PRESSURES[0]) - row.pop(_PRESSURES[1])
+    row["direction"] = re.sub(r"\s*(->|→)\s*", "->", words.get("direction", "").lower())
+    row["method"] = words.get("method", "").lower() or _METHODS[0]
+    trial = words.get("trial", "") or "1"
+    if not re.fullmatch(r"(forward|reverse|\w+->\w+)?", row["direction"]):
+        raise InputError(message("data.bad_direction", text=words["direction"]), **where)
+    if row["method"] not in _METHODS:
+        raise InputError(message("data.bad_method", text=words["method"]), **where)
+    if row["method"] != "cylinder" and math.isnan(row["pressure_drop"]):
+        raise InputError(message("data.reading_without_drop"), **where)
+    if not re.fullmatch(r"\d{1,9}", trial):
+        raise InputError(message("data.bad_trial", text=trial), **where)
+    return row | {"trial": int(trial)}
+
+
+def _check_supply(row: Mapping[str, Any], supply: float, units: Mapping[str, str]) -> None:
+    """Refuse a drop far above the supply pressure [Pa]."""
+    drop, unit = abs(row["pressure_drop"]), _drop_unit(units)
+    if drop > SETTINGS.supply_margin * supply:
+        shown, limit = (from_si(x, unit, VOCABULARY["pressure_drop"]) for x in (drop, supply))
+        raise UnitError(
+            message(
+                "data.drop_beyond_supply", drop=shown, unit=unit, times=drop / supply, supply=limit
+            ),
+            file=row["file"],
+            line=row["line"],
+        )
+
+
+def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]]:
+    """The rows but for those whose flow runs against its drop; those with both negative and no
+    direction are turned into reverse ones.
+    """
+    zeros: dict[str, tuple[float, float]] = {}
+    for row in rows:
+        flow, drop = zeros.get(row["valve"], (0.0, 0.0))
+        share = SETTINGS.zero_share
+        flow = max(flow, share * abs(row["flow"]))
+        zeros[row["valve"]] = flow, max(drop, share * abs(row["pressure_drop"]))
+    rows = [
+        row
+        for row in rows
+        if left_out.passes(row["valve"], _check_signs, row, *zeros[row["valve"]])
+    ]
+    turned = Counter()
+    for row in rows:
+        if row["pressure_drop"] < -zeros[row["valve"]][1]:
+            row |= {name: -row[name] for name in ("flow", "pressure_drop")}
+            row["direction"] = "reverse"
+            turned[row["valve"]] += 1
+        row["direction"] = row["direction"] or "forward"
+    return [row for row in rows if left_out.passes(row["valve"], _check_few, row, turned, left_out)]
+
+
+def _check_signs(row: Mapping[str, Any], flow_zero: float, drop_zero: float) -> None:
+    """Refuse a flow against the drop, or a drop against the direction that the row says."""
+    flow, drop = row["flow"], row["pressure_drop"]
+    where: dict[str, Any] = {"file": row["file"], "line": row["line"]}
+    if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
+        raise InputError(message("data.flow_against_drop", valve=row["valve"]), **where)
+    if drop < -drop_zero and row["direction"]:
+        raise InputError(
+            message("data.drop_against_direction", direction=row["direction"]), **where
+        )
+
+
+def _check_few(row: Mapping[str, Any], turned: Counter[str], left_out: LeftOut) -> None:
+    """Refuse one of a few readings that were turned round: where rows may be left out, too few
+    for a map are slips.
+    """
+    few = 0 < turned[row["valve"]] < SETTINGS.fewest_reverse
+    if left_out.allowed and few and row["direction"] == "reverse":
+        text = message("data.few_reverse", valve=row["valve"])
+        raise InputError(text, file=row["file"], line=row["line"])
+
+
+def _drop_unit(units: Mapping[str, str]) -> str:
+    """The unit in which a file has its drops."""
+    display = VOCABULARY["pressure_drop"].display
+    return units.get("pressure_drop") or units.get("upstream_pressure", display)
+
+
+def _small_drops(
+    path: Path, rows: Sequence[Mapping[str, Any]], supply: float, units: Mapping[str, str]
+) -> tuple[str, ...]:
+    """A warning where all drops are far below the supply pressure [Pa]."""
+    maximum, unit = max((row["pressure_drop"] for row in rows), default=np.inf), _drop_unit(units)
+    if not maximum < SETTINGS.supply_share * supply:
+        return ()
+    shown = from_si(maximum, unit, VOCABULARY["pressure_drop"])
+    return (message("data.small_drops", file=path, drop=shown, unit=unit),)
+
+
+def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
+    """The readings of several files one after the other; each keeps its file and line."""
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS
+    }
+    return FlowmeterData(
+        warnings=tuple(text for part in parts for text in part.warnings),
+        losses=tuple(text for part in parts for text in part.losses),
+        units=parts[0].units,
+        **arrays,
+    )

@@ -1,0 +1,236 @@
+"""Tables of several rates: signals that take turns in one table, and tables on one time base."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ehbench.data.readers import Column, Table
+from ehbench.signals.timestamps import stamps_of
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.settings import setting
+
+Window = tuple[float, float]
+NAMED = 4  # places that a note names
+
+
+@dataclass(frozen=True)
+class RateSettings:
+    """How signals of a foreign file are told apart and brought together."""
+
+    bridged: int = setting(
+        5, "", "bad samples in a row that a straight line may stand for", "as for gaps"
+    )
+    gap: float = setting(
+        1.5, "", "sample times between two samples from which one is missing", "half a sample late"
+    )
+    wrong_rate: float = setting(
+        0.01,
+        "",
+        "share by which rows may last another time than their stamps",
+        "clocks differ less",
+    )
+    repeated: float = setting(
+        0.05,
+        "",
+        "share of rows above which a time that stands still is rounded",
+        "repeats are rare",
+    )
+    slower: float = setting(
+        1.5, "", "times the rows between values from which a signal has its own rate", "2 in theory"
+    )
+    shared: float = setting(
+        0.1, "", "share of rows up to which two signals take turns", "messages collide at times"
+    )
+    fewest: int = setting(4, "", "values that tell a rate", "three steps have a median")
+
+
+SETTINGS = RateSettings()
+
+
+@dataclass
+class Group:
+    """The channels of one table at one rate: its time [s], wall clock of t = 0 [s since 1970] and
+    time of day [s], its channels in SI and the columns they are from.
+
+    ``stamped`` [s] are stamps of rows that a rate counts instead."""
+
+    table: Table
+    t: np.ndarray
+    began: float | None
+    daytime: float | None = None
+    channels: dict[str, np.ndarray] = field(default_factory=dict)
+    columns: dict[str, Column] = field(default_factory=dict)
+    stamped: np.ndarray | None = None
+
+    @property
+    def period(self) -> float:
+        """Median time between samples [s]."""
+        steps = np.diff(self.t[np.isfinite(self.t)])
+        return float(np.median(steps)) if steps.size else np.inf
+
+    @property
+    def title(self) -> str:
+        """The table by its name, else its first channels."""
+        names = list(self.channels)
+        some = ", ".join(names[:NAMED]) + ", …" * (len(names) > NAMED)
+        return f"table '{self.table.name}'" if self.table.name else some
+
+    def taken(self, rows: np.ndarray, channels: Sequence[str] | None = None) -> Group:
+        """The same group with some of its rows, by number, and channels."""
+        names = list(self.channels) if channels is None else channels
+        columns = {name: self.columns[name].taken(rows) for name in names}
+        lines = self.table.lines
+        lines = None if lines is None else [lines[int(row)] for row in rows]
+        return Group(
+            replace(self.table, columns=tuple(columns.values()), lines=lines, words={}),
+            self.t[rows],
+            self.began,
+            self.daytime,
+            {name: self.channels[name][rows] for name in names},
+            columns,
+        )
+
+
+def in_window(t: np.ndarray, window: Window | None) -> np.ndarray:
+    """Which times [s] lie inside a window; a NaN lies in none."""
+    first, last = window or (-np.inf, np.inf)
+    return (t >= first) & (t <= last)
+
+
+def is_bad(channel: str, values: np.ndarray) -> np.ndarray:
+    """Where no number stands that a rig can have."""
+    row = quantity(channel)
+    return ~(np.isfinite(values) & (values >= row.lower) & (values <= row.upper))
+
+
+def lines_text(group: Group, at: np.ndarray) -> str:
+    """The lines of some rows of a text file, in brackets; '' of any other file."""
+    if group.table.lines is None:
+        return ""
+    some = ", ".join(str(group.table.lines[int(item)]) for item in at[:NAMED])
+    return f" (line{'s' * (at.size > 1)} {some}{', …' * (at.size > NAMED)})"
+
+
+def apart(columns: Sequence[Column]) -> list[tuple[list[int], np.ndarray]]:
+    """(columns by number, the rows that are theirs) of the signals of a table that stand in the
+    same rows. A signal has rows of its own where it stands in every second row of another or more
+    seldom, or where the two take turns; one that is missing here and there has not, nor one that
+    is missing for a while. Loggers of a bus write a row for each message, blank in all other
+    columns.
+    """
+    groups: list[tuple[list[int], np.ndarray]] = []
+    for index, column in enumerate(columns):
+        filled = column.filled
+        near = next((group for group in groups if not _take_turns(filled, group[1])), None)
+        if near is None:
+            groups.append(([index], filled))
+        else:
+            near[0].append(index)
+            near[1][:] |= filled
+    return groups
+
+
+def _take_turns(item: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two signals, by the rows that hold them, are of different messages."""
+    if np.array_equal(item, other):
+        return False
+    rows = [np.flatnonzero(item), np.flatnonzero(other)]
+    if min(some.size for some in rows) < SETTINGS.fewest:
+        return False
+    steps = [float(np.median(np.diff(some))) for some in rows]
+    if max(steps) >= SETTINGS.slower * min(steps):
+        return True
+    first, last = max(some[0] for some in rows), min(some[-1] for some in rows)
+    inside = min(int(((some >= first) & (some <= last)).sum()) for some in rows)
+    return inside >= SETTINGS.fewest and int((item & other).sum()) <= SETTINGS.shared * inside
+
+
+def repeated(t: np.ndarray, columns: Sequence[Column]) -> np.ndarray:
+    """Where a row is the one before once more: its time [s] and all its cells; shape (rows,).
+    Nowhere in a table whose time stands still often, as one that is rounded does.
+    """
+    same = np.concatenate([[False], t[1:] == t[:-1]])
+    if not 0.0 < same.mean() <= SETTINGS.repeated:
+        return np.zeros(t.size, bool)
+    for column in columns:
+        values = column.values
+        same[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+        for row in np.flatnonzero(same):
+            same[row] &= column.odd.get(int(row)) == column.odd.get(int(row) - 1)
+    return same
+
+
+def joined(
+    groups: Sequence[Group], losses: list[str]
+) -> tuple[np.ndarray, dict[str, np.ndarray], list[str]]:
+    """(time [s], all channels, a note on each other rate) on the time base of the fastest table;
+    readings of the others lie on straight lines between their samples, commands are held. Rows that
+    not all tables have values for are left out, and ``losses`` says so.
+    """
+    rates = []
+    base = min(groups, key=lambda group: group.period)
+    t, channels, keep = base.t, dict(base.channels), np.ones(base.t.size, bool)
+    for group in groups:
+        if group is base:
+            continue
+        good = np.isfinite(group.t) & (np.diff(group.t, prepend=-np.inf) > 0)
+        own, before = group.t[good], np.searchsorted(group.t[good], t, side="right") - 1
+        if np.array_equal(own, t):
+            channels.update({name: values[good] for name, values in group.channels.items()})
+            continue
+        ends = own[-1] + group.period if np.isfinite(group.period) else own[-1]
+        covered = (t >= own[0]) & (t <= ends)
+        after = np.append(own, np.inf)[before + 1] - own[before.clip(0)]
+        holes = covered & (after > (1 + SETTINGS.gap) * group.period) & (before < own.size - 1)
+        holes &= own[before.clip(0)] != t
+        keep &= covered & ~holes
+        for name, values in group.channels.items():
+            line = np.interp(t, own, values[good])
+            is_command = name.endswith(".command")
+            channels[name] = values[good][before.clip(0)] if is_command else line
+        if abs(group.period - base.period) > 0.01 * base.period:
+            rate, to = 1 / group.period, 1 / base.period
+            rates.append(message("data.other_rate", group=group.title, rate=rate, base=to))
+    if not keep.all():
+        losses += _uncovered(t, keep, max(group.period for group in groups))
+        t, channels = t[keep], {name: values[keep] for name, values in channels.items()}
+    return t, channels, rates
+
+
+def _uncovered(t: np.ndarray, keep: np.ndarray, slack: float) -> list[str]:
+    """A note on the rows that not all tables cover: tables begin and end a sample of the slowest
+    apart, which is no loss.
+    """
+    if keep.any():
+        first, last = t[keep][[0, -1]]
+        keep = keep | ((t < first) & (first - t[0] <= slack))
+        keep |= (t > last) & (t[-1] - last <= slack)
+    lost = int((~keep).sum())
+    return [message("data.rows_uncovered", rows=plural(lost, "row"))] if lost else []
+
+
+def gaps(group: Group, window: Window | None) -> list[str]:
+    """A note on where samples are missing inside of the window."""
+    t = group.t[in_window(group.t, window)]
+    if not 0.0 < group.period < np.inf:
+        return []
+    gap, steps = SETTINGS.gap, np.diff(t) / group.period
+    missing = np.where(steps > gap, np.rint(steps - 1.0), 0.0)
+    if np.any(np.abs(steps - missing - 1.0) > gap - 1.0):  # late stamps, by which no step tells
+        stamps = stamps_of(t)
+        missing = stamps.missing if stamps is not None and stamps.even else missing
+    at = np.flatnonzero(missing)
+    if not at.size:
+        return []
+    few = ", ".join(
+        f"{missing[item]:.0f} between t = {t[item]:.6g} and {t[item + 1]:.6g} s"
+        for item in at[:NAMED]
+    )
+    few += f", … ({at.size} gaps)" if at.size > NAMED else ""
+    samples = plural(int(missing.sum()), "sample")
+    return [message("data.samples_missing", group=group.title, samples=samples, where=few)]
