@@ -121,7 +121,11 @@ _ABSOLUTE = re.compile(r"(m?bar|psi|[km]?pa)[\s_]*\(?a(?:bs(?:ol\w*)?)?\.?\)?", 
 _GAUGE = {unit.lower(): unit for unit in ("mbar", "bar", "psi", "Pa", "kPa", "MPa")}
 
 # how else to give a quantity that a data sheet has in another form
-_INSTEAD = {"V": "volts", "m^3/(s*V*Pa^0.5)": "rated_drop", "m^3/(s*V)": "rated_flow"}
+_INSTEAD = {
+    "V": "vocabulary.instead_volts",
+    "m^3/(s*V*Pa^0.5)": "vocabulary.instead_rated_drop",
+    "m^3/(s*V)": "vocabulary.instead_rated_flow",
+}
 
 
 class _Unit(NamedTuple):
@@ -302,7 +306,7 @@ def to_si(value, unit: str, row: Quantity):
         usual = ", ".join(dict.fromkeys((row.unit, row.display)))
         instead = _INSTEAD.get(row.unit, "")
         hint = message("vocabulary.usual_units", name=row.name, usual=usual)
-        more = message(f"vocabulary.instead_{instead}") if instead else ""
+        more = message(instead) if instead else ""
         text = message("vocabulary.unit_for_quantity", reason=result, name=row.name)
         raise UnitError(text, hint="; ".join(filter(None, (hint, more))))
     scale, offset = result

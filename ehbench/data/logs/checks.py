@@ -135,8 +135,9 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
         return
     plain = word.strip().lower()
     near = ["t"] if plain in TIMES else get_close_matches(plain, VOCABULARY, 1, cutoff=0.5)
-    key = "near_time" if near == ["t"] else "near_channel" if near else "no_near_channel"
-    hint = message(f"data.{key}", near=".".join([*path, *near]))
+    key = "data.near_channel" if near else "data.no_near_channel"
+    key = "data.near_time" if near == ["t"] else key
+    hint = message(key, near=".".join([*path, *near]))
     if path and all(path) and near != ["t"] and plain.isidentifier():
         hint += message("data.if_valve", word=plain, name=name)
     raise LogError(message("data.unknown_channel", name=name, near=hint), file=file, line=line)

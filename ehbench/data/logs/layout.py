@@ -12,28 +12,20 @@ if TYPE_CHECKING:
     from mcap.records import McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
-
-
 FORMAT = "1"
-
-
 # an attachment and not only a metadata record, because attachments carry a CRC
 FACTS = "ehbench/facts.json"
 
+# opcodes of records
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, ATTACHMENT = 1, 2, 3, 4, 5, 6, 7, 9
+METADATA, DATA_END = 0x0C, 0x0F
 
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, INDEX, ATTACHMENT, METADATA, DATA_END = (
-    0x01,
-    0x02,
-    0x03,
-    0x04,
-    0x05,
-    0x06,
-    0x07,
-    0x09,
-    0x0C,
-    0x0F,
-)
-
+CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00
+CDR_TYPES = {
+    **{"bool": "u1", "byte": "u1", "char": "u1", "float32": "<f4", "float64": "<f8"},
+    **{f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)},
+    **{f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)},
+}
 
 MESSAGE_HEAD = [
     ("opcode", "u1"),
@@ -44,29 +36,7 @@ MESSAGE_HEAD = [
     ("publish_time", "<u8"),
     ("cdr", "<u4"),
 ]
-
-
 HEAD_SIZE = np.dtype(MESSAGE_HEAD).itemsize
-
-
-CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00
-
-
-CDR_TYPES = {
-    "bool": "u1",
-    "byte": "u1",
-    "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "<i2",
-    "uint16": "<u2",
-    "int32": "<i4",
-    "uint32": "<u4",
-    "int64": "<i8",
-    "uint64": "<u8",
-    "float32": "<f4",
-    "float64": "<f8",
-}
 
 
 class Readable(Protocol):

@@ -29,6 +29,7 @@ from ehbench.data.logs.layout import (
     SCHEMA,
     unpack,
 )
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 
 if TYPE_CHECKING:
@@ -131,40 +132,31 @@ class Salvage:
 
     def _scan(self) -> None:
         data, size = self.data, len(self.data)
-        pos = (
-            len(MAGIC)
-            if data.startswith(MAGIC)
-            else self._skip(0, "the file does not begin as MCAP does")
-        )
+        pos = len(MAGIC) if data.startswith(MAGIC) else self._skip(0, message("data.no_mcap_head"))
         while pos < size and not self.closed:
             opcode, length = struct.unpack_from("<BQ", data, pos) if pos + 9 <= size else (0, size)
             start, stop = pos + 9, pos + 9 + length
             if stop > size:
-                pos = self._skip(pos, "a record runs past the end of the file")
+                pos = self._skip(pos, message("data.record_too_long"))
                 continue
             try:
                 self._take(opcode, start, stop)
             except self.broken as error:
-                why = (
-                    str(error)
-                    if isinstance(error, Unreadable)
-                    else "a record is not what it claims to be"
-                )
+                named = isinstance(error, Unreadable)
+                why = str(error) if named else message("data.broken_record")
                 if opcode in (CHUNK, ATTACHMENT) and self._framed(opcode, start, stop):
-                    self.damage.append(f"bytes {pos} to {stop} of {size} are lost: {why}")
+                    self._lose(pos, stop, why)
                 else:
                     stop = self._skip(pos, why)
             pos = stop
         sums = (bytes(4), crc32(data[pos:-12]).to_bytes(4, "little"))
         if self.closed and not (data.endswith(MAGIC) and data[-12:-8] in sums):
-            self.damage.append(
-                "the index at the end of the file is damaged, no sample is missing by that"
-            )
+            self.damage.append(message("data.broken_index"))
         if self._loose and not self._chunks:
             try:
                 self._body(bytes(self._loose))
             except self.broken as error:
-                self.damage.append(f"the messages are damaged: {error}")
+                self.damage.append(message("data.broken_messages", error=error))
 
     def _skip(self, pos: int, why: str) -> int:
         """Note that the bytes from ``pos`` to the next chunk are lost; return where that chunk
@@ -179,8 +171,13 @@ class Salvage:
                 if stop <= size and self._framed(CHUNK, start, stop):
                     nxt = start - 9
                     break
-        self.damage.append(f"bytes {pos} to {nxt} of {size} are lost: {why}")
+        self._lose(pos, nxt, why)
         return nxt
+
+    def _lose(self, first: int, last: int, why: str) -> None:
+        """Note bytes that are lost."""
+        size = len(self.data)
+        self.damage.append(message("data.bytes_lost", first=first, last=last, size=size, why=why))
 
     def _framed(self, opcode: int, start: int, stop: int) -> bool:
         """Whether the inner lengths of a chunk or attachment agree with the record's length."""
@@ -215,7 +212,7 @@ class Salvage:
                 0,
                 crc32(data[start : stop - 4]),
             ):
-                raise Unreadable("the checksum of an attachment does not match")
+                raise Unreadable(message("data.attachment_checksum"))
             record = unpack(Attachment, data[start:stop])
             if record.name == FACTS:
                 self.facts = _facts(record.data)
@@ -233,10 +230,7 @@ class Salvage:
             (crc,) = struct.unpack("<I", data[start:stop])
             self.closed = True
             if crc and not self.damage and crc != crc32(memoryview(data)[: start - 9]):
-                self.damage.append(
-                    "the file's checksum does not match: "
-                    "something besides the samples read is damaged"
-                )
+                self.damage.append(message("data.file_checksum"))
         elif opcode == HEADER:
             unpack(Header, data[start:stop])
         elif opcode < 0x80:
@@ -250,21 +244,18 @@ class Salvage:
         packed = memoryview(self.data)[start + 40 + name : stop]
         if kind == b"zstd":
             if self.zstd.frame_content_size(packed) not in (-1, size):
-                raise Unreadable("the sizes of a chunk do not match")
+                raise Unreadable(message("data.chunk_sizes"))
             if size > self._room:
-                raise Unreadable(
-                    f"the chunks would unpack to more than {self._most / 1e6:.0f} MB, as of no log"
-                )
+                raise Unreadable(message("data.chunks_too_large", limit=self._most / 1e6))
             self._room -= size
             body = self.unpacker.decompress(packed, size)
         elif kind == b"":
             body = bytes(packed)
         else:
-            raise Unreadable(
-                f"a chunk is compressed with {kind.decode(errors='replace')}, ehbench reads zstd"
-            )
+            name = kind.decode(errors="replace")
+            raise Unreadable(message("data.chunk_compression", kind=name))
         if crc not in (0, crc32(body)):
-            raise Unreadable("the checksum of a chunk does not match")
+            raise Unreadable(message("data.chunk_checksum"))
         self._body(body)
 
     def _body(self, body: bytes) -> None:
@@ -293,9 +284,8 @@ class Salvage:
         fields = _fields(schema, channel)
         if fields is None:
             kind = f", {schema.name}" if schema else ""
-            self.unread[f"{channel.topic} ({channel.message_encoding or 'no encoding'}{kind})"] = (
-                None
-            )
+            encoding = channel.message_encoding or "no encoding"
+            self.unread[f"{channel.topic} ({encoding}{kind})"] = None
             self.streams.pop(channel.id, None)
         else:
             layout, labels = fields
@@ -367,7 +357,7 @@ class Salvage:
     @staticmethod
     def _take_messages(stream: Stream, messages: np.ndarray) -> None:
         if ((messages["#cdr"] & 0xFFFF) != CDR_LITTLE_ENDIAN).any():
-            raise Unreadable(f"a message of {stream.topic} is not in little-endian CDR")
+            raise Unreadable(message("data.message_not_cdr", topic=stream.topic))
         stream.add(messages)
 
 
@@ -394,7 +384,7 @@ def _room(rows: int, columns: int) -> np.ndarray:
 
 
 def _short(stream: Stream) -> Unreadable:
-    return Unreadable(f"a message of {stream.topic} is shorter than its schema says")
+    return Unreadable(message("data.short_message", topic=stream.topic))
 
 
 class Unreadable(ValueError):

@@ -35,7 +35,7 @@ def read_csv(path: Path, check: bool, window: tuple[float, float] | None = None)
     try:
         labels = [label_of(cell, **where) for cell in table.header]
     except InputError as error:
-        hint = f"{error.hint}; {message('data.or_a_map', file=path.name)}"
+        hint = f"{error.hint}; " + message("data.or_a_map", file=path.name)
         raise type(error)(error.message, hint=hint, **where) from None
     names = [name for name, _ in labels]
     if twice := next((name for name in names if names.count(name) > 1), None):

@@ -30,6 +30,7 @@ from ehbench.data.logs.layout import (
 )
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
@@ -40,16 +41,12 @@ if TYPE_CHECKING:
 # a flipped bit takes one chunk: so much data, or so much time, is in one at most
 CHUNK_SIZE = 64 * 1024  # [bytes], or thrice its schemas where those are large
 CHUNK_TIME = 0.5  # [s]
-
-
 _MEDIA = {
     ".toml": "application/toml",
     ".json": "application/json",
     ".csv": "text/csv",
     ".txt": "text/plain",
 }
-
-
 _LATEST = 9.2e9  # s; in ns this is the end of int64
 
 
@@ -107,7 +104,7 @@ class LogWriter:
         self.channels = tuple(channels)
         meta, attachments = dict(meta or {}), dict(attachments or {})
         if FACTS in attachments:
-            raise LogError(f"the attachment name '{FACTS}' is taken by the log itself", file=path)
+            raise LogError(message("data.attachment_taken", name=FACTS), file=path)
         self._topics = _topics(self.channels, _groups(self.channels, groups, path))
         self._prefix = b"".join(
             pack(record)
@@ -127,13 +124,10 @@ class LogWriter:
         try:
             self._file = open(self.path, "xb")  # noqa: SIM115
         except FileExistsError:
-            raise LogError(
-                "exists already, and a log never overwrites a recording",
-                file=path,
-                hint="choose another name",
-            ) from None
+            raise LogError(message("data.log_exists"), file=path) from None
         except OSError as error:
-            raise LogError(f"cannot be written: {error.strerror}", file=path) from error
+            text = message("data.unwritable", reason=error.strerror)
+            raise LogError(text, file=path) from error
         self._sync = sync
         self._synced = -np.inf
         try:
@@ -199,11 +193,7 @@ class LogWriter:
             return
         before = max(self._last[each.id] for each in topics)
         if not (np.isfinite(t).all() and np.abs(t).max() < _LATEST):
-            raise LogError(
-                "a sample has no usable time",
-                file=self.path,
-                hint="times are finite seconds below 9.2e9",
-            )
+            raise LogError(message("data.no_usable_time"), file=self.path)
         check_time(t if before == -np.inf else np.concatenate([[before], t]), file=self.path)
         for each in topics:
             self._last[each.id] = float(t[-1])
@@ -385,7 +375,8 @@ def write_log(path: str | Path, record: Record) -> None:
     except LogError as error:
         raise type(error)(error.message, file=path, hint=error.hint) from error
     except OSError as error:
-        raise LogError(f"cannot be written: {error.strerror}", file=path) from error
+        text = message("data.unwritable", reason=error.strerror)
+        raise LogError(text, file=path) from error
     finally:
         part.unlink(missing_ok=True)
 
@@ -399,9 +390,7 @@ def _groups(
     groups = {"/rig": channels} if groups is None else groups
     listed = [name for names in groups.values() for name in names]
     if not listed or sorted(listed) != sorted(set(channels)) or len(listed) != len(channels):
-        raise LogError(
-            "a log has at least one channel, and each channel is in exactly one topic", file=path
-        )
+        raise LogError(message("data.topics_of_channels"), file=path)
     return {topic: list(names) for topic, names in groups.items()}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ehbench.data.readers.table import Dialect, Gathered, Source
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.messages import message
 
 _UNITS = ("unit", "units", "Unit", "Units", "UNIT", "UNITS")
 
@@ -33,15 +34,15 @@ def read(path: Path, dialect: Dialect) -> Source:
             fixed = item.dtype.kind in "fiubV" and "MATLAB_empty" not in item.attrs
             if not (fixed and gathered.add(place, own, item[()], _unit(item.attrs))):
                 if (item.size or 0) > 1:
-                    losses.append(f"not read: {name}")
+                    losses.append(message("data.not_read", name=name))
     return Source(gathered.tables(), losses=tuple(losses))
 
 
 def _unit(attributes: Any) -> str:
     """The unit that a data set says it is in."""
     for key in _UNITS:
-        message = attributes.get(key)
-        if message is not None and np.size(message) == 1:
-            item = np.asarray(message).ravel()[0]
+        value = attributes.get(key)
+        if value is not None and np.size(value) == 1:
+            item = np.asarray(value).ravel()[0]
             return item.decode("utf-8", "replace") if isinstance(item, bytes) else str(item)
     return ""

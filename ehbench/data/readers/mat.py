@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.data.readers.table import Dialect, Gathered, Source, Table
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.messages import message
 
 _DEEPEST = 8  # structs in structs
 _PACKED = 20  # numbers that a byte of a packed file may stand for
@@ -60,11 +61,9 @@ def _add(gathered: Gathered, place: str, name: str, value: Any, losses: list[str
         return
     array = np.asarray(value)
     if hasattr(value, "dtype") and value.dtype.names and "s2" in value.dtype.names:
-        losses.append(
-            f"not read: {whole}, an object of MATLAB's own: save it as vectors or a struct"
-        )
+        losses.append(message("data.matlab_object", name=whole))
     elif array.dtype == object and array.size and hasattr(array.flat[0], "_fieldnames"):
         for index, item in enumerate(array.flat, 1):
             _add(gathered, place, f"{name}({index})", item, losses)
     elif not gathered.add(place, whole, array) and array.size > 1 and array.dtype.kind != "U":
-        losses.append(f"not read: {whole}")
+        losses.append(message("data.not_read", name=whole))

@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.data.readers.table import Column, Dialect, Source, Table, numbered
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 
 DEPTH = 9  # of conversions that refer to conversions; a file with more is damaged
 
@@ -34,7 +35,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 continue
             name = getattr(group.channel_group, "acq_name", "") or f"group {index + 1}"
             table, unread = _group(file, index, name, began)
-            losses += [f"not read: {item}" for item in unread]
+            losses += [message("data.not_read", name=item) for item in unread]
             if table.columns:
                 tables.append(table)
     return Source(_renamed(tables), losses=tuple(losses))
@@ -56,7 +57,7 @@ def _refuse_outside(file) -> None:
             else:
                 begin = 8 * channel.additional_byte_offset + channel.start_offset
             if begin + channel.bit_count > room:
-                raise LogError(f"the channel '{channel.name}' lies outside its group's records")
+                raise LogError(message("data.channel_outside_records", name=channel.name))
 
 
 def _has_formula(conversion, depth: int = DEPTH) -> bool:
@@ -83,10 +84,7 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
     group, master = file.groups[index], file.masters_db.get(index)
     columns, names, unread, required, t = [], [], [], [], None
     if master is not None and _has_formula(group.channels[master].conversion):
-        raise LogError(
-            f"the time of '{name}' is converted by a formula, which is not evaluated",
-            hint="export the file with a linear conversion of its time",
-        )
+        raise LogError(message("data.time_by_formula", name=name))
     for at, channel in enumerate(group.channels):
         if channel.channel_type in _VARYING[_version(channel)]:
             unread.append(f"{name}/{channel.name}")  # texts, which a damaged file crashes over

@@ -8,6 +8,7 @@ import numpy as np
 
 from ehbench.data.readers.table import Column, Dialect, Source, Table, columns_of, numbered
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.messages import message
 
 _UNITS = (b"unit", b"units", b"Unit", b"Units")
 
@@ -29,7 +30,7 @@ def read(path: Path, dialect: Dialect) -> Source:
             if values.dtype == object:  # numbers with nothing between them, or words
                 values = np.array([np.nan if value is None else float(value) for value in values])
         except (TypeError, ValueError, NotImplementedError):
-            losses.append(f"not read: {field.name}")
+            losses.append(message("data.not_read", name=field.name))
             continue
         for column, first in columns_of(
             field.name, values, (unit or b"").decode("utf-8", "replace")

@@ -12,6 +12,7 @@ import numpy as np
 
 from ehbench.data.readers.table import Column, Dialect, Source, Table
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.messages import message
 
 _LONGEST = 64  # numbers in a list of a message
 _DEEPEST = 6  # messages in messages
@@ -43,14 +44,14 @@ def read(path: Path, dialect: Dialect) -> Source:
             try:
                 if connection.id not in stores:
                     stores[connection.id] = _store(connection)
-                message = stores[connection.id].deserialize_cdr(data, kind)
+                content = stores[connection.id].deserialize_cdr(data, kind)
             except Exception as error:  # not described, or not as it is described
-                said = str(error).splitlines()[:1] or [type(error).__name__]
-                unread[topic] = f"{topic} ({kind}: {said[0][:80]})"
+                why = (str(error).splitlines() or [type(error).__name__])[0][:80]
+                unread[topic] = f"{topic} ({kind}: {why})"
                 continue
-            if numbers := dict(_numbers(message)):
+            if numbers := dict(_numbers(content)):
                 rows.setdefault(topic, []).append(numbers)
-                times.setdefault(topic, []).append((stamp, _header(message)))
+                times.setdefault(topic, []).append((stamp, _header(content)))
                 kinds[topic] = kind
             elif topic not in rows:
                 unread[topic] = f"{topic} ({kind})"
@@ -59,7 +60,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     tables = [
         _table(topic, rows[topic], _stamps(times[topic]), zero, kinds[topic]) for topic in rows
     ]
-    losses = tuple(f"topic not read: {said}" for said in unread.values())
+    losses = tuple(message("data.topic_not_read", topic=topic) for topic in unread.values())
     return Source(tuple(tables), losses=losses)
 
 

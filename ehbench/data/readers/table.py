@@ -61,8 +61,8 @@ class Column:
             return unit
         words = re.split(r"[\s_]+", self.name.strip())
         ends = (" ".join(words[at:]) for at in range(len(words)))
-        message = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
-        return next(filter(None, map(absolute_unit, (*message, *ends))), "")
+        inside = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
+        return next(filter(None, map(absolute_unit, (*inside, *ends))), "")
 
     @property
     def filled(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from ehbench.data.readers.clock import moments
 from ehbench.data.readers.table import Column, Dialect, Source, Table
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.messages import message
 
 _Base = tuple[str, int, float, float, float | None]  # group, rows, increment, offset, began
 
@@ -37,7 +38,8 @@ def read(path: Path, dialect: Dialect) -> Source:
             elif values.ndim == 1 and values.dtype.kind in "fiub":
                 column = Column(channel.name, values.astype(float), unit)
             else:
-                losses.append(f"not read: {channel.group_name}/{channel.name}")
+                name = f"{channel.group_name}/{channel.name}"
+                losses.append(message("data.not_read", name=name))
                 continue
             gathered.setdefault(base, []).append(column)
     return Source(_tables(gathered, moved), losses=tuple(losses))
@@ -45,14 +47,14 @@ def read(path: Path, dialect: Dialect) -> Source:
 
 def _base(channel: Any) -> _Base:
     """What tells the time base of a channel."""
-    message = channel.properties
-    increment = float(message.get("wf_increment", 0.0) or 0.0)
-    start = message.get("wf_start_time")
+    properties = channel.properties
+    increment = float(properties.get("wf_increment", 0.0) or 0.0)
+    start = properties.get("wf_start_time")
     began = None
     if start is not None and increment > 0.0:
         began = float(np.datetime64(start, "ns").astype(np.int64)) / 1e9
         began = began if began > 0.0 else None  # LabVIEW's zero is in 1904: it says nothing
-    offset = float(message.get("wf_start_offset", 0.0) or 0.0)
+    offset = float(properties.get("wf_start_offset", 0.0) or 0.0)
     return channel.group_name, len(channel), increment, offset, began
 
 
