@@ -181,6 +181,20 @@ class TextTable:
         decimal = "." if self.separator == "," else ".,"
         return numbers(self.rows, self.separator, decimal, columns)
 
+    def floats(self, columns: Sequence[int]) -> np.ndarray:
+        """The numbers of some columns, shape (rows, columns), NaN where a cell says that there is
+        none.
+
+        Raises:
+            LogError: a row has not as many cells as the header, or a cell is no number.
+        """
+        values, odd = self.numbers(columns)
+        for index, cells in zip(columns, odd, strict=True):
+            for row, cell in cells.items():
+                if not is_hole(cell):
+                    raise self.bad_cell(index, row, cell)
+        return values
+
     def bad_cell(self, index: int, row: int, cell: str) -> LogError:
         """The error of a cell that holds no number, with file, line and column."""
         name = self.header[index].split("[")[0].strip()
