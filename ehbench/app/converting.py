@@ -13,6 +13,7 @@ import numpy as np
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 
 _LONGEST = 60  # letters of a variable in MATLAB, which takes 63
@@ -35,16 +36,15 @@ def convert(path: Path, to: str, out: Path | None = None, columns: Path | None =
     named = path.resolve().name if log != path else path.name.partition(".")[0]
     out = out or Path(f"{named}.{to}")
     if out.exists() or out.is_symlink():
-        raise InputError(
-            "stands already; nothing was written", file=out, hint="name another by --out"
-        )
+        raise InputError(message("app.stands_already"), file=out)
     record = read(log, columns=columns)
     part = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
         {"parquet": _parquet, "mat": _mat}[to](part, record)
         os.replace(part, out)
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror or error}", file=out) from None
+        reason = error.strerror or error
+        raise InputError(message("app.unwritable", reason=reason), file=out) from None
     finally:
         part.unlink(missing_ok=True)
     return out
@@ -68,10 +68,7 @@ def _parquet(path: Path, record: Record) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError:
-        raise InputError(
-            "Parquet files are written by pyarrow, which is not installed",
-            hint='install it with: pip install "ehbench[import]"',
-        ) from None
+        raise InputError(message("app.no_pyarrow")) from None
     fields = [pa.field("t", pa.float64(), metadata={"unit": "s"})]
     values = [pa.array(record.t)]
     if (clock := moments(record)) is not None:
@@ -91,9 +88,7 @@ def _mat(path: Path, record: Record) -> None:
     from scipy.io import savemat
 
     if 8 * record.t.size >= _MOST:
-        raise InputError(
-            f"{record.t.size} samples are more than a MAT file takes", hint="write Parquet"
-        )
+        raise InputError(message("app.mat_too_large", count=record.t.size))
     variables = dict(zip(record.channels, _variables(list(record.channels))))
     results: dict[str, object] = {"t": record.t[:, None]}
     if (clock := moments(record)) is not None:

@@ -20,10 +20,12 @@ from ehbench.config.rig import Rig
 from ehbench.data import read
 from ehbench.data.channels import FROM_1970
 from ehbench.data.flowmeter import alike, read_flowmeter
-from ehbench.data.readers import Source, Table, open_source, reader_of
+from ehbench.data.readers import Column, Source, Table, open_source, reader_of
 from ehbench.preprocessing.preparation import outside_stroke
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.messages import message
 
+_MARKS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
 EVEN = 0.01  # share by which the mean of even steps may be off their median
 
 __all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
@@ -55,9 +57,7 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
     picture = out.with_name(out.name.removesuffix(".toml").removesuffix(".map") + ".map.svg")
     for item in (out, picture):
         if item.exists() or item.is_symlink():
-            raise InputError(
-                "stands already; nothing was written", file=item, hint="name another by --out"
-            )
+            raise InputError(message("app.stands_already"), file=item)
     source = open_source(path)
     sheets = alike(source)
     first = replace(source, tables=source.tables[:1])
@@ -71,50 +71,56 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
             file.write(text)
         draw(picture, source, guesses)
     except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=out) from None
-    message = _overview(path, source, guesses)
+        raise InputError(message("app.unwritable", reason=error.strerror), file=out) from None
+    lines = _overview(path, source, guesses)
     others = ", ".join(f"'{table.name}'" for table in sheets[1:])
-    message += [f"the same columns: table {others}"] if many else []
+    lines += [message("app.same_columns", tables=others)] if many else []
     tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
-    return Draft(out, picture, (*message, *tried))
+    return Draft(out, picture, (*lines, *tried))
 
 
 def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
-    """What was found, a line a column."""
-    names, result = source.names(), source.dialect
+    """What the file holds, a line a column."""
+    names, dialect = source.names(), source.dialect
     lines = [f"{path.name}: {reader_of(path).name}"]
-    if result.separator is not None:
-        mark = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}[
-            result.separator
-        ]
-        sign = "comma" if result.decimal == "," else "point"
-        header = f"header in line {(result.skip or 0) + 1}"
-        units = ", units below it" if result.unit_row else ""
-        lines[0] += f", {result.encoding}, separated by {mark}, decimal {sign}, {header}{units}"
+    if dialect.separator is not None:
+        lines[0] += message(
+            "app.dialect",
+            encoding=dialect.encoding,
+            mark=_MARKS[dialect.separator],
+            sign="comma" if dialect.decimal == "," else "point",
+            line=(dialect.skip or 0) + 1,
+            units=message("app.units_below") if dialect.unit_row else "",
+        )
     rows = own_rows(source, guesses)
     for index, table in enumerate(source.tables):
-        called = f"table '{table.name}'" if table.name else "table"
-        lines.append(f"{called}: {table.size} rows{_span(table, index, names, guesses)}")
-        wide = max((len(name) for name, at in names.items() if at[0] == index), default=0)
-        for name, (i, j) in names.items():
-            if i != index:
-                continue
-            guess, column = guesses[name], table.columns[j]
-            unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
-            message = (
-                f"{guess.channel}{unit}" + ("" if guess.sure else "?") if guess.channel else "?"
-            )
-            own = rows[name]
-            bad = int((~np.isfinite(column.values[own])).sum())
-            odd = f", {bad} no number" if bad else ""
-            if not own.all():
-                odd = f", in {int(own.sum())} rows of its own{odd}"
-            remark = f"  ({guess.remark})" if guess.remark else ""
-            lines.append(f"  {name:<{min(wide, 40)}}  {range_of(column)}{odd}  → {message}{remark}")
+        title = f"table '{table.name}'" if table.name else "table"
+        span = _span(table, index, names, guesses)
+        lines.append(message("app.table_span", table=title, count=table.size, span=span))
+        own = [name for name, at in names.items() if at[0] == index]
+        wide = min(max(map(len, own), default=0), 40)
+        for name in own:
+            column, guess = table.columns[names[name][1]], guesses[name]
+            text = _bad_text(column, rows[name])
+            lines.append(f"  {name:<{wide}}  {range_of(column)}{text}  → {_guess_text(guess)}")
         for name in table.words:
             if name in guesses:
-                lines.append(f"  {name:<{min(wide, 40)}}  words  → {guesses[name].channel or '?'}")
+                lines.append(f"  {name:<{wide}}  words  → {guesses[name].channel or '?'}")
     return [*lines, *source.losses]
+
+
+def _guess_text(guess: Guess) -> str:
+    """What a column may be, with a question mark where that is not sure."""
+    unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
+    mark = "?" if not (guess.sure and guess.channel) else ""
+    return f"{guess.channel}{unit}{mark}" + (f"  ({guess.remark})" if guess.remark else "")
+
+
+def _bad_text(column: Column, own: np.ndarray) -> str:
+    """How many cells of a column hold no number, and in how many rows it stands."""
+    bad = int((~np.isfinite(column.values[own])).sum())
+    text = message("app.bad_in_column", count=bad) if bad else ""
+    return text if own.all() else message("app.rows_of_a_rate", count=int(own.sum()), bad=text)
 
 
 def _span(
@@ -152,39 +158,29 @@ def _taken_readings(path: Path, out: Path) -> list[str]:
     try:
         data = read_flowmeter(path, load_columns(out))
     except EhbenchError as error:
-        return [f"not yet: {error}"]
+        return [message("app.not_yet", error=error)]
     groups = ", ".join(
         f"{len(data.select(*group))} of {' '.join(group)}" for group in data.groups()
     )
-    return [
-        f"flowmeter readings, taken with this map: {groups}; without a column of valves a file is "
-        "of the edge it is named after, and so is each sheet of several",
-        _next(out),
-    ]
+    return [message("app.readings_taken", groups=groups), _next(out)]
 
 
 def _next(out: Path) -> str:
-    return (
-        f"next: look at {out} and its picture, then name it in the recipe, from where that lies: "
-        f'columns = "{out.name}"'
-    )
+    return message("app.next_look", map=out, name=out.name)
 
 
 def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) -> list[str]:
     """Whether the draft takes the file as it stands, and what to do next."""
     lines = []
     if rig is None and any(CYLINDER in guess.channel for guess in guesses.values()):
-        lines.append(
-            f"no rig was given: put the names of your rig in place of '{CYLINDER}' and "
-            f"'{VALVE}', or call it with --rig"
-        )
+        lines.append(message("app.no_rig_given", cylinder=CYLINDER, valve=VALVE))
     if not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
-        return [*lines, f"next: say in {out} which columns are which channels"]
+        return [*lines, message("app.next_say", map=out)]
     try:
-        record = read(path, columns=out)
+        record = read(path, out)
     except EhbenchError as error:
-        return [*lines, f"not yet: {error}"]
-    lines.append(f"taken with this map: {record!r}")
+        return [*lines, message("app.not_yet", error=error)]
+    lines.append(message("app.taken", record=repr(record)))
     lines += [f"  {loss}" for loss in record.losses]
     lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
     return [*lines, _next(out)]

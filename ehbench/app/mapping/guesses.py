@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,78 +13,26 @@ from ehbench.config.rig import Rig
 from ehbench.data.rates import SETTINGS, apart
 from ehbench.data.readers import Column, Source, Table
 from ehbench.preprocessing.sensors import ATMOSPHERE
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si, is_of
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
-ROUNDED = "rounded"
 AGAIN = 0.01  # share of the rows at most at which a clock begins again
-_TIME = {"t", "time", "zeit", "temps", "tiempo", "tempo", "timestamp", "zeitstempel", "uhrzeit"}
-_TIME |= {"clock", "datetime", "seconds", "sec"}
-_WORDS = {
-    "p_supply": {"supply", "pump", "system", "sys", "ps", "versorgung", "pumpe", "sup", "pp"},
-    "p_tank": {"tank", "return", "reservoir", "rücklauf", "drain"},
-    "p_rod": {"b", "rod", "annulus", "annular", "ring", "stange", "stangenseite", "2", "p2", "pb"},
-    "p_head": {
-        "a",
-        "head",
-        "bore",
-        "cap",
-        "piston",
-        "blind",
-        "base",
-        "boden",
-        "kolben",
-        "1",
-        "p1",
-        "pa",
-    },
-}
-_PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
-COMMAND_WORDS = {
-    "cmd",
-    "command",
-    "valve",
-    "ventil",
-    "servo",
-    "spool",
-    "setpoint",
-    "soll",
-    "u",
-    "ao",
-}
-COMMAND_WORDS |= {"ref", "drive", "joystick", "output", "sollwert", "stellgrösse", "input", "uv"}
-PRESSURE_WORDS = {"p", "pt", "press", "pressure", "druck", "pression", "presion"}
-DROP = {"drop", "delta", "dp", "diff", "differential", "difference", "differenz", "loss"}
-DROP |= {"δp", "deltap", "druckabfall", "differenzdruck"}
-_ACROSS = DROP | {"pd", "pl", "load", "last", "lastdruck"}
 DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
-_PUSH = "push positive; sign = -1 where pull is"
-_PLACE = {"x", "pos", "position", "stroke", "weg", "hub", "lvdt", "displacement", "length"}
-_PLACE |= {"travel", "extension", "distance"}
-# of a column that is otherwise a command: what the spool does in answer
-_PLACE_OF_SPOOL = {
-    "position",
-    "pos",
-    "feedback",
-    "fb",
-    "lvdt",
-    "stellung",
-    "istwert",
-    "actual",
-    "ist",
-}
-_A = {"command": "a command", "opening": "the spool's position"}
-_ANGLE = {"q", "angle", "winkel", "theta", "phi", "encoder", "joint", "rotation"}
-_SPEED = {"v", "vel", "velocity", "speed", "geschwindigkeit", "rate", "xd", "qd"}
 CURRENTS = {"mA", "A"}
-_ABSOLUTE = {"abs", "absolute", "absolut"}
+
+
+with Path(__file__).with_name("words.toml").open("rb") as _file:
+    WORDS = {key: frozenset(words) for key, words in tomllib.load(_file).items()}
+_ENDS = ("p_supply", "p_tank", "p_rod", "p_head")
+_PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
 _LOOP = 25.0  # [mA] beyond which a current is no signal of 4 to 20 mA but that of a coil
 # what compounds are made of: Systemdruck, Ventilstrom, supplypressure
 _STEMS = tuple(
     word
-    for words in (*_WORDS.values(), COMMAND_WORDS, PRESSURE_WORDS, _PLACE, _ANGLE, _SPEED, _TIME)
-    for word in sorted(words)
+    for key in (*_ENDS, "command", "pressure", "place", "angle", "speed", "time")
+    for word in sorted(WORDS[key])
     if len(word) >= 4
 )
 
@@ -110,7 +60,7 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
         table = source.tables[i]
         guess = _guess(name, table.columns[j], table, rig)
         if guess.channel in taken:
-            twice = f"{guess.channel} as well?"
+            twice = message("app.as_well", channel=guess.channel)
             guess = Guess(guess.channel, guess.unit, False, twice, guess.ends)
         if guess.sure:
             taken.add(guess.channel if guess.channel != "t" else f"t of {table.name}")
@@ -126,7 +76,7 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
         words |= words_of(table.name)
     known = column.values[np.isfinite(column.values)]
     if not known.size:
-        return Guess(remark="holds no number")
+        return Guess(remark=message("app.no_number_held"))
     if is_time := _time(column, unit, words, table):
         return is_time
     cylinder, sure = _cylinder(words, rig)
@@ -134,12 +84,17 @@ def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
         place = channel if channel in ("p_supply", "p_tank") else f"{cylinder}.{channel}"
         alone = channel in ("p_supply", "p_tank")
         if not unit:
-            return Guess(place, "", False, "in which unit?")
-        if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & _ABSOLUTE):
+            return Guess(place, "", False, message("app.which_unit"))
+        if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & WORDS["absolute"]):
             offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
-            return Guess(place, unit, sure or alone, "absolute, by its name", None, offset)
-        return Guess(place, unit, sure or alone, _PUSH if channel == "rod_force" else "")
-    if words & COMMAND_WORDS or (unit in (*CURRENTS, "V", "%") and unit):
+            return Guess(place, unit, sure or alone, message("app.absolute"), None, offset)
+        return Guess(
+            place,
+            unit,
+            sure or alone,
+            message("app.push_positive") if channel == "rod_force" else "",
+        )
+    if words & WORDS["command"] or (unit in (*CURRENTS, "V", "%") and unit):
         return command_guess(unit, words, known, (cylinder, sure), rig)
     return Guess(remark="")
 
@@ -170,27 +125,26 @@ def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | N
         return None
     is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
     if steps.min() < 0.0:
-        if not (is_time and words & _TIME and np.mean(steps < 0.0) < AGAIN):
+        if not (is_time and words & WORDS["time"] and np.mean(steps < 0.0) < AGAIN):
             return None
-        return Guess("t", unit, False, "goes back: where the clock began again, cut the file")
+        return Guess("t", unit, False, message("app.time_goes_back"))
     lvm = words >= {"x", "value"}
-    if not (is_time or lvm or (words & _TIME and not unit)):
+    if not (is_time or lvm or (words & WORDS["time"] and not unit)):
         even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
         even &= column is table.columns[0] and table.t is None and not unit
-        return Guess("t", "s", False, "rises evenly: the time?") if even else None
+        return Guess("t", "s", False, message("app.rises_evenly")) if even else None
     if table.t is not None:
-        return Guess(remark="the file knows its time without it")
+        return Guess(remark=message("app.time_known"))
     if np.mean(steps == 0.0) > SETTINGS.repeated:
         rate = (values.size - 1) / (values[-1] - values[0])
-        return Guess(
-            "t", unit or "s", False, f"{ROUNDED}; about {rate:.5g} samples a {unit or 's'}"
-        )
+        note = message("app.time_rounded", rate=rate, unit=unit or "s")
+        return Guess("t", unit or "s", False, note)
     tick = float(np.median(steps))
     if not is_time:
         unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
-        return Guess("t", unit, True, "the unit is a guess")
+        return Guess("t", unit, True, message("app.unit_guessed"))
     still = int((steps == 0.0).sum())
-    return Guess("t", unit, True, f"{still} rows have the time of the one before" if still else "")
+    return Guess("t", unit, True, message("app.time_stands_still", count=still) if still else "")
 
 
 def reading_of(unit: str, words: set[str]) -> str:
@@ -201,20 +155,27 @@ def reading_of(unit: str, words: set[str]) -> str:
             return False
         return is_of(unit, VOCABULARY[row]) if unit else bool(words & named)
 
-    if may("load_pressure", set()) and words & _ACROSS:
+    if may("load_pressure", set()) and words & (WORDS["drop"] | WORDS["across"]):
         return "load_pressure"
-    if may("p_head", PRESSURE_WORDS):
-        named = words if words & PRESSURE_WORDS else words - {"1", "2"}  # AI2 is no second chamber
+    if may("p_head", WORDS["pressure"]):
+        named = (
+            words if words & WORDS["pressure"] else words - {"1", "2"}
+        )  # AI2 is no second chamber
         named = named - {"pa"} if unit == "Pa" else named
-        ends = (end for end in ("p_supply", "p_tank", "p_rod", "p_head") if named & _WORDS[end])
+        ends = (end for end in _ENDS if named & WORDS[end])
         ports = (end for letter, end in _PORTS.items() if {letter} < named)
         return next(ends, next(ports, ""))
     if unit and is_of(unit, VOCABULARY["command"]):
         return ""
-    if may("rod_force", set()) and not words & COMMAND_WORDS:
+    if may("rod_force", set()) and not words & WORDS["command"]:
         return "rod_force"
-    for row, named in (("v", _SPEED), ("qd", _SPEED), ("x", _PLACE), ("q", _ANGLE)):
-        if may(row, named) and (unit or row != "qd") and not words & COMMAND_WORDS:
+    for row, named in (
+        ("v", WORDS["speed"]),
+        ("qd", WORDS["speed"]),
+        ("x", WORDS["place"]),
+        ("q", WORDS["angle"]),
+    ):
+        if may(row, named) and (unit or row != "qd") and not words & WORDS["command"]:
             return row
     return ""
 
@@ -241,18 +202,21 @@ def command_guess(
         named = [item for item in own.valve if words_of(item.name) <= words]
         sure &= len(named) == 1 or len(own.valve) == 1
         if not own.valve:
-            return Guess(remark="a command?")
+            return Guess(remark=message("app.command_guessed"))
         chosen = (named or list(own.valve))[0]
         valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
-    word = "opening" if words & _PLACE_OF_SPOOL else "command"
+    word = "opening" if words & WORDS["spool"] else "command"
     channel = f"{cylinder}.{valve}.{word}"
+    guessed_as = "app.opening_guessed" if word == "opening" else "app.command_guessed"
     if any(unit and unit != "%" and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
-        return Guess(remark="a commanded position? what the valve was commanded is asked for")
+        return Guess(remark=message("app.commanded_position"))
     if unit and is_of(unit, VOCABULARY["command"]):
-        return Guess(channel, unit, sure and bool(words & COMMAND_WORDS), f"{_A[word]}?")
+        return Guess(channel, unit, sure and bool(words & WORDS["command"]), message(guessed_as))
     spans = {"mA": (4.0, 20.0), "A": (0.004, 0.02), "%": (-100.0, 100.0)}
     if unit not in spans:
-        return Guess(channel, unit, False, f"{_A[word]}? say what its numbers mean at the valve")
+        return Guess(
+            channel, unit, False, message("app.say_its_meaning", guess=message(guessed_as))
+        )
     first, last = spans[unit]
     if unit == "mA" and known.min() < 3.0:
         first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)
@@ -263,4 +227,4 @@ def command_guess(
     if unit == "%" and low >= 0.0:
         first = 0.0
     ends = (f"{first:g} {unit}", f"{last:g} {unit}", f"{low:g} V", f"{high:g} V")
-    return Guess(channel, unit, sure, "the range is a guess: see the driver", ends)
+    return Guess(channel, unit, sure, message("app.range_guessed"), ends)

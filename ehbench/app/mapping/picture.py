@@ -11,6 +11,7 @@ from ehbench.app.mapping.guesses import Guess
 from ehbench.app.mapping.written import own_rows, remark
 from ehbench.data.readers import Column, Source
 from ehbench.report.style import ACCENT, MUTED, canvas, thin
+from ehbench.vocabulary.messages import message
 
 _MOST_DRAWN = 24
 
@@ -37,7 +38,7 @@ def draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
             guess = guesses[name]
             label = f" → {guess.channel}{'' if guess.sure else ' ?'}" if guess.channel else ""
             bad = _bad(column, rows_of[name])
-            label += " (red: no number)" if bad else ""
+            label += message("app.red_marks") if bad else ""
             unit = column.known_unit or column.unit
             ax.set_title(remark(name) + label, color="black" if guess.sure else MUTED)
             ax.set_ylabel(unit or "–")

@@ -5,29 +5,20 @@ from __future__ import annotations
 import numpy as np
 
 from ehbench.app.mapping.guesses import (
-    COMMAND_WORDS,
     CURRENTS,
     DIFFERENTIAL,
-    DROP,
+    WORDS,
     Guess,
     command_guess,
     reading_of,
     words_of,
 )
+from ehbench.config.recipe.columns import WORDS as COLUMNS
 from ehbench.config.rig import Rig
 from ehbench.data.readers import Column, Source
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import is_of
-
-_UPSTREAM = {"upstream", "inlet", "in", "up", "before", "vor", "ein", "eingang", "1", "p1"}
-_DOWNSTREAM = {"downstream", "outlet", "out", "down", "after", "nach", "aus", "ausgang", "2", "p2"}
-_WORDS = {
-    "valve": {"valve", "edge", "ventil", "kante", "port", "specimen"},
-    "direction": {"direction", "richtung", "dir"},
-    "trial": {"trial", "run", "repeat", "versuch", "lauf", "messung"},
-    "method": {"method", "methode"},
-    "note": {"note", "notes", "remark", "comment", "bemerkung", "kommentar"},
-}
 
 
 def holds_readings(source: Source) -> bool:
@@ -58,9 +49,11 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
         given = [guess.channel for guess in results.values() if guess.sure]
     for name, guess in results.items():
         if guess.sure and given.count(guess.channel) > 1:
-            results[name] = Guess(guess.channel, guess.unit, False, "or another?", guess.ends)
+            results[name] = Guess(
+                guess.channel, guess.unit, False, message("app.or_another"), guess.ends
+            )
     for name in table.words:
-        what = next((item for item, named in _WORDS.items() if words_of(name) & named), "")
+        what = next((item for item in COLUMNS if words_of(name) & WORDS[item]), "")
         results[name] = Guess(what, "", bool(what), "words")
     return results
 
@@ -70,9 +63,9 @@ def _drop_of(guess: Guess, given: list[str]) -> Guess:
     sides = ("upstream_pressure", "downstream_pressure")
     if guess.channel == "pressure":
         alone = not any(side in given for side in sides)
-        return Guess("pressure_drop", guess.unit, alone, "" if alone else "of which side?")
+        return Guess("pressure_drop", guess.unit, alone, "" if alone else message("app.which_side"))
     if guess.channel in sides and not all(side in given for side in sides):
-        return Guess(guess.channel, guess.unit, False, "the drop needs both sides")
+        return Guess(guess.channel, guess.unit, False, message("app.needs_both_sides"))
     return guess
 
 
@@ -80,22 +73,22 @@ def _guess(name: str, column: Column, rig: Rig | None) -> Guess:
     unit, words = column.known_unit, words_of(name)
     known = column.values[np.isfinite(column.values)]
     if not known.size:
-        return Guess(remark="holds no number")
+        return Guess(remark=message("app.no_number_held"))
     if unit and is_of(unit, VOCABULARY["flow"]):
         return Guess("flow", unit, True)
     if unit and is_of(unit, VOCABULARY["pressure_drop"]):
-        if words & DROP or column.unit.strip("()[]").lower() in DIFFERENTIAL:
+        if words & WORDS["drop"] or column.unit.strip("()[]").lower() in DIFFERENTIAL:
             return Guess("pressure_drop", unit, True)
-        if words & _UPSTREAM:
+        if words & WORDS["upstream"]:
             return Guess("upstream_pressure", unit, True)
-        if words & _DOWNSTREAM:
+        if words & WORDS["downstream"]:
             return Guess("downstream_pressure", unit, True)
         return Guess("pressure", unit, False)
     if unit and is_of(unit, VOCABULARY["temperature"]):
         return Guess("temperature", unit, True)
-    if words & _WORDS["trial"] and np.all(known == np.round(known)) and known.min() > 0.0:
+    if words & WORDS["trial"] and np.all(known == np.round(known)) and known.min() > 0.0:
         return Guess("trial", "", True)
-    if words & COMMAND_WORDS or (unit in (*CURRENTS, "V", "%") and unit):
+    if words & WORDS["command"] or (unit in (*CURRENTS, "V", "%") and unit):
         of = (rig.cylinder[0].name, True) if rig is not None else ("", True)
         guess = command_guess(unit, words, known, of, rig)
         sure = guess.sure or unit in (*CURRENTS, "V", "%")

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.app.mapping.guesses import ROUNDED, Guess
+from ehbench.app.mapping.guesses import Guess
 from ehbench.data.rates import apart
 from ehbench.data.readers import Column, Source
+from ehbench.vocabulary.messages import message
 
 _FEW = 0.01  # share of a column that may be bad and yet be left out by itself
 _MARKS = {"\t": "tab", " ": "space"}
@@ -18,9 +19,7 @@ _MARKS = {"\t": "tab", " ": "space"}
 def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
     """The draft of a map as TOML: what is sure as keys, the rest as remarks."""
     lines = [
-        f"# What the columns of {remark(path.name)} are: a draft. Look at each line, "
-        "then name this file",
-        '# in a recipe above its tables:  columns = "<this file>"',
+        *(f"# {line}" for line in message("app.draft_head", file=remark(path.name)).splitlines()),
         "",
         *_dialect(source),
         *_rate(source, guesses),
@@ -62,14 +61,13 @@ def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
     if timed or any(table.t is not None for table in source.tables):
         return []
     for name, guess in guesses.items():
-        if guess.channel == "t" and guess.remark.startswith(ROUNDED):
+        if getattr(guess.remark, "key", "") == "app.time_rounded":
             values = source.tables[names[name][0]].columns[names[name][1]].values
             scale = {"ms": 1e-3, "us": 1e-6}.get(guess.unit, 1.0)
             rate = (values.size - 1) / (np.nanmax(values) - np.nanmin(values)) / scale
-            return [
-                f'rate = "{rate:.6g} Hz"                 # from {remark(name)}, which is rounded'
-            ]
-    return ['# rate = "1 kHz"              # no column is the time: say how often it was sampled']
+            note = message("app.rate_of_rounded", name=remark(name))
+            return [f'rate = "{rate:.6g} Hz"                 # {note}']
+    return ['# rate = "1 kHz"              # ' + message("app.no_time_column")]
 
 
 def own_rows(source: Source, guesses: dict[str, Guess]) -> dict[str, np.ndarray]:
@@ -99,7 +97,7 @@ def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
     places = ", ".join(f"{count} in {remark(name)}" for name, count in counts.items())
     few = max(counts.values()) <= max(_FEW * size, 1)
     key = 'bad_samples = "leave out"' if few else '# bad_samples = "leave out"'
-    return [f"{key}     # blank, or no number: {places}"]
+    return [f"{key}     # " + message("app.bad_cells", places=places)]
 
 
 def _line(name: str, guess: Guess, column: Column) -> str:
