@@ -25,6 +25,7 @@ from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 from ehbench.vocabulary import units
 from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 from ehbench.vocabulary.text import shortened
 
@@ -117,21 +118,19 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     table = dict(raw) if isinstance(raw, Mapping) else {"value": raw}
     unknown = set(table) - {"value", "source", "sure", "lower", "upper", "std", "unit", "note"}
     if unknown:
-        raise InputError(
-            f"{row.name} has unknown key '{sorted(map(str, unknown))[0]}'",
-            hint="a value takes value, source, sure, lower, upper, std, unit, note",
-        )
+        key = min(map(str, unknown))
+        raise InputError(message("vocabulary.unknown_value_key", name=row.name, given=key))
     if "value" not in table:
-        raise InputError(f"{row.name} has no 'value'")
+        raise InputError(message("vocabulary.no_value", name=row.name))
 
     raw_value = table["value"]
     if count == 1:
         value: float | tuple[float, ...] = _number(raw_value, row, "the value")
     else:
         if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
+            given = shortened(raw_value, 60)
             raise InputError(
-                f"{row.name} takes a list of {count} values with units, "
-                f"not {shortened(raw_value, 60)}"
+                message("vocabulary.takes_list", name=row.name, count=count, given=given)
             )
         value = tuple(_number(item, row, "an entry") for item in raw_value)
     limits = _limits(table, row)
@@ -139,13 +138,16 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
     if not all(lower <= entry <= upper for entry in each):
         bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
-        raise UnitError(f"{row.name} = {raw_value} lies outside its own bounds: {bounds}")
+        raise UnitError(
+            message("vocabulary.outside_bounds", name=row.name, value=raw_value, bounds=bounds)
+        )
     source = str(table.get("source", ""))
     first = source.replace(":", " ").replace(",", " ").split(" ")[0]
     sure = table.get("sure", first if first in SURENESS else "assumed")
     if sure not in SURENESS:
+        given, known = shortened(sure, 40), ", ".join(SURENESS)
         raise InputError(
-            f"{row.name} is {shortened(sure, 40)}", hint="sure is one of " + ", ".join(SURENESS)
+            message("vocabulary.unknown_sureness", name=row.name, given=given, known=known)
         )
     return Value(value, sure, source, text=raw, unit=_unit(table, row), **limits)
 
@@ -171,16 +173,18 @@ def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
         UnitError: no unit, wrong unit, implausible, not finite.
     """
     if isinstance(item, bool) or not isinstance(item, (str, int, float)):
-        raise UnitError(
-            f"{what} of {row.name} is {shortened(item, 60)}, not a number with a unit",
-            hint=f'write "1.5 {row.display}"',
-        )
+        fields = {"what": what, "name": row.name, "display": row.display}
+        raise UnitError(message("vocabulary.not_a_number", given=shortened(item, 60), **fields))
     shown = shortened(item, 40) if not isinstance(item, str) else item[:40]
     if isinstance(item, str):
         bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
         result = units.parse(item, row if check else bare)
     elif row.unit != "dimensionless":
-        raise UnitError(f"{row.name} = {shown} has no unit", hint=f'write "{shown} {row.display}"')
+        raise UnitError(
+            message(
+                "vocabulary.number_without_unit", name=row.name, shown=shown, display=row.display
+            )
+        )
     else:
         try:
             result = float(item)
@@ -189,7 +193,7 @@ def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
         if check:
             units.plausible(result, row, shown)
     if not math.isfinite(result):
-        raise UnitError(f"{row.name} = {shown} is not finite")
+        raise UnitError(message("vocabulary.value_not_finite", name=row.name, shown=shown))
     return result
 
 
@@ -209,9 +213,7 @@ def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
         if isinstance(table["std"], str):
             results["std"] -= units.zero_of(table["std"], row)
         if results["std"] < 0.0:
-            raise UnitError(
-                f"{row.name} has std = {table['std']}", hint="a standard error is not negative"
-            )
+            raise UnitError(message("vocabulary.negative_error", name=row.name, given=table["std"]))
     return results
 
 

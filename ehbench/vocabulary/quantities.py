@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
+from ehbench.vocabulary.messages import message
+
 # readings of a cylinder that its pressures and speed imply, where a log has them in place of these
 GAUGES = ("load_pressure", "load_force", "rod_force")
 _ALIKE = 0.75  # likeness from which a word is surely a slip of another
@@ -59,7 +61,7 @@ def quantity(channel: str) -> Quantity:
     """
     word = channel.rsplit(".", 1)[-1]
     if word not in VOCABULARY:
-        raise KeyError(f"no quantity '{word}'{meant(channel)}")
+        raise KeyError(message("vocabulary.no_quantity", word=word, meant=meant(channel)))
     return VOCABULARY[word]
 
 
@@ -71,8 +73,8 @@ def meant(channel: str, more: Sequence[str] = ()) -> str:
     # behind a dot a word that is hardly alike is rather the name of a valve
     near = get_close_matches(word, [*VOCABULARY, *more], 1, _ALIKE if head else 0.6)
     if near:
-        return f"; nearest is '{head + '.' if head else ''}{near[0]}'"
-    return f"; if '{word}' is a valve, its command is '{channel}.command'" if head else ""
+        return message("vocabulary.nearest", near=f"{head}.{near[0]}" if head else near[0])
+    return message("vocabulary.if_valve", word=word, channel=channel) if head else ""
 
 
 def like_channel(name: str, channels: Sequence[str]) -> str:

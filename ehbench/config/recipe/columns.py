@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from ehbench.config.recipe.toml import lines_of, read_toml, validated
 from ehbench.vocabulary.errors import EhbenchError, InputError, UnitError
 from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity, meant, quantity
 from ehbench.vocabulary.units import factor, product, split_number, to_si, zero_of
 
@@ -64,12 +65,13 @@ class MappedColumn(FileModel):
     def _whole(self) -> MappedColumn:
         word = self.channel.rpartition(".")[2]
         if word not in VOCABULARY and word not in WORDS:
-            raise ValueError(f"unknown channel '{self.channel}'{meant(self.channel, WORDS)}")
+            near = meant(self.channel, WORDS)
+            raise ValueError(message("config.unknown_channel", channel=self.channel, near=near))
         if (self.from_ is None) != (self.to is None):
-            raise ValueError("'from' and 'to' belong together")
+            raise ValueError(message("config.from_and_to"))
         others = (self.scale, self.offset, self.neutral, self.sign) != (1.0, 0.0, 0.0, 1)
         if self.from_ is not None and others:
-            raise ValueError("'from' and 'to' say all: no scale, offset, neutral or sign beside")
+            raise ValueError(message("config.from_and_to_alone"))
         if word in VOCABULARY and (self.unit is not None or self.from_ is not None):
             try:
                 self.line("")
@@ -79,16 +81,16 @@ class MappedColumn(FileModel):
                 ) from None
         return self
 
-    def line(self, message: str) -> tuple[float, float]:
-        """(gain, zero) with SI = gain·reading + zero; ``said`` is the unit that the file says.
+    def line(self, file_unit: str) -> tuple[float, float]:
+        """(gain, zero) with SI = gain·reading + zero; ``file_unit`` is the unit that the file says.
 
         Raises:
             UnitError: no unit, or one that does not become the channel's.
         """
         row = quantity(self.channel)
         if self.from_ is not None and self.to is not None:
-            return _through(self.from_, self.to, self.unit or message, row)
-        unit = self.unit if self.unit is not None else message
+            return _through(self.from_, self.to, self.unit or file_unit, row)
+        unit = self.unit if self.unit is not None else file_unit
         scale, by = _number(self.scale)
         if by:
             slope, zero = product(by, unit, row.unit), 0.0
@@ -107,13 +109,11 @@ def _number(given: float | str) -> tuple[float, str]:
 def _slope(unit: str, row: Quantity) -> tuple[float, float]:
     """(factor, zero) of a unit into SI of a row."""
     if not unit.strip() and row.unit != "dimensionless":
-        raise UnitError(f"has no unit for {row.name}", hint=f'write unit = "{row.display}"')
+        raise UnitError(message("config.no_unit", name=row.name, display=row.display))
     try:
         zero, item = (float(to_si(number, unit, row)) for number in (0.0, 1.0))
     except UnitError as error:
-        hint = error.hint
-        if row.name == "command":
-            hint = 'say what it is at the valve: from = ["4 mA", "20 mA"], to = ["-10 V", "10 V"]'
+        hint = message("config.at_the_valve") if row.name == "command" else error.hint
         raise UnitError(error.message, hint=hint) from None
     return item - zero, zero
 
@@ -125,9 +125,7 @@ def _offset(given: float | str, by: str, slope: float, row: Quantity) -> float:
     if unit:
         return float(to_si(number, unit, row)) - zero_of(f"0 {unit}", row)
     if by:
-        raise UnitError(
-            f"offset = {number:g} has no unit", hint=f'write "{number:g} {row.display}"'
-        )
+        raise UnitError(message("config.offset_unit", number=number, display=row.display))
     return slope * number
 
 
@@ -144,10 +142,10 @@ def _through(
     for text in second:
         number, own = split_number(text)
         if not own and row.unit != "dimensionless":
-            raise UnitError(f"to = '{text}' has no unit", hint=f'write "{text} {row.display}"')
+            raise UnitError(message("config.to_unit", text=text, display=row.display))
         means.append(float(to_si(number, own, row)))
     if readings[0] == readings[1]:
-        raise UnitError(f"from = {list(first)} is one point twice")
+        raise UnitError(message("config.one_point", points=list(first)))
     gain = (means[1] - means[0]) / (readings[1] - readings[0])
     return gain, means[0] - gain * readings[0]
 
@@ -203,7 +201,7 @@ class Columns(FileModel):
     def _each_once(cls, names: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
         channels = [column.channel for column in names.values() if column.channel != "t"]
         if twice := [channel for channel in channels if channels.count(channel) > 1]:
-            raise ValueError(f"two columns are '{twice[0]}'")
+            raise ValueError(message("config.two_columns", channel=twice[0]))
         return names
 
 
@@ -270,10 +268,10 @@ def whole_map(
         return ColumnMap(own, (place,))
     behind, above = (path.parent / own.file).resolve(), (*above, path.resolve())
     if behind in above:
-        raise InputError(f"takes its own keys by way of '{own.file}'", file=path)
+        raise InputError(message("config.map_circle", name=own.file), file=path)
     keys, text = read_toml(behind)
     first = whole_map(validated(Columns, keys, text, behind), behind, (), above)
-    messages = {key: getattr(own, key) for key in own.model_fields_set - {"names", "file"}}
+    given = {key: getattr(own, key) for key in own.model_fields_set - {"names", "file"}}
     names = {**first.columns.names, **own.names}
-    merged = first.columns.model_copy(update={**messages, "names": names})
+    merged = first.columns.model_copy(update={**given, "names": names})
     return ColumnMap(merged, (place, *first.places))
