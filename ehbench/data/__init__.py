@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from ehbench.config.recipe.columns import ColumnMap
     from ehbench.data.additional import AdditionalFile
-    from ehbench.data.record import Record
+    from ehbench.data.record import Record, Window
 
 
 def read(
@@ -20,7 +20,7 @@ def read(
     columns: ColumnMap | str | Path | None = None,
     *,
     check: bool = True,
-    window: tuple[float, float] | None = None,
+    window: Window | None = None,
     additional: Sequence[AdditionalFile] = (),
 ) -> Record:
     """A log in SI: MCAP, CSV, or any other format that is read (`ehbench.data.readers`).
@@ -63,7 +63,7 @@ def _read(
     path: Path,
     columns: ColumnMap | str | Path | None,
     check: bool,
-    window: tuple[float, float] | None,
+    window: Window | None,
 ) -> Record:
     """One file, as `read` reads it."""
     from ehbench.config.recipe.columns import ColumnMap, load_columns

@@ -11,7 +11,7 @@ import numpy as np
 
 from ehbench.config.recipe.columns import ColumnMap
 from ehbench.data.rates import Group, Window, joined
-from ehbench.data.readers import Table
+from ehbench.data.readers import SourceTable
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
@@ -94,7 +94,7 @@ def moved(window: Window, late: float) -> Window:
 
 def _group(path: Path, record: Record, late: float) -> Group:
     """A log as a table of its own, ``late`` [s] against the first."""
-    return Group(Table(path.name, ()), record.t + late, None, channels=dict(record.channels))
+    return Group(SourceTable(path.name, ()), record.t + late, None, channels=dict(record.channels))
 
 
 def _clock(record: Record, result: Record) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap, Columns, MappedColumn
 from ehbench.data.bad_samples import clean
-from ehbench.data.logs.checks import LABEL, TIMES, check_known, check_time
+from ehbench.data.logs.checks import LABEL, TIME_NAMES, check_known, check_time
 from ehbench.data.rates import (
     SETTINGS,
     Group,
@@ -23,7 +23,7 @@ from ehbench.data.rates import (
     lines_text,
     repeated,
 )
-from ehbench.data.readers import Column, Dialect, Source, open_source
+from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.record import Record
 from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import FEWEST, stamps_of
@@ -96,7 +96,7 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
     for name, (i, j) in source.names().items():
         label = LABEL.match(name)
         channel, unit = label.groups() if label else (name, source.tables[i].columns[j].known_unit)
-        channel = "t" if channel.lower() in TIMES else channel.replace("/", ".").strip(".")
+        channel = "t" if channel.lower() in TIME_NAMES else channel.replace("/", ".").strip(".")
         if channel.rpartition(".")[2] in VOCABULARY and unit:
             results[name] = MappedColumn(channel=channel, unit=unit)
     if not any(column.channel != "t" for column in results.values()):
@@ -108,7 +108,7 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
 
 
 def si_of(
-    name: str, mapped: MappedColumn, column: Column, columns: ColumnMap, path: Path
+    name: str, mapped: MappedColumn, column: SourceColumn, columns: ColumnMap, path: Path
 ) -> np.ndarray:
     """A column in SI, by what a map says of it.
 
@@ -155,7 +155,7 @@ class _Mapping:
             raise InputError(message("data.maps_nothing"), **self.columns.at())
         return [part for group in groups.values() for part in _parts(group)]
 
-    def _column(self, name: str) -> Column:
+    def _column(self, name: str) -> SourceColumn:
         table, column = self.places[name]
         return self.source.tables[table].columns[column]
 

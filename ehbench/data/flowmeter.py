@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.recipe.columns import WORDS, ColumnMap
+from ehbench.config.recipe.columns import READING_WORDS, ColumnMap
 from ehbench.data.channels import dialect_of, si_of
-from ehbench.data.readers import Source, Table, open_source
+from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
 from ehbench.vocabulary.errors import InputError, UnitError
 from ehbench.vocabulary.messages import message
@@ -275,7 +275,7 @@ def _named(path: Path) -> _Sheet:
         match = _HEADER.fullmatch(cell)
         text, unit = (match[1], match[2] or "") if match else (cell, "")
         name = text.lower().replace(" ", "_")
-        if name not in (*_NUMBERS, *WORDS):
+        if name not in (*_NUMBERS, *READING_WORDS):
             raise InputError(_unknown(cell), **where)
         if name in places:
             raise InputError(message("data.column_twice", name=name), **where)
@@ -300,14 +300,14 @@ def _named(path: Path) -> _Sheet:
         name: to_si(values[:, at], unit, VOCABULARY[name])
         for at, (name, unit) in enumerate(units.items())
     }
-    words = {name: table.cells(places[name]) for name in WORDS if name in places}
+    words = {name: table.cells(places[name]) for name in READING_WORDS if name in places}
     return _Sheet(path, table.lines, numbers, dict(zip(units, odd, strict=True)), words, units)
 
 
 def _unknown(cell: str) -> str:
     """The message on a column that is none of a file of readings."""
     near = get_close_matches(
-        re.split(r"[\s(\[{]", cell.lower())[0], (*_NUMBERS, *WORDS), 1, cutoff=0.5
+        re.split(r"[\s(\[{]", cell.lower())[0], (*_NUMBERS, *READING_WORDS), 1, cutoff=0.5
     )
     if not near:
         return message("data.unknown_column", cell=cell, example=_EXAMPLE)
@@ -349,7 +349,7 @@ def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) ->
     table, numbers, odd, words = source.tables[0], {}, {}, {}
     for name, mapped in columns.columns.names.items():
         what = mapped.channel.rpartition(".")[2]
-        if what in WORDS and name in table.words:
+        if what in READING_WORDS and name in table.words:
             words[what] = table.words[name]
             continue
         index, place = source.place(name, path)
@@ -357,7 +357,7 @@ def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) ->
             other = source.tables[index].name
             raise InputError(message("data.other_table", name=name, table=other), file=path)
         column = table.columns[place]
-        if what in WORDS:
+        if what in READING_WORDS:
             words[what] = [f"{value:g}" for value in column.values]
         elif what != "t":
             numbers[what], odd[what] = si_of(name, mapped, column, columns, path), column.odd
@@ -368,7 +368,7 @@ def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) ->
     return _Sheet(path, lines, numbers, odd, words, units)
 
 
-def alike(source: Source, names: Sequence[str] | None = None) -> list[Table]:
+def alike(source: Source, names: Sequence[str] | None = None) -> list[SourceTable]:
     """The tables of a workbook that have all columns of some names; without names those of the
     first. A sheet for each valve, with the same columns, is one workbook of readings.
     """

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ehbench.data.readers import Column, Table
+from ehbench.data.readers import SourceColumn, SourceTable
+from ehbench.data.record import Window
 from ehbench.signals.timestamps import stamps_of
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.settings import setting
 
-Window = tuple[float, float]
 NAMED = 4  # places that a note names
 
 
@@ -59,12 +59,12 @@ class Group:
 
     ``stamped`` [s] are stamps of rows that a rate counts instead."""
 
-    table: Table
+    table: SourceTable
     t: np.ndarray
     began: float | None
     daytime: float | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
-    columns: dict[str, Column] = field(default_factory=dict)
+    columns: dict[str, SourceColumn] = field(default_factory=dict)
     stamped: np.ndarray | None = None
 
     @property
@@ -116,7 +116,7 @@ def lines_text(group: Group, at: np.ndarray) -> str:
     return f" (line{'s' * (at.size > 1)} {some}{', …' * (at.size > NAMED)})"
 
 
-def apart(columns: Sequence[Column]) -> list[tuple[list[int], np.ndarray]]:
+def apart(columns: Sequence[SourceColumn]) -> list[tuple[list[int], np.ndarray]]:
     """(columns by number, the rows that are theirs) of the signals of a table that stand in the
     same rows. A signal has rows of its own where it stands in every second row of another or more
     seldom, or where the two take turns; one that is missing here and there has not, nor one that
@@ -150,7 +150,7 @@ def _take_turns(item: np.ndarray, other: np.ndarray) -> bool:
     return inside >= SETTINGS.fewest and int((item & other).sum()) <= SETTINGS.shared * inside
 
 
-def repeated(t: np.ndarray, columns: Sequence[Column]) -> np.ndarray:
+def repeated(t: np.ndarray, columns: Sequence[SourceColumn]) -> np.ndarray:
     """Where a row is the one before once more: its time [s] and all its cells; shape (rows,).
     Nowhere in a table whose time stands still often, as one that is rounded does.
     """

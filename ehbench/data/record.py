@@ -19,6 +19,8 @@ from ehbench.vocabulary.quantities import like_channel, quantity
 if TYPE_CHECKING:
     import pandas as pd
 
+Window = tuple[float, float]  # [s] first and last time
+
 
 @dataclass(frozen=True)
 class Record:
@@ -129,7 +131,7 @@ class Record:
         return frame
 
 
-def block_means(y: np.ndarray, each: int) -> np.ndarray:
+def block_averages(y: np.ndarray, each: int) -> np.ndarray:
     """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
     left out.
     """
@@ -138,21 +140,21 @@ def block_means(y: np.ndarray, each: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Means:
+class BlockAverages:
     """A recording as means of ``each`` successive samples, at their mean time, without commands."""
 
     record: Record
     each: int
 
     @classmethod
-    def of(cls, record: Record, each: int) -> Means:
+    def of(cls, record: Record, each: int) -> BlockAverages:
         """Of a recording, or of a simulation along it."""
         channels = {
-            name: block_means(y, each)
+            name: block_averages(y, each)
             for name, y in record.channels.items()
             if not name.endswith(".command")
         }
-        return cls(replace(record, t=block_means(record.t, each), channels=channels), each)
+        return cls(replace(record, t=block_averages(record.t, each), channels=channels), each)
 
 
 def payloads_text(changes: Iterable[tuple[float, str]]) -> str:

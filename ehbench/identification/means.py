@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ehbench.data.record import Means, Record
+from ehbench.data.record import BlockAverages, Record
 from ehbench.identification.search import Where
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
@@ -29,7 +29,7 @@ STEP = 1.0e-5  # of finite differences, in states' scales, or in units of states
 
 def means_of(
     model: Model, record: Record, decimate: Decimate = "auto", cutoff: float | None = None
-) -> Means | None:
+) -> BlockAverages | None:
     """A recording as it is compared; None: sample by sample.
 
     Args:
@@ -39,12 +39,12 @@ def means_of(
     """
     count, tick = record.t.size, record.sample_time
     if decimate != "auto":
-        return Means.of(record, decimate) if decimate > 1 else None
+        return BlockAverages.of(record, decimate) if decimate > 1 else None
     if WORTH * tick > LONGEST or count < WORTH * FEWEST:
         return None
     longest = SHARE / max(fastest(model, record), cutoff or 0.0, SHARE / LONGEST)
     each = min(math.floor(longest / tick * (1.0 + 1e-6)), count // FEWEST)
-    return Means.of(record, each) if each >= WORTH else None
+    return BlockAverages.of(record, each) if each >= WORTH else None
 
 
 def refuse_few(name: str, record: Record, each: int, where: Where) -> None:
@@ -129,7 +129,7 @@ def _jacobian(model: Model, y: np.ndarray) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def said(record: Record, means: Means) -> str:
+def said(record: Record, means: BlockAverages) -> str:
     """As what a recording is compared, in words."""
     rates = (_rate(1.0 / tick) for tick in (means.each * record.sample_time, record.sample_time))
     return f"as means of {means.each} samples, {' of '.join(rates)}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
-from ehbench.data.record import Means, Record, block_means
+from ehbench.data.record import BlockAverages, Record, block_averages
 from ehbench.identification.means import Decimate, means_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Kept, Maps
@@ -73,7 +73,7 @@ class Log:
     start: LogStart
     warnings: tuple[str, ...] = ()
     band: Band | None = None
-    means: Means | None = None
+    means: BlockAverages | None = None
 
     @property
     def each(self) -> int:
@@ -175,7 +175,7 @@ def prepare(
         tuple(live),
         tuple(columns),
         np.column_stack(list(columns.values())),
-        counts if means is None else block_means(counts, means.each) == 1.0,
+        counts if means is None else block_averages(counts, means.each) == 1.0,
         start_of_log(model, record, live, list(columns), terms),
         (*warnings, *voids),
         means=means,
@@ -330,7 +330,7 @@ def _needs_flows(log: Log) -> bool:
     return any(channel.endswith(FLOWS) for channel in log.channels)
 
 
-def _simulated_means(log: Log) -> Means | None:
+def _simulated_means(log: Log) -> BlockAverages | None:
     """The means as which the simulation of a log is wanted; None where they are taken of what it
     makes of every sample.
     """
@@ -618,4 +618,4 @@ def seen_as(log: Log, replayed: Record) -> Record:
     """A replay as the log is compared: the replay itself, or its means."""
     if log.means is None or replayed.t.size == log.seen.t.size:
         return replayed
-    return Means.of(replayed, log.each).record
+    return BlockAverages.of(replayed, log.each).record

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.data.record import Means, Record
+from ehbench.data.record import BlockAverages, Record
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_arrays
 from ehbench.parts.valve import valve_settle
 from ehbench.parts.valve.delay import line_of
@@ -372,7 +372,7 @@ class Model:
         start: Start,
         mesh: np.ndarray = FREE,
         slack: float = 1.0,
-        means: Means | None = None,
+        means: BlockAverages | None = None,
     ) -> tuple[Record, np.ndarray]:
         """(`replay` with ``step = "auto"`` from a start, without flows; the steps that were
         chosen), ``mesh`` and ``slack`` as `paced` takes them; where ``means`` of the recording are
@@ -392,7 +392,7 @@ class Model:
         commands: np.ndarray,
         log: np.ndarray,
         start: Start,
-        means: Means | None = None,
+        means: BlockAverages | None = None,
     ) -> Record:
         """The log table of a replay, or of its ``means``, as a record, with what the recording's
         gauges would show.

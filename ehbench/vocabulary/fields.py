@@ -125,14 +125,14 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
 
     raw_value = table["value"]
     if count == 1:
-        value: float | tuple[float, ...] = _number(raw_value, row, "the value")
+        value: float | tuple[float, ...] = _scalar(raw_value, row, "the value")
     else:
         if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
             given = shortened(raw_value, 60)
             raise InputError(
                 message("vocabulary.takes_list", name=row.name, count=count, given=given)
             )
-        value = tuple(_number(item, row, "an entry") for item in raw_value)
+        value = tuple(_scalar(item, row, "an entry") for item in raw_value)
     limits = _limits(table, row)
     each = value if isinstance(value, tuple) else (value,)
     lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
@@ -166,7 +166,7 @@ def _unit(table: Mapping[str, Any], row: Quantity) -> str:
     return "" if unit == row.unit else unit
 
 
-def _number(item: Any, row: Quantity, what: str, check: bool = True) -> float:
+def _scalar(item: Any, row: Quantity, what: str, check: bool = True) -> float:
     """A number of a file in SI; ``check`` holds it against the row's plausible range.
 
     Raises:
@@ -204,12 +204,12 @@ def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
         UnitError: they are no numbers of the quantity, or the standard error is negative.
     """
     results = {
-        key: _number(table[key], row, f"the {key}", check=False)
+        key: _scalar(table[key], row, f"the {key}", check=False)
         for key in ("lower", "upper")
         if key in table
     }
     if "std" in table:
-        results["std"] = _number(table["std"], row, "the std", check=False)
+        results["std"] = _scalar(table["std"], row, "the std", check=False)
         if isinstance(table["std"], str):
             results["std"] -= units.zero_of(table["std"], row)
         if results["std"] < 0.0:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.record import Means, Record
+from ehbench.data.record import BlockAverages, Record
 from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
@@ -128,10 +128,10 @@ def test_means_of_a_simulation_are_means_of_its_samples():
     t = np.arange(7004) / RATE
     up = 4.0 * ((t >= 0.0503) & (t < 0.4))
     made = simulate(boom, {"boom.sh": up, "boom.rt": up}, t[-1], rate=RATE, step=AUTO)
-    model, means = Model.of(boom), Means.of(made, 10)
+    model, means = Model.of(boom), BlockAverages.of(made, 10)
     start = model.rest_start(made)
     whole, mesh = model.replay_paced(made, start)
-    wanted = Means.of(whole, 10).record
+    wanted = BlockAverages.of(whole, 10).record
     alone, _ = model.replay_paced(made, start, mesh, means=means)
     assert alone.t.size == 700 and np.array_equal(alone.t, means.record.t)
     assert not any(name.endswith(("command", "opening")) for name in alone.channels)
@@ -256,7 +256,7 @@ def test_what_needs_every_sample_keeps_it():
     whole = model.replay(log.record, AUTO, start=model.rest_start(log.record))
     assert np.array_equal(
         seen_as(log, whole)["press.servo.opening"],
-        Means.of(whole, log.each).record["press.servo.opening"],
+        BlockAverages.of(whole, log.each).record["press.servo.opening"],
     )
 
 

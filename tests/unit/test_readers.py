@@ -22,11 +22,11 @@ from ehbench.app.mapping import draft  # noqa: E402
 from ehbench.data import read, readers  # noqa: E402
 from ehbench.data.readers import (  # noqa: E402
     READERS,
-    Column,
     Dialect,
     Reader,
     Source,
-    Table,
+    SourceColumn,
+    SourceTable,
     open_source,
     reader_of,
     suffixes,
@@ -324,7 +324,9 @@ def test_a_new_reader_of_archives_is_reached_beside_excel(tmp_path, monkeypatch)
 
     def read_npz(path: Path, dialect: Dialect) -> Source:
         with np.load(path) as file:
-            return Source((Table("", tuple(Column(name, file[name]) for name in file)),))
+            return Source(
+                (SourceTable("", tuple(SourceColumn(name, file[name]) for name in file)),)
+            )
 
     module.read = read_npz
     monkeypatch.setitem(sys.modules, module.__name__, module)

@@ -20,7 +20,7 @@ from ehbench.config.rig import Rig
 from ehbench.data import read
 from ehbench.data.channels import FROM_1970
 from ehbench.data.flowmeter import alike, read_flowmeter
-from ehbench.data.readers import Column, Source, Table, open_source, reader_of
+from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source, reader_of
 from ehbench.preprocessing.preparation import outside_stroke
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
@@ -116,7 +116,7 @@ def _guess_text(guess: Guess) -> str:
     return f"{guess.channel}{unit}{mark}" + (f"  ({guess.remark})" if guess.remark else "")
 
 
-def _bad_text(column: Column, own: np.ndarray) -> str:
+def _bad_text(column: SourceColumn, own: np.ndarray) -> str:
     """How many cells of a column hold no number, and in how many rows it stands."""
     bad = int((~np.isfinite(column.values[own])).sum())
     text = message("app.bad_in_column", count=bad) if bad else ""
@@ -124,7 +124,7 @@ def _bad_text(column: Column, own: np.ndarray) -> str:
 
 
 def _span(
-    table: Table, index: int, names: dict[str, tuple[int, int]], guesses: dict[str, Guess]
+    table: SourceTable, index: int, names: dict[str, tuple[int, int]], guesses: dict[str, Guess]
 ) -> str:
     """How long a table is, how often it was sampled and when it began, as far as is known."""
     t, began = table.t, table.began

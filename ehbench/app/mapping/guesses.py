@@ -11,7 +11,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.rates import SETTINGS, apart
-from ehbench.data.readers import Column, Source, Table
+from ehbench.data.readers import Source, SourceColumn, SourceTable
 from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -68,7 +68,7 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
     return results
 
 
-def _guess(name: str, column: Column, table: Table, rig: Rig | None) -> Guess:
+def _guess(name: str, column: SourceColumn, table: SourceTable, rig: Rig | None) -> Guess:
     unit, words = column.known_unit or column.absolute, words_of(name)
     if column.unit.strip("()[]").lower() in DIFFERENTIAL:
         words |= {"dp"}
@@ -115,7 +115,7 @@ def _made_of(word: str, stem: str) -> bool:
     return word.startswith(stem) or word.endswith(stem)
 
 
-def _time(column: Column, unit: str, words: set[str], table: Table) -> Guess | None:
+def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) -> Guess | None:
     """A column that may be the time: it goes on, and is called so or in seconds."""
     others = [item for item in table.columns if item is not column]
     rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.app.mapping.guesses import Guess
 from ehbench.app.mapping.written import own_rows, remark
-from ehbench.data.readers import Column, Source
+from ehbench.data.readers import Source, SourceColumn
 from ehbench.report.style import ACCENT, MUTED, canvas, thin
 from ehbench.vocabulary.messages import message
 
@@ -47,10 +47,10 @@ def draw(picture: Path, source: Source, guesses: dict[str, Guess]) -> None:
                 ax.axvline(t[at], color=ACCENT, linewidth=0.8)
 
 
-def _column(source: Source, at: tuple[int, int]) -> Column:
+def _column(source: Source, at: tuple[int, int]) -> SourceColumn:
     return source.tables[at[0]].columns[at[1]]
 
 
-def _bad(column: Column, own: np.ndarray) -> Sequence[int]:
+def _bad(column: SourceColumn, own: np.ndarray) -> Sequence[int]:
     """Rows of a few bad samples among those of its rate, to be marked."""
     return np.flatnonzero(own & ~np.isfinite(column.values))[:20].tolist()

@@ -13,9 +13,9 @@ from ehbench.app.mapping.guesses import (
     reading_of,
     words_of,
 )
-from ehbench.config.recipe.columns import WORDS as COLUMNS
+from ehbench.config.recipe.columns import READING_WORDS
 from ehbench.config.rig import Rig
-from ehbench.data.readers import Column, Source
+from ehbench.data.readers import Source, SourceColumn
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import is_of
@@ -53,7 +53,7 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
                 guess.channel, guess.unit, False, message("app.or_another"), guess.ends
             )
     for name in table.words:
-        what = next((item for item in COLUMNS if words_of(name) & WORDS[item]), "")
+        what = next((item for item in READING_WORDS if words_of(name) & WORDS[item]), "")
         results[name] = Guess(what, "", bool(what), "words")
     return results
 
@@ -69,7 +69,7 @@ def _drop_of(guess: Guess, given: list[str]) -> Guess:
     return guess
 
 
-def _guess(name: str, column: Column, rig: Rig | None) -> Guess:
+def _guess(name: str, column: SourceColumn, rig: Rig | None) -> Guess:
     unit, words = column.known_unit, words_of(name)
     known = column.values[np.isfinite(column.values)]
     if not known.size:

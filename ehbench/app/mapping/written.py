@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.app.mapping.guesses import Guess
 from ehbench.data.rates import apart
-from ehbench.data.readers import Column, Source
+from ehbench.data.readers import Source, SourceColumn
 from ehbench.vocabulary.messages import message
 
 _FEW = 0.01  # share of a column that may be bad and yet be left out by itself
@@ -100,7 +100,7 @@ def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
     return [f"{key}     # " + message("app.bad_cells", places=places)]
 
 
-def _line(name: str, guess: Guess, column: Column) -> str:
+def _line(name: str, guess: Guess, column: SourceColumn) -> str:
     """A line of the map; a remark where nothing sure is known."""
     key, unit = _quoted(name), f" [{guess.unit}]" if guess.unit else ""
     if guess.ends is not None:
@@ -119,7 +119,7 @@ def _line(name: str, guess: Guess, column: Column) -> str:
     return f"{'' if guess.sure else '# '}{key} = {value}    # {message}"
 
 
-def range_of(column: Column) -> str:
+def range_of(column: SourceColumn) -> str:
     known = column.values[np.isfinite(column.values)]
     if not known.size:
         return "no number"

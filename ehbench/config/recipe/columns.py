@@ -18,7 +18,7 @@ from ehbench.vocabulary.quantities import VOCABULARY, Quantity, meant, quantity
 from ehbench.vocabulary.units import factor, product, split_number, to_si, zero_of
 
 LEAVE_OUT = "leave out"
-WORDS = ("valve", "direction", "trial", "method", "note")  # of flowmeter readings
+READING_WORDS = ("valve", "direction", "trial", "method", "note")  # of flowmeter readings
 ENDING = ".map.toml"
 _MARKS = {"tab": "\t", "space": " "}
 
@@ -64,8 +64,8 @@ class MappedColumn(FileModel):
     @model_validator(mode="after")
     def _whole(self) -> MappedColumn:
         word = self.channel.rpartition(".")[2]
-        if word not in VOCABULARY and word not in WORDS:
-            near = meant(self.channel, WORDS)
+        if word not in VOCABULARY and word not in READING_WORDS:
+            near = meant(self.channel, READING_WORDS)
             raise ValueError(message("config.unknown_channel", channel=self.channel, near=near))
         if (self.from_ is None) != (self.to is None):
             raise ValueError(message("config.from_and_to"))
@@ -91,18 +91,18 @@ class MappedColumn(FileModel):
         if self.from_ is not None and self.to is not None:
             return _through(self.from_, self.to, self.unit or file_unit, row)
         unit = self.unit if self.unit is not None else file_unit
-        scale, by = _number(self.scale)
+        scale, by = _split(self.scale)
         if by:
             slope, zero = product(by, unit, row.unit), 0.0
         else:
             slope, zero = _slope(unit, row)
         gain = self.sign * scale * slope
-        neutral, of = _number(self.neutral)
+        neutral, of = _split(self.neutral)
         neutral *= factor(of, unit) if of and of != unit else 1.0
         return gain, zero - gain * neutral + _offset(self.offset, by, slope, row)
 
 
-def _number(given: float | str) -> tuple[float, str]:
+def _split(given: float | str) -> tuple[float, str]:
     return split_number(given) if isinstance(given, str) else (float(given), "")
 
 
@@ -119,7 +119,7 @@ def _slope(unit: str, row: Quantity) -> tuple[float, float]:
 
 
 def _offset(given: float | str, by: str, slope: float, row: Quantity) -> float:
-    number, unit = _number(given)
+    number, unit = _split(given)
     if number == 0.0:
         return 0.0
     if unit:

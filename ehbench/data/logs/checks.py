@@ -19,7 +19,7 @@ from ehbench.vocabulary.units import from_si, to_si
 LABEL = re.compile(r"\s*(.*?)\s*\[([^\[\]]*)\]\s*$")
 
 SIDE_BY_SIDE = 16  # rows of a table that are scanned as one
-TIMES = ("t", "time", "zeit", "timestamp", "seconds", "sec")  # what a time may be called
+TIME_NAMES = ("t", "time", "zeit", "timestamp", "seconds", "sec")  # what a time may be called
 
 
 def check_record(
@@ -134,7 +134,7 @@ def check_known(name: str, *, file: str | Path | None = None, line: int | None =
     if word in VOCABULARY and all(path):
         return
     plain = word.strip().lower()
-    near = ["t"] if plain in TIMES else get_close_matches(plain, VOCABULARY, 1, cutoff=0.5)
+    near = ["t"] if plain in TIME_NAMES else get_close_matches(plain, VOCABULARY, 1, cutoff=0.5)
     key = "data.near_channel" if near else "data.no_near_channel"
     key = "data.near_time" if near == ["t"] else key
     hint = message(key, near=".".join([*path, *near]))

@@ -9,14 +9,12 @@ import numpy as np
 from ehbench.data.logs.checks import check_record, check_time, inside, label_of
 from ehbench.data.logs.layout import MAGIC
 from ehbench.data.logs.salvage import Salvage, Stream
-from ehbench.data.record import Record
+from ehbench.data.record import Record, Window
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.units import to_si
-
-Window = tuple[float, float]
 
 
 def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> Record:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.data.logs.checks import check_record, inside, label_of
-from ehbench.data.record import Record
+from ehbench.data.record import Record, Window
 from ehbench.data.text import NUMBER, is_hole, text_table
 from ehbench.vocabulary.errors import InputError, LogError
 from ehbench.vocabulary.messages import message
@@ -17,7 +17,7 @@ from ehbench.vocabulary.units import to_si
 _EXAMPLE = "t [s],boom.q [rad]"
 
 
-def read_csv(path: Path, check: bool, window: tuple[float, float] | None = None) -> Record:
+def read_csv(path: Path, check: bool, window: Window | None = None) -> Record:
     """A CSV log whose header names channels with their units.
 
     Args:

@@ -18,18 +18,18 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from ehbench.data.readers.table import Column, Dialect, Source, Table
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.vocabulary.errors import EhbenchError, LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened_path
 
 __all__ = [
-    "Column",
+    "SourceColumn",
     "Dialect",
     "READERS",
     "Reader",
     "Source",
-    "Table",
+    "SourceTable",
     "open_source",
     "reader_of",
     "suffixes",

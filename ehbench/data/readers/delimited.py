@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.data.readers.clock import clock, time_of_day
-from ehbench.data.readers.table import Column, Dialect, Source, Table, numbered
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered
 from ehbench.data.text import NUMBER, cells_of, is_hole, lines_of, numbers, split, text_of
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
@@ -52,7 +52,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     return Source((table,), replace(result, encoding=encoding))
 
 
-def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Table, Dialect]:
+def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[SourceTable, Dialect]:
     """The table in lines of text, and the dialect that it is in.
 
     Raises:
@@ -73,7 +73,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
         if kind == "numbers":
             place = of_numbers.index(index)
             unit = _unit(units[index]) if index < len(units) else ""
-            columns.append(Column(names[index], values[:, place], unit, odd[place]))
+            columns.append(SourceColumn(names[index], values[:, place], unit, odd[place]))
             continue
         cells = cells_of(rows, separator, index)
         if kind == "words":
@@ -82,9 +82,9 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[Ta
         column, start = clock(cells)
         began = start if began is None else began
         daytime = time_of_day(cells) if daytime is None and start is None else daytime
-        columns.append(Column(names[index], column, "s"))
+        columns.append(SourceColumn(names[index], column, "s"))
     daytime = None if began is not None else daytime
-    table = Table(name, tuple(columns), None, began, [n + 1 for n in at], words, daytime)
+    table = SourceTable(name, tuple(columns), None, began, [n + 1 for n in at], words, daytime)
     skip = layout.first if layout.header is None else layout.header
     return table, Dialect(separator, decimal, skip, layout.units is not None)
 

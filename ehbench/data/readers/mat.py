@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.data.readers.table import Dialect, Gathered, Source, Table
+from ehbench.data.readers.table import Dialect, Gathered, Source, SourceTable
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
@@ -36,7 +36,9 @@ def read(path: Path, dialect: Dialect) -> Source:
     return Source(tables, losses=tuple(losses))
 
 
-def _labelled(table: Table, names: Mapping[str, Any], units: Mapping[str, Any]) -> Table:
+def _labelled(
+    table: SourceTable, names: Mapping[str, Any], units: Mapping[str, Any]
+) -> SourceTable:
     """A table with the names and units that structs ``names`` and ``units`` of the file give its
     variables.
     """

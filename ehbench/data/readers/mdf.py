@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.data.readers.table import Column, Dialect, Source, Table, numbered
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
@@ -75,7 +75,7 @@ def _has_formula(conversion, depth: int = DEPTH) -> bool:
     return any(_has_formula(block, depth - 1) for block in blocks)
 
 
-def _group(file, index: int, name: str, began: float | None) -> tuple[Table, list[str]]:
+def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTable, list[str]]:
     """(a channel group, the channels in it that are not read, and why).
 
     Raises:
@@ -103,10 +103,12 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[Table, lis
             values[np.asarray(signal.invalidation_bits, bool)] = np.nan
         columns.append((values, signal.unit or ""))
         names.append(signal.name)
-    built = [Column(item, values, unit) for item, (values, unit) in zip(numbered(names), columns)]
+    built = [
+        SourceColumn(item, values, unit) for item, (values, unit) in zip(numbered(names), columns)
+    ]
     clock = None if master is None else group.channels[master]
     timed = clock is not None and clock.channel_type in _CLOCKS[_version(clock)]
-    return Table(name, tuple(built), t if timed else None, began), unread
+    return SourceTable(name, tuple(built), t if timed else None, began), unread
 
 
 def _version(channel) -> int:
@@ -114,9 +116,9 @@ def _version(channel) -> int:
     return 4 if hasattr(channel, "byte_offset") else 3
 
 
-def _renamed(tables: list[Table]) -> tuple[Table, ...]:
+def _renamed(tables: list[SourceTable]) -> tuple[SourceTable, ...]:
     """The tables with names of their own."""
     names = numbered([table.name for table in tables])
     return tuple(
-        Table(name, table.columns, table.t, table.began) for name, table in zip(names, tables)
+        SourceTable(name, table.columns, table.t, table.began) for name, table in zip(names, tables)
     )

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.data.readers.table import Column, Dialect, Source, Table, columns_of, numbered
+from ehbench.data.readers.table import (
+    Dialect,
+    Source,
+    SourceColumn,
+    SourceTable,
+    columns_of,
+    numbered,
+)
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
@@ -21,7 +28,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         rows, schema = file.metadata.num_rows, file.schema_arrow
         refuse_beyond(24.0 * rows * len(schema), "reading it")
         table = file.read()
-    columns: list[Column] = []
+    columns: list[SourceColumn] = []
     began, losses = None, []
     for field, chunks in zip(schema, table.columns):
         unit = next(((field.metadata or {}).get(key) for key in _UNITS if field.metadata), None)
@@ -38,5 +45,5 @@ def read(path: Path, dialect: Dialect) -> Source:
             columns.append(column)
             began = first if began is None else began
     names = numbered([column.name for column in columns])
-    built = tuple(Column(name, item.values, item.unit) for name, item in zip(names, columns))
-    return Source((Table("", built, None, began),), losses=tuple(losses))
+    built = tuple(SourceColumn(name, item.values, item.unit) for name, item in zip(names, columns))
+    return Source((SourceTable("", built, None, began),), losses=tuple(losses))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.data.readers.table import Column, Dialect, Source, Table
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
@@ -86,7 +86,7 @@ def _stamps(pairs: list[tuple[int, int]]) -> np.ndarray:
 
 def _table(
     topic: str, rows: list[dict[str, float]], stamps: np.ndarray, zero: int, kind: str
-) -> Table:
+) -> SourceTable:
     """A topic's numbers by name, in the order of its time; NaN where a message has none."""
     order = np.argsort(stamps, kind="stable")
     names = dict.fromkeys(name for row in rows for name in row)
@@ -95,9 +95,9 @@ def _table(
     for name in names:
         values = np.array([row.get(name, np.nan) for row in rows])[order]
         unit = next((unit for part, unit in units.items() if name.startswith(part)), "")
-        columns.append(Column(name, values, unit))
+        columns.append(SourceColumn(name, values, unit))
     t = (stamps[order] - zero) / 1e9
-    return Table(topic, tuple(columns), t, zero / 1e9 if zero > 0 else None)
+    return SourceTable(topic, tuple(columns), t, zero / 1e9 if zero > 0 else None)
 
 
 def _header(message: Any) -> int:

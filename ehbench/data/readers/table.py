@@ -39,7 +39,7 @@ def unit_in(name: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class SourceColumn:
     """A column as the file has it: ``values`` in the file's ``unit`` (its own word for it, '' where
     it says none), NaN where no number stands; ``odd`` is what stands there, by row.
     """
@@ -71,14 +71,14 @@ class Column:
         result[[row for row, cell in self.odd.items() if not is_hole(cell)]] = True
         return result
 
-    def taken(self, rows: np.ndarray) -> Column:
+    def taken(self, rows: np.ndarray) -> SourceColumn:
         """The same column with some of its rows, by number."""
         odd = {at: self.odd[int(row)] for at, row in enumerate(rows) if int(row) in self.odd}
         return replace(self, values=self.values[rows], odd=odd)
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class SourceTable:
     """Columns of one time base, all of one length.
 
     ``name`` is that of the group, sheet or topic, '' where a file has one. ``t`` [s] is the time
@@ -88,7 +88,7 @@ class Table:
     that. ``lines`` are the lines of the rows in a text file, ``words`` its columns of words."""
 
     name: str
-    columns: tuple[Column, ...]
+    columns: tuple[SourceColumn, ...]
     t: np.ndarray | None = None
     began: float | None = None
     lines: Sequence[int] | None = None
@@ -123,7 +123,7 @@ class Source:
     could not be read.
     """
 
-    tables: tuple[Table, ...]
+    tables: tuple[SourceTable, ...]
     dialect: Dialect = Dialect()
     losses: tuple[str, ...] = ()
 
@@ -177,7 +177,7 @@ def numbered(names: Sequence[str]) -> list[str]:
 
 def columns_of(
     name: str, values: np.ndarray, unit: str = "", maximum: int = WIDEST
-) -> list[tuple[Column, float | None]]:
+) -> list[tuple[SourceColumn, float | None]]:
     """Columns of what a file has under a name, each with the wall clock of its first value where it
     is of moments: one of a row or column of numbers, several of a matrix, whose longer side is
     time, and of records. Empty where it is of no numbers.
@@ -200,17 +200,17 @@ def columns_of(
         return []
     if values.dtype.kind == "M":
         seconds, began = moments(values)
-        return [(Column(name, seconds, "s"), began)]
+        return [(SourceColumn(name, seconds, "s"), began)]
     if values.dtype.kind not in "fiub":
         return []
-    return [(Column(name, values.astype(float), unit), None)]
+    return [(SourceColumn(name, values.astype(float), unit), None)]
 
 
 class Gathered:
     """Columns gathered into tables by where they stand and how long they are."""
 
     def __init__(self) -> None:
-        self._columns: dict[tuple[str, int], list[Column]] = {}
+        self._columns: dict[tuple[str, int], list[SourceColumn]] = {}
         self._began: dict[tuple[str, int], float | None] = {}
 
     def add(self, place: str, name: str, values: np.ndarray, unit: str = "") -> bool:
@@ -223,13 +223,13 @@ class Gathered:
                 self._began[key] = began
         return bool(result)
 
-    def tables(self) -> tuple[Table, ...]:
+    def tables(self) -> tuple[SourceTable, ...]:
         """The tables, named by where they stand, and by their length too where that is not
         enough.
         """
         places = [place for place, _ in self._columns]
         return tuple(
-            Table(
+            SourceTable(
                 place if places.count(place) == 1 else f"{place}[{size}]",
                 tuple(columns),
                 None,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.data.readers.clock import moments
-from ehbench.data.readers.table import Column, Dialect, Source, Table
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
@@ -19,7 +19,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The groups of a file."""
     from nptdms import TdmsFile
 
-    gathered: dict[_Base, list[Column]] = {}
+    gathered: dict[_Base, list[SourceColumn]] = {}
     moved: dict[str, float] = {}
     losses = []
     with TdmsFile.open(path) as file:
@@ -34,9 +34,9 @@ def read(path: Path, dialect: Dialect) -> Source:
             if values.dtype.kind == "M":
                 seconds, began = moments(values)
                 moved[channel.group_name] = began or 0.0
-                column = Column(channel.name, seconds, "s")
+                column = SourceColumn(channel.name, seconds, "s")
             elif values.ndim == 1 and values.dtype.kind in "fiub":
-                column = Column(channel.name, values.astype(float), unit)
+                column = SourceColumn(channel.name, values.astype(float), unit)
             else:
                 name = f"{channel.group_name}/{channel.name}"
                 losses.append(message("data.not_read", name=name))
@@ -58,7 +58,9 @@ def _base(channel: Any) -> _Base:
     return channel.group_name, len(channel), increment, offset, began
 
 
-def _tables(gathered: dict[_Base, list[Column]], moved: dict[str, float]) -> tuple[Table, ...]:
+def _tables(
+    gathered: dict[_Base, list[SourceColumn]], moved: dict[str, float]
+) -> tuple[SourceTable, ...]:
     """Tables on one zero of time: that of the first to begin."""
     known = [began for *_, began in gathered if began is not None]
     first = min(known, default=None)
@@ -73,5 +75,5 @@ def _tables(gathered: dict[_Base, list[Column]], moved: dict[str, float]) -> tup
             t = offset + increment * np.arange(size)
             t += 0.0 if began is None or first is None else began - first
         zero = first if t is not None else moved.get(group)
-        tables.append(Table(name, tuple(columns), t, zero))
+        tables.append(SourceTable(name, tuple(columns), t, zero))
     return tuple(tables)
