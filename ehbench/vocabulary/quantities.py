@@ -26,7 +26,9 @@ class Quantity:
     ``unit`` is the SI unit used inside, ``display`` the unit people see unless their rig file says
     otherwise, ``lower`` and ``upper`` [SI] the range outside of which a value is surely a slip of
     unit or sign. ``mode_role`` says what a parameter decides of a cylinder's oscillation: its
-    ``frequency`` or its ``decay``."""
+    ``frequency`` or its ``decay``. ``sensor`` says of a channel that every
+    machine measures whether it is one of a ``cylinder`` or of the ``supply``; a sample has them in
+    the order of the table."""
 
     name: str
     symbol: str
@@ -36,6 +38,7 @@ class Quantity:
     lower: float = float("-inf")
     upper: float = float("inf")
     mode_role: str = ""
+    sensor: str = ""
 
 
 def _rows() -> Iterator[Quantity]:

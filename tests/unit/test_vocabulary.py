@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 
 from ehbench.config import recipe, rig
+from ehbench.parts import sample
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.quantities import VOCABULARY, like_channel, quantity
 from ehbench.vocabulary.units import from_si, to_si
@@ -32,6 +33,15 @@ def test_every_row_says_what_it_is():
         if not (row.meaning and row.symbol and row.lower < row.upper)
     ]
     assert not wrong
+
+
+def test_a_sample_has_the_channels_that_the_vocabulary_says_are_measured():
+    """A measured channel is a row with a sensor; this names what a new one still lacks."""
+    measured = {
+        place: tuple(row.name for row in VOCABULARY.values() if row.sensor == place)
+        for place in ("cylinder", "supply")
+    }
+    assert measured == {"cylinder": sample.OF._fields, "supply": sample.LINE._fields}
 
 
 def models():

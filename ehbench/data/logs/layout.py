@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from mcap.data_stream import ReadDataStream
     from mcap.records import McapRecord
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -39,18 +38,6 @@ MESSAGE_HEAD = [
 HEAD_SIZE = np.dtype(MESSAGE_HEAD).itemsize
 
 
-class Readable(Protocol):
-    """A kind of MCAP record that reads itself."""
-
-    @classmethod
-    def read(cls, stream: ReadDataStream) -> Self:
-        """The record at the head of a stream."""
-        ...
-
-
-Kind = TypeVar("Kind", bound=Readable)
-
-
 def pack(record: McapRecord) -> bytes:
     """A record as it lies in the file."""
     from mcap.data_stream import RecordBuilder
@@ -60,7 +47,7 @@ def pack(record: McapRecord) -> bytes:
     return builder.end()
 
 
-def unpack(kind: type[Kind], raw: bytes) -> Kind:
+def unpack(kind: Any, raw: bytes) -> Any:
     """A record of that kind from its bytes, behind opcode and length.
 
     Raises:

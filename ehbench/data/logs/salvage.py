@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import dataclass, field
-from mmap import mmap
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
@@ -58,39 +57,15 @@ class Stream:
     sequences: list[np.ndarray] = field(default_factory=list)
     stamps: list[np.ndarray] = field(default_factory=list)
 
-    side_by_side: np.dtype | None = field(init=False)
-
-    def __post_init__(self) -> None:
-        """``side_by_side`` are the bytes of all fields, where they are doubles that follow one
-        another.
-        """
-        places: Any = self.layout.fields
-        first, count = min(places[name][1] for name in self.labels), len(self.labels)
-        results = [(places[name][0].str, places[name][1]) for name in self.labels]
-        self.side_by_side = None
-        if results == [("<f8", first + 8 * i) for i in range(count)]:
-            self.side_by_side = np.dtype(
-                {
-                    "names": ["all"],
-                    "formats": [("u1", (8 * count,))],
-                    "offsets": [first],
-                    "itemsize": self.layout.itemsize,
-                }
-            )
-
     def add(self, messages: np.ndarray) -> None:
         """Append messages of this layout."""
         stop = self.size + messages.size
         if stop > self.table.shape[1]:
-            grown = _room(len(self.labels), 2 * stop)
+            grown = np.empty((len(self.labels), 2 * stop))
             grown[:, : self.size] = self.table[:, : self.size]
             self.table = grown
-        if self.side_by_side is not None:  # message by message, not number by number
-            whole = np.ascontiguousarray(messages.view(self.side_by_side)["all"])
-            self.table[:, self.size : stop] = whole.view("<f8").T
-        else:
-            for out, name in zip(self.table, self.labels):
-                out[self.size : stop] = messages[name]
+        for out, name in zip(self.table, self.labels):
+            out[self.size : stop] = messages[name]
         self.size = stop
         self.sequences.append(messages["#sequence"].copy())
         self.stamps.append(messages["#log_time"].copy())
@@ -292,7 +267,7 @@ class Salvage:
             room = min(
                 2 * len(self.data) // layout.itemsize, 1 << 20
             )  # a guess that saves copies; pages never touched cost nothing
-            table = _room(len(labels), room)
+            table = np.empty((len(labels), room))
             self.streams[channel.id] = Stream(
                 channel.topic, layout, labels, "ehbench" in channel.metadata, table
             )
@@ -372,15 +347,6 @@ def _repeats(heads: list[np.ndarray]) -> int:
             return count + int(np.argmin(same))
         count, block = count + same.size, 4 * block
     return count
-
-
-def _room(rows: int, columns: int) -> np.ndarray:
-    """A table of zeros; numpy's own would ask for huge pages, which may take longer to find than
-    the samples to copy.
-    """
-    return np.frombuffer(mmap(-1, max(8 * rows * columns, 1)), count=rows * columns).reshape(
-        rows, columns
-    )
 
 
 def _short(stream: Stream) -> Unreadable:
