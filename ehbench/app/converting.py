@@ -15,6 +15,7 @@ from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.text import unlike
 
 _LONGEST = 60  # letters of a variable in MATLAB, which takes 63
 _MOST = 2**31  # [bytes] of a variable in a MAT file
@@ -110,9 +111,6 @@ def _variables(names: list[str]) -> list[str]:
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST]
         plain = plain if plain[:1].isalpha() else f"c{plain}"
-        again, count = plain, 1
-        while again in (*results, "t", "names", "units", "meta", "losses", "posix_time"):
-            count += 1
-            again = f"{plain}_{count}"
-        results.append(again)
+        taken = (*results, "t", "names", "units", "meta", "losses", "posix_time")
+        results.append(unlike(plain, taken))
     return results

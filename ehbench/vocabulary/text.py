@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,18 @@ def quoted(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 
+def unlike(word: str, taken: Collection[str], joint: str = "_") -> str:
+    """A word that is none of those taken: itself, else with the first number from 2 on."""
+    count, result = 1, word
+    while result in taken:
+        count += 1
+        result = f"{word}{joint}{count}"
+    return result
+
+
 def shortened(value: Any, maximum: int) -> str:
-    """A value as Python writes it, cut where it would take ``most`` characters; only its type where
-    that fails.
+    """A value as Python writes it, cut where it would take ``maximum`` characters; only its type
+    where that fails.
     """
     try:
         text = repr(value)

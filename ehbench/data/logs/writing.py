@@ -32,6 +32,7 @@ from ehbench.data.record import Record
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.text import unlike
 
 if TYPE_CHECKING:
     from typing import Self
@@ -217,17 +218,12 @@ class LogWriter:
         self, topics: list[_Topic], row: np.dtype, t: np.ndarray, values: np.ndarray, own: bool
     ) -> None:
         stamps = np.rint(t * 1e9).astype(np.int64)
-        if self._span is None:
-            self._shift = max(
-                0, -int(stamps[0])
-            )  # MCAP has no time below zero; the field t keeps it
+        if self._span is None:  # MCAP has no time below zero; the field t keeps it
+            self._shift = max(0, -int(stamps[0]))
         stamps = (stamps + self._shift).clip(0).astype(np.uint64)
         first, last = int(stamps[0]), int(stamps[-1])
-        self._span = (
-            (first, last)
-            if self._span is None
-            else (min(first, self._span[0]), max(last, self._span[1]))
-        )
+        before = self._span or (first, last)
+        self._span = min(first, before[0]), max(last, before[1])
         self._chunk_span = (min(first, self._chunk_span[0]), max(last, self._chunk_span[1]))
         rows = np.zeros(t.size, row)
         places: Any = row.fields
@@ -402,12 +398,11 @@ def _topics(channels: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dic
         word = topic.strip("/").replace("/", ".")
         fields = ["t"]
         for name in names:
-            fields.append(_unique(_ros_name(name.removeprefix(word + ".")), fields))
+            fields.append(unlike(_ros_name(name.removeprefix(word + ".")), fields))
         labels = ["t [s]", *(f"{name} [{quantity(name).unit}]" for name in names)]
         words = [part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", topic)]
-        kind = _unique(
-            "".join(words) if words and words[0][0].isalpha() else "T" + "".join(words), types
-        )
+        kind = "".join(words) if words and words[0][0].isalpha() else "T" + "".join(words)
+        kind = unlike(kind, types, "")
         types.add(kind)
         text = "".join(f"float64 {name}  # {label}\n" for name, label in zip(fields, labels))
         metadata = {"ehbench": FORMAT, "offered_qos_profiles": "", **dict(zip(fields, labels))}
@@ -427,11 +422,3 @@ def _ros_name(name: str) -> str:
     """
     word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return word if word[:1].isalpha() else f"c_{word}".rstrip("_")
-
-
-def _unique(word: str, taken: Sequence[str] | set[str]) -> str:
-    tries = (
-        word if n == 1 else f"{word}_{n}" if word[0].islower() else f"{word}{n}"
-        for n in range(1, len(taken) + 2)
-    )
-    return next(each for each in tries if each not in taken)

@@ -14,6 +14,7 @@ from ehbench.data.readers.clock import moments
 from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.text import unlike
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _UNIT_LAST = (
@@ -166,12 +167,7 @@ def numbered(names: Sequence[str]) -> list[str]:
     """
     results: list[str] = []
     for at, name in enumerate(names, 1):
-        plain = name.strip() or f"column {at}"
-        again, count = plain, 1
-        while again in results:
-            count += 1
-            again = f"{plain} {count}"
-        results.append(again)
+        results.append(unlike(name.strip() or f"column {at}", results, " "))
     return results
 
 
