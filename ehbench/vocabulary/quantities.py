@@ -48,9 +48,9 @@ def _rows() -> Iterator[Quantity]:
     text = Path(__file__).with_name("quantities.csv").read_text(encoding="utf-8")
     lines = (line for line in text.splitlines() if not line.startswith("#"))
     for row in csv.DictReader(lines, delimiter=";"):
-        lower, upper = float(row["lower"] or "-inf"), float(row["upper"] or "inf")
-        row |= {"display": row["display"] or row["unit"], "lower": lower, "upper": upper}
-        yield Quantity(**row)
+        bounds = float(row.pop("lower") or "-inf"), float(row.pop("upper") or "inf")
+        row["display"] = row["display"] or row["unit"]
+        yield Quantity(**row, lower=bounds[0], upper=bounds[1])
 
 
 VOCABULARY: dict[str, Quantity] = {row.name: row for row in _rows()}

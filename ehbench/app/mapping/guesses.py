@@ -24,7 +24,7 @@ CURRENTS = {"mA", "A"}
 
 
 with Path(__file__).with_name("words.toml").open("rb") as _file:
-    WORDS = {key: frozenset(words) for key, words in tomllib.load(_file).items()}
+    WORDS = {key: set(words) for key, words in tomllib.load(_file).items()}
 _ENDS = ("p_supply", "p_tank", "p_rod", "p_head")
 _PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
 _LOOP = 25.0  # [mA] beyond which a current is no signal of 4 to 20 mA but that of a coil

@@ -91,8 +91,8 @@ def reader_of(path: Path) -> Reader:
         raise LogError(message("data.no_file"), file=path) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        path = shortened_path(path)
-        raise LogError(message("data.unreadable", reason=reason), file=path) from None
+        text = message("data.unreadable", reason=reason)
+        raise LogError(text, file=shortened_path(path)) from None
     name = path.name.lower().removesuffix(".gz")
     begins = [reader for reader in READERS if head.startswith(reader.magic)]
     ends = [reader for reader in READERS if name.endswith(reader.suffixes)]
