@@ -3,7 +3,6 @@ files and runs it read, and the code."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ from typing import Any
 from ehbench.report.saved import Saved
 from ehbench.runs import rundir
 from ehbench.runs.rundir import read_json, sha256
+from ehbench.runs.versions import outdated, read_versions
 from ehbench.vocabulary.errors import EhbenchError
 
 
@@ -109,9 +109,8 @@ def _marks(built: Made, seen: set[Path]) -> Iterator[str]:
     seen.add(built.folder.resolve())
     name = built.folder.name
     yield from _own(built)
-    if built.run.facts["code_sha256"] != rundir.code_version():
-        commit = built.run.facts.get("commit", "unknown")
-        yield f"{name}: run from other code than this (commit {commit})"
+    if old := outdated(built.run.facts.plain()):
+        yield f"{name}: its results are of other versions of methods: {', '.join(old)}"
     for source in (built.recipe, *built.sources):
         yield from _changed(name, source)
         folder = source.run
@@ -136,12 +135,11 @@ def _own(built: Made) -> Iterator[str]:
     """What in the run folder is not as the run wrote it."""
     facts, name = built.run.facts, built.folder.name
     plain = dict(facts.plain())
-    digest = hashlib.sha256((facts["recipe"]["sha256"] + facts["code_sha256"]).encode())
-    for item in facts["inputs"]:
-        digest.update(f"{item['role']}:{item['sha256']}\n".encode())
-    if digest.hexdigest()[:8] != facts["hash"]:
-        yield f"{name}: run.json names other inputs or other code than its hash"
-    if plain.pop("seal", None) != rundir.seal_of(plain):
+    inputs = [(item["role"], item["sha256"]) for item in facts["inputs"]]
+    digest = rundir.run_hash(facts["recipe"]["sha256"], inputs, read_versions(plain))
+    if digest != facts["hash"]:
+        yield f"{name}: run.json names other inputs or versions than its hash"
+    if plain.pop("checksum", None) != rundir.checksum(plain):
         yield f"{name}: run.json is not as the run wrote it"
     for file, wrote in rundir.outputs_of(built.folder / "run.json").items():
         path = built.folder / file

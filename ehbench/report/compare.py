@@ -20,6 +20,7 @@ from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import found, table
 from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
 from ehbench.runs.rundir import read_json
+from ehbench.runs.versions import read_versions
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.terms import Z95
 
@@ -102,7 +103,8 @@ def _inputs(run: Saved) -> dict[str, str]:
     known = {"recipe": facts["recipe"]["sha256"]}
     for item in facts["inputs"]:
         known[f"{item['role']} {_RUN.sub('', Path(item['path']).name)}"] = item["sha256"]
-    known["code"] = facts["code_sha256"]
+    for name, version in read_versions(facts.plain()).rows():
+        known[name if name == "schema" else f"method {name}"] = str(version)
     known |= {f"version of {name}": str(value) for name, value in facts["versions"].items()}
     return known | {f"seed of {k}": str(v) for k, v in facts.get("seeds", {}).items()}
 

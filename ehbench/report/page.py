@@ -42,6 +42,7 @@ from ehbench.report.stages.campaign import Titles, campaign_sections, heading
 from ehbench.report.svg import sound
 from ehbench.report.words import count, words
 from ehbench.runs import rundir
+from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary.errors import EhbenchError, InputError
 
@@ -72,9 +73,8 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
 
 
 def _is_ours(folder: Path) -> bool:
-    """Whether a run is as this very code wrote it."""
-    facts = rundir.read_json(folder / "run.json")
-    return facts.get("code_sha256") == rundir.code_version() and rundir.is_whole(folder)
+    """Whether a run is whole and of the current versions."""
+    return not outdated(rundir.read_json(folder / "run.json")) and rundir.is_whole(folder)
 
 
 def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
@@ -244,10 +244,10 @@ def _origins(run: Saved) -> Fold:
     rows = [
         ["run", "", Cell(facts["hash"], "hash")],
         ["commit", "", Cell(facts["commit"], "hash")],
-        ["code", "all sources", Cell(facts["code_sha256"], "hash")],
         *([role, Cell(path, "code"), Cell(digest, "hash")] for role, path, digest in files),
     ]
     versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
+    versions += f"; {read_versions(facts.plain())}"
     seeds = ", ".join(f"{name} {seed}" for name, seed in facts.get("seeds", {}).items()) or "none"
     note = Text(f"Versions: {versions}. Seeds: {seeds}.", "note")
     return Fold(run.title, [Grid(["role", "file", "SHA-256"], rows), note])

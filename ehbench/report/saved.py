@@ -153,7 +153,8 @@ class _Facts(TypedDict, total=False):
     title: str | None
     hash: str
     commit: str
-    code_sha256: str
+    schema: int
+    methods: dict[str, int]
     recipe: _File
     inputs: list[_File]
     outputs: dict[str, str]

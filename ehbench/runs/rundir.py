@@ -27,9 +27,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import DATA, impossible, read_bytes
 from ehbench.runtime.interrupts import unbroken
-from ehbench.runtime.sources import sources
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import Message
 from ehbench.vocabulary.text import shortened_path
@@ -66,15 +66,6 @@ def shipped(name: str) -> Path:
     """Where the ``recipes`` or ``datasets`` that ship with the package are."""
     inside = SHIPPED / name
     return inside if inside.is_dir() else PACKAGE.parent / name
-
-
-@lru_cache(maxsize=1)
-def code_version() -> str:
-    """SHA-256 over the package's own sources: changes whenever the code does."""
-    digest = hashlib.sha256()
-    for path in sources(PACKAGE, ".py", ".html", ".css", ".toml", ".csv"):
-        digest.update(str(path.relative_to(PACKAGE)).encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()
 
 
 @lru_cache(maxsize=1)
@@ -172,26 +163,34 @@ class Run:
             if path.is_file() and path != self.path / "run.json"
         }
         facts = plain({**self.record, **self.facts, "outputs": outputs})
-        write_json(self.path / "run.json", {**facts, "seal": seal_of(facts)})
+        write_json(self.path / "run.json", {**facts, "checksum": checksum(facts)})
 
 
-def seal_of(facts: Mapping[str, Any]) -> str:
-    """SHA-256 over what ``run.json`` says but for the seal: shows an edit, proves no author."""
+def checksum(facts: Mapping[str, Any]) -> str:
+    """SHA-256 over the content of ``run.json`` without its checksum: shows an edit, proves no
+    author.
+    """
     text = json.dumps(facts, ensure_ascii=False, allow_nan=False, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def run_hash(recipe: Path, inputs: Iterable[tuple[str, Path]]) -> str:
-    """Eight hex digits over recipe, inputs (role and content) and code version."""
-    digest = hashlib.sha256(sha256(recipe).encode() + code_version().encode())
-    for role, path in inputs:
-        digest.update(f"{role}:{sha256(path)}\n".encode())
+def run_hash(recipe: str, inputs: Iterable[tuple[str, str]], versions: Versions) -> str:
+    """Eight hex digits that name a run.
+
+    Args:
+        recipe: SHA-256 of its recipe.
+        inputs: role and SHA-256 of each.
+        versions: of its schema and methods.
+    """
+    digest = hashlib.sha256(f"{recipe}{versions}\n".encode())
+    for role, content in inputs:
+        digest.update(f"{role}:{content}\n".encode())
     return digest.hexdigest()[:8]
 
 
-def place(recipe: Path, inputs: Iterable[tuple[str, Path]], root: Path) -> Path:
-    """Where a recipe's run goes by default: ``<root>/<recipe>_<hash8>``."""
-    return root / f"{recipe.stem}_{run_hash(recipe, inputs)}"
+def hash_of(recipe: Path, inputs: Iterable[tuple[str, Path]], versions: Versions) -> str:
+    """The `run_hash` of files."""
+    return run_hash(sha256(recipe), ((role, sha256(path)) for role, path in inputs), versions)
 
 
 def is_whole(folder: Path) -> bool:
@@ -212,6 +211,7 @@ def open_run(
     recipe: Path,
     inputs: Iterable[tuple[str, Path]],
     seeds: Mapping[str, int] | None = None,
+    versions: Versions | None = None,
 ) -> Iterator[Run]:
     """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
 
@@ -227,7 +227,12 @@ def open_run(
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     # before there is a folder that a signal could leave behind: this takes a while
-    run = Run(scratch, final, _record(stage, recipe, inputs, seeds or {}), left_over=left_over)
+    run = Run(
+        scratch,
+        final,
+        _record(stage, recipe, inputs, seeds or {}, versions or Versions.of(stage)),
+        left_over=left_over,
+    )
     began, hold = time.time(), None
     try:
         try:
@@ -260,14 +265,18 @@ def open_run(
 
 
 def _record(
-    stage: str, recipe: Path, inputs: Sequence[tuple[str, Path]], seeds: Mapping[str, int]
+    stage: str,
+    recipe: Path,
+    inputs: Sequence[tuple[str, Path]],
+    seeds: Mapping[str, int],
+    versions: Versions,
 ) -> dict[str, Any]:
     """What ``run.json`` says of a run whatever its stage: the same from the same inputs."""
     return {
         "stage": stage,
         "name": recipe.stem,
         "argv": ["ehbench", stage, recipe.name],
-        "hash": run_hash(recipe, inputs),
+        "hash": hash_of(recipe, inputs, versions),
         "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
         "inputs": [
             {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
@@ -275,7 +284,8 @@ def _record(
         ],
         "seeds": dict(seeds),
         "versions": dict(_versions()),
-        "code_sha256": code_version(),
+        "schema": versions.schema,
+        "methods": dict(versions.methods),
         "commit": commit(),
     }
 

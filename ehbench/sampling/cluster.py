@@ -12,12 +12,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib import metadata
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ehbench.runs import rundir
+from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import DEATHS, GRACE, WARMING, Chunks
 from ehbench.sampling.sample import Make, Sample, Task
@@ -30,6 +31,12 @@ WAITING = 3  # chunks for each thread of the cluster that are under way at most
 CONNECT = 20.0  # [s]
 
 
+def _code() -> str:
+    """The package's version, with those of all methods."""
+    numbers = ".".join(map(str, METHODS.values()))
+    return f"{metadata.version('ehbench')} (methods {numbers})"
+
+
 @dataclass(frozen=True)
 class Bundle:
     """What a study reads, to be laid out on another machine as it lies on this one: files by their
@@ -38,7 +45,7 @@ class Bundle:
 
     files: dict[str, bytes]
     open: Any
-    code: str = field(default_factory=rundir.code_version)
+    code: str = field(default_factory=_code)
 
     def unpacked(self, root: Path) -> Make:
         """Write the files below ``root``; what makes samples of them."""
@@ -66,8 +73,8 @@ _OPENING = threading.Lock()
 @lru_cache(maxsize=4)
 def _opened(digest: str, data: bytes) -> Make:
     bundle: Bundle = pickle.loads(data)
-    if bundle.code != rundir.code_version():
-        raise OtherCode(f"{bundle.code[:12]} here, {rundir.code_version()[:12]} there")
+    if bundle.code != _code():
+        raise OtherCode(f"{bundle.code} here, {_code()} there")
     return bundle.unpacked(Path(mkdtemp(prefix=f"ehbench_{digest[:8]}_")))
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
 
 from ehbench.config.recipe import Recipe, load_rig
 from ehbench.runs import rundir
+from ehbench.runs.versions import Versions
 from ehbench.stages.inputs import Inputs, NamedFiles, maps_in
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.notebook import label, plural, shown, table
@@ -199,7 +200,16 @@ class Stage(Checked[R], Generic[R, P]):
 
     def place(self, prepared: P, host: Host) -> Path:
         """Where the run's folder goes."""
-        return host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
+        return host.out or self.default_place(prepared, host.root)
+
+    def default_place(self, prepared: P, root: Path) -> Path:
+        """``<root>/<recipe>_<hash8>``: the hash is over recipe, inputs and versions."""
+        path, versions = prepared.recipe.path, self.versions(prepared)
+        return root / f"{path.stem}_{rundir.hash_of(path, prepared.inputs or (), versions)}"
+
+    def versions(self, prepared: P) -> Versions:
+        """Versions of the run's schema and of the methods that produce it."""
+        return Versions.of(self.name)
 
     def run(self, prepared: P, host: Host) -> Outcome:
         """Do the work in a new run folder and draw its figures; a run that stands with these very
@@ -213,7 +223,10 @@ class Stage(Checked[R], Generic[R, P]):
             facts = rundir.read_json(final / "run.json")
             return Outcome(final, facts["code"], tuple(facts["notes"]))
         tell = host.tell(recipe.name)
-        with rundir.open_run(final, recipe.stage_name, recipe.path, inputs, prepared.seeds) as run:
+        versions = self.versions(prepared)
+        with rundir.open_run(
+            final, recipe.stage_name, recipe.path, inputs, prepared.seeds, versions
+        ) as run:
             work = self.work(prepared, run.path, tell)
             notes = [*work.facts["warnings"], *work.reasons]
             about = {"what": self.name, "title": recipe.title}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ehbench.config.recipe import Campaign, load_recipe
 from ehbench.runs import rundir
+from ehbench.runs.versions import Versions
 from ehbench.stages.base import (
     DONE,
     INCOMPLETE,
@@ -114,7 +115,8 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     inputs = [("run", folder) for folder in folders]
     source = campaign.path if campaign else folders[0] / "run.json"
     name = campaign.name if campaign else "report"
-    final = host.out or host.root / f"{name}_{rundir.run_hash(source, inputs)}"
+    digest = rundir.hash_of(source, inputs, Versions.of("report"))
+    final = host.out or host.root / f"{name}_{digest}"
     tell = host.tell(campaign.name if campaign else "")
     if tell is not None:
         tell("writing the report", 0.5)

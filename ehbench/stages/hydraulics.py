@@ -94,7 +94,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         about = {
             "about": f"how far a search has come that was stopped: ehbench identify {path.name} "
             "--resume",
-            "hash": rundir.run_hash(path, prepared.inputs or ()),
+            "hash": rundir.hash_of(path, prepared.inputs or (), self.versions(prepared)),
         }
         with journal_of(self.place(prepared, host), about, host.resume) as journal:
             return super().run(replace(prepared, journal=journal), host)

@@ -51,15 +51,15 @@ class Look:
             findings.does = prepared.does
         self._walk.pop()
         if isinstance(stage, Stage):
-            findings.writes = f"{self._place(findings, prepared)}: {stage.writes}"
+            findings.writes = f"{self._place(findings, prepared, stage)}: {stage.writes}"
         return findings
 
-    def _place(self, findings: Findings, prepared: Prepared | None) -> str:
+    def _place(self, findings: Findings, prepared: Prepared | None, stage: Stage) -> str:
         """The run folder of a recipe, as far as its name is known."""
         open_yet = findings.first or findings.errors or findings.refused
         if prepared is None or prepared.inputs is None or open_yet:
             return f"{self.root / findings.recipe.name}_<hash>"
-        folder = rundir.place(findings.recipe.path, prepared.inputs, self.root)
+        folder = stage.default_place(prepared, self.root)
         if rundir.is_whole(folder):
             findings.stands = True
             self._standing[findings.recipe.path] = folder

@@ -17,6 +17,7 @@ from ehbench.report.content import num
 from ehbench.report.terminal import table
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
 from ehbench.runs import rundir
+from ehbench.runs.versions import Versions
 from ehbench.stages.base import DONE, Host, Outcome, Progress, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.inputs import Inputs
@@ -144,9 +145,10 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
         )
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
-    digest = rundir.run_hash(recipe.path, prepared.inputs or ())
+    files, versions = prepared.inputs or (), Versions.of("profile")
+    digest = rundir.hash_of(recipe.path, files, versions)
     final = host.out or host.root / f"profile_{name}_{recipe.path.stem}_{digest}"
-    with rundir.open_run(final, recipe.stage_name, recipe.path, prepared.inputs or ()) as run:
+    with rundir.open_run(final, recipe.stage_name, recipe.path, files, versions=versions) as run:
         fit, result = profile(prepared.fit, name, host.tell(recipe.name))
         write_rig(run.path, fit.rig, prepared.state.flow_maps)
         rundir.write_json(run.path / "profile.json", result.as_json())

@@ -18,6 +18,7 @@ import numpy as np
 
 from ehbench.config.recipe import StudyRecipe, load_recipe
 from ehbench.runs import rundir
+from ehbench.runs.versions import Versions
 from ehbench.runtime.cores import cores
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.sampling import statistics
@@ -98,6 +99,7 @@ class PreparedStudy(Prepared):
     measures: tuple[MeasureColumn, ...]
     targets: tuple[dict[str, Any], ...]
     key: str
+    versions: Versions
     where: Where = field(default_factory=Where)
     resume: bool = False
     journal: Path = Path("study.samples.jsonl")
@@ -142,12 +144,25 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         targets = tuple(_target(recipe, at, measures) for at in range(len(recipe.target)))
         names = " and ".join(f"'{name}'" for name in recipe.recipe)
         does = f"runs {names} {design.size} times and takes {counted(measures, 'measure')} of each"
-        hung = [rundir.sha256(path) for _, path in files] + [rundir.code_version()]
-        key = hashlib.sha256("".join([*hung, repr(recipe.model_dump())]).encode()).hexdigest()[:16]
+        versions = Versions.of(self.name, (stage.versions(item) for stage, item in prepared))
+        content = [rundir.sha256(path) for _, path in files] + [str(versions)]
+        key = hashlib.sha256("".join([*content, repr(recipe.model_dump())]).encode())
         seeds = {"study": recipe.seed}
         return PreparedStudy(
-            recipe, tuple(files), does, plan, design, measures, targets, key, seeds=seeds
+            recipe,
+            tuple(files),
+            does,
+            plan,
+            design,
+            measures,
+            targets,
+            key.hexdigest()[:16],
+            versions,
+            seeds=seeds,
         )
+
+    def versions(self, prepared: PreparedStudy) -> Versions:
+        return prepared.versions
 
     @staticmethod
     def _inner(path: Path, at: int, inputs: Inputs, runs: RecordedRuns) -> tuple[Stage, Prepared]:
@@ -166,7 +181,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
 
     def run(self, prepared: PreparedStudy, host: Host) -> Outcome:
         """As `Stage.run`; samples are kept beside the run's place until it is whole."""
-        final = host.out or rundir.place(prepared.recipe.path, prepared.inputs or (), host.root)
+        final = self.place(prepared, host)
         journal = final.with_name(f"{final.name}.samples.jsonl")
         where = getattr(host, "where", None) or Where()
         resume = host.resume or host.keep

@@ -12,7 +12,8 @@ import pytest
 from ehbench import workflow
 from ehbench.report.bearing import no_longer_bears
 from ehbench.report.why import why
-from ehbench.runs import rundir
+from ehbench.runs import rundir, versions
+from ehbench.runs.versions import METHODS, Versions
 from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -38,7 +39,8 @@ ROW = {
 
 
 def write_run(final, stage, recipe, inputs, files, **facts):
-    with rundir.open_run(final, stage, recipe, inputs) as run:
+    current = Versions.of(facts["what"])
+    with rundir.open_run(final, stage, recipe, inputs, versions=current) as run:
         for name, content in files.items():
             rundir.write_json(run.path / name, content)
         shutil.copy(RIGS / "slide_servo.toml", run.path / "rig.toml")
@@ -241,7 +243,7 @@ TAMPERINGS = {
     "a number of the run behind": edit("reports/maps_1/summary.json", "1.25", "1.35"),
     "the rig that the run left": edit("reports/fit_1/rig.toml", "name", "nam"),
     "a file of the run gone": lambda shop: (shop / "reports/fit_1/rig.toml").unlink(),
-    "the code": edit_json("reports/fit_1/run.json", "code_sha256", "0" * 64),
+    "the versions": edit_json("reports/fit_1/run.json", "schema", 0),
     "the method it names": edit_json("reports/fit_1/run.json", "method", "thesis"),
     "what it warns of": edit_json("reports/fit_1/run.json", "warnings", ["all is well"]),
     "the inputs it names": edit_json("reports/fit_1/run.json", "inputs", []),
@@ -274,10 +276,12 @@ def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop,
     assert made.code == 3 and "one.csv" in made.notes[0]
 
 
-def test_a_run_from_other_code_is_marked(shop, monkeypatch):
-    monkeypatch.setattr(rundir, "code_version", lambda: "0" * 64)
+def test_a_run_of_an_older_method_is_marked(shop, monkeypatch):
+    monkeypatch.setattr(
+        versions, "METHODS", METHODS | {"output_error": METHODS["output_error"] + 1}
+    )
     marks = why("bulk_modulus", shop / "reports" / "fit_1").marks
-    assert any("other code" in mark for mark in marks)
+    assert len(marks) == 1 and "output_error" in marks[0]
 
 
 def test_a_shop_moved_as_a_whole_still_bears_its_numbers(shop, tmp_path_factory):
