@@ -30,7 +30,7 @@ METHODS: Mapping[str, int] = {
 _SIMULATED = ("logs", "plant")
 _TRIAL = (*_SIMULATED, "bench", "control", "trial", "ledger")
 # by stage: its schema and the methods that it uses
-_STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
+STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (1, (*_SIMULATED, "flow_maps")),
     "hydraulics": (1, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
@@ -60,7 +60,7 @@ class Versions:
             stage: its name.
             further: of the stages that this one runs itself.
         """
-        schema, names = _STAGES.get(stage, (0, ()))
+        schema, names = STAGES.get(stage, (0, ()))
         methods = {name: METHODS[name] for name in names}
         for item in further:
             methods |= item.methods
