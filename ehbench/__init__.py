@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from ehbench.data.logs import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
     from ehbench.plant.model import simulate as simulate
-    from ehbench.workflow import Outcome, Progress, Session
+    from ehbench.vocabulary.progress import Progress
+    from ehbench.workflow import Outcome, Session
 
 __all__ = [
     "check",

@@ -19,13 +19,14 @@ from typing import TYPE_CHECKING
 from ehbench import stages
 from ehbench.config.recipe import HydraulicsRecipe, Recipe, load_recipe
 from ehbench.runtime.blas import one_thread
-from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Outcome, Progress, Stage
+from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Outcome, Stage
 from ehbench.stages.campaign import write_report
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.look import Circle
 from ehbench.stages.study import Where
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     from ehbench.guidance.suggestions import Suggestions
@@ -39,7 +40,6 @@ __all__ = [
     "STOPPED",
     "FinishedRuns",
     "Outcome",
-    "Progress",
     "RigState",
     "Session",
     "ValidatedRig",

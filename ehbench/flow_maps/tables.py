@@ -4,7 +4,7 @@ and what is saved.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -16,10 +16,10 @@ from ehbench.data.flowmeter import FlowmeterData, LeftOut, merge_flowmeter
 from ehbench.flow_maps.map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
 from ehbench.flow_maps.warmth import warm_flow, warmed
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
 
-Progress = Callable[[str, float], None]
 # the largest flow of a valve as a share of what the supply can give: outside of these a unit is
 # wrong
 _FLOW_SHARES = 1e-3, 20.0

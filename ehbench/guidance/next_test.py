@@ -20,12 +20,12 @@ from ehbench.data.record import Record
 from ehbench.identification.covariance import eliminate
 from ehbench.identification.hydraulics import PreparedFit, simulator_of
 from ehbench.identification.output_error import OutputError
-from ehbench.identification.results import Progress
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.observations import column
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
+from ehbench.vocabulary.progress import Progress
 
 SECONDS = 3.5
 AMPLITUDES = (0.15, 0.3, 0.5, 0.85)  # of the valves' largest command

@@ -15,9 +15,10 @@ import numpy as np
 
 from ehbench.identification.hydraulics import PreparedFit, simulator_of
 from ehbench.identification.output_error import OutputError
-from ehbench.identification.results import FittedParameter, HydraulicsFit, Progress
+from ehbench.identification.results import FittedParameter, HydraulicsFit
 from ehbench.identification.search import Coordinate
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 
 # rise of −2 log likelihood at the ends of a 95 % interval
 LEVEL_95 = 3.841

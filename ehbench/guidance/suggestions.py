@@ -22,11 +22,11 @@ from ehbench.data.record import Record
 from ehbench.guidance.changes import TURNED, Change, changes, merged
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
 from ehbench.identification.output_error import OutputError
-from ehbench.identification.results import Progress
 from ehbench.identification.search import of_sensors
 from ehbench.identification.simulator import Log, Simulator
 from ehbench.signals.series import white_noise
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.progress import Progress
 
 SECONDS = 120.0  # of trying, by default
 LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how many of a log

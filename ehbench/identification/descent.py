@@ -14,11 +14,11 @@ import numpy as np
 
 from ehbench.identification.covariance import Block, Prior, eliminate
 from ehbench.identification.journal import Journal
-from ehbench.identification.results import Progress
 from ehbench.identification.search import Coordinate, of_sensors
 from ehbench.identification.simulator import Log, Meshes, Shifts, Simulator
 from ehbench.preprocessing.initial_states import prior_weight
 from ehbench.signals.series import lowpass, rms
+from ehbench.vocabulary.progress import Progress
 
 # a scale's floor as a share of the channel's spread: no sensor makes a channel worth more than that
 SCALE_FLOOR = 5.0e-3

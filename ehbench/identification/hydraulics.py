@@ -29,13 +29,7 @@ from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import Decimate, refuse_few
 from ehbench.identification.output_error import OutputError
-from ehbench.identification.results import (
-    FittedParameter,
-    HydraulicsFit,
-    LogFit,
-    Match,
-    Progress,
-)
+from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
 from ehbench.identification.sensitivity import watched
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
@@ -48,6 +42,7 @@ from ehbench.preprocessing.observations import payload_of
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.signals.series import correlation_time
 from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY, meant
 from ehbench.vocabulary.terms import Z95
 

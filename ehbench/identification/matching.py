@@ -10,19 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.identification.results import (
-    Estimate,
-    HydraulicsFit,
-    Match,
-    Progress,
-    finish,
-    not_excited,
-)
+from ehbench.identification.results import Estimate, HydraulicsFit, Match, finish, not_excited
 from ehbench.identification.search import LEVEL, VAGUE, Coordinate
 from ehbench.identification.simulator import Log, Simulator
 from ehbench.preprocessing.observations import TOGETHER, least_change, rings_clearly
 from ehbench.signals.series import Ringing, ringing, ringing_like, rms, transients
 from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.progress import Progress
 
 # rounds before the matching asks whether a parameter is told at all; of these so many may damp a
 # silent simulation less, and after so many the slopes are kept, so that it can come to rest

@@ -4,7 +4,7 @@ is doubtful."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -34,8 +34,6 @@ FINE = 0.005  # share of a channel's spread that counts as noise, whatever the n
 OPPOSITE = -0.5  # correlation below which a channel goes the other way than the model
 READ_OFF = {"supply.pressure": "p_supply", "supply.tank_pressure": "p_tank"}
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ To add a stage, write one file here with its recipe model and its `Stage`, add i
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -18,6 +18,7 @@ from ehbench.runs.versions import Versions
 from ehbench.stages.inputs import Inputs, NamedFiles, maps_in
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.notebook import label, plural, shown, table
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from ehbench.physics.flow_map import FlowMaps
 
 DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
-Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 
 
 @dataclass(frozen=True)

@@ -11,20 +11,11 @@ from pathlib import Path
 from ehbench.config.recipe import Campaign, load_recipe
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
-from ehbench.stages.base import (
-    DONE,
-    INCOMPLETE,
-    Host,
-    Outcome,
-    Prepared,
-    Progress,
-    Stage,
-    Work,
-    stage_of,
-)
+from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, Work, stage_of
 from ehbench.stages.findings import STANDS, counted
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 
 
 @dataclass(frozen=True)

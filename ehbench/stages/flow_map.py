@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 from ehbench.config.recipe import FlowMapRecipe
 from ehbench.config.recipe.columns import LEAVE_OUT
 from ehbench.runs import rundir
-from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Progress, Stage, Work, write_rig
+from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig

@@ -20,7 +20,6 @@ from ehbench.stages.base import (
     Host,
     Outcome,
     Prepared,
-    Progress,
     Stage,
     Work,
     recorded_on,
@@ -31,6 +30,7 @@ from ehbench.stages.findings import counted
 from ehbench.stages.fitted_sensors import tables_of
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     from ehbench.config.recipe.sensor import Sensor

@@ -15,11 +15,12 @@ from typing import Any
 from ehbench.config.recipe import Recipe, TrialRecipe, load_recipe, read_toml
 from ehbench.sampling.design import Design, label_of
 from ehbench.sampling.keys import Changes, changed_bench, changed_table
-from ehbench.stages.base import Outcome, Progress, Stage, stage_of
+from ehbench.stages.base import Outcome, Stage, stage_of
 from ehbench.stages.findings import Findings
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.samples import Plan, Sampler, _Base
 from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.progress import Progress
 
 # keys of a recipe that name files
 _FILES = ("rig", "flow_maps", "bench", "file", "path", "from", "gains", "columns")

@@ -18,10 +18,11 @@ from ehbench.report.terminal import table
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
-from ehbench.stages.base import DONE, Host, Outcome, Progress, write_rig
+from ehbench.stages.base import DONE, Host, Outcome, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 
 _SHOWN = 8
 

@@ -10,19 +10,11 @@ from pydantic import Field
 
 from ehbench.config.recipe import AnyColumns, DataFiles, Recipe
 from ehbench.runs import rundir
-from ehbench.stages.base import (
-    DONE,
-    INCOMPLETE,
-    Prepared,
-    Progress,
-    Stage,
-    Work,
-    recorded_on,
-    write_rig,
-)
+from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, recorded_on, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, Logs, RigState
 from ehbench.vocabulary.fields import Q, Value
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:

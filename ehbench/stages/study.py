@@ -28,17 +28,7 @@ from ehbench.sampling.journal import Journal
 from ehbench.sampling.outputs import MeasureColumn, Rows, write_tables
 from ehbench.sampling.pools import Pool, Processes, Threads
 from ehbench.sampling.sample import STATUS, WHOLE, Task
-from ehbench.stages.base import (
-    DONE,
-    INCOMPLETE,
-    Host,
-    Outcome,
-    Prepared,
-    Progress,
-    Stage,
-    Work,
-    stage_of,
-)
+from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, Work, stage_of
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs
 from ehbench.stages.kept import keep
@@ -52,6 +42,7 @@ from ehbench.stages.samples import (
     refuse_measures,
 )
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.text import shortened
 from ehbench.vocabulary.units import parse
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
 from ehbench.runs import rundir
-from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
+from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig

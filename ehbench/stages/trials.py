@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from ehbench.config.recipe import TrialSetRecipe
 from ehbench.runs import rundir
-from ehbench.stages.base import DONE, STOPPED, Prepared, Progress, Stage, Work, write_rig
+from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.trial import (
@@ -19,6 +19,7 @@ from ehbench.stages.trial import (
     prepared_case,
     time_is_known,
 )
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.runs import rundir
-from ehbench.stages.base import Prepared, Progress, Stage, Work, write_rig
+from ehbench.stages.base import Prepared, Stage, Work, write_rig
 from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, ValidatedRig
 from ehbench.vocabulary.errors import InsufficientData, ModelRejected
+from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
     from ehbench.tune.study import Study

@@ -27,7 +27,6 @@ from ehbench.stages.base import (
     INCOMPLETE,
     REJECTED,
     Prepared,
-    Progress,
     Stage,
     Work,
     recorded_on,
@@ -37,6 +36,7 @@ from ehbench.stages.base import (
 from ehbench.stages.findings import counted
 from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.units import from_si
 

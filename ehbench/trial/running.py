@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -32,6 +32,7 @@ from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS
 from ehbench.vocabulary.codes import SATURATED, STATUS_MEANS
 from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
 
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from ehbench.plant.model import Model
 
 SELDOM = ("payload_change", "first_pressure_error")  # said only of trials that have them
-Progress = Callable[[str, float], None]  # (what, share done from 0 to 1)
 
 
 @dataclass(frozen=True)

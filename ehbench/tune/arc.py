@@ -5,7 +5,7 @@ operating point of the whole sampled loop (`ehbench.tune.arc_loop`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -27,8 +27,8 @@ from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Se
 from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.progress import Progress
 
-Progress = Callable[[str, float], None]
 BUDGETS = tuple(np.geomspace(0.08, 1.2, 12).tolist())  # [rad] over the valves' lag and a tick
 HALVINGS = 3  # between the largest that keeps the margins and the next
 # gains that a trial takes from a tuning

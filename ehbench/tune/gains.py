@@ -7,7 +7,7 @@ one of them."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +24,7 @@ from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, pairs
 from ehbench.tune.search import GAIN_POINTS, GAIN_SPAN, LawSearch, choose_gain, natural_gain
 from ehbench.tune.study import Machine, Site, Study, prepare_tuning
 from ehbench.vocabulary.codes import FUNCTIONS
-
-Progress = Callable[[str, float], None]
+from ehbench.vocabulary.progress import Progress
 
 NO_DRAWS = "no parameter of the rig is identified with a standard error, so no draws were made"
 

@@ -52,6 +52,7 @@ from ehbench.validation.results import (
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
+from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import GAUGES
 
 __all__ = [
@@ -74,7 +75,6 @@ __all__ = [
 ]
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")
-Progress = Callable[[str, float], None]
 
 
 def validate_rig(
