@@ -505,7 +505,7 @@ def _three_at_once() -> TrialRecipe:
 def _maps(rig: Rig) -> FlowMaps:
     """Flow maps of the thesis arm's valves from the shipped dataset."""
     from ehbench.data.flowmeter import read_flowmeter
-    from ehbench.flow_maps.map import fit_flow_maps
+    from ehbench.flow_maps.results import fit_flow_maps
     from ehbench.physics.flow_map import collect
 
     recipe = load_recipe(RECIPES / "thesis" / "flow_maps.toml")

@@ -99,19 +99,14 @@ def together(what: str) -> str:
 
 
 def fits(what: str) -> str:
-    """Compile what fits flow maps and oscillations; gives back what it is called."""
-    from ehbench.flow_maps import banded
-    from ehbench.flow_maps.map import FlowReadings, fit_flow_map
-    from ehbench.signals import series
+    """Compile what fits flow maps; gives back what it is called."""
+    from ehbench.flow_maps.readings import readings_table
+    from ehbench.flow_maps.results import fit_flow_map
 
     command, drop = (a.ravel() for a in np.meshgrid(np.arange(9.0), np.geomspace(1e5, 6e6, 6)))
     flow = 1e-8 * np.maximum(command - 1.2, 0.0) * np.sqrt(drop)
     noise = np.random.default_rng(0).standard_normal(flow.size)
-    fit_flow_map("v", "forward", FlowReadings(command, drop, flow * (1.0 + 0.1 * noise)))
-    band, right = np.ones((1, 1)), np.ones(1)
-    banded.tied(band, right, np.zeros(1, np.int64))
-    t = np.linspace(0.0, 1.0, 200)
-    series.ringing(t, np.exp(-3.0 * t) * np.sin(30.0 * t))
+    fit_flow_map("v", "forward", readings_table(command, drop, flow * (1.0 + 0.1 * noise)))
     return what
 
 
@@ -150,7 +145,7 @@ def main() -> None:
     with ProcessPoolExecutor(len(names) + 2, mp_context=get_context("spawn")) as pool:
         jobs = [pool.submit(warm, name) for name in names]
         jobs += [pool.submit(together, "model, of several cylinders")]
-        last = pool.submit(fits, "fits of flow maps and oscillations")
+        last = pool.submit(fits, "fits of flow maps")
         for job in jobs:
             print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)
         print(f"compiled: {last.result()}", file=sys.stderr, flush=True)

@@ -1,58 +1,80 @@
-"""Flowmeter readings made ready for the fit of one flow map: in a fixed order, gathered in cells,
-scaled.
+"""Flowmeter readings made ready for the fit of one flow map: in a fixed order, scaled, with their
+noise, and the means of cells.
 
-Readings at one command and nearly one drop form a cell."""
+Readings at one command and nearly one drop form a cell: their scatter gives the noise, the cells'
+means the fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from ehbench.flow_maps.results import Units
+from ehbench.data.flowmeter import FlowmeterData
 from ehbench.flow_maps.spline import Axis, OneColumn
 from ehbench.physics.flow_map import root_drop
 from ehbench.vocabulary.errors import InsufficientData
-
-if TYPE_CHECKING:
-    from ehbench.data.flowmeter import FlowmeterData
-
-# below this the readings are not those of a valve that opens with its command
-_LEAST_EFFECT = 0.1
-_SPANS_S = 24
-# share of the readings that either way of a sweep must have
-_LEAST_WAY = 0.15
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.units import from_si
 
 
-@dataclass(frozen=True, eq=False)
-class FlowReadings:
-    """Readings of one edge in one direction, SI, one-dimensional and of one length.
+@dataclass(frozen=True)
+class ReadingSettings:
+    """Numbers of what is known of readings before a map is fitted to them."""
 
-    Args:
-        command: openings [V], positive where the edge opens (times −1 for a spool's other half).
-        pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and
-            are left out. NaN throughout: not measured, the map goes by the opening alone.
-        flow: [m³/s] along the direction.
-        method: ``flowmeter`` or ``cylinder`` per reading; each has its own noise.
-        trial: number per reading; trials that differ as a whole widen the intervals. Within one,
-            readings in the order of their lines tell rising from falling commands.
-        line, file: where each reading stands, for naming outliers; ``file`` may be one for all.
+    spans: int = setting(24, "", "largest number of spans along the root of the drop", "seldom met")
+    effect: float = setting(
+        0.1, "", "least change of flow with the command, share of the largest", "else no valve"
+    )
+    sweep: float = setting(
+        0.15, "", "least share of the readings on the way up, and down", "else an order"
+    )
+    outlier: float = setting(
+        5.0, "", "standard deviations from which a reading is an outlier", "none of 10⁶ by chance"
+    )
+    outliers: float = setting(
+        0.05, "", "largest share of outliers; more are no accidents", "slips of the pen are rare"
+    )
+    noise: float = setting(
+        1e-4,
+        "",
+        "least noise, share of the rated flow: weights stay finite",
+        "best meters have 1e-3",
+    )
+
+
+SETTINGS = ReadingSettings()
+
+
+@dataclass(frozen=True)
+class Units:
+    """How messages show flows, drops and openings; ``sign``: of the commands that open the edge,
+    as the driver gets them.
     """
 
-    command: np.ndarray
-    pressure_drop: np.ndarray
-    flow: np.ndarray
-    method: np.ndarray | None = None
-    trial: np.ndarray | None = None
-    line: np.ndarray | None = None
-    file: str | np.ndarray = ""
+    flow_unit: str = VOCABULARY["flow"].display
+    pressure_unit: str = VOCABULARY["pressure_drop"].display
+    sign: int = 1
+
+    def volts(self, opening: float) -> str:
+        return f"{self.sign * opening + 0.0:g} V"
+
+    def flow(self, value: float, digits: int = 4) -> str:
+        value = value if abs(value) > 1e-12 else 0.0  # m³/s, a nanolitre a second: below any meter
+        return f"{from_si(value, self.flow_unit, VOCABULARY['flow']):.{digits}g} {self.flow_unit}"
+
+    def drop(self, value: float) -> str:
+        shown = from_si(value, self.pressure_unit, VOCABULARY["pressure_drop"])
+        return f"{shown:.4g} {self.pressure_unit}"
 
 
 @dataclass(frozen=True)
 class FlowMapOptions:
-    """What a fit of a flow map may be told.
+    """Options of the fit of a flow map.
 
     Args:
         meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
@@ -63,9 +85,9 @@ class FlowMapOptions:
         drop_std: [Pa] standard error of every drop, which all readings share: of the zeros of the
             pressure sensors.
         command_std: [V] likewise of every command: half a hysteresis that readings on the way up
-            do not tell.
-        nominal_drop: [Pa] the largest drop that a map measured without pressures is said for.
-        show: units of the sentences.
+            do not show.
+        nominal_drop: [Pa] the largest drop of a map that is measured without pressures.
+        show: units of the messages.
     """
 
     meter_limit: float = 0.0
@@ -79,15 +101,22 @@ class FlowMapOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Sorted:
-    """Readings at positive drops, in an order that does not depend on the file's.
+class Readings:
+    """The readings of one map at positive drops, in an order that does not depend on the file's.
 
     ``size`` is how many were given, ``row`` where each stood among them; ``u`` the command [V],
-    ``q`` the flow [m³/s], zero for the ``silent`` ones: those below the lower ``limit`` [m³/s] of
-    their meter. ``cell`` and ``level`` count cells and commands from zero. ``sweep``: 1 for a
-    reading on the way up, −1 on the way down, 0 where that is not known. ``one_drop``: taken
-    without pressures."""
+    ``drop`` [Pa], ``q`` the flow [m³/s], zero for the ``silent`` ones: those below the lower
+    ``limit`` [m³/s] of their meter. ``y`` is the flow over ``rated`` [m³/s], ``s`` the root of the
+    drop over that of ``drop_max`` [Pa], bent below ``delta`` [Pa]. ``cell`` and ``level`` count
+    cells and commands from zero; ``levels`` [V] are the commands, ``cell_level`` that of each cell.
+    ``sweep``: 1 for a reading on the way up, −1 on the way down, 0 where that is not known.
+    ``one_drop``: taken without pressures. ``roots`` are the scaled roots of the drops read, with
+    zero; empty where they are too many to leave gaps. ``axis`` spans the roots. ``digit`` is the
+    rounding error of each method's display, ``drop_std`` the standard error that all drops share,
+    as a share of ``drop_max``, ``command_std`` that of all commands [V]."""
 
+    who: str
+    show: Units
     size: int
     row: np.ndarray
     u: np.ndarray
@@ -97,40 +126,24 @@ class Sorted:
     trial: np.ndarray
     file: np.ndarray
     line: np.ndarray
-    cell: np.ndarray
-    level: np.ndarray
     limit: np.ndarray
     silent: np.ndarray
     sweep: np.ndarray
     one_drop: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """One map to fit: its readings, scaled, and what is known of it before the fit.
-
-    ``y`` is the flow over ``rated`` [m³/s], ``s`` the root of the drop over that of ``drop_max``
-    [Pa], bent below ``delta`` [Pa]. ``levels`` [V] are the commands read, ``cell_level`` that of
-    each cell. ``roots`` are the scaled roots of the drops read, with zero; empty where they are too
-    many to leave gaps. ``axis`` spans the roots. ``digit`` is the rounding error of each method's
-    display, ``drop_std`` the standard error that all drops share, as a share of ``drop_max``,
-    ``command_std`` that of all commands [V]."""
-
-    who: str
-    show: Units
-    readings: Sorted
     rated: float
     y: np.ndarray
     s: np.ndarray
     drop_max: float
     delta: float
+    cell: np.ndarray
+    level: np.ndarray
     levels: np.ndarray
     cell_level: np.ndarray
     roots: np.ndarray
     axis: Axis
     digit: dict[str, float]
-    drop_std: float = 0.0
-    command_std: float = 0.0
+    drop_std: float
+    command_std: float
 
     @property
     def spans(self) -> int:
@@ -142,6 +155,160 @@ class Task:
         return np.column_stack(
             [np.interp(u, self.levels, np.arange(self.levels.size)), s * self.spans]
         )
+
+
+def readings_table(
+    command: np.ndarray, pressure_drop: np.ndarray, flow: np.ndarray, **columns: np.ndarray | str
+) -> FlowmeterData:
+    """Readings of one edge in one direction as a table, from arrays in SI.
+
+    Args:
+        command: openings [V], positive where the edge opens (times −1 for a spool's other half).
+        pressure_drop: [Pa] along the direction; readings at a drop of zero or less say nothing and
+            are left out. NaN throughout: not measured, the map goes by the opening alone.
+        flow: [m³/s] along the direction.
+        columns: other fields of `FlowmeterData`, each an array or one value for all: ``method``,
+            ``flowmeter`` by default, ``trial``, ``temperature``, ``file``, ``line``.
+
+    Raises:
+        ValueError: arrays that are not one-dimensional or not of one length.
+    """
+    u, drop, q = (np.asarray(a, float) for a in (command, pressure_drop, flow))
+    if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
+        raise ValueError(message("flow_maps.shapes"))
+    default = {"valve": "", "direction": "forward", "method": "flowmeter", "trial": 0, "file": ""}
+    default |= {"temperature": np.nan, "line": np.arange(1, u.size + 1)}
+    rest = {name: np.broadcast_to(value, u.shape) for name, value in (default | columns).items()}
+    return FlowmeterData(command=u, pressure_drop=drop, flow=q, **rest)
+
+
+def sort_readings(
+    who: str, given: FlowmeterData, options: FlowMapOptions, hysteresis: float = 0.0
+) -> Readings:
+    """The readings at positive drops, sorted, gathered in cells and scaled.
+
+    Args:
+        who: the valve and direction, for messages.
+        hysteresis: [V] rising commands act as if lower by half of it, falling ones as if higher.
+
+    Raises:
+        ValueError: a number that is not finite, a negative opening.
+        InsufficientData: no drop above zero, fewer than 4 commands or 4 drops, no flow at any
+            command, or one that does not depend on the command.
+    """
+    u, drop, q, one_drop = _columns_of(who, given, options.nominal_drop)
+    use = np.flatnonzero(drop > 0)
+    if use.size == 0:
+        raise InsufficientData(message("flow_maps.no_drop", map=who))
+    use = use[np.lexsort((given.line[use], q[use], drop[use], u[use]))]
+    # trial 1 of two files is two trials
+    file = given.file.astype(str)
+    trial = np.unique(file, return_inverse=True)[1] * (given.trial.max() + 1) + given.trial
+    method, line = given.method.astype(str)[use], given.line[use]
+    u, drop, q, trial, file = (a[use] for a in (u, drop, q, trial, file))
+    sweep = _sweeps(u, trial, line)
+    u = np.maximum(u - 0.5 * hysteresis * sweep, 0.0)
+    level = clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
+    cell = _cells_of(who, level, drop, method, one_drop)
+    limit = np.where(method != "cylinder", options.meter_limit, 0.0)
+    silent = (limit > 0) & (q < limit)
+    q = np.where(silent, 0.0, q)
+    rated = float(options.rated_flow or _largest_flow(q, cell))
+    if not rated > 0:
+        raise InsufficientData(message("flow_maps.no_flow", map=who))
+    return Readings(
+        who=who,
+        show=options.show,
+        size=given.command.size,
+        row=use,
+        u=u,
+        drop=drop,
+        q=q,
+        method=method,
+        trial=trial,
+        file=file,
+        line=line,
+        limit=limit,
+        silent=silent,
+        sweep=sweep,
+        one_drop=one_drop,
+        rated=rated,
+        cell=cell,
+        level=level,
+        levels=np.bincount(level, u) / np.bincount(level),
+        cell_level=medians(level, cell).astype(int),
+        **_scaled(who, options, u, drop, q / rated, level, method, one_drop),
+    )
+
+
+def _columns_of(
+    who: str, given: FlowmeterData, nominal: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """(command, drop, flow, whether the readings were taken without pressures): the drop is then
+    the ``nominal`` one [Pa].
+    """
+    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
+    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
+    if one_drop:
+        drop = np.full(drop.shape, nominal)
+    elif np.isnan(drop).any():
+        raise InsufficientData(message("flow_maps.some_drops", map=who))
+    if not np.all(np.isfinite([u, drop, q])):
+        raise ValueError(message("flow_maps.not_finite"))
+    if np.any(u < 0):
+        raise ValueError(message("flow_maps.negative_opening"))
+    return u, drop, q, one_drop
+
+
+def _scaled(
+    who: str,
+    options: FlowMapOptions,
+    u: np.ndarray,
+    drop: np.ndarray,
+    y: np.ndarray,
+    level: np.ndarray,
+    method: np.ndarray,
+    one_drop: bool,
+) -> dict:
+    """The fields of `Readings` that scaled flows and drops give."""
+    drop_max = float(drop.max())
+    # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
+    # the bend out of sight
+    low = float(np.quantile(drop, 0.02)) / 5.0
+    delta = float(np.clip(low, 1e-3 * drop_max, 1e-2 * drop_max))
+    s = root_drop(drop, delta) / root_drop(drop_max, delta)
+    cluster = _drop_clusters(drop)
+    _refuse_idle(who, options.show, u, level, y, cluster)
+    places = np.sort(np.bincount(cluster, s) / np.bincount(cluster))
+    # as narrow as the closest drops measured, the penalty sees to the rest
+    spans = int(np.clip(np.ceil(1.0 / np.diff(places).min(initial=1.0)), 3, SETTINGS.spans))
+    return {
+        "y": y,
+        "s": s,
+        "drop_max": drop_max,
+        "delta": delta,
+        "roots": np.append(0.0, places) if places.size <= 2 * SETTINGS.spans else places[:0],
+        "axis": OneColumn() if one_drop else Axis(np.linspace(0.0, 1.0, spans + 1), 3),
+        "digit": {
+            name: _last_digit(y[method == name]) / 12**0.5 for name in sorted(set(method.tolist()))
+        },
+        "drop_std": options.drop_std / drop_max,
+        "command_std": options.command_std,
+    }
+
+
+def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """1 for each reading whose command was reached from below, −1 from above, by the order of the
+    lines within a trial; all 0 where nearly all go one way: that is an order, not a sweep.
+    """
+    sweep = np.zeros(u.size, int)
+    for item in np.unique(trial):
+        rows = np.flatnonzero(trial == item)
+        rows = rows[np.argsort(line[rows], kind="stable")]
+        step = np.sign(np.diff(u[rows], prepend=u[rows[0]]))
+        sweep[rows] = step[np.maximum.accumulate(np.where(step != 0, np.arange(rows.size), 0))]
+    fewest = min(np.count_nonzero(sweep > 0), np.count_nonzero(sweep < 0))
+    return sweep if fewest >= SETTINGS.sweep * u.size else np.zeros(u.size, int)
 
 
 def clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
@@ -156,6 +323,11 @@ def clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
     return labels
 
 
+def _drop_clusters(drop: np.ndarray) -> np.ndarray:
+    """Which of the drops measured each reading is at."""
+    return clusters(drop, 0.03, 0.003 * float(drop.max()))
+
+
 def medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Median of the values of each group 0, 1, 2, …, none of them empty."""
     ascending = values[np.lexsort((values, group))]
@@ -164,186 +336,24 @@ def medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     return 0.5 * (ascending[first + (count - 1) // 2] + ascending[first + count // 2])
 
 
-def sort_readings(
-    who: str,
-    given: FlowReadings | FlowmeterData,
-    options: FlowMapOptions,
-    hysteresis: float = 0.0,
-) -> Sorted:
-    """Readings at positive drops, sorted and gathered in cells.
-
-    Args:
-        hysteresis: [V] rising commands act as if lower by half of it, falling ones as if higher.
-
-    Raises:
-        ValueError: shapes that differ, a number that is not finite, a negative opening.
-        InsufficientData: no drop above zero, fewer than 4 commands or 4 drops.
-    """
-    u, drop, q, one_drop = _columns_of(who, given, options.nominal_drop)
-    n = u.size
-    method = np.full(n, "flowmeter") if given.method is None else np.asarray(given.method)
-    method = method.astype(str)
-    file = np.full(n, given.file) if isinstance(given.file, str) else np.asarray(given.file)
-    file = file.astype(str)
-    trial = np.zeros(n, int) if given.trial is None else np.asarray(given.trial, int)
-    line = np.arange(1, n + 1) if given.line is None else np.asarray(given.line, int)
-    use = np.flatnonzero(drop > 0)
-    if use.size == 0:
-        raise InsufficientData(f"the {who} has no reading at a pressure drop above zero")
-    use = use[np.lexsort((line[use], q[use], drop[use], u[use]))]
-    # trial 1 of two files is two trials
-    trial = np.unique(file, return_inverse=True)[1] * (trial.max() + 1) + trial
-    u, drop, q, method, trial, file, line = (
-        a[use] for a in (u, drop, q, method, trial, file, line)
-    )
-    sweep = _sweeps(u, trial, line)
-    u = np.maximum(u - 0.5 * hysteresis * sweep, 0.0)
-    level, cell = _cells_of(who, u, drop, method, one_drop)
-    limit = np.where(method != "cylinder", options.meter_limit, 0.0)
-    silent = (limit > 0) & (q < limit)
-    return Sorted(
-        size=n,
-        row=use,
-        u=u,
-        drop=drop,
-        q=np.where(silent, 0.0, q),
-        method=method,
-        trial=trial,
-        file=file,
-        line=line,
-        cell=cell,
-        level=level,
-        limit=limit,
-        silent=silent,
-        sweep=sweep,
-        one_drop=one_drop,
-    )
-
-
-def _columns_of(
-    who: str, given: FlowReadings | FlowmeterData, nominal: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """(command, drop, flow, whether the readings were taken without pressures): the drop is then
-    the ``nominal`` one [Pa].
-    """
-    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
-    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
-    if one_drop:
-        drop = np.full(drop.shape, nominal)
-    elif np.isnan(drop).any():
-        raise InsufficientData(
-            f"the {who} has readings with a pressure drop and readings without",
-            hint="give the drop of all, or of none for a map by the command alone",
-        )
-    _refuse_malformed(u, drop, q)
-    return u, drop, q, one_drop
-
-
-def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """1 for each reading whose command was reached from below, −1 from above, by the order of the
-    lines within a trial; all 0 where nearly all go one way: that is an order, not a sweep.
-    """
-    sweep = np.zeros(u.size, int)
-    for item in np.unique(trial):
-        at = np.flatnonzero(trial == item)
-        at = at[np.argsort(line[at], kind="stable")]
-        step = np.sign(np.diff(u[at], prepend=u[at[0]]))
-        last = np.maximum.accumulate(np.where(step != 0, np.arange(at.size), 0))
-        sweep[at] = step[last]
-    ways = np.count_nonzero(sweep > 0), np.count_nonzero(sweep < 0)
-    return sweep if min(ways) >= _LEAST_WAY * u.size else np.zeros(u.size, int)
-
-
-def _refuse_malformed(u: np.ndarray, drop: np.ndarray, q: np.ndarray) -> None:
-    if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
-        raise ValueError(
-            "command, pressure_drop and flow must be one-dimensional and of one length"
-        )
-    if not np.all(np.isfinite([u, drop, q])):
-        raise ValueError("command, pressure_drop and flow must be finite")
-    if np.any(u < 0):
-        raise ValueError(
-            "openings must not be negative: multiply the command by the sign of the edge"
-        )
-
-
 def _cells_of(
-    who: str, u: np.ndarray, drop: np.ndarray, method: np.ndarray, one_drop: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """(level, cell) of each reading; refuses too few commands or drops."""
-    level = clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
-    levels = int(level.max()) + 1
-    key = np.empty((u.size, 3), int)
-    key[:, 0], key[:, 2] = level, method == "cylinder"
-    for k in range(levels):
-        at = level == k
-        key[at, 1] = clusters(drop[at], 0.03, 0.003 * drop.max())
-    cell = np.unique(key, axis=0, return_inverse=True)[1].ravel()
-    drops = np.unique(_drop_clusters(drop)).size
+    who: str, level: np.ndarray, drop: np.ndarray, method: np.ndarray, one_drop: bool
+) -> np.ndarray:
+    """The cell of each reading; refuses too few commands or drops."""
+    levels, drops = int(level.max()) + 1, np.unique(_drop_clusters(drop)).size
     if levels < 4:
-        raise InsufficientData(
-            f"the {who} has readings at {levels} commands",
-            hint="4 or more are needed, 3 of them passing flow",
-        )
+        raise InsufficientData(message("flow_maps.few_commands", map=who, count=levels))
     if drops < 4 and not one_drop:
-        raise InsufficientData(
-            f"the {who} has readings at {drops} pressure drops",
-            hint="4 or more different ones are needed",
-        )
-    return level, cell
+        raise InsufficientData(message("flow_maps.few_drops", map=who, count=drops))
+    key = np.column_stack([level, np.zeros(level.size, int), method == "cylinder"])
+    for k in range(levels):
+        key[level == k, 1] = clusters(drop[level == k], 0.03, 0.003 * drop.max())
+    return np.unique(key, axis=0, return_inverse=True)[1].ravel()
 
 
-def _drop_clusters(drop: np.ndarray) -> np.ndarray:
-    """Which of the drops measured each reading is at."""
-    return clusters(drop, 0.03, 0.003 * float(drop.max()))
-
-
-def make_task(who: str, readings: Sorted, rated: float | None, show: Units) -> Task:
-    """The readings scaled, with the axes of the fit.
-
-    Raises:
-        InsufficientData: no flow at any command, or one that does not depend on the command.
-    """
-    rated = float(rated) if rated else _largest_flow(readings)
-    if not rated > 0:
-        raise InsufficientData(
-            f"the {who} passes no flow at any command",
-            hint="3 or more commands above the deadband are needed",
-        )
-    y = readings.q / rated
-    drop_max = float(readings.drop.max())
-    minimum = float(np.quantile(readings.drop, 0.02))
-    # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
-    # the bend out of sight
-    delta = float(np.clip(minimum / 5.0, 1e-3 * drop_max, 1e-2 * drop_max))
-    s = root_drop(readings.drop, delta) / root_drop(drop_max, delta)
-    cluster = _drop_clusters(readings.drop)
-    _refuse_idle(who, show, readings, y, cluster)
-    places = np.sort(np.bincount(cluster, s) / np.bincount(cluster))
-    roots = np.append(0.0, places) if places.size <= 2 * _SPANS_S else places[:0]
-    # as narrow as the closest drops measured, the penalty sees to the rest
-    spans = int(np.clip(np.ceil(1.0 / np.diff(places).min(initial=1.0)), 3, _SPANS_S))
-    methods = sorted(set(readings.method.tolist()))
-    return Task(
-        who=who,
-        show=show,
-        readings=readings,
-        rated=rated,
-        y=y,
-        s=s,
-        drop_max=drop_max,
-        delta=delta,
-        levels=np.bincount(readings.level, readings.u) / np.bincount(readings.level),
-        cell_level=medians(readings.level, readings.cell).astype(int),
-        roots=roots,
-        axis=OneColumn() if readings.one_drop else Axis(np.linspace(0.0, 1.0, spans + 1), 3),
-        digit={name: _last_digit(y[readings.method == name]) / 12**0.5 for name in methods},
-    )
-
-
-def _largest_flow(readings: Sorted) -> float:
+def _largest_flow(q: np.ndarray, cell: np.ndarray) -> float:
     """The largest median flow [m³/s] of a cell, but for slips of the pen."""
-    largest = np.sort(medians(readings.q, readings.cell))
+    largest = np.sort(medians(q, cell))
     while largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0:
         largest = largest[:-1]
     return float(largest[-1])
@@ -358,17 +368,143 @@ def _last_digit(flows: np.ndarray) -> float:
 
 
 def _refuse_idle(
-    who: str, show: Units, readings: Sorted, y: np.ndarray, cluster: np.ndarray
+    who: str, show: Units, u: np.ndarray, level: np.ndarray, y: np.ndarray, cluster: np.ndarray
 ) -> None:
     """Refuses readings whose flow at one drop is nearly the same at every command."""
-    pair = np.column_stack([cluster, readings.level])
-    pairs, index = np.unique(pair, axis=0, return_inverse=True)
+    pairs, index = np.unique(np.column_stack([cluster, level]), axis=0, return_inverse=True)
     middle, drop = medians(y, index.ravel()), pairs[:, 0]
     spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
-    if spread and np.median(spread) < _LEAST_EFFECT:
-        low, high = show.volts(readings.u.min()), show.volts(readings.u.max())
+    if spread and np.median(spread) < SETTINGS.effect:
+        low, high = show.volts(u.min()), show.volts(u.max())
+        change = float(np.median(spread))
         raise InsufficientData(
-            f"the {who} does not depend on the command: at one drop the flow changes by "
-            f"{100 * np.median(spread):.2g} % of the largest flow between {low} and {high}",
-            hint="check that the command reached the valve, and the columns of the file",
+            message("flow_maps.idle", map=who, change=change, low=low, high=high)
         )
+
+
+@dataclass(frozen=True)
+class Noise:
+    """By method (floor, share): the standard deviation of one scaled reading is
+    √(floor² + (share·flow)²). ``replicates``: degrees of freedom of repeats behind it."""
+
+    methods: dict[str, tuple[float, float]]
+    replicates: int = 0
+
+    def std(self, readings: Readings, flow: np.ndarray) -> np.ndarray:
+        """Standard deviation of each single reading, given the map's flow there."""
+        floor, share, digit = np.array(
+            [(*self.methods[m], readings.digit[m]) for m in readings.method]
+        ).T
+        return np.sqrt(np.maximum(floor**2 + (share * flow) ** 2, digit**2) + SETTINGS.noise**2)
+
+
+def first_noise(readings: Readings) -> Noise:
+    """What is assumed of the noise before there is a fit."""
+    return Noise(dict.fromkeys(readings.digit, (3e-3, 1e-2)))
+
+
+def measure_noise(
+    r: Readings, last: Noise, keep: np.ndarray, leverage: np.ndarray, flow: np.ndarray
+) -> Noise:
+    """Noise per method from the scatter inside cells about the map's course; from the residuals
+    without repeats.
+    """
+    residual, dof_all, methods = r.y - flow, 0, dict(last.methods)
+    for name in methods:
+        use = keep & (r.method == name) & ~r.silent
+        count = np.bincount(r.cell[use], minlength=r.cell.max() + 1)
+        mean = np.bincount(r.cell[use], residual[use], count.size) / np.maximum(count, 1)
+        inside = residual - mean[r.cell]
+        dof = np.where(use, 1.0 - 1.0 / np.maximum(count, 1)[r.cell], 0.0)
+        if dof.sum() < 6:
+            inside, dof = residual, np.where(use, np.maximum(1.0 - leverage, 0.1), 0.0)
+        else:
+            dof_all += int(round(dof.sum()))
+        if dof.sum() > 0:
+            methods[name] = _growing(inside[use] ** 2, dof[use], flow[use])
+    return Noise(methods, dof_all)
+
+
+def _growing(square: np.ndarray, dof: np.ndarray, flow: np.ndarray) -> tuple[float, float]:
+    """(floor, share) of a standard deviation √(floor² + (share·flow)²) by maximum likelihood from
+    squared deviations.
+    """
+    best = (np.inf, 0.0, 0.0)
+    for ratio in (0.0, *np.geomspace(1.0, 1e4, 25)):
+        shape = 1.0 + ratio * flow**2
+        floor2 = max(float(np.sum(square / shape) / dof.sum()), 1e-300)
+        score = float(dof.sum() * np.log(floor2) + dof @ np.log(shape))
+        best = min(best, (score, floor2**0.5, (ratio * floor2) ** 0.5))
+    return float(best[1]), float(best[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Means of the kept readings of each cell, shape (cells,): command [V], scaled root and flow,
+    weight (0 where none is kept), how many are kept. ``heard``: the scaled flow of each reading, a
+    silent one where the map has it. ``replicates`` as in `Noise`."""
+
+    u: np.ndarray
+    s: np.ndarray
+    y: np.ndarray
+    weight: np.ndarray
+    count: np.ndarray
+    heard: np.ndarray
+    replicates: int
+
+    @cached_property
+    def _bytes(self) -> tuple[bytes, ...]:
+        parts = self.u, self.s, self.y, self.weight, self.count, self.heard
+        return *(part.tobytes() for part in parts), str(self.replicates).encode()
+
+    def __hash__(self) -> int:
+        return hash(self._bytes)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Cells) and self._bytes == other._bytes)
+
+    def without(self, out: np.ndarray) -> Cells:
+        """The same cells, of which some have no weight."""
+        return replace(self, weight=np.where(out, 0.0, self.weight)) if out.any() else self
+
+    @cached_property
+    def weighed(self) -> int:
+        """How many cells have a weight."""
+        return int(np.count_nonzero(self.weight))
+
+
+def gather_cells(r: Readings, noise: Noise, keep: np.ndarray, flow: np.ndarray) -> Cells:
+    """The cells' means, given the map's scaled flow at each reading."""
+    limit, std = r.limit / r.rated, noise.std(r, flow)
+    heard = np.where(r.silent, np.clip(flow, 0.0, limit), r.y)
+    # whether a reading counts must not depend on its own noise, so the map says whether the meter
+    # turns
+    weight = np.where(keep & ((limit == 0) | (flow > limit + 2.0 * std)), 1.0 / std**2, 0.0)
+    total = np.bincount(r.cell, weight)
+    u, s, y = (
+        np.bincount(r.cell, weight * a) / np.maximum(total, 1e-300) for a in (r.u, r.s, heard)
+    )
+    count = np.bincount(r.cell, keep, total.size)
+    return Cells(u, s, y, total, count, heard, noise.replicates)
+
+
+def unbacked(r: Readings, noise: Noise, heard: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """True for readings that no repeats support: those that do not agree with theirs within the
+    noise, or have none.
+
+    What repeats support is the valve's own, and a map that misses it lacks fit there.
+    """
+    residual, count = heard - flow, np.bincount(r.cell)
+    high, low = np.full(count.size, -np.inf), np.full(count.size, np.inf)
+    np.maximum.at(high, r.cell, residual)
+    np.minimum.at(low, r.cell, residual)
+    spread = np.sqrt(np.bincount(r.cell, noise.std(r, flow) ** 2) / count)
+    agree = high - low <= SETTINGS.outlier * spread
+    return ~(agree & (count > 1))[r.cell]
+
+
+def few(out: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """The farthest of the readings ``out``, no more than a small share of all."""
+    count = max(3, int(SETTINGS.outliers * out.size))
+    farthest = np.argsort(np.where(out, -size, np.inf), kind="stable")[:count]
+    return out & np.isin(np.arange(out.size), farthest)

@@ -1,44 +1,33 @@
-"""What a fit of a flow map leaves: the map with its intervals, outliers and calibration, and the
-sentences people read."""
+"""Flow maps from readings: the map with its standard errors and intervals, outliers, calibration,
+and the notes that people read."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from ehbench.physics.flow_map import FlowMap
-from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.data.flowmeter import FlowmeterData
+from ehbench.flow_maps.fit import Fit, fit_readings
+from ehbench.flow_maps.readings import SETTINGS as READING
+from ehbench.flow_maps.readings import FlowMapOptions, Units
+from ehbench.flow_maps.shape import regression
+from ehbench.flow_maps.spline import SETTINGS as SPLINE
+from ehbench.flow_maps.spline import Spline
+from ehbench.physics.flow_map import FlowMap, root_drop
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.terms import Z95
-from ehbench.vocabulary.units import from_si
 
-
-@dataclass(frozen=True)
-class Units:
-    """How sentences show flows, drops and openings; ``sign``: of the commands that open the edge,
-    as the driver gets them.
-    """
-
-    flow_unit: str = VOCABULARY["flow"].display
-    pressure_unit: str = VOCABULARY["pressure_drop"].display
-    sign: int = 1
-
-    def volts(self, opening: float) -> str:
-        return f"{self.sign * opening + 0.0:g} V"
-
-    def flow(self, value: float, digits: int = 4) -> str:
-        value = value if abs(value) > 1e-12 else 0.0  # m³/s, a nanolitre a second: below any meter
-        return f"{from_si(value, self.flow_unit, VOCABULARY['flow']):.{digits}g} {self.flow_unit}"
-
-    def drop(self, value: float) -> str:
-        shown = from_si(value, self.pressure_unit, VOCABULARY["pressure_drop"])
-        return f"{shown:.4g} {self.pressure_unit}"
+# spans along the root of the drop of a map without pressures: it rises within the first ones
+_LEVEL_SPANS = 24
 
 
 @dataclass(frozen=True)
 class Outlier:
     """A reading left out of the fit: file and line, command [V], drop [Pa], flow [m³/s], distance
-    from the map in sigmas.
+    from the map in standard deviations.
     """
 
     file: str
@@ -48,11 +37,17 @@ class Outlier:
     flow: float
     sigmas: float
 
-    def sentence(self, show: Units) -> str:
-        where = f"{self.file}:{self.line}" if self.file else f"line {self.line}"
-        place = f"{show.volts(self.command)} and {show.drop(self.pressure_drop)}"
-        point = f"{show.flow(self.flow)} at {place}"
-        return f"{where}: {point} lies {self.sigmas:+.1f} sigma from the map"
+    def sentence(self, show: Units) -> Message:
+        """What people read of it."""
+        return message(
+            "flow_maps.outlier" if self.file else "flow_maps.outlier_of_line",
+            file=self.file,
+            line=self.line,
+            flow=show.flow(self.flow),
+            command=show.volts(self.command),
+            drop=show.drop(self.pressure_drop),
+            sigmas=self.sigmas,
+        )
 
 
 @dataclass(frozen=True)
@@ -76,25 +71,28 @@ class Calibration:
     drop_high: float
     verdict: str
 
-    def sentence(self, show: Units) -> str:
-        volts, target = show.volts(self.command), show.flow(self.target)
+    def sentence(self, show: Units) -> Message:
+        """What people read of it."""
+        command, target = show.volts(self.command), show.flow(self.target)
         if self.verdict == "not_measured":
-            return f"{volts} lies outside the measured commands: {target} there cannot be checked"
-        ends = f"{show.flow(self.low)} to {show.flow(self.high)}"
-        gives = f"{volts} gives {show.flow(self.flow)} ({ends})"
-        drops = show.drop(self.drop_low)
-        drops = (
-            f"at {drops}"
-            if self.drop_low == self.drop_high
-            else f"from {drops} to {show.drop(self.drop_high)}"
+            return message("flow_maps.not_measured", command=command, target=target)
+        first, last = show.drop(self.drop_low), show.drop(self.drop_high)
+        return message(
+            "flow_maps.calibration",
+            command=command,
+            target=target,
+            tolerance=self.tolerance,
+            flow=show.flow(self.flow),
+            low=show.flow(self.low),
+            high=show.flow(self.high),
+            drops=first if self.drop_low == self.drop_high else f"{first} to {last}",
+            verdict=self.verdict,
         )
-        requested = f"asked {target} ± {100 * self.tolerance:.3g} %"
-        return f"{gives} {drops}, {requested}: {self.verdict}"
 
 
 @dataclass(frozen=True)
 class FlowMapFit:
-    """A map and how it was found. SI.
+    """A map and how it was fitted. SI.
 
     ``deadband`` [V] with ``deadband_std``, if the flow starts with a kink there; its 95 % interval
     also holds where a flow would start that grows softly, no softer than a parabola. ``bracket``
@@ -115,7 +113,7 @@ class FlowMapFit:
     flow falls by from its largest to the largest command [1]; 0 where it does not.
     ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the
     noise. ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops
-    of zero or less. ``warnings``: plain sentences."""
+    of zero or less. ``warnings``: messages."""
 
     map: FlowMap
     deadband: float
@@ -142,7 +140,7 @@ class FlowMapFit:
     calibration: tuple[Calibration, ...]
     residuals: np.ndarray = field(repr=False)
     sigmas: np.ndarray = field(repr=False)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Message, ...] = ()
 
     def to_dict(self) -> dict:
         """The summary without map and residuals, for a JSON file."""
@@ -152,12 +150,310 @@ class FlowMapFit:
         }
         plain["outliers"] = [asdict(outlier) for outlier in self.outliers]
         plain["calibration"] = [asdict(item) for item in self.calibration]
-        return {
-            "valve": self.map.valve,
-            "direction": self.map.direction,
-            "rated_flow": self.map.rated_flow,
-            **plain,
-        }
+        named = {name: getattr(self.map, name) for name in ("valve", "direction", "rated_flow")}
+        return named | plain
+
+
+def fit_flow_map(
+    valve: str,
+    direction: str,
+    readings: FlowmeterData,
+    options: FlowMapOptions = FlowMapOptions(),  # noqa: B008
+) -> FlowMapFit:
+    """The flow map of one edge in one direction from readings, with intervals.
+
+    Args:
+        valve: name of the map, as ``direction``.
+        readings: commands as openings; their valve and direction are not looked at.
+
+    Raises:
+        InsufficientData: fewer than 4 commands, fewer than 3 of them passing flow, fewer than 4
+            drops, a flow that does not depend on the command, or readings that no map fits.
+    """
+    result = fit_readings(message("flow_maps.who", valve=valve, way=direction), readings, options)
+    r, solution, deadband = result.readings, result.solution, result.deadband
+    rated, residual, lag = r.rated, result.residuals, result.hysteresis
+    scatter, outliers = _trial_scatter(result), _outliers(result)
+    sentences = tuple(outlier.sentence(r.show) for outlier in outliers)
+    built = _map_of(result, scatter, valve, direction, sentences)
+    residuals, sigmas = np.full((2, r.size), np.nan)
+    residuals[r.row], sigmas[r.row] = rated * residual, result.sigmas
+    leakage, ends = _leakage(result)
+    smoothing = result.shape.smoothing / solution.cells.weight.sum()
+    low, high = (0.0, 0.0) if lag is None else _interval(lag.value, lag.std)
+    extrapolated = result.window.flows_at_lowest and r.levels[0] > 0
+    status = "not_excited" if extrapolated else "at_bound" if deadband.at_bound else "estimated"
+    fit = FlowMapFit(
+        map=built,
+        deadband=deadband.value,
+        deadband_interval=deadband.interval,
+        deadband_std=deadband.std,
+        bracket=result.window.bracket,
+        status=status,
+        noise={key: (rated * low, share) for key, (low, share) in result.noise.methods.items()},
+        replicates=result.noise.replicates,
+        lack_of_fit=solution.lack,
+        smoothing=(float(smoothing[0]), float(smoothing[1])),
+        parameters=solution.parameters,
+        readings=int(result.keep.sum()),
+        cells=solution.cells.weighed,
+        outliers=outliers,
+        rms=rated * float(np.sqrt(np.mean(residual[result.keep] ** 2))),
+        leakage=rated * leakage,
+        leakage_interval=(rated * ends[0], rated * ends[1]),
+        hysteresis=None if lag is None else round(lag.value, 4),
+        hysteresis_interval=(round(low, 4), round(high, 4)),
+        kinks=tuple((kink.value, *kink.interval) for kink in result.kinks),
+        falls=_fall(built),
+        trial_scatter=scatter,
+        calibration=tuple(
+            check_calibration(built, *each, options.reference_drop) for each in options.calibration
+        ),
+        residuals=residuals,
+        sigmas=sigmas,
+    )
+    return replace(fit, warnings=(*_warnings(result, fit), *_features(result, fit)))
+
+
+def fit_flow_maps(
+    data: FlowmeterData,
+    options: FlowMapOptions = FlowMapOptions(),  # noqa: B008
+) -> list[FlowMapFit]:
+    """One fit for each valve and direction in the readings, sorted by name.
+
+    Raises:
+        InsufficientData: a valve has too few readings.
+    """
+    return [fit_flow_map(*group, data.select(*group), options) for group in data.groups()]
+
+
+def _map_of(
+    result: Fit, scatter: float, valve: str, direction: str, outliers: tuple[str, ...]
+) -> FlowMap:
+    """The map with its standard errors."""
+    r, leak, spline, deadband = (
+        result.readings,
+        result.leak,
+        result.solution.spline,
+        result.deadband,
+    )
+    knots = _digits(deadband.value + spline.along_u.breaks * (spline.top - deadband.value), 10)
+    knots[0] = deadband.value
+    fine_u = np.unique([*knots, *(0.5 * (knots[1:] + knots[:-1])), *deadband.interval])
+    even, roots = np.linspace(0.0, 1.0, 2 * r.spans + 1), r.roots
+    fine_s = np.unique(np.concatenate([even, roots, 0.5 * (roots[1:] + roots[:-1])]))
+    command, low, high = _hull(result)
+    increments = spline.increments(result.solution.coefficients)
+    more: dict[str, Any] = {}
+    if leak and leak.goes_on:
+        more["leakage"] = tuple(_digits([leak.root, leak.drop], 6) * r.rated)
+        more["leakage_std"] = float(_digits([r.rated * leak.std], 4)[0])
+    if np.any(spline.sign < 0):
+        rising = int(np.count_nonzero(spline.sign > 0)) // spline.columns
+        more["rising_to"] = float(knots[rising - 1])
+    if result.hysteresis is not None and result.hysteresis.removed:
+        more["hysteresis"] = round(result.hysteresis.value, 4)
+    if r.one_drop:
+        increments, low = np.repeat(increments, _LEVEL_SPANS + 2, axis=1), 0.0 * low
+        more["level"] = True
+    return FlowMap(
+        valve=valve,
+        direction=direction,
+        deadband=deadband.value,
+        deadband_interval=deadband.interval,
+        opening_knots=knots,
+        drop_max=r.drop_max,
+        delta=r.delta,
+        increments=_digits(r.rated * increments, 10),
+        hull_command=_digits(command, 10),
+        hull_low=low,
+        hull_high=high,
+        std_command=_digits(fine_u, 10),
+        std_root=_digits(fine_s * root_drop(r.drop_max, r.delta), 10),
+        std=_digits(r.rated * _flow_std(result, fine_u, fine_s, scatter), 4),
+        rated_flow=r.rated,
+        samples=int(result.keep.sum()),
+        outliers=outliers,
+        source=", ".join(name for name in np.unique(r.file).tolist() if name),
+        **more,
+    )
+
+
+def _digits(values, count: int) -> np.ndarray:
+    """Values to so many significant digits: what a file needs, and not the last bits of a linear
+    algebra library.
+    """
+    values = np.asarray(values, float)
+    return np.array([float(f"{v:.{count - 1}e}") for v in values.ravel()]).reshape(values.shape)
+
+
+def _interval(value: float, std: float) -> tuple[float, float]:
+    """95 % interval of a number that is not negative."""
+    return max(value - Z95 * std, 0.0), max(value + Z95 * std, 0.0)
+
+
+def _hull(result: Fit) -> np.ndarray:
+    """Rows commands [V], least and largest drop [Pa] read there; many commands are taken in groups
+    of neighbours.
+    """
+    r, group = result.readings, result.readings.level
+    if r.levels.size > 2 * SPLINE.spans:
+        parts = np.arange(1, SPLINE.spans) / SPLINE.spans
+        group = np.searchsorted(np.quantile(r.u, parts), r.u)
+    rows = [np.flatnonzero((group == k) & result.keep) for k in np.unique(group)]
+    table = np.array(
+        [(r.u[at].mean(), r.drop[at].min(), r.drop[at].max()) for at in rows if at.size]
+    )
+    table[[0, -1], 0] = r.levels[[0, -1]]
+    if table[0, 0] > 0 and not result.window.flows_at_lowest:
+        # shut at the lowest command, so shut below it
+        table = np.vstack([[0.0, *table[0, 1:]], table])
+    return table.T
+
+
+def _trial_scatter(result: Fit) -> float:
+    """Standard error of the mean of the trials' common factors [1], beyond what the noise explains
+    (DerSimonian–Laird).
+    """
+    r, flow = result.readings, result.solution.flow
+    keep = result.keep & (flow > 0) & ~result.solution.lone[r.cell]
+    weight = np.where(keep, 1.0 / result.noise.std(r, flow) ** 2, 0.0)
+    trials = np.unique(r.trial[keep])
+    if trials.size < 2:
+        return 0.0
+    precision = np.array([np.sum((weight * flow**2)[r.trial == t]) for t in trials])
+    product = weight * flow * result.residuals
+    share = np.array([np.sum(product[r.trial == t]) for t in trials]) / precision
+    mean = precision @ share / precision.sum()
+    excess = precision @ (share - mean) ** 2 - (trials.size - 1)
+    between = max(excess, 0.0) / (precision.sum() - np.sum(precision**2) / precision.sum())
+    return float(np.sqrt(between / trials.size))
+
+
+def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.ndarray:
+    """Standard error of the scaled flow on the grid u × s: coefficients, deadband, what all drops
+    are off by and the ``scatter`` of whole trials in the mean of all, shape (u, s).
+    """
+    r, shape, solution = result.readings, result.shape, result.solution
+    opening, root = (a.ravel() for a in np.meshgrid(u, s, indexing="ij"))
+    design = solution.spline.design(opening, root)
+    variance = solution.widening * solution.variance(design)
+    flow = design @ solution.coefficients
+    # trials' common factors do not average over all where only some of the trials read
+    counts = [np.unique(r.trial[result.keep & (r.level == k)]).size for k in range(r.levels.size)]
+    trials = np.unique(r.trial[result.keep]).size
+    few = np.sqrt(trials / np.interp(opening, r.levels, np.maximum(counts, 1)))
+    variance += (scatter * few * flow) ** 2
+    variance += _missed(result, opening, root) + _between(result, opening, root)
+    used = solution.cells.without(solution.lone)
+    for sides in _uncertain(result):
+        low, high = (
+            spline.design(opening, root) @ regression(spline, used).solve(shape.smoothing)[0]
+            for spline in sides
+        )
+        variance += 0.25 * (high - low) ** 2
+    scaled = r.delta / r.drop_max  # half of what s and a plain root of the drop differ by
+    drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
+    variance += (0.5 * flow * (np.sqrt(drop) / np.maximum(root, 1e-12) - 1.0)) ** 2
+    variance, flow = variance.reshape(u.size, s.size), flow.reshape(u.size, s.size)
+    # what all commands and all drops are off by: no reading tells these from the valve
+    for axis, places, std in ((0, u, r.command_std), (1, drop[: s.size], r.drop_std)):
+        if std > 0.0:
+            variance += (std * np.asarray(np.gradient(flow, places, axis=axis))) ** 2
+    return np.sqrt(variance)
+
+
+def _uncertain(result: Fit) -> Iterator[tuple[Spline, Spline]]:
+    """For the deadband and for each kink, the spline with it a standard error lower and higher."""
+    shape, deadband = result.shape, result.deadband
+    if deadband.std > 0:
+        low = max(deadband.value - deadband.std, 0.0)
+        yield shape.spline(low), shape.spline(deadband.value + deadband.std)
+    for kink in result.kinks:
+        others = tuple(item.value for item in result.kinks if item is not kink)
+        low, high = (
+            replace(shape, kinks=(*others, kink.value + k * kink.std)).spline() for k in (-1, 1)
+        )
+        yield low, high
+
+
+def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Variance [rated²] by which the cells near each point surely miss the map, beyond their
+    noise.
+    """
+    r, solution, cells = result.readings, result.solution, result.solution.cells
+    some = (cells.weight > 0) & (cells.u > result.deadband.value)
+    if not some.any():
+        return np.zeros(u.size)
+    square = (cells.y - solution.at(cells.u, cells.s))[some] ** 2
+    away = r.places(u, s)[:, None, :] - r.places(cells.u[some], cells.s[some])
+    near = np.exp(-0.5 * np.sum(away**2, axis=2)) + 1e-12
+    near /= near.sum(axis=1, keepdims=True)
+    # the scatter of a mean of squares: what it exceeds the noise by must exceed 1.6 times that,
+    # too
+    sure = 1.0 + 1.6 * np.sqrt(2.0 * np.sum(near**2, axis=1))
+    return np.maximum(near @ square - sure * (near @ (1.0 / cells.weight[some])), 0.0)
+
+
+def _between(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Variance [rated²] of where a map that bends sharply does so between the drops measured;
+    else zero.
+
+    A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most,
+    w from 0 to 1 in the gap; taken as two standard errors, with the largest change of slope
+    over this gap or one next to it as κ: a spline rings."""
+    roots = result.readings.roots
+    if roots.size < 4:
+        return np.zeros(u.size)
+    gap = np.clip(np.searchsorted(roots, s, side="right") - 1, 0, roots.size - 2)
+    each, row = np.unique(u, return_inverse=True)
+    flow = result.solution.at(np.repeat(each, roots.size), np.tile(roots, each.size))
+    turn = np.diff(np.diff(flow.reshape(each.size, roots.size), axis=1) / np.diff(roots), axis=1)
+    turn = np.pad(turn, ((0, 0), (1, 1)))
+    turn = np.abs(turn[:, 1:] + turn[:, :-1])  # a kink inside a gap shows half at either end
+    width = np.diff(roots)[gap]
+    part = np.clip((s - roots[gap]) / width, 0.0, 1.0)
+    kink = np.max([turn[row, np.clip(gap + k, 0, roots.size - 2)] for k in (-1, 0, 1)], axis=0)
+    sure = 0.5 if result.shape.along_s.kink else 0.25
+    return (sure * kink * width * part * (1.0 - part)) ** 2
+
+
+def _outliers(result: Fit) -> tuple[Outlier, ...]:
+    """The readings that are not kept, by line."""
+    r, out = result.readings, np.flatnonzero(~result.keep)
+    return tuple(
+        Outlier(
+            str(r.file[i]),
+            int(r.line[i]),
+            float(r.u[i]),
+            float(r.drop[i]),
+            float(r.q[i]),
+            round(float(result.sigmas[i]), 2),
+        )
+        for i in out[np.argsort(r.line[out], kind="stable")]
+    )
+
+
+def _leakage(result: Fit) -> tuple[float, tuple[float, float]]:
+    """(mean scaled flow at commands below the deadband, its 95 % interval)."""
+    r = result.readings
+    shut = result.keep & (r.u <= result.deadband.interval[0])
+    if not shut.any():
+        return 0.0, (0.0, 0.0)
+    mean = float(r.q[shut].mean()) / r.rated
+    residual = (r.y - result.solution.flow)[shut]  # the leak is off these
+    return mean, _interval(mean, float(np.sqrt(np.mean(residual**2) / shut.sum())))
+
+
+def _fall(built: FlowMap) -> float:
+    """What the flow falls by from its largest to the largest command at the largest drop read
+    there, as a share.
+    """
+    if built.rising == built.opening_knots.size - 1:
+        return 0.0
+    drop = float(built.hull_high[-1])
+    largest = np.max(built.flow(drop, np.linspace(built.deadband, built.command_max, 400)))
+    return round(float(1.0 - built.flow(drop, built.command_max) / largest), 4)
 
 
 def check_calibration(
@@ -187,15 +483,63 @@ def check_calibration(
         verdict = "met"
     else:
         verdict = "missed" if bounds[1] < band[0] or bounds[0] > band[1] else "undecided"
-    return Calibration(
-        command,
-        target,
-        tolerance,
-        flow,
-        *bounds,
-        float(np.min(flows)),
-        float(np.max(flows)),
-        low,
-        high,
-        verdict,
-    )
+    least, most = float(np.min(flows)), float(np.max(flows))
+    return Calibration(command, target, tolerance, flow, *bounds, least, most, low, high, verdict)
+
+
+def _features(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
+    """Notes on what a valve does other than open smoothly with its command."""
+    show, lag = result.readings.show, result.hysteresis
+
+    def volts(value: float) -> str:
+        return show.volts(round(value, 2))
+
+    if result.leak and fit.leakage:
+        low, high = (show.flow(end, 3) for end in fit.leakage_interval)
+        key = "flow_maps.leak_goes_on" if result.leak.goes_on else "flow_maps.leak_ends"
+        yield message(key, leakage=show.flow(fit.leakage, 3), low=low, high=high)
+    for value, low, high in fit.kinks:
+        yield message("flow_maps.kink", command=volts(value), low=volts(low), high=volts(high))
+    if fit.falls:
+        top, end = volts(fit.map.rising_to), volts(fit.map.command_max)
+        yield message("flow_maps.falls", above=top, share=fit.falls, end=end)
+    if lag and lag.removed:
+        low, high = fit.hysteresis_interval
+        yield message("flow_maps.hysteresis", value=lag.value, low=low, high=high)
+    if result.readings.one_drop:
+        yield message("flow_maps.level")
+
+
+def _warnings(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
+    r, solution, outlier = result.readings, result.solution, READING.outlier
+    if fit.outliers:
+        worst = max(fit.outliers, key=lambda item: abs(item.sigmas)).sentence(r.show)
+        yield message(
+            "flow_maps.outliers",
+            count=len(fit.outliers),
+            all=result.sigmas.size,
+            sigmas=outlier,
+            worst=worst,
+        )
+    for cell in np.flatnonzero(solution.lone):
+        rows = result.keep & (r.cell == cell)
+        if rows.any():
+            yield message(
+                "flow_maps.lone_cell",
+                count=int(rows.sum()),
+                command=r.show.volts(r.u[rows].mean()),
+                drop=r.show.drop(r.drop[rows].mean()),
+                off=r.q[rows].mean() / (r.rated * solution.flow[rows].mean()) - 1.0,
+            )
+    far = int(np.count_nonzero(result.keep & (np.abs(result.sigmas) > outlier)))
+    if far > 0.01 * result.sigmas.size:
+        size = result.sigmas.size
+        yield message("flow_maps.backed_outliers", count=far, all=size, sigmas=outlier)
+    if not fit.replicates:
+        yield message("flow_maps.no_repeats")
+    if solution.widening > 2.0:
+        yield message("flow_maps.lack_of_fit", times=solution.widening**0.5)
+    if fit.status == "not_excited":
+        yield message("flow_maps.not_excited", command=r.show.volts(r.levels[0]))
+    if fit.trial_scatter > 2e-3:
+        yield message("flow_maps.trial_scatter", share=fit.trial_scatter)

@@ -2,144 +2,118 @@
 growing coefficients.
 
 Coordinates are scaled to 0…1: the opening from the deadband to the largest command, and the root of
-the drop. Each coefficient meets a few neighbours only, so the penalised normal matrix is a band.
+the drop. A coefficient meets two neighbours along the opening and three along the root, so a normal
+matrix is a symmetric band: ``band[k, j]`` is its number in column j, k below the diagonal, as in
+LAPACK; the coefficients along the opening come first.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from copy import copy
-from functools import cache
-from typing import Any
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.flow_maps import banded
 from ehbench.physics.flow_map import bspline_pieces
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
-# a bend in the drop, a soft start, a kink in the opening: the penalty on curvature is this share of
-# what it is elsewhere
-_BEND, _SOFT, _SHARP = 1e-4, 1e-9, 1e-7
-# a spline slope of this share of the rated flow over the command range keeps the map strictly
-# increasing
-_LEAST_SLOPE = 1e-4
-# share of the largest eigenvalue below which one of the penalty is rounding
-_ROUNDED = 1e-13
-SPANS_U = 12
-# half the width of the span that bends at a kink, as a share of the gap between two commands
-_NARROW = 0.01
+
+@dataclass(frozen=True)
+class SplineSettings:
+    """Numbers of the spline under a flow map."""
+
+    spans: int = setting(
+        12, "", "largest number of spans along the opening", "finer ones follow the noise"
+    )
+    bend: float = setting(
+        1e-4, "", "share of the penalty left where the flow bends sharply with the drop", "free"
+    )
+    soft: float = setting(
+        1e-9, "", "share of the penalty left over the first spans of a soft start", "free"
+    )
+    sharp: float = setting(
+        1e-7, "", "share of the penalty left at a kink in the opening", "free within its digits"
+    )
+    slope: float = setting(
+        1e-4, "", "least slope, share of the rated flow over the command range", "invertible"
+    )
+    narrow: float = setting(
+        0.01, "", "half the width of a kink's span, share of the gap between two commands", "a jump"
+    )
+
+
+SETTINGS = SplineSettings()
 
 
 @cache
-def _rule(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(places 0…1 of so many nodes of Gauss, their weights, powers as many as nodes)."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 * (nodes + 1), weights, np.arange(count)
-
-
-def _gram(pieces: np.ndarray, breaks: np.ndarray, order: int, weight: np.ndarray) -> np.ndarray:
-    """∫ weight·B_i^(order) B_j^(order) of splines in polynomial pieces (``bspline_pieces``), exact;
-    a weight a span.
-    """
-    powers, weights, share = _nodes(breaks, pieces.shape[-1] - order)
-    return banded.gram(pieces, order, powers, (weights, share * weight))
-
-
-def _nodes(breaks: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(powers of the places of so many nodes of Gauss in every span, shape (spans, nodes, powers),
-    the nodes' weights, half the spans' widths).
-    """
-    places, weights, powers = _rule(count)
-    width = breaks[1:] - breaks[:-1]
-    x = places * width[:, None]
-    return x[..., None] ** powers, weights, 0.5 * width
-
-
-def _at_nodes(
-    pieces: np.ndarray, breaks: np.ndarray, order: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(B^(order) at the nodes of Gauss of every span, shape (spans, nodes, splines), the nodes'
-    weights, half the spans' widths).
-    """
-    for _ in range(order):
-        pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
-    powers, weights, share = _nodes(breaks, pieces.shape[-1])
-    return np.einsum("jkp,jgp->jgk", pieces, powers), weights, share
+def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights of Gauss's rule on −1…1."""
+    return np.polynomial.legendre.leggauss(count)
 
 
 class Axis:
-    """B-splines along a coordinate scaled to 0…1, but for the first, with ∫ of squares, the
-    logarithm of its determinant, and ∫ of squared curvature.
+    """B-splines along a coordinate scaled to 0…1, but for the first.
+
+    ``mass`` is ∫ of their products, ``curvature`` that of their second derivatives, each span times
+    its ``stiffness``, and ``bends`` its root, shape (nodes, splines); ``volume`` the logarithm of
+    the mass's determinant, ``eigenvalues`` those of the curvature with the mass, the first, of a
+    straight line, zero.
     """
 
     def __init__(
         self, breaks: np.ndarray, degree: int, stiffness: np.ndarray | None = None
     ) -> None:
-        self.breaks, self.pieces = breaks, bspline_pieces(breaks, degree)
-        self.size, self.kink = self.pieces.shape[1] - 1, False
-        self.mass = _gram(self.pieces, breaks, 0, np.ones(breaks.size - 1))[1:, 1:].copy()
-        self.volume = float(np.linalg.slogdet(self.mass)[1])
-        self.stiffen(np.ones(breaks.size - 1) if stiffness is None else stiffness)
+        self.breaks, self.degree = breaks, degree
+        self.pieces = bspline_pieces(breaks, degree)[:, 1:]
+        self.size, self.kink = self.pieces.shape[1], False
+        self.stiffness = np.ones(breaks.size - 1) if stiffness is None else stiffness
         knots = np.concatenate([breaks[:1].repeat(degree), breaks, breaks[-1:].repeat(degree)])
-        self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[
-            2:-1
-        ]  # coefficients of x itself
-
-    def stiffen(self, stiffness: np.ndarray) -> None:
-        self.stiffness = stiffness
-        self.bend = _gram(self.pieces, self.breaks, 2, stiffness)[1:, 1:].copy()
-        self.eigen = eigenvalues(self.bend, self.mass)
-        if self.eigen[1] < _ROUNDED * self.eigen[-1]:
-            self.eigen = self._small_eigen()
-        self.eigen[0] = 0.0  # a straight line is free
-
-    def _small_eigen(self) -> np.ndarray:
-        """The eigenvalues where the least are lost in the rounding of the largest, as beside the
-        narrow span of a kink: squares of singular values, which keep twice the digits.
-        """
-        values, weights, share = _at_nodes(self.pieces, self.breaks, 2)
-        root = np.sqrt(weights * (share * self.stiffness)[:, None])
-        rows = (root[..., None] * values[..., 1:]).reshape(-1, self.size)
+        # coefficients of the coordinate itself
+        self.centres = np.convolve(knots, np.full(degree, 1.0 / degree), "valid")[2:-1]
+        squares, self.bends = self._quadrature(0), self._quadrature(2)
+        self.bends *= np.sqrt(self.stiffness.repeat(degree - 1))[:, None]
+        self.mass, self.curvature = squares.T @ squares, self.bends.T @ self.bends
         factor = np.linalg.cholesky(self.mass)
-        result = np.linalg.svd(np.linalg.solve(factor, rows.T), compute_uv=False)[::-1] ** 2
-        return np.concatenate([np.zeros(self.size - result.size), result])
+        self.volume = 2.0 * float(np.log(np.diag(factor)).sum())
+        # squares of singular values have twice the digits of eigenvalues
+        values = np.linalg.svd(np.linalg.solve(factor, self.bends.T), compute_uv=False)[::-1] ** 2
+        self.eigenvalues = np.pad(values, (self.size - values.size, 0))
+        self.eigenvalues[0] = 0.0
+
+    def _quadrature(self, order: int) -> np.ndarray:
+        """Derivatives of an order at the nodes of Gauss's rule in all spans, times the root of the
+        nodes' weights, shape (nodes, splines): their products, summed, are integrals.
+        """
+        pieces = self.pieces
+        for _ in range(order):
+            pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
+        nodes, weights = _gauss(pieces.shape[-1])
+        width = np.diff(self.breaks)[:, None]
+        powers = (0.5 * (nodes + 1.0) * width)[..., None] ** np.arange(pieces.shape[-1])
+        root = np.sqrt(0.5 * width * weights)[..., None]
+        return (root * np.einsum("jkp,jgp->jgk", pieces, powers)).reshape(-1, self.size)
 
     def bent(self, k: int) -> Axis:
         """The same axis, free to bend sharply at its inner break k."""
         stiffness = self.stiffness.copy()
-        stiffness[k - 1 : k + 1] = _BEND
-        return self.stiffened(stiffness, kink=True)
+        stiffness[k - 1 : k + 1] = SETTINGS.bend
+        other = Axis(self.breaks, self.degree, stiffness)
+        other.kink = True
+        return other
 
     def graded(self, power: float) -> Axis:
         """The same axis, freer to bend towards zero: stiffness as a power of the coordinate."""
-        return self.stiffened(
-            np.maximum((0.5 * (self.breaks[1:] + self.breaks[:-1])) ** power, _BEND)
-        )
-
-    def stiffened(self, stiffness: np.ndarray, kink: bool = False) -> Axis:
-        """The same axis with a stiffness a span, by which its curvature counts."""
-        other = copy(self)
-        other.kink = kink
-        other.stiffen(stiffness)
-        return other
+        middle = 0.5 * (self.breaks[1:] + self.breaks[:-1])
+        return Axis(self.breaks, self.degree, np.maximum(middle**power, SETTINGS.bend))
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Values at x, shape (points, splines)."""
-        j = self._span(x)
-        powers = (x - self.breaks[j])[:, None] ** np.arange(self.pieces.shape[-1])
-        return np.einsum("xkp,xp->xk", self.pieces[j, 1:], powers)
-
-    def near(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(number of the first spline that is not zero at x, values of it and those after it, shape
-        (points, degree + 1)); number −1 is the spline left out, its value zero.
-        """
-        first, values = np.empty(x.size, np.int64), np.empty((x.size, self.pieces.shape[-1]))
-        banded.near(x, self.breaks, self.pieces, first, values)
-        return first, values
-
-    def _span(self, x: np.ndarray) -> np.ndarray:
-        return np.clip(np.searchsorted(self.breaks, x, side="right") - 1, 0, self.breaks.size - 2)
+        j = np.searchsorted(self.breaks[1:-1], x, side="right")
+        powers = (x - self.breaks[j])[:, None] ** np.arange(self.degree + 1)
+        return np.einsum("xkp,xp->xk", self.pieces[j], powers)
 
 
 class OneColumn(Axis):
@@ -147,26 +121,25 @@ class OneColumn(Axis):
 
     def __init__(self) -> None:
         self.breaks, self.size, self.kink = np.array([0.0, 1.0]), 1, False
-        self.volume = 0.0
-        self.mass, self.bend, self.eigen = np.eye(1), np.zeros((1, 1)), np.zeros(1)
+        self.volume, self.eigenvalues = 0.0, np.zeros(1)
+        self.mass, self.curvature, self.bends = np.eye(1), np.zeros((1, 1)), np.zeros((1, 1))
         self.stiffness, self.centres = np.ones(1), np.ones(1)
-
-    def stiffen(self, stiffness: np.ndarray) -> None:
-        self.stiffness = stiffness
 
     def at(self, x: np.ndarray) -> np.ndarray:
         return np.ones((x.size, 1))
 
-    def near(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.zeros(x.size, np.int64), np.ones((x.size, 1))
-
 
 class Spline:
-    """The spline of one deadband on opening and root of drop scaled to 0…1: design, penalties,
-    fit.
+    """The spline of one deadband on opening and root of drop.
 
-    It may bend sharply at the openings ``kinks`` [V]. Its flow grows with the opening up to the
-    break nearest to ``rising`` [V], and falls above it."""
+    Args:
+        deadband: [V].
+        above: [V] the commands above it.
+        along_s: along the root of the drop.
+        soft: free to curve over the first spans.
+        kinks: [V] openings where it may bend sharply.
+        rising: [V] its flow grows with the opening up to the break next to it, and falls above.
+    """
 
     def __init__(
         self,
@@ -178,53 +151,78 @@ class Spline:
         rising: float = np.inf,
     ) -> None:
         self.deadband, self.top = deadband, float(above[-1])
-        inner = _between(tuple(above.tolist()))
+        inner = _between(above)
         if soft:
             inner = np.append(above[0], inner)
         kinks = tuple(kink for kink in kinks if above[0] < kink < self.top)
         for kink in kinks:
-            inner = _kinked(inner, above, kink)
+            inner = _with_kink(inner, above, kink)
         stiffness = np.ones(inner.size + 1)
-        stiffness[: 2 * soft] = _SOFT
-        stiffness[[int(np.searchsorted(inner, kink)) for kink in kinks]] = _SHARP
+        stiffness[: 2 * soft] = SETTINGS.soft
+        stiffness[[int(np.searchsorted(inner, kink)) for kink in kinks]] = SETTINGS.sharp
         breaks = np.concatenate([[0.0], (inner - deadband) / (self.top - deadband), [1.0]])
-        self.along_u = Axis(breaks, 2, stiffness)
-        self.along_s = along_s
+        self.along_u, self.along_s = Axis(breaks, 2, stiffness), along_s
         self.rows, self.columns = self.along_u.size, along_s.size
-        self.sign = self._signs(rising)
-        self.penalties = self.along_u.bend, self.along_u.mass, along_s.bend, along_s.mass
-        self.mass = self.columns * self.along_u.volume + self.rows * along_s.volume
+        self.size = self.rows * self.columns
+        # 1 for a coefficient whose increment along the opening must not be negative, −1 for one
+        # whose must not be positive
+        sign = np.ones((self.rows, self.columns))
+        if rising < self.top:
+            sign[max(int(np.argmin(np.abs(self.volts - rising))), 1) + 1 :] = -1.0
+        self.sign = sign.T.ravel()
         # coefficients of the least map, u·s
-        self.floor = _LEAST_SLOPE * np.outer(self.along_u.centres, along_s.centres).ravel()
+        self.floor = SETTINGS.slope * np.outer(along_s.centres, self.along_u.centres).ravel()
+
+    @property
+    def volts(self) -> np.ndarray:
+        """The breaks along the opening [V]."""
+        return self.deadband + self.along_u.breaks * (self.top - self.deadband)
+
+    @cached_property
+    def penalties(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bands of the penalties on the curvature along the opening and along the root: Kronecker
+        products of what penalises along the one and the mass along the other.
+        """
+        pairs, u, s = _pairs(self.rows, self.columns), self.along_u, self.along_s
+        along_u = pairs.band(u.curvature[pairs.rows][None], s.mass[pairs.columns][None])
+        return along_u, pairs.band(u.mass[pairs.rows][None], s.curvature[pairs.columns][None])
+
+    def factors(self, u: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The splines along the opening, zero up to the deadband, and along the root of the drop,
+        at openings [V] and scaled roots; shapes (points, rows) and (points, columns).
+        """
+        share = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
+        return self.along_u.at(share), self.along_s.at(s)
 
     def design(self, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Flow per coefficient at openings [V] and scaled roots, zero up to the deadband; shape
-        (points, coefficients).
-        """
-        x = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
-        return (self.along_u.at(x)[:, :, None] * self.along_s.at(s)[:, None, :]).reshape(x.size, -1)
+        """Flow per coefficient at openings [V] and scaled roots; shape (points, coefficients)."""
+        of_u, of_s = self.factors(u, s)
+        return (of_s[:, :, None] * of_u[:, None, :]).reshape(u.size, -1)
 
     def normal(
-        self, u: np.ndarray, s: np.ndarray, weight: np.ndarray, y: np.ndarray
+        self, factors: tuple[np.ndarray, np.ndarray], weight: np.ndarray, y: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(band of the normal matrix, right side) of weighted flows at openings [V] and scaled
-        roots, but those up to the deadband.
+        """(band of the normal matrix, right side) of weighted flows, of which the `factors` are
+        given.
         """
-        span, along = (self.deadband, self.top), (self.along_u.breaks, self.along_u.pieces)
-        size = self.rows, self.columns
-        return banded.normal((u, weight, y), span, along, self.along_s.near(s), size)
+        (of_u, of_s), pairs = factors, _pairs(self.rows, self.columns)
+        weighed, (i, j), (k, m) = weight[:, None] * of_u, pairs.rows, pairs.columns
+        band = pairs.band(weighed[:, i] * of_u[:, j], of_s[:, k] * of_s[:, m])
+        return band, (of_s.T @ (weighed * y[:, None])).ravel()
 
     def penalised(self, band: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
-        """The band of the penalised normal matrix."""
-        whole = np.empty_like(band)
-        banded.penalise(band, self.penalties, smoothing, whole)
+        """The band of a normal matrix with the penalties times their smoothing."""
+        along_u, along_s = self.penalties
+        whole = smoothing[0] * along_u
+        whole += smoothing[1] * along_s
+        whole += band
         return whole
 
     def free(
-        self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray, whole: bool = True
-    ) -> tuple[np.ndarray, float, float]:
-        """(coefficients without the constraint if the ``whole`` is asked for, what they explain,
-        log determinant of the penalised normal matrix over the prior's).
+        self, band: np.ndarray, right: np.ndarray, smoothing: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """(coefficients without the constraint, log determinant of the penalised normal matrix over
+        the prior's).
 
         Args:
             band: of the normal matrix, as `normal` gives it.
@@ -232,13 +230,26 @@ class Spline:
         Raises:
             LinAlgError: the penalised normal matrix is not positive definite.
         """
-        result, gain, determinant = banded.least(band, self.penalties, smoothing, right, whole)
-        if math.isnan(determinant):
-            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-        prior = (
-            smoothing[0] * self.along_u.eigen[:, None] + smoothing[1] * self.along_s.eigen
-        ).ravel()[1:]
-        return result, gain, determinant - self.mass - float(np.log(prior).sum())
+        from scipy.linalg import lapack
+
+        whole = self.penalised(band, smoothing)
+        factor, result, info = lapack.dpbsv(whole, right, lower=1, overwrite_ab=1)
+        if info:
+            raise np.linalg.LinAlgError(message("flow_maps.not_definite"))
+        along_u, along_s = self.along_u, self.along_s
+        prior = smoothing[0] * along_u.eigenvalues[:, None] + smoothing[1] * along_s.eigenvalues
+        volume = self.columns * along_u.volume + self.rows * along_s.volume
+        determinant = 2.0 * float(np.log(factor[0]).sum()) - volume
+        return result, determinant - float(np.log(prior.ravel()[1:]).sum())
+
+    def roughness(self, coefficients: np.ndarray, smoothing: np.ndarray) -> float:
+        """What the penalties, times their smoothing, make of coefficients."""
+        table = self.table(coefficients)
+        along_u, along_s = self.along_u.bends @ table, table @ self.along_s.bends.T
+        return float(
+            smoothing[0] * np.sum((along_u @ self.along_s.mass) * along_u)
+            + smoothing[1] * np.sum((self.along_u.mass @ along_s) * along_s)
+        )
 
     def solve(
         self,
@@ -253,42 +264,55 @@ class Spline:
         Args:
             near: a first guess of these; by default those that are wrong without the constraint.
         """
-        free, _, determinant = self.free(band, right, smoothing)
-        wrong = self.sign * self.increments(free - self.floor).ravel() < 0
-        if not wrong.any():
-            return free, determinant, wrong
-        band = self.penalised(band, smoothing)
-        right = right - banded.times(band, self.floor)
-
-        def slope(above: np.ndarray) -> np.ndarray:
-            return self.sign * self.over_steps(banded.times(band, above) - right)
 
         def grown(above: np.ndarray) -> np.ndarray:
-            return self.sign * self.increments(above).ravel()
+            return self.sign * self.increments(above).T.ravel()
 
-        above, tied = None, wrong
+        free, determinant = self.free(band, right, smoothing)
+        wrong = grown(free - self.floor) < 0
+        if not wrong.any():
+            return free, determinant, wrong
+        whole = self.penalised(band, smoothing)
+        right = right - times(whole, self.floor)
+
+        def slope(above: np.ndarray) -> np.ndarray:
+            return self.sign * self.over_steps(times(whole, above) - right)
+
         for guess in (near, wrong):
-            if above is None and guess is not None and guess.size == wrong.size:
+            if guess is not None and guess.size == wrong.size:
                 above, tied = pivoted(
-                    lambda zero: self._tied(band, right, zero), grown, slope, guess
+                    lambda zero: self._tied(whole, right, zero), grown, slope, guess
                 )
-        if above is None:
-            above = self._by_nnls(band, right)
-        return self.floor + above, determinant, tied
+                if above is not None:
+                    return self.floor + above, determinant, tied
+        return self.floor + self._by_nnls(whole, right), determinant, wrong
 
     def _tied(self, band: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
         """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which some do not grow along u: each of
         these is that of the opening before, or zero.
         """
-        size = right.size
-        own = np.where(zero, -1, np.cumsum(~zero) - 1).reshape(self.rows, self.columns)
-        at = np.arange(size).reshape(own.shape)
-        last = np.maximum.accumulate(np.where(own >= 0, at, -1), axis=0).ravel()
-        own = np.append(own.ravel(), -1)[last]  # which unknown each coefficient is, −1 for zero
-        result, sound = banded.tied(band, right, own)
-        if not sound:
-            raise np.linalg.LinAlgError("the normal matrix of what grows is not positive definite")
-        return result
+        from scipy.linalg import lapack
+
+        unknown = np.where(zero, -1, np.cumsum(~zero) - 1)
+        index = np.where(zero, -1, np.arange(self.size)).reshape(self.columns, self.rows)
+        last = np.maximum.accumulate(index, axis=1).ravel()
+        unknown = np.append(unknown, -1)[last]  # of each coefficient, −1 for zero
+        pairs = _pairs(self.rows, self.columns)
+        low, high = unknown[pairs.first], unknown[pairs.second]
+        some = np.flatnonzero((low >= 0) & (high >= 0))
+        low, high = low[some], high[some]
+        apart = np.abs(low - high)
+        # of two coefficients that are one unknown, both orders count
+        both = (apart == 0) & (pairs.line[some] > 0)
+        values = band.T.ravel()[pairs.place[some]] * (1.0 + both)
+        count, height = int(unknown.max()) + 1, int(apart.max(initial=0)) + 1
+        place = np.minimum(low, high) * height + apart
+        small = np.bincount(place, values, count * height).reshape(count, height).T
+        pull = np.bincount(unknown + 1, right, count + 1)[1:]
+        _, solved, info = lapack.dpbsv(small, pull, lower=1, overwrite_ab=1)
+        if info:
+            raise np.linalg.LinAlgError(message("flow_maps.not_definite"))
+        return np.append(solved, 0.0)[unknown]
 
     def _by_nnls(self, band: np.ndarray, right: np.ndarray) -> np.ndarray:
         """What `solve` looks for, above the floor, by an active set: slow, but it comes to an
@@ -300,91 +324,91 @@ class Spline:
         factor = np.linalg.cholesky(self.sign[:, None] * steps * self.sign)
         pull = np.linalg.solve(factor, self.sign * self.over_steps(right))
         grown = self.sign * nnls(factor.T, pull, maxiter=50 * right.size)[0]
-        return np.cumsum(grown.reshape(self.rows, self.columns), axis=0).ravel()
+        return np.cumsum(grown.reshape(self.columns, self.rows), axis=1).ravel()
 
-    def _signs(self, rising: float) -> np.ndarray:
-        """1 for each coefficient whose increment along the opening must not be negative, −1 for
-        each whose must not be positive.
-        """
-        sign = np.ones((self.rows, self.columns))
-        if rising < self.top:
-            volts = self.deadband + self.along_u.breaks * (self.top - self.deadband)
-            sign[max(int(np.argmin(np.abs(volts - rising))), 1) + 1 :] = -1.0
-        return sign.ravel()
+    def table(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients as a table, shape (rows, columns)."""
+        return coefficients.reshape(self.columns, self.rows).T
 
     def over_steps(self, values: np.ndarray) -> np.ndarray:
         """Derivatives by the coefficients, along the first axis, as derivatives by their increments
         along u.
         """
-        return np.cumsum(values.reshape(self.rows, self.columns, -1)[::-1], axis=0)[::-1].reshape(
-            values.shape
-        )
+        table = values.reshape(self.columns, self.rows, -1)
+        return np.cumsum(table[:, ::-1], axis=1)[:, ::-1].reshape(values.shape)
 
     def increments(self, coefficients: np.ndarray) -> np.ndarray:
         """What the coefficients grow by along u, shape (rows, columns)."""
-        result = coefficients.reshape(self.rows, self.columns).copy()
-        result[1:] -= result[:-1].copy()
-        return result
+        return np.diff(self.table(coefficients), axis=0, prepend=0.0)
+
+
+class _Pairs(NamedTuple):
+    """Which coefficients meet: pairs of ``rows`` and pairs of ``columns``, and of each number of a
+    band that is not zero its ``line``, its column ``first`` and its row ``second``; ``source`` and
+    ``place``: its places in a flat table of row pairs by column pairs and in a flat band.
+    """
+
+    rows: tuple[np.ndarray, np.ndarray]
+    columns: tuple[np.ndarray, np.ndarray]
+    line: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    source: np.ndarray
+    place: np.ndarray
+    shape: tuple[int, int]
+
+    def band(self, of_rows: np.ndarray, of_columns: np.ndarray) -> np.ndarray:
+        """The band of Σ Uᵢ ⊗ Sᵢ, of whose matrices the pairs are given, shapes (items, pairs)."""
+        band = np.zeros(self.shape[0] * self.shape[1])
+        band[self.place] = (of_rows.T @ of_columns).ravel()[self.source]
+        return band.reshape(self.shape).T
 
 
 @cache
-def _between(above: tuple[float, ...]) -> np.ndarray:
+def _pairs(rows: int, columns: int) -> _Pairs:
+    apart = [np.abs(np.subtract.outer(np.arange(n), np.arange(n))) for n in (rows, columns)]
+    (i, j), (k, m) = np.nonzero(apart[0] <= 2), np.nonzero(apart[1] <= 3)
+    first = np.add.outer(i, k * rows).ravel()
+    second = np.add.outer(j, m * rows).ravel()
+    source = np.flatnonzero(second >= first)
+    first, second = first[source], second[source]
+    shape = rows * columns, 3 * rows + 3
+    line = second - first
+    return _Pairs((i, j), (k, m), line, first, second, source, first * shape[1] + line, shape)
+
+
+def _between(above: np.ndarray) -> np.ndarray:
     """Breaks between commands: a spline of degree 2 rings without end if its knots are the places
     read.
     """
-    read = np.array(above)
-    inner = 0.5 * (read[1:] + read[:-1])
-    few = inner.size <= SPANS_U - 1
-    return inner if few else np.quantile(inner, np.linspace(0, 1, SPANS_U + 1)[1:-1])
+    inner = 0.5 * (above[1:] + above[:-1])
+    if inner.size < SETTINGS.spans:
+        return inner
+    return np.quantile(inner, np.linspace(0, 1, SETTINGS.spans + 1)[1:-1])
 
 
-def _kinked(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
-    """Inner breaks with a narrow span about a kink, and no other between the commands beside it."""
+def _with_kink(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
+    """Inner breaks with a narrow span about a kink, and no other between its two commands."""
     k = int(np.searchsorted(above, kink))
-    reach = _NARROW * (above[k] - above[k - 1])
+    reach = SETTINGS.narrow * (above[k] - above[k - 1])
     retained = inner[(inner <= above[k - 1]) | (inner >= above[k])]
     return np.sort(np.append(retained, (kink - reach, kink + reach)))
 
 
-@cache
-def _routines() -> Any:
-    """What scipy.linalg calls, without its looks at the arguments."""
-    from scipy.linalg import lapack
-
-    return lapack
-
-
-def cholesky(band: np.ndarray) -> np.ndarray:
-    """Band of the Cholesky factor of a symmetric matrix of which the band is given.
-
-    Raises:
-        LinAlgError: the matrix is not positive definite.
-    """
-    factor = band.copy()
-    if info := banded.factorise(factor):
-        raise np.linalg.LinAlgError(f"the normal matrix is not positive definite ({info})")
-    return factor
-
-
-def eigenvalues(matrix: np.ndarray, mass: np.ndarray) -> np.ndarray:
-    """Those λ, ascending, at which ``matrix − λ·mass`` is singular, both symmetric.
-
-    Raises:
-        LinAlgError: the mass is not positive definite.
-    """
-    values, _, info = _routines().dsygvd(matrix, mass, jobz="N", uplo="L")
-    if info:
-        raise np.linalg.LinAlgError(f"no eigenvalues of the penalty ({info})")
-    return values
-
-
 def full(band: np.ndarray) -> np.ndarray:
     """The symmetric matrix of which the band is given."""
-    size = len(band)
+    size = band.shape[1]
     matrix = np.zeros((size, size))
-    for k, line in enumerate(band.T[:size]):
+    for k, line in enumerate(band[:size]):
         np.fill_diagonal(matrix[k:, : size - k], line[: size - k])
     return matrix + np.tril(matrix, -1).T
+
+
+def times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Product of a symmetric matrix, of which the band is given, with a vector."""
+    from scipy.linalg import blas
+
+    return blas.dsbmv(len(band) - 1, 1.0, band, values, lower=1)
 
 
 def pivoted(
@@ -402,10 +426,10 @@ def pivoted(
         slope: derivatives by the steps at a point.
         zero: a first guess of the steps that are zero.
     """
-    minimum = 1e-12 * np.abs(slope(np.zeros(zero.size))).max()
+    tolerance = 1e-12 * np.abs(slope(np.zeros(zero.size))).max()
     for _ in range(50):
         point = solve(zero)
-        wrong = np.where(zero, slope(point) < -minimum, steps(point) < 0.0)
+        wrong = np.where(zero, slope(point) < -tolerance, steps(point) < 0.0)
         if not wrong.any():
             return point, zero
         zero = zero ^ wrong

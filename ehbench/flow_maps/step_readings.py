@@ -11,12 +11,13 @@ speed."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ehbench.data.flowmeter import FlowmeterData
 from ehbench.data.record import Record
+from ehbench.flow_maps.readings import readings_table
 from ehbench.parts.cylinder import chamber_of, chamber_oil, linkage_arrays
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.oil import bulk_of
@@ -26,18 +27,35 @@ from ehbench.preprocessing.observations import least_change
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.signals.series import transients
 from ehbench.vocabulary.errors import InsufficientData
-
-# a drop whose rms about its mean is more than this share of it makes no reading; it is the square
-# of its mean root, with which an orifice's mean flow goes
-STEADY = 0.25
-LEAST_DROP = 2e-3  # of the supply's pressure: below it a drop is the sensors' own error
-EMPTY = 0.5  # of the cavitation pressure: a chamber below it is fed by no edge alone
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
 
 @dataclass(frozen=True)
-class _Way:
-    """An edge as seen from a log: its full name, row, the channel of its command, the nodes that it
-    joins, the reach of its command [V] from which on it may be open."""
+class StepSettings:
+    """Numbers by which a block of a step log is a reading."""
+
+    steady: float = setting(
+        0.25,
+        "",
+        "largest rms of a drop about its mean, as a share",
+        "an orifice's root is then 1 %",
+    )
+    drop: float = setting(
+        2e-3, "", "least drop, share of the supply's pressure", "below it is the sensors' error"
+    )
+    empty: float = setting(
+        0.5, "", "share of the cavitation pressure below which a chamber is empty", "half its slope"
+    )
+
+
+SETTINGS = StepSettings()
+
+
+@dataclass(frozen=True)
+class _EdgeOfLog:
+    """An edge as seen from a log: its full name, sign, the channel of its command, the nodes it
+    joins, the opening [V] from which on it may be open."""
 
     name: str
     sign: float
@@ -77,7 +95,7 @@ def step_readings(
         InputError: as `preprocessing.preprocess`.
         InsufficientData: no reading; says what is needed.
     """
-    record, doubts = preprocess(name, record, model)
+    record, notes = preprocess(name, record, model)
     rows: list[tuple[str, str, float, float, float, int, int]] = []
     for index, cylinder in enumerate(model.layout.cylinders):
         if any(f"{cylinder}.p_{side}" not in record for side in SIDES):
@@ -89,35 +107,18 @@ def step_readings(
                     for reading in _readings(model, record, block)
                 ]
     if not rows:
-        raise InsufficientData(
-            f"{name}: no flow can be told: nowhere do the commands stand for "
-            f"{settle + span:.3g} s while one edge alone feeds or drains a chamber",
-            hint="pressures of both ends and a speed or position are needed; step one edge at each "
-            "end at a time",
-        )
-    valve, way, command, drop, flow, trial, line = (
-        np.array(item) for item in zip(*rows, strict=True)
-    )
-    return FlowmeterData(
-        valve,
-        way,
-        command,
-        drop,
-        flow,
-        trial,
-        np.full(len(rows), "cylinder"),
-        np.full(len(rows), np.nan),
-        np.full(len(rows), name),
-        line,
-        tuple(f"{name}: {text}" for text in doubts),
-    )
+        raise InsufficientData(message("flow_maps.no_step_reading", log=name, time=settle + span))
+    valve, way, command, drop, flow, trial, line = map(np.array, zip(*rows, strict=True))
+    columns = {"valve": valve, "direction": way, "trial": trial, "line": line, "file": name}
+    table = readings_table(command, drop, flow, method="cylinder", **columns)
+    return replace(table, warnings=tuple(f"{name}: {text}" for text in notes))
 
 
-def _ways(model: Model, record: Record) -> list[_Way]:
+def _edges_of(model: Model) -> list[_EdgeOfLog]:
     """The edges with a command."""
     plant, names = model.plant, model.layout
     return [
-        _Way(
+        _EdgeOfLog(
             name,
             float(edge.sign),
             f"{names.valves[edge.valve]}.command",
@@ -157,16 +158,16 @@ def _blocks(
     for first in range(window.start, window.stop - count + 1, count):
         part = slice(first, first + count)
         pressure = {node: values[part] for node, values in table.items()}
-        own = [pressure[node] for node in nodes]
-        empty = EMPTY * row.cavitation_pressure
-        if np.min(own) < empty or np.max(own) > row.relief_pressure:
+        inside = [pressure[node] for node in nodes]
+        empty = SETTINGS.empty * row.cavitation_pressure
+        if np.min(inside) < empty or np.max(inside) > row.relief_pressure:
             continue
-        mean, tank = [float(weight @ item) for item in own], float(weight @ pressure[TANK])
+        mean, tank = [float(weight @ item) for item in inside], float(weight @ pressure[TANK])
         inflow = {}
         for side, node in enumerate(nodes):
             _, area, _, leakage = chamber_of(row, side)
             volume = chamber_oil(row, side, float(weight @ x[part]))
-            rate = float(np.mean(own[side][-edge:]) - np.mean(own[side][:edge]))
+            rate = float(np.mean(inside[side][-edge:]) - np.mean(inside[side][:edge]))
             rate /= (count - edge) * tick
             lost = row.leakage_internal * (mean[side] - mean[1 - side])
             lost += leakage * (mean[side] - tank)
@@ -227,11 +228,11 @@ def _readings(
     """(edge, direction, command [V], drop [Pa], flow [m³/s]) of each edge that alone feeds or
     drains a chamber; one between both chambers is read once."""
     at, seen = block.first, set()
-    ways = _ways(model, record)
+    edges = _edges_of(model)
     for node, inflow in block.inflow.items():
-        own = [way for way in ways if node in way.ends]
+        joined = [edge for edge in edges if node in edge.ends]
         fixed = [e for e in model.plant.edges if e.unmetered and node in (e.from_node, e.to_node)]
-        opened = [w for w in own if w.open_at(record, at)]
+        opened = [edge for edge in joined if edge.open_at(record, at)]
         if fixed or len(opened) != 1 or opened[0].name in seen:
             continue
         way = opened[0]
@@ -241,8 +242,8 @@ def _readings(
         weight, _ = _weights(drops.size)
         root = float(weight @ (np.sign(drops) * np.sqrt(np.abs(drops))))
         drop = root * abs(root)
-        minimum = LEAST_DROP * float(model.rig.supply.pressure)
-        if abs(drop) < minimum or float(np.std(drops)) > STEADY * abs(drop):
+        minimum = SETTINGS.drop * float(model.rig.supply.pressure)
+        if abs(drop) < minimum or float(np.std(drops)) > SETTINGS.steady * abs(drop):
             continue
         flow = inflow if way.ends[1] == node else -inflow
         side = "forward" if drop > 0.0 else "reverse"

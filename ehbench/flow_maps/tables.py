@@ -4,7 +4,7 @@ and what is saved.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,17 +13,44 @@ import numpy as np
 
 from ehbench.config.rig import Edge, Rig, Valve
 from ehbench.data.flowmeter import FlowmeterData, LeftOut, merge_flowmeter
-from ehbench.flow_maps.map import FlowMapFit, FlowMapOptions, Units, fit_flow_map
-from ehbench.flow_maps.warmth import warm_flow, warmed
+from ehbench.flow_maps.readings import FlowMapOptions, Units
+from ehbench.flow_maps.results import FlowMapFit, fit_flow_map
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.units import from_si
 
-# the largest flow of a valve as a share of what the supply can give: outside of these a unit is
-# wrong
-_FLOW_SHARES = 1e-3, 20.0
-_OVERSHOOT = 0.01  # share of a driver's range that a command may lie outside of it
+
+@dataclass(frozen=True)
+class TableSettings:
+    """Numbers by which a table of readings is checked."""
+
+    small_flow: float = setting(
+        1e-3, "", "share of the supply's flow below which the unit is wrong", "units differ by 60"
+    )
+    large_flow: float = setting(
+        20.0, "", "share of the supply's flow above which the unit is wrong", "units differ by 60"
+    )
+    overshoot: float = setting(
+        0.01, "", "share of a driver's range that a command may lie outside of it", "converters"
+    )
+    warm_readings: int = setting(8, "", "least number of readings with a temperature", "a slope")
+    warming: float = setting(3.0, "K", "least change of the oil's temperature", "2 % of viscosity")
+    correlation: float = setting(
+        0.6, "", "correlation of the temperature with the drop or command", "not by chance"
+    )
+    warm_flow: float = setting(
+        0.1, "", "share of the rated flow from which a reading's share counts", "its noise"
+    )
+    warm_sigmas: float = setting(4.0, "", "standard errors of a change with temperature", "chance")
+    warm_change: float = setting(
+        0.01, "", "least change of the flow with temperature that matters", "as the map's accuracy"
+    )
+
+
+SETTINGS = TableSettings()
 
 
 @dataclass(frozen=True)
@@ -38,51 +65,20 @@ class EdgeFit:
     sign: int = 1
 
 
-def fit_readings(
-    rig: Rig,
-    parts: Sequence[FlowmeterData],
-    calibration: Sequence[tuple[float, float, float]] = (),
-    reference_drop: float | None = None,
-    progress: Progress | None = None,
-    *,
-    meter_limit: float = 0.0,
-) -> list[EdgeFit]:
-    """One flow map for each metering edge and direction that the readings name.
-
-    Args:
-        rig: its edges give the names and the signs; readings name an edge, or a valve with one
-            edge, or a valve and a direction such as ``head->rod``. Commands of an edge of sign −1
-            are negative, as sent to the driver.
-        parts: readings of one or more files.
-        calibration: (command [V], flow [m³/s], tolerance) to check on every map.
-        reference_drop: [Pa] where the calibration is checked.
-        progress: called with what is fitted and the share done.
-        meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
-
-    Raises:
-        InputError: readings of an edge that the rig does not have, or commands on the wrong side of
-            zero.
-        InsufficientData: too few readings for a map.
-    """
-    return run_readings(
-        prepare_readings(rig, parts), calibration, reference_drop, progress, meter_limit=meter_limit
-    )
-
-
 @dataclass(frozen=True)
 class EdgeReadings:
-    """The readings of one edge in one direction, commands as openings, with doubts about them."""
+    """The readings of one edge in one direction, commands as openings, with notes on them."""
 
     edge: str
     side: str
     sign: int
     rows: FlowmeterData
-    doubts: tuple[str, ...] = ()
+    notes: tuple[Message, ...] = ()
 
 
 @dataclass(frozen=True)
 class PreparedReadings:
-    """Readings by the edge they belong to, with a sentence on what was left out of each file."""
+    """Readings by the edge they belong to, with a message on what was left out of each file."""
 
     rig: Rig
     edges: tuple[EdgeReadings, ...]
@@ -92,41 +88,47 @@ class PreparedReadings:
 def prepare_readings(
     rig: Rig, parts: Sequence[FlowmeterData], leave_out: bool = False
 ) -> PreparedReadings:
-    """Sort readings to the rig's edges; arguments as in `fit_readings`, and ``leave_out``: a few
-    readings at commands that do not open their edge, or that no driver gives, are left out.
+    """Sort readings to the rig's edges.
+
+    Args:
+        rig: its edges give the names and the signs; readings name an edge, or a valve with one
+            edge, or a valve and a direction such as ``head->rod``. Commands of an edge of sign −1
+            are negative, as sent to the driver.
+        parts: readings of one or more files.
+        leave_out: leave out a few readings at commands that do not open their edge, or that no
+            driver gives.
 
     Raises:
         InputError: readings of an edge that the rig does not have, or commands on the wrong side of
             zero.
     """
     data = merge_flowmeter(parts)
-    data = replace(
-        data, file=np.array([Path(file).name for file in data.file])
-    )  # results must not depend on where data lie
-    doubts: dict[str, list[str]] = {}
+    # results must not depend on where data lie
+    data = replace(data, file=np.array([Path(file).name for file in data.file]))
+    notes: dict[str, list[str]] = {}
     for part in parts:
-        doubts.setdefault(Path(part.file[0]).name, []).extend(_file_doubts(part))
+        notes.setdefault(Path(part.file[0]).name, []).extend(_file_notes(part))
     groups: dict[tuple[str, str, int], list[FlowmeterData]] = {}
     losses = list(data.losses)
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
         name, side, driver, edge = _edge_of(rig, valve, direction, rows)
         rows = _commanded(valve, rows, driver, edge, leave_out, losses)
-        sign = edge.sign
-        groups.setdefault((name, side, sign), []).append(
-            replace(rows, command=sign * rows.command + 0.0)
-        )
+        opened = replace(rows, command=edge.sign * rows.command + 0.0)
+        groups.setdefault((name, side, edge.sign), []).append(opened)
     edges = []
     for (name, side, sign), group in groups.items():
         rows = group[0] if len(group) == 1 else merge_flowmeter(group)
-        messages = [
-            text for file in np.unique(rows.file).tolist() for text in doubts.pop(file, ())
-        ]  # of a file once
-        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
-        messages += _flow_doubts(rig, rows, show)
-        messages += warmed(rows, show, rig.unit_of("temperature"))
-        edges.append(EdgeReadings(name, side, sign, rows, tuple(messages)))
+        # of a file once
+        items = [item for file in np.unique(rows.file).tolist() for item in notes.pop(file, ())]
+        show = _units(rig, sign)
+        items += [*_flow_notes(rig, rows, show), *_warming(rows, show, rig.unit_of("temperature"))]
+        edges.append(EdgeReadings(name, side, sign, rows, tuple(items)))
     return PreparedReadings(rig, tuple(edges), tuple(losses))
+
+
+def _units(rig: Rig, sign: int) -> Units:
+    return Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
 
 
 def run_readings(
@@ -139,8 +141,15 @@ def run_readings(
     drop_std: float = 0.0,
     command_std: float = 0.0,
 ) -> list[EdgeFit]:
-    """Fit a map to the readings of each edge; arguments as in `fit_readings`, and ``drop_std`` [Pa]
-    and ``command_std`` [V], the standard errors that all drops and all commands share.
+    """Fit a map to the readings of each edge.
+
+    Args:
+        calibration: (command [V], flow [m³/s], tolerance) to check on every map.
+        reference_drop: [Pa] where the calibration is checked.
+        progress: called with what is fitted and the share done.
+        meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
+        drop_std: [Pa] the standard error that all drops share, and ``command_std`` [V] that of all
+            commands.
 
     Raises:
         InsufficientData: too few readings for a map.
@@ -149,8 +158,6 @@ def run_readings(
     for index, edge in enumerate(prepared.edges):
         if progress is not None:
             progress(f"{edge.edge} {edge.side}", index / len(prepared.edges))
-        rows = edge.rows
-        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), edge.sign)
         options = FlowMapOptions(
             meter_limit=meter_limit,
             calibration=calibration,
@@ -158,66 +165,47 @@ def run_readings(
             drop_std=drop_std,
             command_std=command_std,
             nominal_drop=float(rig.supply.pressure),
-            show=show,
+            show=_units(rig, edge.sign),
         )
-        fit = fit_flow_map(edge.edge, edge.side, rows, options)
-        fit = replace(fit, warnings=(*edge.doubts, *warm_flow(fit, rows), *fit.warnings))
-        fits.append(EdgeFit(fit, rows, edge.sign))
+        fit = fit_flow_map(edge.edge, edge.side, edge.rows, options)
+        fit = replace(fit, warnings=(*edge.notes, *_warm_flow(fit, edge.rows), *fit.warnings))
+        fits.append(EdgeFit(fit, edge.rows, edge.sign))
     return fits
 
 
-def _file_doubts(part: FlowmeterData) -> list[str]:
-    """What the reader found odd in a file, and rows that stand in it twice."""
+def _file_notes(part: FlowmeterData) -> Iterator[str]:
+    """What the reader noted of a file, and rows that stand in it twice."""
     name = Path(part.file[0]).name
+    yield from (text.replace(str(part.file[0]), name) for text in part.warnings)
+    columns = part.valve, part.direction, part.method, part.trial, part.command, part.pressure_drop
     seen: set[tuple] = set()
     again = []
-    columns = (
-        part.valve,
-        part.direction,
-        part.method,
-        part.trial,
-        part.command,
-        part.pressure_drop,
-        part.flow,
-    )
-    for line, *row in zip(
-        part.line.tolist(), *(column.tolist() for column in columns), strict=True
-    ):
+    for line, *row in zip(part.line, *columns, part.flow, strict=True):
         if tuple(row) not in seen:
             seen.add(tuple(row))
         elif row[-1] != 0.0:  # a meter at rest reads zero again and again
             again.append(line)
-    messages = [text.replace(str(part.file[0]), name) for text in part.warnings]
     if again:
-        first = ", ".join(map(str, again[:5])) + (", …" if len(again) > 5 else "")
-        count = f"{len(again)} rows repeat" if len(again) > 1 else "1 row repeats"
-        messages.append(
-            f"{name}: {count} an earlier one in command, drop, flow and trial (line {first}); if "
-            "copied by mistake, "
-            "delete them: they make the noise look smaller than it is"
-        )
-    return messages
+        lines = ", ".join(map(str, again[:5])) + (", …" if len(again) > 5 else "")
+        yield message("flow_maps.repeated_rows", file=name, count=len(again), lines=lines)
 
 
-def _flow_doubts(rig: Rig, rows: FlowmeterData, show: Units) -> list[str]:
+def _flow_notes(rig: Rig, rows: FlowmeterData, show: Units) -> Iterator[Message]:
     """Flows that a slip of unit would explain: far from what the supply can give."""
-    limit, high = (
-        float(rig.supply.flow_limit),
-        float(np.quantile(rows.flow, 0.9)),
-    )  # a slip of unit is in all rows
-    maximum = float(rows.flow.max())
-    if (
-        not 0.0 < limit < np.inf
-        or _FLOW_SHARES[0] * limit <= maximum
-        and high <= _FLOW_SHARES[1] * limit
-    ):
-        return []
-    times = f"{high / limit:.3g} times" if high > limit else f"{maximum / limit:.2g} of"
-    maximum = high if high > limit else maximum
-    return [
-        f"the flows reach {show.flow(maximum)}, {times} the supply's limit of {show.flow(limit)}: "
-        "check the unit in the header"
-    ]
+    limit = float(rig.supply.flow_limit)
+    # a slip of unit is in all rows
+    high, largest = float(np.quantile(rows.flow, 0.9)), float(rows.flow.max())
+    if not 0.0 < limit < np.inf:
+        return
+    if SETTINGS.small_flow * limit <= largest and high <= SETTINGS.large_flow * limit:
+        return
+    flow = high if high > limit else largest
+    yield message(
+        "flow_maps.flow_and_supply",
+        flow=show.flow(flow),
+        ratio=flow / limit,
+        limit=show.flow(limit),
+    )
 
 
 def _edge_of(
@@ -235,32 +223,25 @@ def _edge_of(
         for alias in {name, f"{cylinder.name}.{name}", item.name, f"{cylinder.name}.{item.name}"}:
             known.setdefault(alias, []).append((full, item, edge))
     if valve not in known:
-        near = get_close_matches(valve, known, 1)
-        hint = f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(sorted(set(plain)))
-        raise InputError(f"rig '{rig.name}' has no metering edge '{valve}'", hint=hint, **where)
-    options = known[valve]
-    side = direction
+        near, there = get_close_matches(valve, known, 1), ", ".join(sorted(set(plain)))
+        text = message("flow_maps.unknown_edge", rig=rig.name, valve=valve, there=there)
+        if near:
+            text = message("flow_maps.unknown_edge_near", rig=rig.name, valve=valve, near=near[0])
+        raise InputError(text, **where)
+    options, side = known[valve], direction
     if "->" in direction:
-        upstream, downstream = (end.strip() for end in direction.split("->", 1))
-        along = [
-            option
-            for option in options
-            if (option[2].from_, option[2].to) == (upstream, downstream)
-        ]
-        against = [
-            option
-            for option in options
-            if (option[2].to, option[2].from_) == (upstream, downstream)
-        ]
+        ends = tuple(end.strip() for end in direction.split("->", 1))
+        along = [option for option in options if (option[2].from_, option[2].to) == ends]
+        against = [option for option in options if (option[2].to, option[2].from_) == ends]
         if not along and not against:
             there = ", ".join(f"{e.from_}->{e.to}" for _, _, e in options)
-            raise InputError(f"'{valve}' has no edge {direction}", hint=f"it has {there}", **where)
+            text = message("flow_maps.unknown_direction", valve=valve, way=direction, there=there)
+            raise InputError(text, **where)
         options, side = (along or against)[:1], "forward" if along else "reverse"
     if len(options) > 1:
-        names = ", ".join(name for name, _, _ in options)
-        raise InputError(
-            f"'{valve}' has {len(options)} metering edges", hint=f"name one: {names}", **where
-        )
+        there, count = ", ".join(name for name, _, _ in options), len(options)
+        text = message("flow_maps.several_edges", valve=valve, count=count, there=there)
+        raise InputError(text, **where)
     name, item, edge = options[0]
     return name, side, item, edge
 
@@ -277,29 +258,74 @@ def _commanded(
     give; these are refused, or left out where they are few and that is allowed.
     """
     low, high = float(driver.command_min), float(driver.command_max)
-    slack = _OVERSHOOT * (high - low)
-    opens = "negative" if edge.sign < 0 else "positive"
-    doubts = (
-        (
-            edge.sign * rows.command < 0,
-            f"'{valve}' opens on {opens} commands, and this reading has",
-            f"the rig file says sign = {edge.sign} for this edge",
-        ),
-        (
-            (rows.command < low - slack) | (rows.command > high + slack),
-            f"the driver of '{valve}' gives {low:g} to {high:g} V, and this reading has",
-            "check the unit, and command_min and command_max of the rig file",
-        ),
-    )
+    slack, command = SETTINGS.overshoot * (high - low), rows.command
+    checks = {
+        "flow_maps.wrong_sign": edge.sign * command < 0,
+        "flow_maps.outside_driver": (command < low - slack) | (command > high + slack),
+    }
+    fields = {"valve": valve, "low": low, "high": high, "number": edge.sign}
+    fields["sign"] = "negative" if edge.sign < 0 else "positive"
     left_out, keep = LeftOut(leave_out), np.ones(len(rows), bool)
-    for wrong, message, hint in doubts:
+    for key, wrong in checks.items():
         for at in np.flatnonzero(wrong & keep):
-            where = {"file": str(rows.file[at]), "line": int(rows.line[at])}
-            error = InputError(f"{message} {rows.command[at]:g} V", hint=hint, **where)
-            left_out.take(valve, error)
+            text = message(key, command=command[at], **fields)
+            left_out.take(valve, InputError(text, file=str(rows.file[at]), line=int(rows.line[at])))
             keep[at] = False
     losses += left_out.sentences([valve] * int(keep.sum()))
     return rows if keep.all() else rows.at(keep)
+
+
+def _warming(rows: FlowmeterData, show: Units, unit: str) -> Iterator[Message]:
+    """A message for the drop and for the command where the temperature goes with it: no fit can
+    separate what each does to the flow.
+
+    Args:
+        rows: readings of one edge in one direction.
+        show: units of the messages.
+        unit: in which temperatures are shown.
+    """
+    known = np.isfinite(rows.temperature) & (rows.pressure_drop > 0.0)
+    if known.sum() < SETTINGS.warm_readings:
+        return
+    warm = rows.temperature[known]
+    drop, command = rows.pressure_drop[known], rows.command[known]
+    # an orifice, and so what heats the oil, goes with the root of the drop
+    for key, values, shown in (
+        ("flow_maps.warm_with_drop", np.sqrt(drop), [show.drop(f(drop)) for f in (min, max)]),
+        ("flow_maps.warm_with_command", command, [show.volts(f(command)) for f in (min, max)]),
+    ):
+        if not (np.ptp(values) > 0.0 and np.ptp(warm) > 0.0):
+            continue
+        correlation = float(np.corrcoef(values, warm)[0, 1])
+        ends = np.polyval(np.polyfit(values, warm, 1), [values.min(), values.max()])
+        if abs(correlation) > SETTINGS.correlation and np.ptp(ends) > SETTINGS.warming:
+            cold, hot = (
+                f"{from_si(end, unit, VOCABULARY['temperature']):.3g} {unit}" for end in ends
+            )
+            low, high = shown
+            yield message(key, correlation=correlation, cold=cold, low=low, warm=hot, high=high)
+
+
+def _warm_flow(fit: FlowMapFit, rows: FlowmeterData) -> Iterator[Message]:
+    """A message where a map's residuals go with the temperature: the map is of the mean one.
+
+    What the temperature shares with drop and command the map has already, so this is the least
+    effect of it."""
+    used = np.isfinite(rows.temperature) & np.isfinite(fit.residuals) & (np.abs(fit.sigmas) < 5.0)
+    used &= rows.flow > SETTINGS.warm_flow * fit.map.rated_flow
+    count = int(used.sum())
+    if count < SETTINGS.warm_readings or np.ptp(rows.temperature[used]) < SETTINGS.warming:
+        return
+    warm = rows.temperature[used] - rows.temperature[used].mean()
+    share = fit.residuals[used] / (rows.flow - fit.residuals)[used]
+    slope, level = np.polyfit(warm, share, 1)
+    residual = share - level - slope * warm
+    std = float(np.sqrt(np.sum(residual**2) / (count - 2) / np.sum(warm**2)))
+    change = abs(slope) * np.ptp(warm)
+    if abs(slope) > SETTINGS.warm_sigmas * std and change > SETTINGS.warm_change:
+        percent = 1000.0  # for 10 K
+        half = percent * 1.96 * std
+        yield message("flow_maps.warm_flow", share=percent * slope, half=half, kelvin=10.0)
 
 
 def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:
@@ -308,14 +334,13 @@ def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:
 
 
 def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
-    """What was found for each map, as plain values for a JSON file; SI, with the sentences people
-    read.
+    """The result of each map as plain values for a JSON file; SI, with the messages people read.
 
     Commands and deadbands are openings [V], zero or positive, and the driver gets ``sign`` times
-    them. The sentences speak of the driver's volts."""
+    them. The messages have the driver's volts."""
     rows = []
     for fit in fits:
-        show = Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), fit.sign)
+        show = _units(rig, fit.sign)
         plain = fit.fit.to_dict() | {"sign": fit.sign}
         plain["outlier_sentences"] = [outlier.sentence(show) for outlier in fit.fit.outliers]
         plain["calibration_sentences"] = [check.sentence(show) for check in fit.fit.calibration]
@@ -363,7 +388,7 @@ def _fitted(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarra
     the command came.
     """
     level = np.asarray(fit.map.flow(drop, rows.command))
-    own = rows.flow - fit.residuals
+    fitted = rows.flow - fit.residuals
     # a residual of zero is of a reading too small for its meter
-    aside = (fit.residuals != 0.0) & (np.abs(own - level) > 1e-6 * fit.map.rated_flow)
-    return np.where(np.isfinite(own) & aside, own, level)
+    aside = (fit.residuals != 0.0) & (np.abs(fitted - level) > 1e-6 * fit.map.rated_flow)
+    return np.where(np.isfinite(fitted) & aside, fitted, level)

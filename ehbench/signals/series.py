@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.signals import oscillation
+from ehbench.signals.oscillation import basis, drift, project
 
 LEAST_SAMPLES = 24  # fewer do not carry four amplitudes, a frequency and a decay
 LEAST_CYCLES = 1.0
@@ -30,7 +31,7 @@ _GRID_SAMPLES = 192
 _ASTRAY = 0.5  # by how much log ω may move from where a search began and count as the same one
 _INSIDE = 0.05  # by how much log ω begins at least below that of half the sampling rate
 _SAMPLES_A_CYCLE = 24
-_GRID_DAMPING = np.array([0.02, 0.06, 0.12, 0.22, 0.4])
+_GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
 
 
 @dataclass(frozen=True)
@@ -286,7 +287,7 @@ def ringing(
         if abs(math.log(omega / begun[0])) > _ASTRAY:  # a drift that the window before left
             starts.append(begun)
         omega, zeta, tau = _refine(s[:used], y[:used] * weight, starts, taus)
-        _, left = _project(_basis(s[:used], omega, zeta, tau), y[:used])
+        _, left = project(basis(s[:used], omega, zeta, tau), y[:used])
         weight = np.where(
             weight > 0.0,
             1.0 / np.maximum(np.sqrt(np.mean(left**2, axis=0)), np.maximum(floor, 1e-300)),
@@ -354,27 +355,6 @@ def _blocks(y: np.ndarray, size: int) -> np.ndarray:
     return y[: count * size].reshape(count, size, *y.shape[1:]).mean(axis=1)
 
 
-def _drift(s: np.ndarray, tau: float) -> np.ndarray:
-    """Columns of the drift over s [s]: a parabola, and e^(−s/τ) if τ > 0."""
-    z = s / s[-1]
-    columns = [np.ones_like(z), z, z * z]
-    return np.stack(columns + [np.exp(-s / tau)] if tau > 0.0 else columns, axis=-1)
-
-
-def _basis(s: np.ndarray, omega: float, zeta: float, tau: float) -> np.ndarray:
-    damped = omega * math.sqrt(max(1e-6, 1.0 - zeta * zeta))
-    envelope = np.exp(-zeta * omega * s)
-    return np.column_stack(
-        [envelope * np.cos(damped * s), envelope * np.sin(damped * s), _drift(s, tau)]
-    )
-
-
-def _project(basis: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(orthonormal columns of the basis, what of y lies outside their span)."""
-    q, _ = np.linalg.qr(basis)
-    return q, y - q @ (q.T @ y)
-
-
 def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
     """(ω, ζ, samples) of the best fit on a grid, over the window and its halves."""
     best = (-math.inf, 2 * math.pi / s[-1], 0.1, len(s))
@@ -385,11 +365,9 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
         block = max(1, used // _GRID_SAMPLES)
         count = used // block
         z, w = _blocks(s[:used], block), _blocks(y[:used], block)
-        z = z - z[0]
-        lowest, highest = 2 * math.pi / z[-1], 2 * math.pi / (8.0 * (z[1] - z[0]))
-        frequencies = np.geomspace(lowest, max(highest, 1.1 * lowest), 48)
-        base, rest = (np.ascontiguousarray(a.T) for a in _project(_drift(z, 0.0), w))
-        explained = oscillation.explained(z, base, rest, frequencies, _GRID_DAMPING)
+        frequencies, columns = oscillation.waves(count, _GRID_DAMPING)
+        _, rest = project(drift(z - z[0], 0.0), w)
+        explained = np.sum((columns @ rest) ** 2, axis=(2, 3)).ravel()
         total = float(np.sum(rest**2))
         if total <= 0.0:
             continue
@@ -397,8 +375,9 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
         at = int(np.argmax(share))
         score = -count * math.log1p(-float(share[at]))
         if score > best[0]:
-            row, column = divmod(at, _GRID_DAMPING.size)
-            best = (score, float(frequencies[row]), float(_GRID_DAMPING[column]), used)
+            row, column = divmod(at, len(_GRID_DAMPING))
+            omega = float(frequencies[row]) / float(z[1] - z[0])
+            best = (score, omega, _GRID_DAMPING[column], used)
     return best[1:]
 
 
@@ -412,7 +391,7 @@ def _refine(
     """(ω, ζ, τ) at the best least-squares minimum near one of ``starts`` (ω, ζ); the drift's τ
     starts at one of ``taus``, 0 meaning none.
     """
-    n, channels = y.size, np.ascontiguousarray(y.T)
+    n = y.size
     best = (math.inf, starts[0][0], starts[0][1], 0.0)
     highest = math.log(math.pi / s[1])  # beyond it, samples are those of a slower oscillation too
     for (omega, zeta), tau in product(starts, taus):
@@ -422,8 +401,8 @@ def _refine(
             low, high = math.log(s[2]), math.log(2.0 * s[-1])
             bounds.append((low, high))
             start.append(min(max(math.log(tau), low + 1e-6), high - 1e-6))
-        limits = np.array(bounds).T.copy()
-        result, left = oscillation.fit(s, channels, tau, np.array(start), limits)
+        limits = np.array(bounds).T
+        result, left = oscillation.fit(s, y, tau, np.array(start), limits)
         score = n * math.log(max(2.0 * left / n, 1e-300)) + (
             (y.shape[1] + 1) * math.log(n) if tau > 0.0 else 0.0
         )
@@ -448,8 +427,8 @@ def _standard_errors(s, y, omega, zeta, tau, residual, colour) -> tuple[float, f
     moves = np.eye(3)[: 3 if tau > 0.0 else 2] * step
     slopes = np.empty((y.size, len(moves)))
     for column, (dw, dz, dt) in enumerate(moves):
-        up = _project(_basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
-        down = _project(_basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
+        up = project(basis(s, omega * math.exp(dw), zeta + dz, tau * math.exp(dt)), y)[1]
+        down = project(basis(s, omega * math.exp(-dw), zeta - dz, tau * math.exp(-dt)), y)[1]
         slopes[:, column] = ((up - down) / (2 * step)).ravel()
     covariance = (
         np.linalg.pinv(slopes.T @ slopes) * residual / max(1, y.size - 6 * y.shape[1] - 2) * colour
@@ -464,8 +443,8 @@ def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
         loud: mean square, in the weights given, from which on it rings whatever else moves.
     """
     weights, y = tuple(float(w) for w in weight), y[:, weight > 0.0] * weight[weight > 0.0]
-    _, left = _project(_basis(s, omega, zeta, tau), y)
-    _, rest = _project(_drift(s, tau), y)
+    _, left = project(basis(s, omega, zeta, tau), y)
+    _, rest = project(drift(s, tau), y)
     n, residual, total = len(s), float(np.sum(left**2)), float(np.sum(rest**2))
     share = 1.0 - residual / total if total > 0.0 else 0.0
     span = float(s[-1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +15,9 @@ from ehbench.config.rig import Rig
 from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps.tables import (
     PreparedReadings,
-    fit_readings,
     points_table,
     prepare_readings,
+    run_readings,
     signs,
     summary,
 )
@@ -260,9 +259,13 @@ def servo_rows(direction: str, sign: int, seed: int = 1, scale: float = 1.0) -> 
     return rows
 
 
+def fitted(rig: Rig, parts, **options):
+    return run_readings(prepare_readings(rig, parts), **options)
+
+
 def fit_rows(write, rows: list[str], rig: Rig | None = None):
     path = write(SERVO_HEADER + "\n" + "\n".join(rows) + "\n", "servo.csv")
-    return fit_readings(rig or load_rig(RIGS / "slide_servo.toml"), [read_flowmeter(path)])
+    return fitted(rig or load_rig(RIGS / "slide_servo.toml"), [read_flowmeter(path)])
 
 
 def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
@@ -320,7 +323,7 @@ def test_what_the_reader_doubts_reaches_the_map(write):
         + "\n".join(servo_rows("supply->head", 1))
     )
     part = read_flowmeter(path, supply_pressure=1.4e7)
-    (one,) = fit_readings(load_rig(RIGS / "slide_servo.toml"), [part])
+    (one,) = fitted(load_rig(RIGS / "slide_servo.toml"), [part])
     # by the file's name alone: a result must not depend on where the data lie
     assert (
         one.fit.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
@@ -358,7 +361,7 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
     ]
     assert min(sent) == -10.0 and max(sent) == 0.0
     path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")
-    (one,) = fit_readings(rig, [read_flowmeter(path)], calibration=[(4.0, 1e-4, 0.05)])
+    (one,) = fitted(rig, [read_flowmeter(path)], calibration=[(4.0, 1e-4, 0.05)])
     assert summary([one], rig)[0]["calibration_sentences"][0].startswith("-4 V gives")
 
 
@@ -433,18 +436,21 @@ def warm_sheet(kelvin, effect: float = 0.0, seed: int = 3) -> str:
 
 
 @pytest.mark.parametrize(
-    ("kelvin", "said"),
+    ("kelvin", "key", "fields"),
     [
-        (lambda u, d, n, rng: 15.0 * d, "goes with the drop .correlation .1.00.: 44.3 degC at"),
-        (lambda u, d, n, rng: -1.2 * u, "goes with the command .correlation -1.00.: 40 degC at 0"),
-        (lambda u, d, n, rng: rng.uniform(-6, 6), r"pass \+4\d?(\.\d)? ± .* each 10 K"),
-        (lambda u, d, n, rng: rng.uniform(-0.7, 0.7), None),
+        (lambda u, d, n, rng: 15.0 * d, "warm_with_drop", {"cold": "44.3 degC"}),
+        (lambda u, d, n, rng: -1.2 * u, "warm_with_command", {"cold": "40 degC", "low": "0 V"}),
+        (lambda u, d, n, rng: rng.uniform(-6, 6), "warm_flow", {"kelvin": 10.0}),
+        (lambda u, d, n, rng: rng.uniform(-0.7, 0.7), None, {}),
     ],
 )
-def test_oil_that_warms_with_drop_or_command_is_told(write, kelvin, said):
+def test_oil_that_warms_with_drop_or_command_is_told(write, kelvin, key, fields):
     rig = load_rig(RIGS / "boom_four_valve.toml")
     data = read_flowmeter(write(warm_sheet(kelvin, 0.004), "sh.csv"))
-    about = [text for text in fit_readings(rig, [data])[0].fit.warnings if "oil" in text]
-    assert (re.search(said, about[0]) is not None) if said else not about
+    about = [text for text in fitted(rig, [data])[0].fit.warnings if "oil" in text]
+    assert [note.key for note in about[:1]] == ([f"flow_maps.{key}"] if key else [])
+    assert all(about[0].fields[name] == value for name, value in fields.items())
+    if key == "warm_flow":  # 0.4 % for each kelvin
+        assert abs(about[0].fields["share"] - 4.0) < about[0].fields["half"] < 1.0
     bare = replace(data, temperature=np.full(len(data), np.nan))
-    assert not [text for text in fit_readings(rig, [bare])[0].fit.warnings if "oil" in text]
+    assert not [text for text in fitted(rig, [bare])[0].fit.warnings if "oil" in text]

@@ -12,7 +12,7 @@ from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.flow_maps.step_readings import step_readings
-from ehbench.flow_maps.tables import fit_readings
+from ehbench.flow_maps.tables import prepare_readings, run_readings
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model, simulate
@@ -66,7 +66,8 @@ def test_a_map_from_steps_holds_the_edge_s_law(rig, logs):
             left = rows.flow - true_flow(model, edge, rows.pressure_drop, rows.command)
             # the speed's noise alone is 0.02 L/min; the chamber's compression is up to 3 L/min
             assert np.sqrt(np.mean(left**2)) < 0.05e-3 / 60.0
-    fit = fit_readings(rig, [part.select("boom.rt") for part in parts])[0].fit.map
+    rows = [part.select("boom.rt") for part in parts]
+    fit = run_readings(prepare_readings(rig, rows))[0].fit.map
     drop, command = np.meshgrid(np.linspace(1e6, 15e6, 30), np.linspace(1.5, 5.0, 30))
     inside = fit.inside(drop, command)
     left = (fit.flow(drop, command) - true_flow(model, "boom.rt", drop, command))[inside]
@@ -97,7 +98,7 @@ def test_a_recipe_maps_what_the_logs_step(rig, logs, undrawn, tmp_path, monkeypa
 def test_logs_that_tell_no_flow_are_refused(rig, logs):
     log = logs[0]
     short = Record(log.t[:400], {name: y[:400] for name, y in log.channels.items()}, log.meta)
-    with pytest.raises(InsufficientData, match="no flow can be told"):
+    with pytest.raises(InsufficientData, match="nowhere do the commands stand"):
         step_readings("log", short, Model.of(rig), 0.2, 0.1)
 
 

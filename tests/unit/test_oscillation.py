@@ -1,4 +1,4 @@
-"""The compiled fit of an oscillation, against SciPy's least squares of the same residuals."""
+"""The fit of an oscillation, against least squares by differences of projections."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 from scipy.optimize import least_squares
 
 from ehbench.signals import oscillation
-from ehbench.signals.series import _basis, _drift, _project
 
 SCALE = np.array([0.1, 0.1, 0.5])
 LOW, HIGH = np.array([-np.inf, -0.05, np.log(2e-3)]), np.array([np.inf, 0.95, np.log(2.0)])
@@ -24,9 +23,20 @@ def series(seed, zeta, noise):
     return s, y + noise * rng.standard_normal(y.shape), float(np.log(omega))
 
 
+def columns(s, omega, zeta, tau):
+    damped, z = omega * np.sqrt(1.0 - zeta**2), s / s[-1]
+    made = [np.exp(-zeta * omega * s) * wave(damped * s) for wave in (np.cos, np.sin)]
+    made += [np.ones_like(z), z, z**2]
+    return np.column_stack(made + ([np.exp(-s / tau)] if tau else []))
+
+
+def outside(basis, y):
+    return y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
+
+
 def left(point, s, y, tau):
     tau = np.exp(point[2]) if len(point) > 2 else tau
-    return _project(_basis(s, np.exp(point[0]), point[1], tau), y)[1].ravel()
+    return outside(columns(s, np.exp(point[0]), point[1], tau), y).ravel()
 
 
 @pytest.mark.parametrize("tau, sought", [(0.0, 2), (0.05, 2), (0.05, 3)])
@@ -36,7 +46,7 @@ def test_the_least_squares_are_those_of_scipy(zeta, noise, tau, sought):
         s, y, log_omega = series(seed, zeta, noise)
         start = np.array([log_omega + 0.06, 0.15, np.log(0.05)])[:sought]
         bounds = np.stack([LOW, HIGH])[:, :sought].copy()
-        point, cost = oscillation.fit(s, np.ascontiguousarray(y.T), tau, start, bounds)
+        point, cost = oscillation.fit(s, y, tau, start, bounds)
         wanted = least_squares(
             left, start, bounds=bounds, x_scale=SCALE[:sought], args=(s, y, tau), xtol=1e-12
         )
@@ -47,19 +57,16 @@ def test_the_least_squares_are_those_of_scipy(zeta, noise, tau, sought):
 
 
 def test_what_an_oscillation_explains_is_a_projection():
-    s, y, _ = series(5, 0.1, 0.2)
-    base, rest = (np.ascontiguousarray(a.T) for a in _project(_drift(s, 0.0), y))
-    omegas, zetas = np.geomspace(16.0, 700.0, 7), np.array([0.02, 0.2, 0.6])
-    found = oscillation.explained(s, base, rest, omegas, zetas).reshape(7, 3)
-    for i, omega in enumerate(omegas):
-        for j, zeta in enumerate(zetas):
-            beyond = _project(_basis(s, omega, zeta, 0.0), y)[1]
+    dampings, count = (0.02, 0.2, 0.6), 200
+    y = np.random.default_rng(5).standard_normal((count, 2))
+    frequencies, waves = oscillation.waves(count, dampings)
+    assert frequencies[0] == pytest.approx(2 * np.pi / (count - 1))
+    assert frequencies[-1] == pytest.approx(2 * np.pi / 8)
+    s = np.arange(count) * 1.0
+    rest = outside(columns(s, 1.0, 0.1, 0.0)[:, 2:], y)
+    for i in range(0, frequencies.size, 9):
+        for j, zeta in enumerate(dampings):
+            beyond = outside(columns(s, frequencies[i], zeta, 0.0), y)
             exact = np.sum(rest**2) - np.sum(beyond**2)
-            assert found[i, j] == pytest.approx(exact, rel=1e-7, abs=1e-9 * np.sum(rest**2))
-
-
-def test_waves_that_the_drift_makes_explain_nothing():
-    s, y, _ = series(6, 0.1, 0.2)
-    base, rest = (np.ascontiguousarray(a.T) for a in _project(_basis(s, 40.0, 0.2, 0.0), y))
-    found = oscillation.explained(s, base, rest, np.array([40.0]), np.array([0.2]))
-    assert found[0] == pytest.approx(0.0, abs=1e-9 * np.sum(rest**2))
+            found = np.sum((waves[i, j] @ rest) ** 2)
+            assert found == pytest.approx(exact, rel=1e-7, abs=1e-9 * np.sum(rest**2))

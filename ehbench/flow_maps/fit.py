@@ -1,0 +1,325 @@
+"""The fit of one flow map: noise, outliers, shape, leak and hysteresis from the readings.
+
+The spline of ``physics.flow_map`` is fitted by least squares on its positive increments with a
+penalty on its curvature in either direction. Residuals beyond the noise widen every interval, and
+most where they are. A cell that repeats support, and that no map smooth enough for the others
+passes near, stands alone: the map goes by the others, and only the intervals about it grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.data.flowmeter import FlowmeterData
+from ehbench.flow_maps.readings import (
+    SETTINGS as READING,
+)
+from ehbench.flow_maps.readings import (
+    FlowMapOptions,
+    Noise,
+    Readings,
+    few,
+    first_noise,
+    gather_cells,
+    measure_noise,
+    medians,
+    sort_readings,
+    unbacked,
+)
+from ehbench.flow_maps.shape import (
+    Deadband,
+    Kink,
+    Shape,
+    Solution,
+    Window,
+    bend,
+    find_deadband,
+    find_kinks,
+    judge,
+    let_fall,
+    likeliest_smoothing,
+    lone_cells,
+    regression,
+    soften,
+    start_deadband,
+    window_of,
+)
+from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Numbers of the fit of a flow map to readings."""
+
+    rms: float = setting(0.2, "", "rms from which no map fits, share of the rated flow", "no valve")
+    lack: float = setting(100.0, "", "lack of fit from which a map is doubted", "10 times noise")
+    lack_rms: float = setting(0.05, "", "rms from which a doubted map is refused", "lone cells")
+    fall_rms: float = setting(0.01, "", "the same of a map that falls with the opening", "as above")
+    turns: int = setting(40, "", "largest number of turns of noise, fit and outliers", "few needed")
+    settle: int = setting(20, "", "turns after which no reading comes back", "half of the turns")
+    lag_turns: int = setting(4, "", "largest number of turns for the hysteresis", "few needed")
+    lag: float = setting(4.0, "", "standard errors from which a hysteresis is taken off", "chance")
+    lag_share: float = setting(
+        5e-4, "", "the same, share of the largest command", "drivers are no better"
+    )
+    leak_gain: float = setting(
+        10.83, "", "−2 log likelihood by which two leaks surely differ", "χ² at 99.9 %"
+    )
+
+
+SETTINGS = FitSettings()
+
+
+@dataclass(frozen=True)
+class Leak:
+    """Scaled flow at rest at the largest drop: the part that grows with the root of the drop, the
+    part that grows with the drop, the standard error of their sum. ``level``: how many of the
+    commands pass no more. ``goes_on``: in addition to the flow of the open valve.
+    """
+
+    root: float
+    drop: float
+    std: float
+    level: int
+    goes_on: bool = False
+
+    def flow(self, s: np.ndarray) -> np.ndarray:
+        """Scaled flow at scaled roots of the drop."""
+        return s * (self.root + s * self.drop)
+
+
+@dataclass(frozen=True)
+class Hysteresis:
+    """What commands of rising readings lie above those of falling ones at the same flow [V], with
+    its standard error; ``removed`` from the commands before the fit.
+    """
+
+    value: float
+    std: float
+    removed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The fit of one map: readings, shape, solution, noise, deadband with its window, which
+    readings are kept, each one's distance from the map in standard deviations, where the map bends
+    sharply in the opening, leak and hysteresis, if there are."""
+
+    readings: Readings
+    shape: Shape
+    solution: Solution
+    noise: Noise
+    deadband: Deadband
+    window: Window
+    keep: np.ndarray
+    sigmas: np.ndarray
+    kinks: tuple[Kink, ...]
+    leak: Leak | None = None
+    hysteresis: Hysteresis | None = None
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Scaled flow of each reading less the map's."""
+        return self.solution.cells.heard - self.solution.flow
+
+
+def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit:
+    """The fit of one map to its readings, from whose commands a sure hysteresis is taken off.
+
+    Raises:
+        InsufficientData: as `sort_readings`; fewer than 3 commands that pass flow, or readings that
+            no map fits.
+    """
+    removed = 0.0
+    for _ in range(SETTINGS.lag_turns):
+        readings = sort_readings(who, given, options, removed)
+        result = _fit_leaking(readings)
+        more, std = _hysteresis_of(result)
+        least = SETTINGS.lag_share * float(readings.levels[-1])
+        sure = removed + more > max(SETTINGS.lag * std, least)
+        if not sure or abs(more) < 0.1 * std:
+            break
+        removed += more
+    if np.any(readings.sweep):
+        return replace(result, hysteresis=Hysteresis(removed + more, std, removed > 0.0))
+    return result
+
+
+def _fit_leaking(readings: Readings) -> Fit:
+    """The fit; of a valve that leaks at rest the likelier of a leak that ends where the valve opens
+    and one that goes on.
+    """
+    leak = _find_leak(readings)
+    if leak is None:
+        result = _settle(readings, None)
+    else:
+        ends = _settle(readings, leak)
+        goes_on = _settle(replace(readings, y=readings.y - leak.flow(readings.s)), None)
+        gain = _misfit(ends, ends) - _misfit(goes_on, ends)
+        result = goes_on if gain > 0 else ends
+        result = replace(result, leak=replace(leak, goes_on=gain > 0))
+        if abs(gain) < SETTINGS.leak_gain:  # not sure which: the deadband may be either's
+            low, high = np.array([ends.deadband.interval, goes_on.deadband.interval]).T
+            both = float(low.min()), float(high.max())
+            result = replace(result, deadband=replace(result.deadband, interval=both))
+    rms = float(np.sqrt(np.mean(result.residuals[result.keep] ** 2)))
+    limit = SETTINGS.lack_rms if np.isinf(result.shape.rising) else SETTINGS.fall_rms
+    if rms > SETTINGS.rms or (result.solution.widening > SETTINGS.lack and rms > limit):
+        raise InsufficientData(message("flow_maps.no_map_fits", map=readings.who, rms=rms))
+    return result
+
+
+def _misfit(result: Fit, by: Fit) -> float:
+    """Squares of the residuals over the noise ``by`` another fit, and twice the parameters."""
+    std = by.noise.std(result.readings, by.solution.flow)
+    squares = (result.residuals / std)[result.keep & by.keep] ** 2
+    return float(np.sum(squares)) / by.solution.lack + 2.0 * result.solution.parameters
+
+
+def _settle(readings: Readings, leak: Leak | None) -> Fit:
+    """Alternate noise, fit and outliers until the outliers stay the same, then find the deadband
+    and do it again.
+
+    Args:
+        leak: one that ends with the opening.
+    """
+    readings, shape, flow, keep = _guess(readings, leak)
+    kinks: tuple[Kink, ...] = ()
+    noise, lack, deadband = first_noise(readings), 1.0, Deadband()
+    leverage = (flow > 0) * (shape.spline().rows + 3) / np.count_nonzero(flow > 0)
+    lone = np.zeros(int(readings.cell.max()) + 1, bool)
+    for final in (False, True):
+        for turn in range(SETTINGS.turns):
+            noise = measure_noise(readings, noise, keep, leverage, flow)
+            cells = gather_cells(readings, noise, keep, flow)
+            if final and not turn:
+                shape = let_fall(shape, cells)
+                bent = start_deadband(readings, bend(shape, cells), cells, lack)
+                lone = lone_cells(readings, bent, cells)
+                if lone.any():
+                    used = cells.without(lone)
+                    bent = start_deadband(readings, bend(shape, used), used, lack)
+                shape, kinks = find_kinks(readings, bent, cells.without(lone), lack)
+            used = cells.without(lone)
+            shape, _ = likeliest_smoothing(shape, used)
+            if final:
+                deadband, shape = find_deadband(readings, shape, used, lack)
+                shape, _ = likeliest_smoothing(shape, used)
+            solution = judge(readings, shape, cells, lone)
+            flow, lack = solution.flow, solution.widening
+            variance = noise.std(readings, flow) ** 2
+            sigmas, leverage = _distances(readings, solution, variance, keep)
+            before = keep
+            alone = unbacked(readings, noise, cells.heard, flow)
+            # the farthest first: what seems far next to it may be near once it is out
+            far = np.abs(sigmas)
+            worst = max(READING.outlier, 0.75 * float(far[keep & alone].max(initial=0.0)))
+            keep = ~few(alone & (far > np.where(keep, worst, READING.outlier)), far)
+            if turn > SETTINGS.settle:  # no coming and going for ever
+                keep &= before
+            if np.array_equal(before, keep):
+                break
+    window = window_of(readings, cells, lack)
+    shape = replace(shape, above=readings.levels[window.opens :])
+    deadband = soften(readings, shape, used, deadband, window)
+    return Fit(readings, shape, solution, noise, deadband, window, keep, sigmas, kinks)
+
+
+def _guess(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.ndarray, np.ndarray]:
+    """(readings without the leak, shape, scaled flow at each reading, readings to keep) by a robust
+    fit to the cells' medians; leaves out what lies far from it.
+    """
+    levels, noise = r.levels, first_noise(r)
+    passes = medians(medians(r.y, r.cell), r.cell_level) > 5e-3
+    k = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0
+    k = min(leak.level if leak else k, levels.size - 3)
+    if leak:  # what passes no more than the leak is shut; the leak is reported apart from the map
+        shut = r.level < k
+        r = replace(r, y=r.y - shut * np.polyval(np.polyfit(r.s[shut], r.y[shut], 2), r.s))
+    cells = gather_cells(r, noise, np.ones(r.q.size, bool), r.y)
+    cells = replace(cells, y=medians(cells.heard, r.cell))
+    shape = Shape(
+        deadband=0.5 * float(levels[k - 1] + levels[k]) if k else 0.0,
+        above=levels[k:],
+        along_s=r.axis,
+        smoothing=np.full(2, 1e-5 * cells.weight.sum()),
+    )
+    shape = let_fall(shape, cells)
+    spline = shape.spline()
+    flow = spline.design(r.u, r.s) @ regression(spline, cells).solve(shape.smoothing)[0]
+    size = np.abs(cells.heard - flow) / noise.std(r, flow)
+    far = size > 1.5 * READING.outlier * max(1.4826 * float(np.median(size[flow > 0])), 0.1)
+    return r, shape, flow, ~few(far & unbacked(r, noise, cells.heard, flow), size)
+
+
+def _distances(
+    r: Readings, solution: Solution, noise: np.ndarray, keep: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(distance of each reading from the map in standard deviations of that distance, leverage).
+
+    A reading in the fit draws the map to itself, one left out stands against the map's own error.
+
+    Args:
+        noise: variance of each scaled reading.
+    """
+    error = solution.variance(solution.spline.design(r.u, r.s))
+    inside = keep & ~solution.lone[r.cell]
+    spread = np.where(inside, np.maximum(noise - error, 0.1 * noise), noise + error)
+    return (solution.cells.heard - solution.flow) / np.sqrt(spread), error / noise
+
+
+def _find_leak(r: Readings) -> Leak | None:
+    """The leak of a valve that passes flow at 0 V, if that was measured and is small; else None."""
+    still = (r.level == 0) & (r.u == 0) & ~r.silent
+    if still.sum() < 4:
+        return None
+    middle = float(np.median(r.y[still]))
+    error = 1.4826 * float(np.median(np.abs(r.y[still] - middle))) / np.sqrt(still.sum())
+    if middle <= max(1e-3, 4.0 * error):
+        return None
+    passes = medians(medians(r.y, r.cell), r.cell_level) > max(5e-3, 1.5 * middle)
+    level = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 1
+    return _leak_through(r, (r.level < level) & ~r.silent, level)
+
+
+def _leak_through(r: Readings, some: np.ndarray, level: int) -> Leak:
+    """The leak through some readings, far ones left out, by non-negative least squares."""
+    from scipy.optimize import nnls
+
+    s, y = r.s[some], r.y[some]
+    design = np.column_stack([s, s**2])
+    parts = nnls(design, y)[0]
+    for _ in range(3):
+        residual = y - design @ parts
+        scale = 1.4826 * max(float(np.median(np.abs(residual))), 1e-9)
+        near = np.abs(residual) <= 5.0 * scale
+        parts = nnls(design[near], y[near])[0]
+    used = design[near][:, parts > 0]
+    scatter = float(np.sum(residual[near] ** 2)) / max(int(near.sum()) - 2, 1)
+    spread = np.linalg.pinv(used.T @ used)
+    return Leak(float(parts[0]), float(parts[1]), float(np.sqrt(scatter * spread.sum())), level)
+
+
+def _hysteresis_of(result: Fit) -> tuple[float, float]:
+    """(what the commands of rising readings lie above those of falling ones at the same flow [V],
+    beyond what was taken off them already, its standard error); 0 and 0 without both.
+
+    A reading on the way up stands at an opening that is lower by half of it: a residual of −½·h
+    times the slope of the map."""
+    r, solution = result.readings, result.solution
+    step = 1e-3 * float(r.levels[-1])
+    slope = (solution.at(r.u + step, r.s) - solution.at(r.u - step, r.s)) / (2.0 * step)
+    slope = np.where(r.u > result.deadband.value, slope, 0.0)
+    use = result.keep & ~r.silent & (r.sweep != 0) & ~solution.lone[r.cell]
+    lever = -0.5 * (r.sweep * slope)[use]
+    weight = 1.0 / result.noise.std(r, solution.flow)[use] ** 2
+    power = float(weight @ lever**2)
+    if not power > 0 or np.unique(r.sweep[use]).size < 2:
+        return 0.0, 0.0
+    residual = result.residuals[use]
+    value = float((weight * lever) @ residual) / power
+    scatter = float(weight @ (residual - value * lever) ** 2) / max(int(use.sum()) - 1, 1)
+    return value, float(np.sqrt(max(scatter, 1.0) / power))
