@@ -1,5 +1,5 @@
 """Samples on a Dask cluster: chunks of tasks go to its scheduler, the study's files to each worker
-once, under their hash. Workers may come, go and die; no sample shows where it was made.
+once, under their hash. Workers may come, go and die.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
+from itertools import islice
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from tempfile import mkdtemp
@@ -20,15 +21,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
-from ehbench.sampling.pools import DEATHS, GRACE, WARMING, Chunks
+from ehbench.sampling.pools import PoolSettings
 from ehbench.sampling.sample import Make, Sample, Task
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
     from distributed import Future
 
-WAITING = 3  # chunks for each thread of the cluster that are under way at most
-CONNECT = 20.0  # [s]
+
+@dataclass(frozen=True)
+class ClusterSettings(PoolSettings):
+    """How samples are handed to a cluster."""
+
+    connect: float = setting(20.0, "s", "wait for the scheduler's answer", "a slow network")
+    chunk: float = setting(
+        0.3, "s", "work in one chunk of samples", "the scheduler takes 1.7 ms for each"
+    )
+    largest_chunk: int = setting(5000, "", "samples in one chunk at most", "bytes of a message")
+    under_way: int = setting(3, "", "chunks for each thread of the cluster", "no thread runs dry")
 
 
 def _code() -> str:
@@ -46,14 +58,6 @@ class Bundle:
     files: dict[str, bytes]
     open: Any
     code: str = field(default_factory=_code)
-
-    def unpacked(self, root: Path) -> Make:
-        """Write the files below ``root``; what makes samples of them."""
-        for name, data in self.files.items():
-            path = root / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
-        return self.open(root)
 
 
 class Sent(NamedTuple):
@@ -74,8 +78,13 @@ _OPENING = threading.Lock()
 def _opened(digest: str, data: bytes) -> Make:
     bundle: Bundle = pickle.loads(data)
     if bundle.code != _code():
-        raise OtherCode(f"{bundle.code} here, {_code()} there")
-    return bundle.unpacked(Path(mkdtemp(prefix=f"ehbench_{digest[:8]}_")))
+        raise OtherCode(_code())
+    root = Path(mkdtemp(prefix=f"ehbench_{digest[:8]}_"))
+    for name, content in bundle.files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return bundle.open(root)
 
 
 @one_thread()
@@ -94,118 +103,116 @@ class Cluster:
         bundle: of the study.
         measures: of a sample.
         limit: time [s] that a sample may take; a worker that hangs beyond it is started anew.
+        settings: how samples are handed over.
 
     Raises:
-        InputError: no such extra is installed, or nobody answers.
+        InputError: no such extra is installed, or no scheduler answers.
     """
 
     def __init__(
-        self, address: str, bundle: Bundle, measures: int, limit: float | None = None
+        self,
+        address: str,
+        bundle: Bundle,
+        measures: int,
+        limit: float | None = None,
+        settings: ClusterSettings = ClusterSettings(),
     ) -> None:
         try:
             from distributed import Client
             from distributed.comm.addressing import parse_address, parse_host_port
         except ImportError:
-            raise InputError(
-                "workers of a scheduler need Dask", hint="install it: pip install 'ehbench[scale]'"
-            ) from None
+            raise InputError(message("sampling.no_dask")) from None
         try:
             parse_host_port(parse_address(address)[1])  # a client refused half-made is noisy
-            self._client: Any = Client(address, timeout=CONNECT, set_as_default=False)
+            self._client: Any = Client(address, timeout=settings.connect, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
-            raise InputError(
-                f"no Dask scheduler answers at '{address}': {error}",
-                hint="start one: dask scheduler; dask worker tcp://host:8786",
-            ) from None
+            text = message("sampling.no_scheduler", address=address, reason=str(error))
+            raise InputError(text) from None
         data = pickle.dumps(bundle)
         self._sent = Sent(hashlib.sha256(data).hexdigest(), data)
-        self._measures, self._limit = measures, limit
+        self._measures, self._limit, self._settings = measures, limit, settings
         self._done: SimpleQueue[Future] = SimpleQueue()
-        self._deaths: dict[int, int] = {}
-        self._since: dict[Future, float] = {}
-        self._chunks: dict[Future, list[Task]] = {}
+        self._jobs: dict[Future, tuple[list[Task], float]] = {}  # chunk and when it was sent [s]
+        self._alone: list[Task] = []  # of chunks that were lost
+        self._seconds = self._count = 0.0
 
     def run(self, tasks: Iterable[Task]) -> Iterator[list[Sample]]:
         """As `Pool.run`.
 
         Raises:
-            InputError: a worker has other code than this process.
+            InputError: a worker has another version of the package.
         """
-        chunks = Chunks(tasks)
+        tasks = iter(tasks)
         with self._client as client:
             sent = client.scatter(self._sent, broadcast=False, hash=True)
             try:
                 while True:
-                    self._feed(chunks, sent)
-                    if not self._chunks:
+                    self._feed(tasks, sent)
+                    if not self._jobs:
                         return
-                    for built in self._ready(chunks):
-                        chunks.learn(built)
-                        yield built
+                    for samples in self._ready():
+                        self._seconds += sum(sample.seconds for sample in samples)
+                        self._count += len(samples)
+                        yield samples
             finally:
-                client.cancel(list(self._chunks), force=True)
-                self._chunks.clear()
+                client.cancel(list(self._jobs), force=True)
+                self._jobs.clear()
 
-    def _feed(self, chunks: Chunks, sent: Future) -> None:
+    def _feed(self, tasks: Iterator[Task], sent: Future) -> None:
         """Keep the cluster busy, however many workers it has now."""
         threads = sum(self._client.nthreads().values())
-        while len(self._chunks) < max(WAITING * threads, 2) and (chunk := chunks.take()):
+        while len(self._jobs) < max(self._settings.under_way * threads, 2):
+            size = 1
+            if self._count:
+                size = round(self._settings.chunk * self._count / max(self._seconds, 1e-9))
+            size = max(1, min(self._settings.largest_chunk, size))
+            chunk = [self._alone.pop()] if self._alone else list(islice(tasks, size))
+            if not chunk:
+                return
             job = self._client.submit(make_chunk, sent, chunk, pure=False)
-            self._chunks[job], self._since[job] = chunk, time.monotonic()
+            self._jobs[job] = chunk, time.monotonic()
             job.add_done_callback(self._done.put)
 
-    def _ready(self, chunks: Chunks) -> Iterator[list[Sample]]:
+    def _ready(self) -> Iterator[list[Sample]]:
         """The samples of chunks that are done; those of lost ones go back."""
         try:
             job = self._done.get(timeout=1.0)
         except Empty:
-            yield from self._overdue(chunks)
+            yield from self._overdue()
             return
-        if job not in self._chunks:  # it was given up
+        if job not in self._jobs:  # it was given up
             return
-        chunk = self._chunks.pop(job)
-        del self._since[job]
+        chunk, _ = self._jobs.pop(job)
         if job.status == "finished":
             yield job.result()
-        else:
-            yield from self._lost(job, chunk, chunks)
-
-    def _lost(self, job: Future, chunk: list[Task], chunks: Chunks) -> Iterator[list[Sample]]:
-        """A chunk that ended its workers, or whose worker has other code."""
+            return
         error = job.exception() if job.status == "error" else None
         if isinstance(error, OtherCode):
-            raise InputError(
-                f"a worker has another version of ehbench: {error}",
-                hint="install the same on all machines",
-            )
-        if len(chunk) > 1:
-            chunks.give_back(chunk, alone=True)
-            return
-        index = chunk[0][0]
-        self._deaths[index] = self._deaths.get(index, 0) + 1
-        if self._deaths[index] < DEATHS:
-            chunks.give_back(chunk)
-            return
-        message = f"the workers that made it died: {type(error).__name__}"
-        yield [Sample.lost(index, message, self._measures)]
+            raise InputError(message("sampling.other_code", here=_code(), there=str(error)))
+        # the scheduler has tried it on several workers
+        yield from self._lost(chunk, message("sampling.workers_died", error=type(error).__name__))
 
-    def _overdue(self, chunks: Chunks) -> Iterator[list[Sample]]:
+    def _lost(self, chunk: list[Task], text: str, late: bool = False) -> Iterator[list[Sample]]:
+        """A chunk that ended its workers: its samples are tried alone, one alone is given up."""
+        if len(chunk) > 1:
+            self._alone += chunk
+        else:
+            yield [Sample.lost(chunk[0][0], text, self._measures, late)]
+
+    def _overdue(self) -> Iterator[list[Sample]]:
         """A chunk at work for longer than its samples may take: its worker is started anew."""
         if self._limit is None:
             return
+        chosen = self._settings
         busy = {key: at for at, keys in self._client.processing().items() for key in keys}
-        for job, chunk in list(self._chunks.items()):
-            allowed = len(chunk) * WAITING * (self._limit + GRACE) + WARMING
-            if job.key not in busy or time.monotonic() - self._since[job] < allowed:
+        for job, (chunk, since) in list(self._jobs.items()):
+            allowed = len(chunk) * chosen.under_way * (self._limit + chosen.grace)
+            if job.key not in busy or time.monotonic() - since < allowed + chosen.first_grace:
                 continue
-            del self._chunks[job], self._since[job]
+            del self._jobs[job]
             self._client.cancel([job], force=True)
             self._client.restart_workers([busy[job.key]], raise_for_error=False)
-            if len(chunk) > 1:
-                chunks.give_back(chunk, alone=True)
-            else:
-                message = f"it took longer than {self._limit:g} s and was ended"
-                yield [Sample.lost(chunk[0][0], message, self._measures, late=True)]
+            yield from self._lost(chunk, message("sampling.ended", limit=self._limit), late=True)
 
 
 def file_name(path: Path) -> str:

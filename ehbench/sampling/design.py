@@ -15,11 +15,12 @@ import numpy as np
 
 from ehbench.config.recipe import Span, Spread, StudyRecipe
 from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened
 from ehbench.vocabulary.units import split_number
 
 CASE, RECIPE = "case", "recipe"  # columns that no key has
-LEAST = 2.0**-53  # of a share: a normal draw stays finite
+SMALLEST_SHARE = 2.0**-53  # a normal draw stays finite
 
 
 @dataclass(frozen=True)
@@ -111,13 +112,12 @@ class Fitted:
         """
         rows = {row["name"]: row for row in result["parameters"]}
         known = [name for name in rows if rows[name]["std"] is not None]
-        for name in required:
-            if name not in known:
-                what = "no standard error of" if name in rows else "not fitted"
-                raise InputError(f"{what} '{name}'", file=file, hint="it has " + ", ".join(known))
         names = list(required) or known
+        if missing := [name for name in names if name not in known]:
+            text = message("sampling.not_fitted", name=missing[0], known=", ".join(known))
+            raise InputError(text, file=file)
         if not names:
-            raise InputError("has no parameter with a standard error", file=file)
+            raise InputError(message("sampling.nothing_fitted"), file=file)
         order = [result["correlated_names"].index(name) for name in names]
         matrix = np.array(result["correlation"], float)[np.ix_(order, order)]
         picked = [rows[name] for name in names]
@@ -170,7 +170,7 @@ class Design:
         ]
         twice = [item.key for item in self.drawn if [d.key for d in self.drawn].count(item.key) > 1]
         if twice:
-            raise InputError(f"'{twice[0]}' is drawn twice", **recipe.at("draw"))
+            raise InputError(message("sampling.drawn_twice", key=twice[0]), **recipe.at("draw"))
         self._root = _root(recipe, self.drawn, fitted)
         varied = {**recipe.draw, **recipe.sweep}
         self._also = {key: item.also for key, item in varied.items() if item.also}
@@ -178,15 +178,9 @@ class Design:
         size = len(self.drawn)
         self.points = recipe.samples * (size + 2 if recipe.design == "saltelli" else 1)
         if not size and recipe.samples > 1 and not recipe.seeds:
-            raise InputError(
-                "nothing is drawn, so all samples of a combination would be the same",
-                **recipe.at("samples"),
-                hint="leave 'samples' out, or add [draw] or seeds",
-            )
+            raise InputError(message("sampling.nothing_drawn"), **recipe.at("samples"))
         if recipe.design == "saltelli" and not size:
-            raise InputError(
-                "a saltelli design needs [draw] or [sweep] without a count", **recipe.at("design")
-            )
+            raise InputError(message("sampling.saltelli_without_draws"), **recipe.at("design"))
 
     @property
     def size(self) -> int:
@@ -212,7 +206,7 @@ class Design:
             return None
         from scipy.special import ndtri
 
-        return ndtri(np.clip(self._shares(), LEAST, 1.0 - LEAST))
+        return ndtri(np.clip(self._shares(), SMALLEST_SHARE, 1.0 - SMALLEST_SHARE))
 
     def _shares(self) -> np.ndarray:
         import warnings
@@ -341,15 +335,14 @@ def _drawn(recipe: StudyRecipe, key: str, spread: Spread) -> Drawn:
 
 def _sound(recipe: StudyRecipe, item: Drawn, where: tuple[str, str]) -> Drawn:
     """Refuse numbers that are those of no law."""
-    wrong = {
-        "uniform": item.first > item.second and "low lies above high",
-        "log_uniform": not 0.0 < item.first <= item.second and "low must lie between 0 and high",
-        "normal": item.second < 0.0 and "std is negative",
-        "log_normal": not (item.first > 0.0 and item.second >= 1.0)
-        and "median must be above 0, spread at least 1",
+    valid = {
+        "uniform": item.first <= item.second,
+        "log_uniform": 0.0 < item.first <= item.second,
+        "normal": item.second >= 0.0,
+        "log_normal": item.first > 0.0 and item.second >= 1.0,
     }[item.law]
-    if wrong:
-        raise InputError(f"{item.key}: {wrong}", **recipe.at(*where))
+    if not valid:
+        raise InputError(message(f"sampling.bad_{item.law}", key=item.key), **recipe.at(*where))
     return item
 
 
@@ -369,9 +362,8 @@ def _pair(
     if law == "normal" and other == "%" != unit:
         return a, abs(a) * b / 100.0, unit
     if unit != other:
-        raise InputError(
-            f"{where[1]}: {first} and {second} have not the same unit", **recipe.at(*where)
-        )
+        text = message("sampling.units_differ", key=where[1], first=first, second=second)
+        raise InputError(text, **recipe.at(*where))
     return a, b, unit
 
 
@@ -399,25 +391,14 @@ def _root(recipe: StudyRecipe, drawn: Sequence[Drawn], fitted: Fitted | None) ->
     for index, (first, second, share) in enumerate(recipe.correlation):
         for key in (first, second):
             if key not in keys:
-                raise InputError(
-                    f"'{key}' is not drawn",
-                    **recipe.at("correlation", index),
-                    hint="drawn are " + ", ".join(keys) if keys else "nothing is drawn",
-                )
+                text = message("sampling.not_drawn", key=key, drawn=", ".join(keys) or "none")
+                raise InputError(text, **recipe.at("correlation", index))
         i, j = keys.index(first), keys.index(second)
         matrix[i, j] = matrix[j, i] = share
     if recipe.design == "saltelli" and not np.array_equal(matrix, np.eye(len(drawn))):
-        raise InputError(
-            "a saltelli design takes independent draws only",
-            **recipe.at("design"),
-            hint='take design = "sobol", which is told by rank regression',
-        )
+        raise InputError(message("sampling.saltelli_correlated"), **recipe.at("design"))
     values, vectors = np.linalg.eigh(matrix)
     if not np.all(np.abs(matrix) <= 1.0 + 1e-9) or values.min(initial=1.0) < -1e-8:
-        raise InputError(
-            "these correlations cannot hold together",
-            **recipe.at("correlation"),
-            hint="their matrix must be positive definite",
-        )
+        raise InputError(message("sampling.no_correlation"), **recipe.at("correlation"))
     lifted = (vectors * np.maximum(values, 1e-14)) @ vectors.T
     return np.linalg.cholesky(lifted)

@@ -20,45 +20,37 @@ from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
 from ehbench.vocabulary.errors import InputError, UnitError
 from ehbench.vocabulary.fields import Value, read_value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import split_number
 
 RIG, RECIPE, BENCH = "rig", "recipe", "bench"
 
 
 class Key(NamedTuple):
-    """A key taken apart: the recipe ``behind`` whose it is ('' for the study's own), the file that
-    it changes, and the path in it.
+    """A key taken apart: the stem of the ``upstream`` recipe that it belongs to ('' for the study's
+    recipe), the file that it changes, and the path in it.
     """
 
-    behind: str
+    upstream: str
     file: str
     path: str
 
     @classmethod
-    def of(cls, text: str, behind: Sequence[str] = ()) -> Key:
+    def of(cls, text: str, upstream: Sequence[str] = ()) -> Key:
         """A key of a study.
 
         Raises:
             InputError: it names no file.
         """
-        for stem in behind:
-            if text.startswith(f"{stem}."):
-                return cls(stem, *_split(text, text.removeprefix(f"{stem}."), behind))
-        return cls("", *_split(text, text, behind))
-
-
-def _split(text: str, rest: str, behind: Sequence[str]) -> tuple[str, str]:
-    file, _, path = rest.partition(".")
-    if file not in (RIG, RECIPE, BENCH) or not path:
-        first = [f"{name}." for name in (RIG, RECIPE, BENCH, *behind)]
-        near = get_close_matches(file, [name[:-1] for name in first], 1)
-        raise InputError(
-            f"'{text}' is no key of a study",
-            hint=f"did you mean '{near[0]}.{path}'?"
-            if near and near[0] != file
-            else "a key begins with " + ", ".join(first),
-        )
-    return file, path
+        stem = next((name for name in upstream if text.startswith(f"{name}.")), "")
+        file, _, path = text.removeprefix(f"{stem}.").partition(".")
+        if file in (RIG, RECIPE, BENCH) and path:
+            return cls(stem, file, path)
+        first = [RIG, RECIPE, BENCH, *upstream]
+        near = [name for name in get_close_matches(file, first, 1) if name != file]
+        hint = f"did you mean '{near[0]}.{path}'?" if near else None
+        known = ", ".join(f"{name}." for name in first)
+        raise InputError(message("sampling.no_key", key=text, first=known), hint=hint)
 
 
 @dataclass
@@ -71,21 +63,18 @@ class Changes:
     recipe: dict[str, Any] = field(default_factory=dict)
     bench: dict[str, Any] = field(default_factory=dict)
 
-    def put(self, file: str, path: str, value: Any) -> None:
-        """Set a path of a file."""
-        getattr(self, file)[path] = value
 
-
-def changes_of(settings: Mapping[str, Any], behind: Sequence[str] = ()) -> dict[str, Changes]:
-    """The changes to each recipe, '' for the study's own, by the recipe's stem.
+def changes_of(settings: Mapping[str, Any], upstream: Sequence[str] = ()) -> dict[str, Changes]:
+    """The changes to each recipe by its stem, '' for the study's recipe.
 
     Raises:
         InputError: a key names no file.
     """
     results = {"": Changes()}
     for text, value in settings.items():
-        key = Key.of(text, behind)
-        results.setdefault(key.behind, Changes()).put(key.file, key.path, value)
+        key = Key.of(text, upstream)
+        changes = results.setdefault(key.upstream, Changes())
+        getattr(changes, key.file)[key.path] = value
     return results
 
 
@@ -171,9 +160,8 @@ class Place(NamedTuple):
 def nowhere(file: str, path: str, known: Iterable[str]) -> InputError:
     """There is no such key in a file; with the nearest of those known."""
     near = get_close_matches(path, known, 1, 0.4)
-    return InputError(
-        f"there is no '{file}.{path}'", hint=f"nearest is '{file}.{near[0]}'" if near else None
-    )
+    hint = f"nearest is '{file}.{near[0]}'" if near else None
+    return InputError(message("sampling.nowhere", key=f"{file}.{path}"), hint=hint)
 
 
 def leaves(table: Any, prefix: str = "") -> Iterator[str]:
@@ -227,7 +215,7 @@ def _times(old: Any, raw: Any, text: str) -> Any:
         return raw
     old = old.get("value") if isinstance(old, Mapping) else old
     if isinstance(old, bool) or not isinstance(old, str | int | float):
-        raise InputError(f"'{text}' is no number that a factor could change")
+        raise InputError(message("sampling.no_factor", key=text))
     if not isinstance(old, str):
         return old * float(raw)
     try:

@@ -14,6 +14,7 @@ import numpy as np
 from ehbench.config.recipe import Measure
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 
 # words of results that are quantities under another name
@@ -47,7 +48,7 @@ def value_of(item: Measure, results: Mapping[str, Any], settings: Mapping[str, f
     """A measure of results; nan where they do not have it.
 
     Args:
-        one: taken of results.
+        item: taken of results.
         results: plain values, as JSON has them.
         settings: the sample's numbers [SI] by key, for ``inside``.
     """
@@ -85,7 +86,7 @@ def of_channels(item: Measure, record: Record, stop: float | None) -> float:
     """A measure of a trial's log [SI]; nan since a stop that never was.
 
     Args:
-        one: taken of a channel.
+        item: taken of a channel.
         record: the log.
         stop: when a limit stopped the trial [s]; None if none did.
 
@@ -129,11 +130,8 @@ def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:
     if not any(_leads(root, name.split(".")) for root in roots):
         known = [item for root in roots for item in names_in(root)]
         near = get_close_matches(name, known, 1, 0.3)
-        raise InputError(
-            f"no result is called '{name}'",
-            **file,
-            hint=f"nearest is '{near[0]}'" if near else "there are " + ", ".join(known),
-        )
+        text = message("sampling.no_result", name=name, near=", ".join(near or known))
+        raise InputError(text, **file)
 
 
 def _leads(kind: Any, words: Sequence[str]) -> bool:

@@ -7,7 +7,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -21,7 +22,6 @@ from ehbench.sampling.design import Design
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.measures import row_of
 from ehbench.sampling.sample import Sample
-from ehbench.sampling.tables import Parquet
 from ehbench.vocabulary.quantities import Quantity
 from ehbench.vocabulary.text import quoted
 from ehbench.vocabulary.units import from_si
@@ -83,7 +83,7 @@ def hash_of(key: str, settings: Any) -> str:
 def write_tables(
     folder: Path, design: Design, measures: Sequence[MeasureColumn], journal: Journal, key: str
 ) -> Rows:
-    """Write ``samples.csv`` and ``samples.parquet``; the table also comes back.
+    """Write ``samples.csv``, with pyarrow ``samples.parquet`` as well; the table also comes back.
 
     Args:
         folder: of the run.
@@ -94,18 +94,25 @@ def write_tables(
     """
     kinds = [(column.head, "text" if column.is_text else "float") for column in design.columns]
     front = [("sample", "int"), ("hash", "text"), ("code", "int"), ("status", "text")]
-    columns = [*front, *kinds, *((measure.head, "float") for measure in measures), ("said", "text")]
-    parquet = Parquet(folder / "samples.parquet", columns)
+    columns = [
+        *front,
+        *kinds,
+        *((measure.head, "float") for measure in measures),
+        ("message", "text"),
+    ]
     size = design.size
     inputs = np.full((size, len(design.columns)), np.nan)
     numbers = np.full((size, len(measures)), np.nan)
     codes, status = np.zeros(size, np.int16), []
     texts: list[dict[str, int]] = [{} for _ in design.columns]
-    with (folder / "samples.csv").open("w", encoding="utf-8") as csv:
+    with (
+        (folder / "samples.csv").open("w", encoding="utf-8") as csv,
+        _parquet(folder / "samples.parquet", columns) as add,
+    ):
         csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
         for rows in _stretches(journal):
             lines = [_line(row, design, measures, key) for row in rows]
-            parquet.add([*zip(*lines, strict=True)])
+            add([*zip(*lines, strict=True)])
             csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
             for line in lines:
                 index, last = line[0], 4 + len(kinds)
@@ -116,8 +123,24 @@ def write_tables(
                     inputs[index, at] = (
                         texts[at].setdefault(cell, len(texts[at])) if is_text else cell
                     )
-    parquet.close()
     return Rows(inputs, tuple(tuple(text) for text in texts), numbers, codes, tuple(status))
+
+
+@contextmanager
+def _parquet(
+    path: Path, columns: Sequence[tuple[str, str]]
+) -> Iterator[Callable[[Sequence[Sequence]], None]]:
+    """Takes stretches of rows, column by column, as a Parquet file; without pyarrow, none."""
+    try:
+        import pyarrow
+        from pyarrow.parquet import ParquetWriter
+    except ImportError:
+        yield lambda columns: None
+        return
+    kinds = {"int": pyarrow.int64(), "float": pyarrow.float64(), "text": pyarrow.string()}
+    schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns])
+    with ParquetWriter(path, schema) as writer:
+        yield lambda columns: writer.write(pyarrow.table(list(columns), schema=schema))
 
 
 def _stretches(journal: Journal) -> Iterator[list[Sample]]:
@@ -132,7 +155,7 @@ def _line(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: 
         float(column.shown(value)) for column, value in zip(measures, item.measures, strict=True)
     ]
     digest = hash_of(key, design.settings(item.index))
-    return [item.index, digest, item.code, item.status, *design.cells(own), *values, item.said]
+    return [item.index, digest, item.code, item.status, *design.cells(own), *values, item.message]
 
 
 def _cell(value: Any) -> str:

@@ -20,14 +20,14 @@ WHOLE = (0, 3, 4)  # exit codes of samples that came to their end
 
 
 class Sample(NamedTuple):
-    """What became of a sample: its number, exit code, status word, what is to be said, its measures
-    [SI] (nan: it has none), and how long it took [s], which no file keeps.
+    """The result of a sample: its number, exit code, status, message, measures [SI] (nan: it has
+    none), and how long it took [s], which no file states.
     """
 
     index: int
     code: int
     status: str
-    said: str
+    message: str
     measures: tuple[float, ...]
     seconds: float = 0.0
 

@@ -38,13 +38,8 @@ def quantile(values: np.ndarray, share: float, confidence: float = CONFIDENCE) -
 
     ordered, n = np.sort(values), values.size
     tail = 0.5 * (1.0 - confidence)
-    # P(X_(r) ≤ q) = P(B ≥ r): the largest r with P(B ≤ r − 1) ≤ tail, the least s with P(B ≥ s) ≤ …
-    first = int(binom.ppf(tail, n, share))
-    while first > 0 and binom.cdf(first - 1, n, share) > tail:
-        first -= 1
-    last = int(binom.isf(tail, n, share)) + 1
-    while last <= n and binom.sf(last - 1, n, share) > tail:
-        last += 1
+    # P(X_(r) ≤ q) = P(B ≥ r): the largest r with P(B ≤ r − 1) ≤ tail, and so at the upper end
+    first, last = int(binom.ppf(tail, n, share)), int(binom.isf(tail, n, share)) + 1
     low = float(ordered[first - 1]) if first >= 1 else None
     high = float(ordered[last - 1]) if last <= n else None
     return Quantile(share, float(np.quantile(ordered, share)), low, high)

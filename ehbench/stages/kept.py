@@ -44,7 +44,9 @@ def keep(
             run_sample(plan, recipe, place / "run")
         except EhbenchError as error:
             message = error.message
-        retained.append({"sample": index, "folder": f"{folder.name}/{index}/run", "said": message})
+        retained.append(
+            {"sample": index, "folder": f"{folder.name}/{index}/run", "message": message}
+        )
     return retained
 
 

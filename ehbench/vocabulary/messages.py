@@ -47,7 +47,7 @@ def templates(part: str) -> Mapping[str, Mapping[str, str]]:
     }
 
 
-def message(key: str, **fields: Any) -> Message:
+def message(key: str, /, **fields: Any) -> Message:
     """The message of a key, such as ``message("data.no_time", column="t")``.
 
     Args:

@@ -19,12 +19,13 @@ from ehbench.app import inspection
 from ehbench.data import read
 from ehbench.report import style
 from ehbench.runs.rundir import read_json
-from ehbench.sampling import pools
-from ehbench.sampling.cluster import Bundle, Cluster
-from ehbench.sampling.pools import Processes, Threads
+from ehbench.sampling import cluster as cluster_module
+from ehbench.sampling.cluster import Bundle, Cluster, ClusterSettings
+from ehbench.sampling.pools import PoolSettings, Processes, Threads
 from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
+QUICK = ClusterSettings(connect=0.5)
 # what makes samples here: number 5 may die, 6 may hang, and each says in which process it was made
 MAKERS = """
 import os, time
@@ -87,15 +88,14 @@ def samples(pool, count=40):
     return sorted(one._replace(seconds=0.0) for one in came), [one.index for one in came]
 
 
-def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path, monkeypatch):
-    monkeypatch.setattr(pools, "GRACE", 0.3)
+def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path):
     how = {"dies": (5,), "hangs": (16,), "takes": 0.01}
-    pool = Processes(partial(makers, how, tmp_path), 2, 2, limit=0.3)
+    pool = Processes(partial(makers, how, tmp_path), 2, 2, 0.3, PoolSettings(grace=0.3))
     made, _ = samples(pool)
     assert [one.index for one in made] == list(range(40))
-    bad = {one.index: (one.code, one.status, one.said) for one in made if one.code}
-    assert bad[5] == (1, "failed", "the process that made it died 2 times")
-    assert bad[16] == (5, "late", "it took longer than 0.3 s and was ended")
+    bad = {one.index: (one.code, one.status, one.message.key) for one in made if one.code}
+    assert bad[5] == (1, "failed", "sampling.died")
+    assert bad[16] == (5, "late", "sampling.ended")
     assert len(bad) == 2 and not pool.workers
     whole, _ = samples(Threads(partial(makers, {}, tmp_path), 3))
     good = [one for one in made if one.index not in bad]
@@ -143,12 +143,9 @@ def test_workers_that_are_neither_are_refused(said):
 
 
 def test_nobody_answers(makers):
-    with pytest.raises(InputError, match="no Dask scheduler answers at 'tcp://127.0.0.1:9'"):
-        from ehbench.sampling import cluster as module
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "CONNECT", 0.5)
-            Cluster("tcp://127.0.0.1:9", Bundle({}, None), 2)
+    with pytest.raises(InputError) as caught:
+        Cluster("tcp://127.0.0.1:9", Bundle({}, None), 2, settings=QUICK)
+    assert caught.value.key == "sampling.no_scheduler"
 
 
 # --- a real study
@@ -229,12 +226,11 @@ def test_a_cluster_makes_the_same_bytes(study, cluster, tmp_path):
 
 
 def test_where_nobody_answers_nothing_is_left(study, tmp_path, monkeypatch):
-    from ehbench.sampling import cluster as module
-
-    monkeypatch.setattr(module, "CONNECT", 0.5)
+    monkeypatch.setattr(cluster_module.Cluster.__init__, "__defaults__", (None, QUICK))
     where = workflow.Where.of("tcp://127.0.0.1:9")
-    with pytest.raises(InputError, match="no Dask scheduler answers"):
+    with pytest.raises(InputError) as caught:
         workflow.run(study[0], workflow.Session(out=tmp_path / "run", where=where))
+    assert caught.value.key == "sampling.no_scheduler"
     assert not list(tmp_path.iterdir())
 
 

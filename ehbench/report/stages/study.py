@@ -246,7 +246,7 @@ def _worst(study: Table) -> list[Block]:
         for i in inputs:
             value = item["inputs"][i]
             cells.append(value if isinstance(value, str) else num(number(value, 4)))
-        rows.append([*cells, item["said"]])
+        rows.append([*cells, item["message"]])
     if not rows:
         return []
     measures = [_shown(measure) for measure in study["measures"]]
