@@ -342,7 +342,8 @@ def _sound(recipe: StudyRecipe, item: Drawn, where: tuple[str, str]) -> Drawn:
         "log_normal": item.first > 0.0 and item.second >= 1.0,
     }[item.law]
     if not valid:
-        raise InputError(message(f"sampling.bad_{item.law}", key=item.key), **recipe.at(*where))
+        numbers = {"law": item.law, "first": item.first, "second": item.second}
+        raise InputError(message("sampling.bad_law", key=item.key, **numbers), **recipe.at(*where))
     return item
 
 

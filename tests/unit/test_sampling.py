@@ -89,7 +89,7 @@ def test_draws_follow_their_laws_and_a_stated_correlation():
     ("given", "key"),
     [
         ({"draw": {"rig.a": {"low": "1 mm", "high": "2 m"}}}, "units_differ"),
-        ({"draw": {"rig.a": {"low": 2, "high": 1}}}, "bad_uniform"),
+        ({"draw": {"rig.a": {"low": 2, "high": 1}}}, "bad_law"),
         ({"samples": 5}, "nothing_drawn"),
         (
             {"draw": {"rig.a": {"low": 1, "high": 2}}, "correlation": [["rig.a", "rig.b", 1.0]]},
