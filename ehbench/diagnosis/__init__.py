@@ -14,7 +14,7 @@ from itertools import zip_longest
 import numpy as np
 
 from ehbench.data.record import Record
-from ehbench.diagnosis.cases import Case, commanded, total
+from ehbench.diagnosis.cases import Case, total
 from ehbench.diagnosis.cures import Cure, cures
 from ehbench.diagnosis.follows import Follows, followed
 from ehbench.diagnosis.pins import disagreements
@@ -22,7 +22,7 @@ from ehbench.plant.many import Replay, replay_many
 from ehbench.preprocessing.observations import position_of
 from ehbench.vocabulary.errors import EhbenchError
 
-__all__ = ["Case", "Finding", "Follows", "Structure", "ask", "commanded", "followed"]
+__all__ = ["Case", "Finding", "Follows", "Structure", "ask", "followed"]
 
 CERTAIN = 30.0  # log-likelihood ratio that the best of all cures hardly reaches by chance
 MATTERS = 0.1  # share of the residuals' sum of squares that a cure must explain

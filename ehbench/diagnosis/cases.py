@@ -16,7 +16,7 @@ from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import LogStart, best_shifts, start_of_log
-from ehbench.preprocessing.observations import column, least_change
+from ehbench.preprocessing.observations import column
 from ehbench.preprocessing.sensors import Term, corrected, sensed
 from ehbench.signals.series import correlation_time, white_noise
 from ehbench.vocabulary.quantities import GAUGES
@@ -154,19 +154,6 @@ class Case:
         sizes = np.cumsum([values.size for values in self.recorded.values()])[:-1]
         parts = np.split(left, sizes)
         return sum(part.size / correlation_time(part) for part in parts if part.size)
-
-
-def commanded(model: Model, record: Record) -> tuple[str, ...]:
-    """The cylinders whose recorded commands change or stand off rest."""
-    results = []
-    for cylinder, valve in model.rig.valves():
-        channel = f"{cylinder.name}.{valve.name}.command"
-        if channel in record and cylinder.name not in results:
-            span = least_change(valve)
-            off = float(np.max(np.abs(record[channel] - valve.rest)))
-            if float(np.ptp(record[channel])) > span or off > 2.0 * span:
-                results.append(cylinder.name)
-    return tuple(results)
 
 
 def total(parts: Sequence[np.ndarray]) -> float:

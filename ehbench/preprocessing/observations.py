@@ -8,7 +8,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig, Valve
 from ehbench.data.record import Record, payloads_of
-from ehbench.plant.model import MOVED
+from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import supplied
 from ehbench.signals.series import lowpass, rms, white_noise
 from ehbench.vocabulary.errors import InputError
@@ -89,6 +89,19 @@ def stood_for(word: str) -> tuple[str, ...]:
 def least_change(valve: Valve) -> float:
     """The change of a valve's recorded command [V] that is more than noise."""
     return MOVED * (float(valve.command_max) - float(valve.command_min))
+
+
+def commanded(model: Model, record: Record) -> tuple[str, ...]:
+    """The cylinders whose recorded commands change or stand off rest, in the rig's order."""
+    results = []
+    for cylinder, valve in model.rig.valves():
+        channel = f"{cylinder.name}.{valve.name}.command"
+        if channel in record and cylinder.name not in results:
+            span = least_change(valve)
+            off = float(np.max(np.abs(record[channel] - valve.rest)))
+            if float(np.ptp(record[channel])) > span or off > 2.0 * span:
+                results.append(cylinder.name)
+    return tuple(results)
 
 
 def payload_of(record: Record) -> str | None:

@@ -9,17 +9,19 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
+from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.signals.series import white_noise
 from ehbench.signals.timestamps import Stamps, stamps_of
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
@@ -56,6 +58,38 @@ LIMIT_SHARE = 2.0  # … so many times as many as at any other value …
 LIMIT_RISE = 2  # … reached within so many samples …
 LIMIT_STEPS = 5.0  # … over so many of its least steps
 _MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
+
+
+@dataclass(frozen=True)
+class PreparedLog:
+    """A log as identification and validation take it: evenly sampled, what is known of its sensors
+    taken out, for the rig of ``model``, which carries its payload. ``terms`` are the numbers of its
+    sensors that are estimated, and known lags and delays; ``notes`` say what is odd about it.
+    """
+
+    name: str
+    record: Record
+    model: Model
+    terms: tuple[Term, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def prepare(name: str, record: Record, model: Model, sensors: Sequence[Sensor] = ()) -> PreparedLog:
+    """A log prepared for a model.
+
+    Args:
+        name: of the log.
+        record: as it was read.
+        model: with the log's payload.
+        sensors: what is known of its sensors and drivers, or estimated.
+
+    Raises:
+        InputError, LogError: as `preprocess`; a sensor of no channel of the log.
+    """
+    record = known_taken_out(name, record, sensors)
+    terms = terms_of(sensors, [record])
+    record, notes = preprocess(name, record, model)
+    return PreparedLog(name, record, model, terms, notes)
 
 
 def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:

@@ -131,7 +131,7 @@ def _verdict(
             text, look = f"{text[:-1]}, with reservation: {', '.join(reserved)}.", "warn"
     doubts, message = [], set()
     for run, findings in zip(runs, result, strict=True):
-        # what a fit leans on is a reserve of the validations behind it too
+        # what a fit leans on is a reservation of its validations too
         against = [item for item in findings.against if item not in message]
         message |= set(against)
         if against:

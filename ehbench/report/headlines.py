@@ -181,7 +181,7 @@ def _validation(run: Saved) -> Findings:
     return Findings(
         numbers,
         figures,
-        table["reasons"] or [*table.get("reserves", []), *left_over(table)],
+        table["reasons"] or [*table.get("reservations", []), *left_over(table)],
         requested,
     )
 
@@ -190,7 +190,7 @@ def left_over(table: Table) -> list[str]:
     """What the likeliest fault is that the residuals of a validation show, in a sentence with its
     cure; none where they show none, or a reservation gives it.
     """
-    reservations = " ".join(table.get("reserves", []))
+    reservations = " ".join(table.get("reservations", []))
     findings = (table.get("structure") or {}).get("findings", [])
     results = [finding for finding in findings if finding["sentence"] not in reservations]
     return [

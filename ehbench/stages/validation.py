@@ -53,7 +53,7 @@ class PreparedJudgement(Prepared):
     recipe: ValidateRecipe
     state: RigState
     logs: Logs
-    taken: PreparedValidation
+    validation: PreparedValidation
     inherited: tuple[str, ...] = ()
 
 
@@ -67,7 +67,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
 
     def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
         from ehbench.preprocessing.observations import payload_of
-        from ehbench.validation import PreparedValidation, models_of, taken_log
+        from ehbench.validation import PreparedValidation, models_of, prepare_log
         from ehbench.validation.held_out import overlaps
 
         findings = inputs.findings
@@ -77,7 +77,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         read = [set(record.channels) for _, record in logs.records]
         every = set.intersection(*read) if read else set()
         sensors, result = inherited(state.origin, recipe.sensor, every, state.rig)
-        taken = []
+        judged = []
         models = {}
         if logs.records:
             models = models_of(state.rig, logs.records, recipe.channels, state.flow_maps, recipe.at)
@@ -88,9 +88,9 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             scored = recipe.data[index].scored
             with findings.noting():
                 model = models[payload_of(record) or ""]
-                log = taken_log(name, record, model, known, scored, seen, sensors)
-                taken.append(log)
-                findings.notes += [f"{name}: {text}" for text in log.warnings]
+                log = prepare_log(name, record, model, known, scored, seen, sensors)
+                judged.append(log)
+                findings.notes += [f"{name}: {text}" for text in log.log.notes]
                 if log.failure is not None:
                     findings.mistake(log.failure)
         _say_fitted(recipe, inputs)
@@ -103,7 +103,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             does,
             state,
             logs,
-            PreparedValidation(state.rig, recipe.channels, tuple(taken), state.flow_maps),
+            PreparedValidation(state.rig, recipe.channels, tuple(judged), state.flow_maps),
             result,
         )
 
@@ -112,17 +112,17 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         from ehbench.validation import run_validation
 
         state, losses = prepared.state, prepared.logs.losses
-        verdict = run_validation(prepared.taken, prepared.recipe.thresholds, progress)
+        verdict = run_validation(prepared.validation, prepared.recipe.thresholds, progress)
         if prepared.recipe.structure:
             if progress is not None:
                 progress("asking the residuals what they follow", 0.5)
-            verdict = verdict.with_structure(ask(prepared.taken.cases(verdict.logs)))
+            verdict = verdict.with_structure(ask(prepared.validation.cases(verdict.logs)))
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
             leans = rundir.read_json(intervals).get("leans", [])
             sentences = tuple(lean["sentence"] for lean in leans)
-            verdict = replace(verdict, reserves=(*sentences, *verdict.reserves))
+            verdict = replace(verdict, reservations=(*sentences, *verdict.reservations))
         write_rig(folder, state.rig, state.flow_maps)
         others = [item.as_json() for item in prepared.recipe.reference]
         additional = {"references": others} if others else {}
@@ -131,7 +131,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         facts = {
             "rig": state.rig.name,
             "accepted": verdict.accepted,
-            "reserves": list(verdict.reserves),
+            "reservations": list(verdict.reservations),
             "warnings": [*losses, *prepared.inherited, *verdict.warnings],
             "recorded_on": recorded_on(prepared.logs.records),
         }

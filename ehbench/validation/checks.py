@@ -1,10 +1,10 @@
-"""What is asked of a model on a log: thresholds held against what was reached, each with a
-sentence."""
+"""Requirements on a model on a log: thresholds compared with what was reached."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 
 from ehbench.config.recipe import Thresholds
@@ -12,14 +12,28 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.preprocessing.observations import stood_for
 from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Sweep, Transient
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.units import from_si
 
-POOR = 80.0  # percent of fit below which a position is told of although nobody asks
-# a level is off by more than this share of the channel's spread, and by more than this share of the
-# error's square: what is left without it follows the channel to SHAPE percent at least
-LEVEL, MOSTLY, SHAPE = 0.25, 0.5, 50.0
-NOISY = 5.0  # percent above the fit asked below which a recording's noise is allowed for
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """Numbers of the notes on what no threshold asks for, and of noisy recordings."""
+
+    poor: float = setting(80.0, "%", "fit of a position below which a note says so", "plain to see")
+    level: float = setting(
+        0.25, "", "least bias of a channel off by its level, share of its spread", "plain to see"
+    )
+    mostly: float = setting(0.5, "", "least share of the bias in the error's square", "most of it")
+    shape: float = setting(50.0, "%", "least fit of such a channel without its bias", "it follows")
+    noisy: float = setting(
+        5.0, "%", "fit above the required one below which noise is allowed for", "else no matter"
+    )
+
+
+SETTINGS = CheckSettings()
 
 
 def checks_of(
@@ -53,23 +67,21 @@ def checks_of(
 
 def _sweep_checks(sweep: Sweep, requested: Thresholds) -> Iterator[Check]:
     """Gain, phase and delay of a channel's response to its command."""
-    band = f"over {sweep.band[0]:.3g} … {sweep.band[1]:.3g} Hz"
+    low, high = sweep.band
     for what, reached, limit, unit, (shown, factor) in (
-        ("gain", sweep.gain_error, requested.response_gain_error, "share", ("%", 100.0)),
+        ("gain", sweep.gain_error, requested.response_gain_error, "share", (" %", 100.0)),
         ("phase", sweep.phase_error, requested.response_phase_error, "rad", ("°", 180.0 / math.pi)),
-        ("delay", sweep.delay_error, requested.response_delay_error, "s", ("ms", 1000.0)),
+        ("delay", sweep.delay_error, requested.response_delay_error, "s", (" ms", 1000.0)),
     ):
         if limit is None:
             continue
-        maximum, name = float(limit), f"{_words(sweep.channel)} {what} of the response"
+        maximum, fields = float(limit), {"what": what, "low": low, "high": high}
+        fields["channel"] = _words(sweep.channel)
         if reached is None:
-            sentence = f"{name}: the recording answers the sweep {band}, the model does not"
+            sentence = message("validation.no_response", **fields)
         else:
-            gap = "" if shown == "°" else " "
-            sentence = (
-                f"{name} is off by {factor * reached:.3g}{gap}{shown} {band}; "
-                f"{factor * maximum:.3g}{gap}{shown} is allowed"
-            )
+            reached_, allowed = (f"{factor * value:.3g}{shown}" for value in (reached, maximum))
+            sentence = message("validation.response", reached=reached_, allowed=allowed, **fields)
         passed = reached is not None and reached <= maximum
         yield Check(f"{sweep.channel} response {what}", reached, maximum, unit, passed, sentence)
 
@@ -77,19 +89,16 @@ def _sweep_checks(sweep: Sweep, requested: Thresholds) -> Iterator[Check]:
 def _fit_check(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
     word = result.channel.rsplit(".", 1)[1]
     limits = (requested.fit_percent.get(item) for item in stood_for(word))
-    minimum = next((limit for limit in limits if limit is not None), None)
+    required = next((limit for limit in limits if limit is not None), None)
     reached = result.fit_percent
-    if minimum is not None and reached is not None:
-        asked_for, allowed = minimum, ""
-        if 100.0 * (1.0 - result.noise_share) < minimum + NOISY:
-            minimum = beyond_noise(minimum, result.noise_share)
-            allowed = f", which its noise makes {minimum:.3g} %"
-        passed = reached >= minimum
-        sentence = (
-            f"{_words(result.channel)} fit {reached:.3g} % is {'not ' * passed}below "
-            f"the {asked_for:g} % asked{allowed}"
-        )
-        yield Check(f"{result.channel} fit", reached, minimum, "percent", passed, sentence)
+    if required is None or reached is None:
+        return
+    fields = {"channel": _words(result.channel), "reached": reached, "required": required}
+    sentence, least = message("validation.fit", **fields), required
+    if 100.0 * (1.0 - result.noise_share) < required + SETTINGS.noisy:
+        least = beyond_noise(required, result.noise_share)
+        sentence = message("validation.fit_of_noisy", least=least, **fields)
+    yield Check(f"{result.channel} fit", reached, least, "percent", reached >= least, sentence)
 
 
 def beyond_noise(fit: float, noise_share: float) -> float:
@@ -106,33 +115,51 @@ def _error_check(result: ChannelResult, requested: Thresholds, rig: Rig) -> Iter
         row, unit = quantity(word), rig.unit_of(word)
         reached, maximum = abs(result.max_error), float(requested.max_error[word])
         shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, maximum)]
-        sentence = (
-            f"{_words(result.channel)} error reaches {shown[0]} {unit}; "
-            f"{shown[1]} {unit} is allowed"
+        sentence = message(
+            "validation.error",
+            channel=_words(result.channel),
+            reached=f"{shown[0]} {unit}",
+            allowed=f"{shown[1]} {unit}",
         )
         what = f"{result.channel} max error"
         yield Check(what, reached, maximum, result.unit, reached <= maximum, sentence)
 
 
+def _residual_kinds(
+    requested: Thresholds,
+) -> list[tuple[bool, str, Callable[[ChannelResult], tuple[Correlation, ...]]]]:
+    """(whether it is required, the recipe's key, the correlations of a channel)."""
+
+    def auto(result: ChannelResult) -> tuple[Correlation, ...]:
+        return (result.autocorrelation,) if result.autocorrelation else ()
+
+    return [
+        (requested.whiteness, "whiteness", auto),
+        (requested.independence, "independence", lambda result: result.cross_correlation),
+    ]
+
+
+_KINDS = {"whiteness": "autocorrelation", "independence": "correlation with commands"}
+
+
 def _residual_checks(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
-    kinds: tuple[tuple[bool, str, tuple[Correlation, ...]], ...] = (
-        (requested.whiteness, "autocorrelation", _own(result)),
-        (requested.independence, "correlation with commands", _crossed(result)),
-    )
-    for required, kind, match in kinds:
-        if required and match:
-            reached = max(item.outside_percent for item in match)
-            sentence = (
-                f"{_words(result.channel)} residual {kind} leaves its band at {reached:.0f} % of "
-                f"the lags; {requested.outside_percent:g} % is allowed"
+    for required, key, of in _residual_kinds(requested):
+        if required and (correlations := of(result)):
+            reached, kind = max(item.outside_percent for item in correlations), _KINDS[key]
+            sentence = message(
+                "validation.residual",
+                channel=_words(result.channel),
+                kind=kind,
+                reached=reached,
+                allowed=requested.outside_percent,
             )
             what, passed = f"{result.channel} residual {kind}", reached <= requested.outside_percent
             yield Check(what, reached, requested.outside_percent, "percent", passed, sentence)
 
 
-def unasked(
+def unrequested(
     results: Sequence[ChannelResult], requested: Thresholds, rig: Rig, record: Record
-) -> Iterator[str]:
+) -> Iterator[Message]:
     """What is poor although no threshold asks for it: a position that is followed badly, a level
     that is off, residuals outside of their bands.
     """
@@ -140,59 +167,41 @@ def unasked(
         yield from _level(result, rig)
         word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
         silent = not {*stood_for(word)} & {*requested.fit_percent, *requested.max_error}
-        if word in ("q", "x") and silent and reached is not None and reached < POOR:
+        if word in ("q", "x") and silent and reached is not None and reached < SETTINGS.poor:
             row, unit = quantity(word), rig.unit_of(word)
+            error = f"{from_si(abs(result.max_error), unit, row):.3g} {unit}"
+            fields = {"channel": _words(result.channel), "fit": reached, "error": error}
+            yield message("validation.poor_fit", word=word, **fields)
             wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
-            fixed = f'; {wish} says that a controller held it: tied = "position" ties it in'
-            far = from_si(abs(result.max_error), unit, row)
-            yield (
-                f"{_words(result.channel)} fit is {reached:.3g} %, its error reaches {far:.3g} "
-                f"{unit}: no threshold asks for it (max_error or fit_percent of {word} would)"
-                f"{fixed if wish in record else ''}"
-            )
-    for required, kind, match in (
-        (requested.whiteness, "residual autocorrelation", _own),
-        (requested.independence, "residual correlation with commands", _crossed),
-    ):
+            if wish in record:
+                yield message("validation.was_controlled", channel=wish)
+    for required, key, of in _residual_kinds(requested):
         outside = {
-            result.channel: max(item.outside_percent for item in match(result))
+            result.channel: max(item.outside_percent for item in of(result))
             for result in results
-            if match(result)
+            if of(result)
         }
-        outside = {
-            name: share for name, share in outside.items() if share > requested.outside_percent
-        }
-        if outside and not required:
-            shares = ", ".join(f"{name} {share:.0f} %" for name, share in outside.items())
-            key = "whiteness" if match is _own else "independence"
-            yield f"{kind} leaves its band at {shares} of the lags; {key} is not asked"
+        far = {name: share for name, share in outside.items() if share > requested.outside_percent}
+        if far and not required:
+            shares = ", ".join(f"{name} {share:.0f} %" for name, share in far.items())
+            yield message("validation.residuals", kind=_KINDS[key], shares=shares, word=key)
 
 
-def _level(result: ChannelResult, rig: Rig) -> Iterator[str]:
+def _level(result: ChannelResult, rig: Rig) -> Iterator[Message]:
     """That a channel is followed but for its level. Positions have none: they begin where the
     recording does.
     """
     word, fit = result.channel.rsplit(".", 1)[1], result.fit_percent
     bias, rms = result.bias, result.rms_error
-    if fit is None or word in ("q", "x") or bias**2 < MOSTLY * rms**2 or fit >= 100.0:
+    if fit is None or word in ("q", "x") or bias**2 < SETTINGS.mostly * rms**2 or fit >= 100.0:
         return
     spread = rms / (1.0 - fit / 100.0)
     shape = 100.0 * (1.0 - math.sqrt(max(rms**2 - bias**2, 0.0)) / spread)
-    if abs(bias) > LEVEL * spread and shape >= SHAPE:
-        off = f"{rig.shown(result.channel, abs(bias), 3)} too {'high' if bias > 0.0 else 'low'}"
-        yield (
-            f"{_words(result.channel)} is followed to {shape:.3g} % but for its level, which the "
-            f"model has {off} on average and which makes its fit {fit:.3g} %: a sensor's offset "
-            "would do that, or a part that the rig file does not have"
-        )
-
-
-def _own(result: ChannelResult) -> tuple[Correlation, ...]:
-    return (result.autocorrelation,) if result.autocorrelation else ()
-
-
-def _crossed(result: ChannelResult) -> tuple[Correlation, ...]:
-    return result.cross_correlation
+    if abs(bias) > SETTINGS.level * spread and shape >= SETTINGS.shape:
+        way = "high" if bias > 0.0 else "low"
+        off = f"{rig.shown(result.channel, abs(bias), 3)} too {way}"
+        channel = _words(result.channel)
+        yield message("validation.level", channel=channel, shape=shape, off=off, fit=fit)
 
 
 def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit: float) -> Check:
@@ -203,7 +212,7 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
     silent = [w for w in windows if w.simulated.natural_frequency is None]
     if silent:
         when, why = silent[0].start, silent[0].simulated.reason
-        sentence = f"{what}: the recording rings from {when:.2f} s on, the model does not ({why})"
+        sentence = message("validation.no_ringing", what=what, time=when, reason=why)
         return Check(what, None, limit, "share", False, sentence)
 
     def number(side: Ring) -> tuple[float, float]:
@@ -223,8 +232,8 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
         f"{scale * value:.3g} ± {scale * std:.2g}{unit}"
         for value, std in map(number, (worst.simulated, worst.recorded))
     ]
-    apart = f"{100 * reached:.0f} % apart; {100 * limit:g} % is allowed"
-    sentence = f"{what} {shown[0]} against {shown[1]} recorded from {worst.start:.2f} s on, {apart}"
+    fields = {"simulated": shown[0], "recorded": shown[1], "apart": reached, "allowed": limit}
+    sentence = message("validation.ringing", what=what, time=worst.start, **fields)
     return Check(what, reached, limit, "share", passed, sentence)
 
 

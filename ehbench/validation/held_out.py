@@ -9,26 +9,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.validation.results import Overlap
+from ehbench.vocabulary.settings import setting
 
-SAME = 1.0e-6  # share of a channel's size by which two readings of one sample may differ
-ON_TIME = 0.3  # share of the sample time likewise
-LEAST_ROWS = 8  # fewer in a run are a boundary that two windows share
-PROBES = 24  # rows looked for to find by how much the time of a copy is shifted
-AGREE = 0.5  # share of the probes found that must agree on the shift
-BLOCK = 64  # samples over which two noises are compared
-QUIET = 4  # blocks between two that are alike, which count as alike
-# of its noise, what two readings of one sample differ by at most, rms: rounded or interpolated
-# anew by up to 0.5, where two recordings differ by at least 1, in less than one block of a million
-# by so little
-LESS = 0.6
-FINEST, FINE = 0.1, 0.5  # which quantile of a channel's steps is below which share of its noise
 MAD = 1.4826  # standard deviation of normal noise over the median of its size
+
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """Numbers by which samples of two logs are the same."""
+
+    same: float = setting(
+        1.0e-6, "", "share of a channel's size by which readings of a sample may differ", "rounding"
+    )
+    on_time: float = setting(0.3, "", "share of the sample time likewise", "below a half")
+    rows: int = setting(8, "", "least rows in a run", "fewer are a boundary of two windows")
+    probes: int = setting(24, "", "rows searched for the shift of a copy's time", "some are found")
+    agree: float = setting(0.5, "", "share of the probes that must agree on the shift", "half")
+    block: int = setting(64, "", "samples over which two noises are compared", "none by chance")
+    quiet: int = setting(4, "", "blocks between two equal ones that count as equal", "standstill")
+    noise: float = setting(
+        0.6, "", "largest rms difference of readings of one sample, in noises", "rounding makes 0.5"
+    )
+    finest: float = setting(0.1, "", "quantile of a channel's steps that is fine", "its counts")
+    fine: float = setting(0.5, "", "share of the noise below which a step is fine", "its counts")
+
+
+SETTINGS = SampleSettings()
 
 
 class Rows(NamedTuple):
@@ -62,18 +75,18 @@ def overlaps(record: Record, fitted: Sequence[Rows], digest: str = "") -> tuple[
 
 def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
     names = [name for name in rows.channels if name in record]
-    if not names or rows.t.size < LEAST_ROWS or record.t.size < LEAST_ROWS:
+    if not names or rows.t.size < SETTINGS.rows or record.t.size < SETTINGS.rows:
         return []
     mine = np.column_stack([record[name] for name in names])
     theirs = np.column_stack([rows.channels[name] for name in names])
-    allowed = SAME * np.maximum(np.max(np.abs(theirs), axis=0), 1.0e-12)
+    allowed = SETTINGS.same * np.maximum(np.max(np.abs(theirs), axis=0), 1.0e-12)
 
     def matched(shift: float) -> np.ndarray:
         """Which rows of the record stand among the fitted ones, these moved by ``shift`` [s]."""
         required = record.t - shift
         at = np.clip(np.searchsorted(rows.t, required), 1, rows.t.size - 1)
         at = at - (required - rows.t[at - 1] < rows.t[at] - required)
-        near = np.abs(rows.t[at] - required) <= ON_TIME * record.sample_time
+        near = np.abs(rows.t[at] - required) <= SETTINGS.on_time * record.sample_time
         return near & np.all(np.abs(theirs[at] - mine) <= allowed, axis=1)
 
     same = max(
@@ -92,7 +105,7 @@ def _same_noise(record: Record, rows: Rows) -> list[Overlap]:
     names = [name for name in rows.channels if name in record]
     levels = {name: _white(rows.channels[name]) for name in names}
     names = [name for name in names if _tells(rows.channels[name], levels[name])]
-    if not names or min(rows.t.size, record.t.size) < BLOCK:
+    if not names or min(rows.t.size, record.t.size) < SETTINGS.block:
         return []
     noise = np.array([levels[name] for name in names])
     mine = np.column_stack([record[name] for name in names])
@@ -104,7 +117,10 @@ def _same_noise(record: Record, rows: Rows) -> list[Overlap]:
     at = np.flatnonzero(best)
     tick = max(float(np.median(np.diff(record.t))), float(np.median(np.diff(rows.t))))
     for first, last in zip(at[:-1], at[1:], strict=True):  # blocks between that were too quiet
-        if last - first > 1 and record.t[last] - record.t[first] < QUIET * BLOCK * tick:
+        if (
+            last - first > 1
+            and record.t[last] - record.t[first] < SETTINGS.quiet * SETTINGS.block * tick
+        ):
             best[first:last] = True
     return _runs(record.t, best, rows)
 
@@ -121,8 +137,8 @@ def _tells(y: np.ndarray, noise: float) -> bool:
     between its readings are finer than its noise.
     """
     steps = np.diff(np.unique(y))
-    fine = steps.size > 0 and float(np.quantile(steps, FINEST)) < FINE * noise
-    return fine and noise > SAME * float(np.max(np.abs(y)))
+    fine = steps.size > 0 and float(np.quantile(steps, SETTINGS.finest)) < SETTINGS.fine * noise
+    return fine and noise > SETTINGS.same * float(np.max(np.abs(y)))
 
 
 def _blocks(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarray) -> np.ndarray:
@@ -143,14 +159,14 @@ def _blocks(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarra
     ):
         inside = (item[0] >= other[0][0]) & (item[0] <= other[0][-1])
         at, y = item[0][inside], item[1][inside]
-        if at.size < BLOCK:
+        if at.size < SETTINGS.block:
             continue
         left = y - between(at, *other)
-        for first in range(0, at.size - BLOCK + 1, BLOCK):
-            block = slice(first, first + BLOCK)
-            noisy = _rms(np.diff(y[block], 3, axis=0)) > AGREE * math.sqrt(20.0)
-            near = _rms(left[block])[noisy] < LESS
-            if noisy.any() and np.mean(near) >= AGREE:
+        for first in range(0, at.size - SETTINGS.block + 1, SETTINGS.block):
+            block = slice(first, first + SETTINGS.block)
+            noisy = _rms(np.diff(y[block], 3, axis=0)) > SETTINGS.agree * math.sqrt(20.0)
+            near = _rms(left[block])[noisy] < SETTINGS.noise
+            if noisy.any() and np.mean(near) >= SETTINGS.agree:
                 same |= (t >= at[first]) & (t <= at[block.stop - 1])
     return same
 
@@ -211,7 +227,7 @@ def _runs(t: np.ndarray, same: np.ndarray, rows: Rows) -> list[Overlap]:
     return [
         Overlap(rows.log, float(t[run[0]]), float(t[run[-1]]), int(run.size))
         for run in np.split(at, np.flatnonzero(np.diff(t[at]) > 2.5 * tick) + 1)
-        if run.size >= LEAST_ROWS
+        if run.size >= SETTINGS.rows
     ]
 
 
@@ -221,7 +237,7 @@ def _shift(
     """By how much [s] the time of a copy is later: what most of some rows found in it say; 0 where
     they do not agree.
     """
-    probes = np.unique(np.linspace(0, when.size - 1, PROBES).astype(int))
+    probes = np.unique(np.linspace(0, when.size - 1, SETTINGS.probes).astype(int))
     shifts = []
     for probe in probes:
         hits = np.flatnonzero(np.all(np.abs(mine - theirs[probe]) <= allowed, axis=1))
@@ -230,5 +246,5 @@ def _shift(
     if not shifts:
         return 0.0
     middle = float(np.median(shifts))
-    near = np.abs(np.array(shifts) - middle) <= ON_TIME * float(np.median(np.diff(when)))
-    return middle if np.mean(near) >= AGREE else 0.0
+    near = np.abs(np.array(shifts) - middle) <= SETTINGS.on_time * float(np.median(np.diff(when)))
+    return middle if np.mean(near) >= SETTINGS.agree else 0.0

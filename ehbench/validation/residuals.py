@@ -1,9 +1,9 @@
-"""One channel of one log: how far the model is off, and whether what is left is noise."""
+"""One channel of one log: the error of the model, and whether the residual is noise."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +14,23 @@ from ehbench.preprocessing.observations import column, noise_of
 from ehbench.preprocessing.preparation import LIMITED, at_limit
 from ehbench.signals import series
 from ehbench.validation.results import ChannelResult, Correlation
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.settings import setting
 
-# von Neumann ratio (1 for white noise, 0 for a smooth signal) above which a channel shows noise
-NOISE = 0.5
-# [s]: residuals are averaged over LAG_STEP before they are correlated up to LAG_SPAN
-LAG_STEP, LAG_SPAN = 0.01, 0.5
+
+@dataclass(frozen=True)
+class ResidualSettings:
+    """Numbers of the comparison of a channel."""
+
+    noise: float = setting(
+        0.5, "", "von Neumann ratio above which a channel is noise", "1 if white, 0 if smooth"
+    )
+    lag_step: float = setting(0.01, "s", "step of the lags of residuals", "faster than any valve")
+    lag_span: float = setting(0.5, "s", "largest lag of residuals", "some periods of a swing")
+
+
+SETTINGS = ResidualSettings()
 
 
 class Pair(NamedTuple):
@@ -62,19 +73,18 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
     )
     variance = float(np.var(recorded))
     if math.sqrt(variance) <= 1e-9 * float(np.max(np.abs(recorded))):
-        return replace(plain, note="the recording is constant, so it has no fit")
-    if float(np.mean(np.diff(recorded) ** 2)) > 2.0 * NOISE * variance:
-        note = "the recording shows no motion beyond its noise, so it has no fit"
-        return replace(plain, note=note)
+        return replace(plain, note=message("validation.constant"))
+    if float(np.mean(np.diff(recorded) ** 2)) > 2.0 * SETTINGS.noise * variance:
+        return replace(plain, note=message("validation.only_noise"))
     share = noise_of(record, channel) / math.sqrt(variance)
     plain = replace(
         plain,
         fit_percent=series.fit_percent(recorded, pair.simulated),
         noise_share=min(1.0, float(share)),
     )
-    block = max(1, round(LAG_STEP / record.sample_time))
+    block = max(1, round(SETTINGS.lag_step / record.sample_time))
     residual = _averaged(error, block)
-    lags = min(max(1, round(LAG_SPAN / (block * record.sample_time))), len(residual) // 4)
+    lags = min(max(1, round(SETTINGS.lag_span / (block * record.sample_time))), len(residual) // 4)
     if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
         return plain
     lag = block * record.sample_time * np.arange(lags + 1)
@@ -85,23 +95,17 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
         series.autocorrelation_band(residual, lags)[1:],
     )
     cross = []
-    for name in _own_commands(record, model, channel):
+    cylinder = channel.partition(".")[0]
+    for valve in model.layout.valves:
+        name = f"{valve}.command"
+        if not valve.startswith(f"{cylinder}.") or name not in record:
+            continue
         command = _averaged(record[name], block)
         if float(np.ptp(command)) > 0.0:
             band = np.full(lags + 1, series.correlation_band(residual, command))
             values = series.correlation(residual, command, lags)[lags:]
             cross.append(_correlation(name, lag, values, band))
     return replace(plain, autocorrelation=auto, cross_correlation=tuple(cross))
-
-
-def _own_commands(record: Record, model: Model, channel: str) -> list[str]:
-    """The recorded commands of the channel's cylinder."""
-    cylinder = channel.partition(".")[0]
-    return [
-        f"{valve}.command"
-        for valve in model.layout.valves
-        if valve.startswith(f"{cylinder}.") and f"{valve}.command" in record
-    ]
 
 
 def _averaged(y: np.ndarray, block: int) -> np.ndarray:

@@ -1,19 +1,21 @@
-"""What a validation leaves: the verdict on a rig, log by log, as ``validation.json`` has it."""
+"""Results of a validation: the verdict on a rig, log by log, as in ``validation.json``."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from ehbench.diagnosis import Finding, Follows, Structure
+from ehbench.diagnosis import Structure
 from ehbench.frequency_response.response import Curve
 from ehbench.preprocessing.observations import rings_clearly
 from ehbench.runs.rundir import read_json
 from ehbench.signals.series import Ringing
-from ehbench.vocabulary.errors import InputError, ModelRejected
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 
 
@@ -138,8 +140,8 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Check:
-    """One thing asked of the model on one log: what was reached (None: nothing to compare) and what
-    was asked.
+    """One requirement on the model on one log: what was reached (None: nothing to compare) and what
+    was ``asked``.
     """
 
     what: str
@@ -164,8 +166,8 @@ class Overlap:
 
 @dataclass(frozen=True)
 class LogResult:
-    """One log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted to it),
-    ``still``, or ``failed``.
+    """The result of one log. ``status``: ``held_out`` (it counts), ``fitted`` (the model was fitted
+    to it), ``still``, or ``failed``.
 
     ``scored`` is the part [s] that is judged, None for all of it; ``overlap`` where the model was
     fitted to its very samples. ``moved`` cylinders had a valve commanded and are judged, ``held``
@@ -201,8 +203,10 @@ class LogResult:
 class Validation:
     """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
     else ``reasons`` say why not. ``structure`` is what the residuals say of the model,
-    ``reserves`` are sentences on what speaks against its numbers though it follows the logs.
+    ``reservations`` are messages on what speaks against its numbers though it follows the logs.
     """
+
+    __pydantic_config__ = ConfigDict(arbitrary_types_allowed=True)
 
     rig: str
     accepted: bool
@@ -211,27 +215,31 @@ class Validation:
     thresholds: dict[str, Any]
     logs: tuple[LogResult, ...]
     structure: Structure = Structure()
-    reserves: tuple[str, ...] = ()
+    reservations: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
         """``accepted``, ``accepted with reservation`` or ``rejected``."""
         if not self.accepted:
             return "rejected"
-        return "accepted with reservation" if self.reserves else "accepted"
+        return "accepted with reservation" if self.reservations else "accepted"
 
     def with_structure(self, structure: Structure) -> Validation:
-        """With what the residuals say; a cause of most of a residual above the noise is a reserve.
-
-        The sentences give the share of the residual's squares, and what to do.
+        """With what the residuals say; a cause of most of a residual above the noise is a
+        reservation.
         """
-        causes = tuple(
-            f"{100.0 * cause.explains:.0f} % of the residual has one likely cause: "
-            f"{cause.sentence}; {cause.cure}"
+        causes = [
+            message(
+                "validation.cause",
+                share=cause.explains,
+                cause=cause.sentence,
+                cure=cause.cure,
+            )
             for cause in structure.findings
             if cause.dominant
-        )
-        return replace(self, structure=structure, reserves=(*self.reserves, *causes[:1]))
+        ]
+        reservations = (*self.reservations, *causes[:1])
+        return replace(self, structure=structure, reservations=reservations)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for ``validation.json``; `read_validation` is the way back."""
@@ -253,18 +261,6 @@ class Validation:
             if log.series
         }
 
-    def require(self) -> None:
-        """Pass if accepted.
-
-        Raises:
-            ModelRejected: with the first reason.
-        """
-        if not self.accepted:
-            raise ModelRejected(
-                f"rig '{self.rig}' is rejected: {self.reasons[0]}",
-                hint="; ".join(self.reasons[1:4]) or None,
-            )
-
 
 def read_validation(path: Path) -> Validation:
     """The validation of a run folder or of a ``validation.json``, without its series.
@@ -273,54 +269,10 @@ def read_validation(path: Path) -> Validation:
         InputError: no such file, or not a validation.
     """
     path = path / "validation.json" if path.is_dir() else path
-    table = read_json(path)
     try:
-        requested = table.get("structure", {})
-        structure = Structure(
-            _many(Finding, requested.get("findings", [])),
-            _many(Follows, requested.get("follows", [])),
-        )
-        logs = [_log(row) for row in table["logs"]]
-        return _made(Validation, table | {"logs": logs, "structure": structure})
-    except (KeyError, TypeError) as error:
-        raise InputError(
-            f"is no validation: {error}", file=path, hint="name a finished run of stage 'validate'"
-        ) from None
-
-
-def _many(kind: type, rows: list[dict[str, Any]]) -> tuple[Any, ...]:
-    return tuple(_made(kind, row) for row in rows)
-
-
-def _made(kind: type, row: dict[str, Any]) -> Any:
-    known = {f.name for f in fields(kind)}
-    return kind(
-        **{
-            key: tuple(value) if isinstance(value, list) else value
-            for key, value in row.items()
-            if key in known
-        }
-    )
-
-
-def _channel(row: dict[str, Any]) -> ChannelResult:
-    auto = row["autocorrelation"] and _made(Correlation, row["autocorrelation"])
-    crossed = _many(Correlation, row["cross_correlation"])
-    return _made(ChannelResult, row | {"autocorrelation": auto, "cross_correlation": crossed})
-
-
-def _sides(kind: type, of: type, row: dict[str, Any]) -> Any:
-    """A result with a recorded and a simulated side, None where a side is missing."""
-    sides = {side: row[side] and _made(of, row[side]) for side in ("recorded", "simulated")}
-    return _made(kind, row | sides)
-
-
-def _log(row: dict[str, Any]) -> LogResult:
-    nested = {
-        "channels": [_channel(channel) for channel in row["channels"]],
-        "transients": [_sides(Transient, Ring, transient) for transient in row["transients"]],
-        "sweeps": [_sides(Sweep, Curve, sweep) for sweep in row.get("sweeps", [])],
-        "overlap": _many(Overlap, row.get("overlap", [])),
-        "checks": _many(Check, row["checks"]),
-    }
-    return _made(LogResult, row | nested)
+        return TypeAdapter(Validation).validate_python(read_json(path))
+    except ValidationError as error:
+        reason = error.errors()[0]
+        place = ".".join(map(str, reason["loc"]))
+        text = message("validation.no_validation", place=place, reason=reason["msg"])
+        raise InputError(text, file=path) from None

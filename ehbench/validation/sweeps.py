@@ -1,14 +1,13 @@
 """The frequency response of recording and model where a command sweeps, one against the other.
 
-Both are estimated alike (`ehbench.frequency_response.response`), from the command to a channel of
-its cylinder, so
-what windows, averages and laws that are not linear do to one they do to the other."""
+Both are estimated alike (`ehbench.frequency_response`), from the command to a channel of its
+cylinder, so windows, averages and laws that are not linear act alike on both."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,12 +26,25 @@ from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Sweep
 from ehbench.validation.transients import OSCILLATES, held
 from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
 
-LEAST_CHANGES = 40  # of a command that sweeps
-LONGEST_STAND = 0.1  # share of a sweep for which its command may stand
-LEAST_BAND = 2.0  # ratio of the highest to the lowest frequency that counts
-LEAST_SHARE = 0.5  # of a band's frequencies that count: fewer, far apart, are coherent by chance
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """Numbers by which a command sweeps."""
+
+    changes: int = setting(40, "", "least number of changes of a command that sweeps", "no steps")
+    stand: float = setting(0.1, "", "share of a sweep for which its command may stand", "no steps")
+    band: float = setting(
+        2.0, "", "least ratio of the highest to the lowest frequency that counts", "an octave"
+    )
+    share: float = setting(
+        0.5, "", "least share of a band's frequencies that count", "fewer are coherent by chance"
+    )
+
+
+SETTINGS = SweepSettings()
 NEIGHBOURS = 2.0  # 1 + 2 Σ ρ² of neighbouring frequencies, ρ = 2/3 and 1/6 behind a Hann window
 ONE_SIDED = 1.645  # standard deviations that 95 % stay below
 
@@ -61,12 +73,12 @@ def sweeps_of(
         if recorded is None:
             continue
         known = recorded.frequency[recorded.coherent]
-        if known.size < LEAST_LINE or known[-1] < LEAST_BAND * known[0]:
+        if known.size < LEAST_LINE or known[-1] < SETTINGS.band * known[0]:
             continue
         among = np.count_nonzero(
             (recorded.frequency >= known[0]) & (recorded.frequency <= known[-1])
         )
-        if known.size < LEAST_SHARE * among:
+        if known.size < SETTINGS.share * among:
             continue
         simulated = _response(record, command, channel, pair.simulated, span, 0.0)
         results.append(_compared(command, channel, recorded, simulated))
@@ -84,10 +96,10 @@ def _sweeping(record: Record, model: Model, cylinder: str) -> tuple[str, slice] 
             continue
         level = held(record[channel], least_change(valve))
         changes = np.flatnonzero(np.diff(level)) + 1
-        if changes.size < LEAST_CHANGES:
+        if changes.size < SETTINGS.changes:
             continue
         span = slice(int(changes[0]), int(changes[-1]) + 1)
-        if np.max(np.diff(changes)) > LONGEST_STAND * (changes[-1] - changes[0]):
+        if np.max(np.diff(changes)) > SETTINGS.stand * (changes[-1] - changes[0]):
             continue
         # the least change is a share of the driver's range
         size = float(np.std(level[span])) / least_change(valve)

@@ -1,12 +1,13 @@
 """Ringing of a cylinder after a command step, recorded and simulated, and whether it can be judged.
 
-A window is judged only where something rings: its command stands for several periods of what is
-found, the oscillation decays, and halves of the window tell the same frequency."""
+A window is judged only where something rings: its command stands for several periods, the
+oscillation decays, and halves of the window show the same frequency."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,12 +17,26 @@ from ehbench.preprocessing.observations import TOGETHER, least_change
 from ehbench.signals import series
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import GAUGES
+from ehbench.vocabulary.settings import setting
 
-STANDS = 2.5  # periods of what rings for which the command must stand
-CREEPS = 0.1  # share of the step by which a standing command may still move
-REPEATS = 0.15  # share by which the frequency of a half may differ, beyond three standard errors
-ALIKE = 3.0  # these standard errors
+
+@dataclass(frozen=True)
+class TransientSettings:
+    """Numbers by which a ringing can be judged."""
+
+    periods: float = setting(2.5, "", "periods for which the command must stand", "a decay shows")
+    creep: float = setting(
+        0.1, "", "share of the step by which a standing command may move", "sines move more"
+    )
+    halves: float = setting(
+        0.15, "", "share by which the frequency of a half may differ", "friction changes it less"
+    )
+    sigmas: float = setting(3.0, "", "standard errors that the halves may differ further", "chance")
+
+
+SETTINGS = TransientSettings()
 OSCILLATES = ("qd", "v", "p_head", "p_rod", *GAUGES)  # a position integrates an oscillation away
 
 
@@ -48,7 +63,7 @@ def transients_of(
             continue
         t = record.t[window]
         if not stands(raw[before : window.stop], window.start - before):
-            none = Ring(reason="the command does not stand")
+            none = Ring(reason=message("validation.command_moves"))
             results.append(Transient(cylinder, float(t[0]), float(t[-1]), none, none))
             continue
         measured = np.column_stack([pair.recorded[window] for pair in seen])
@@ -57,7 +72,7 @@ def transients_of(
         simulated = series.ringing_like(t, modelled, recorded)
         stop, note = float(t[-1]), ""
         if recorded.ok:
-            stop, note = recorded.stop, doubt(t, measured, recorded)
+            stop, note = recorded.stop, why_not_judged(t, measured, recorded)
         rings = (Ring.of(recorded), Ring.of(simulated))
         results.append(Transient(cylinder, float(t[0]), stop, *rings, note=note))
     return results
@@ -81,34 +96,32 @@ def stands(commands: np.ndarray, begin: int) -> bool:
     """
     step = float(np.max(np.abs(commands[begin] - commands[0])))
     parts = np.array([part.mean(axis=0) for part in np.array_split(commands[begin:], 3)])
-    return float(np.max(np.ptp(parts, axis=0))) <= CREEPS * step
+    return float(np.max(np.ptp(parts, axis=0))) <= SETTINGS.creep * step
 
 
-def doubt(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
+def why_not_judged(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
     """Why an oscillation that was found in a window cannot be judged; '' if it can.
 
     Args:
         t: of the window, while the command stands [s].
         y: what rings, shape (samples, channels).
-        found: in it.
+        result: the ringing in it.
     """
     if result.damping_ratio <= 0.0:
-        return f"it grows (damping ratio {result.damping_ratio:.2g})"
+        return message("validation.grows", damping=result.damping_ratio)
     shape = math.sqrt(max(0.0, 1.0 - result.damping_ratio**2))
     periods = float(t[-1] - t[0]) * result.natural_frequency * shape / (2.0 * math.pi)
-    if periods < STANDS:
-        return f"the command stands for {periods:.1f} periods of it only"
+    if periods < SETTINGS.periods:
+        return message("validation.short_stand", periods=periods)
     halves = [half for half in _halves(t, y, result) if half.ok]
     if not halves:
-        return "no half of the window shows it alone"
+        return message("validation.no_half")
     for half in halves:
         off = abs(half.natural_frequency - result.natural_frequency)
         error = math.hypot(half.natural_frequency_std, result.natural_frequency_std)
-        if off > REPEATS * result.natural_frequency + ALIKE * error:
-            hertz = [
-                item.natural_frequency / (2.0 * math.pi) for item in (half, result)
-            ]  # as the sentence shows them
-            return f"half of the window tells {hertz[0]:.3g} Hz, the whole {hertz[1]:.3g} Hz"
+        if off > SETTINGS.halves * result.natural_frequency + SETTINGS.sigmas * error:
+            hertz = [item.natural_frequency / (2.0 * math.pi) for item in (half, result)]
+            return message("validation.halves_differ", half=hertz[0], whole=hertz[1])
     return ""
 
 
@@ -124,13 +137,11 @@ def unjudged(moved: Sequence[str], windows: Sequence[Transient]) -> Iterator[str
     """A warning of each cylinder whose ringing cannot be judged."""
     for cylinder in moved:
         mine = [w for w in windows if w.cylinder == cylinder]
-        if not any(w.judged for w in mine):
-            why = ": no command steps"
-            if mine:
-                reasons = [w.note or w.recorded.reason or "too few cycles" for w in mine]
-                why = f": {max(dict.fromkeys(reasons), key=reasons.count)}"
-                why += f" ({len(mine)} windows)" if len(mine) > 1 else ""
-            yield (
-                f"{cylinder} does not ring clearly in the recording{why}; natural frequency and "
-                "decay are not judged"
-            )
+        if not mine:
+            yield message("validation.no_steps", cylinder=cylinder)
+        elif not any(w.judged for w in mine):
+            few = message("validation.few_cycles")
+            reasons = [w.note or w.recorded.reason or few for w in mine]
+            reason = max(dict.fromkeys(reasons), key=reasons.count)
+            count = len(mine)
+            yield message("validation.not_clear", cylinder=cylinder, reason=reason, count=count)

@@ -22,7 +22,7 @@ def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(undrawn, tm
     assert any("press.v is 4.8 ms behind the model" in note for note in first.notes)
     better = workflow.run(TUTORIAL / "better_validation.toml", session)
     assert better.code == workflow.DONE and better.json("validation")["accepted"]
-    (reserve,) = better.json("validation")["reserves"]  # of the delay that was left out
+    (reserve,) = better.json("validation")["reservations"]  # of the delay that was left out
     assert reserve.startswith("press.servo.command is held to have no delay")
     assert "bulk_modulus would then come out" in reserve
     fits = {  # as the validations have made them

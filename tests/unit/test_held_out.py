@@ -11,7 +11,7 @@ from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.validation import PreparedValidation, read_validation, run_validation, taken_log
+from ehbench.validation import PreparedValidation, prepare_log, read_validation, run_validation
 from ehbench.validation.held_out import Rows, overlaps
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
@@ -119,8 +119,8 @@ def test_only_the_scored_part_is_judged(log, rig):
     channels = ("x", "v", "p_head", "p_rod")
 
     def judged(scored):
-        taken = taken_log("odd", odd, model, scored=scored)
-        return run_validation(PreparedValidation(rig, channels, (taken,))).logs[0]
+        log_ = prepare_log("odd", odd, model, scored=scored)
+        return run_validation(PreparedValidation(rig, channels, (log_,))).logs[0]
 
     whole, late = judged(None), judged((2.0, float("inf")))
     assert late.scored == pytest.approx((2.0, 4.0)) and whole.scored is None
@@ -131,7 +131,7 @@ def test_only_the_scored_part_is_judged(log, rig):
     channel = next(c for c in late.channels if c.channel == "press.p_head")
     assert channel.rms_error == pytest.approx(np.sqrt(np.mean(error[log.t >= 2.0] ** 2)))
     with pytest.raises(InputError, match="no samples from score_start to score_stop"):
-        taken_log("odd", odd, model, scored=(9.0, 10.0))
+        prepare_log("odd", odd, model, scored=(9.0, 10.0))
 
 
 def recipe(folder: Path, name: str, *lines: str) -> Path:

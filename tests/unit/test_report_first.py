@@ -264,7 +264,7 @@ def test_a_sensitive_fit_gives_a_reservation(folders, tmp_path):
     folder = tmp_path / "judged"
     shutil.copytree(folders[1], folder)
     table = json.loads((folder / "validation.json").read_text())
-    reserves = {"accepted": True, "reasons": [], "reserves": [LEAN["sentence"]]}
+    reserves = {"accepted": True, "reasons": [], "reservations": [LEAN["sentence"]]}
     write_json(folder / "validation.json", table | reserves)
     told = lines(folder, 200)
     assert told[0].startswith("ACCEPTED WITH RESERVATION on ") and f"- {LEAN['sentence']}" in told

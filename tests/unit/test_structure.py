@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_rig
-from ehbench.diagnosis import Case, ask, commanded
+from ehbench.diagnosis import Case, ask
 from ehbench.diagnosis.cures import cures
 from ehbench.parts.valve.delay import Delay
 from ehbench.plant.model import Model
+from ehbench.preprocessing.observations import commanded
 from ehbench.validation import prepare_validation, run_validation
 from tests.virtual_logs import RIGS, clean_log, noisy, virtual_log
 from tools.studies.structure_study import Fault, asked, faults, log_of
@@ -89,7 +90,7 @@ def test_a_cause_of_most_of_the_residual_is_a_reservation(name, factor):
         verdicts[judged is rig] = verdict.with_structure(ask(prepared.cases(verdict.logs)))
     assert verdicts[True].verdict == "accepted"
     assert verdicts[False].verdict == "accepted with reservation"
-    (reservation,) = verdicts[False].reserves
+    (reservation,) = verdicts[False].reservations
     assert name in reservation
 
 

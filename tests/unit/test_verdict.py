@@ -18,7 +18,7 @@ from ehbench.signals import series
 from ehbench.validation import validate_rig
 from ehbench.validation.checks import beyond_noise
 from ehbench.validation.residuals import pair_of
-from ehbench.validation.transients import doubt, stands
+from ehbench.validation.transients import stands, why_not_judged
 from tests.virtual_logs import DRIVES, RIGS, clean_log, commands_of, noisy, virtual_log
 
 CHANNELS = {"slide_servo": ("x", "v", "p_head", "p_rod"), "pump_cylinder": ("x", "v", "p_head")}
@@ -169,13 +169,16 @@ def test_ringing_must_decay_last_and_repeat():
     noise = 0.01 * np.random.default_rng(2).standard_normal((t.size, 1))
     ring = (np.exp(-2.0 * t) * np.sin(2.0 * math.pi * 6.0 * t))[:, None] + noise
     found = series.ringing(t, ring)
-    assert found.ok and not doubt(t, ring, found)
-    assert "grows" in doubt(t, ring, replace(found, damping_ratio=-0.02))
+    assert found.ok and not why_not_judged(t, ring, found)
+    growing = replace(found, damping_ratio=-0.02)
+    assert why_not_judged(t, ring, growing).key == "validation.grows"
     short = t < 0.3
-    assert "stands for 1.8 periods" in doubt(t[short], ring[short], found)
+    note = why_not_judged(t[short], ring[short], found)
+    assert note.key == "validation.short_stand"
+    assert note.fields["periods"] == pytest.approx(1.8, abs=0.05)
     turning = (np.exp(-2.0 * t) * np.sin(2.0 * math.pi * (3.0 * t + 4.0 * t**2)))[:, None] + noise
     other = replace(found, natural_frequency=2.0 * math.pi * 6.0, stop=1.0)
-    assert "half of the window" in doubt(t, turning, other)
+    assert why_not_judged(t, turning, other).key == "validation.halves_differ"
 
 
 def test_noise_is_told_from_motion():
@@ -207,12 +210,11 @@ def test_a_position_that_strays_is_told_though_nobody_asks():
         }
     )
     verdict = judged("slide_servo", fast, log)
-    assert any(
-        "press stroke fit is" in text and "no threshold" in text for text in verdict.warnings
-    )
-    assert any("leaves its band at" in text for text in verdict.warnings)
-    quiet = judged("slide_servo", rig, log)
-    assert not any("no threshold asks" in text for text in quiet.warnings)
+    notes = {note.key: note for note in verdict.logs[0].warnings}
+    assert notes["validation.poor_fit"].fields["channel"] == "press stroke"
+    assert "validation.residuals" in notes
+    quiet = judged("slide_servo", rig, log).logs[0].warnings
+    assert "validation.poor_fit" not in {note.key for note in quiet}
 
 
 def test_a_level_that_is_off_is_told_in_the_readers_unit():
@@ -221,10 +223,15 @@ def test_a_level_that_is_off_is_told_in_the_readers_unit():
     rig = rig.model_copy(update={"display": {"p_head": "psi"}})
     log = virtual_log("slide_servo", rig, "steps", 1)
     high = replace(log, channels=log.channels | {"press.p_head": log["press.p_head"] + 2e6})
-    (said,) = [text for text in judged("slide_servo", rig, high).warnings if "its level" in text]
-    assert said.startswith("log: press head pressure is followed to 9")
-    assert "which the model has 29" in said and "psi too low on average" in said
-    assert not any("its level" in text for text in judged("slide_servo", rig, log).warnings)
+
+    def level(log):
+        notes = judged("slide_servo", rig, log).logs[0].warnings
+        return [note.fields for note in notes if note.key == "validation.level"]
+
+    (note,) = level(high)
+    assert note["channel"] == "press head pressure" and note["shape"] > 90.0
+    assert note["off"].startswith("29") and note["off"].endswith("psi too low")
+    assert not level(log)
 
 
 def test_a_channel_that_nobody_asked_for_is_not_missed():
@@ -233,10 +240,13 @@ def test_a_channel_that_nobody_asked_for_is_not_missed():
     log = virtual_log("slide_servo", rig, "steps", 1)
     kept = {c: y for c, y in log.channels.items() if c.endswith((".v", "p_head", "command"))}
     bare = [("log", replace(log, channels=kept))]
-    missed = [text for text in validate_rig(rig, bare).warnings if "nothing to judge" in text]
-    assert missed == ["log: the log has nothing to judge 'press.p_rod' by"]
-    asked = validate_rig(rig, bare, ("q", "p_head")).warnings
-    assert any("nothing to judge 'press.q'" in text for text in asked)
+
+    def missing(*channels):
+        notes = validate_rig(rig, bare, *channels).logs[0].warnings
+        key = "validation.channel_missing"
+        return [note.fields["channel"] for note in notes if getattr(note, "key", "") == key]
+
+    assert missing() == ["press.p_rod"] and missing(("q", "p_head")) == ["press.q"]
 
 
 def test_model_of_the_stairs_is_the_rigs():

@@ -17,8 +17,9 @@ import numpy as np
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis import Case, Structure, ask, commanded
+from ehbench.diagnosis import Case, Structure, ask
 from ehbench.plant.model import Model, simulate
+from ehbench.preprocessing.observations import commanded
 from tests.virtual_logs import DRIVES, RIGS, commands_of, noisy
 
 KINDS = ("steps", "chirp")

@@ -69,7 +69,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """
     table = run.json("validation.json")
     status = "accepted" if table["accepted"] else "rejected"
-    if table["accepted"] and table.get("reserves"):
+    if table["accepted"] and table.get("reservations"):
         status = "accepted_with_reservation"
     parts = [
         Part("Verdict", _verdict(table, status)),
@@ -103,9 +103,9 @@ def _verdict(table: Table, status: str) -> list[Block]:
     blocks: list[Block] = [Text(f"The model is {words(status)}.", look_of(status))]
     if table["reasons"]:
         blocks.append(Bullets(table["reasons"]))
-    if reserves := table.get("reserves", []):
+    if reservations := table.get("reservations", []):
         blocks.append(Text("Reservations:"))
-        blocks.append(Bullets(reserves, "warn"))
+        blocks.append(Bullets(reservations, "warn"))
     if table["accepted"] and (left := left_over(table)):
         blocks.append(Bullets(left, "warn"))
     if unasked := silence(table):

@@ -1,0 +1,371 @@
+"""A model judged on logs: it runs freely from each log's initial state on the log's commands, and
+is compared with the recording channel by channel.
+
+Where a log starts, its recording says within what its first samples leave open
+(`preprocessing.initial_states.follow`). Errors are simulated minus recorded, in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ehbench.config.recipe import Thresholds
+from ehbench.config.recipe.sensor import Sensor
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.diagnosis import Case
+from ehbench.plant.build import Maps
+from ehbench.plant.model import Model
+from ehbench.plant.ties import tied_words
+from ehbench.preprocessing.initial_states import Followed, follow
+from ehbench.preprocessing.observations import (
+    OF_VALVES,
+    alternatives,
+    channels_asked,
+    column,
+    commanded,
+    payload_of,
+    stood_for,
+    supply_off,
+)
+from ehbench.preprocessing.preparation import PreparedLog, numbered, prepare
+from ehbench.runtime.cores import cores
+from ehbench.validation.checks import checks_of, unrequested
+from ehbench.validation.residuals import Pair, compare, pair_of
+from ehbench.validation.results import LogResult, Overlap, Validation
+from ehbench.validation.sweeps import sweeps_of
+from ehbench.validation.transients import transients_of, unjudged
+from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.quantities import GAUGES
+
+CHANNELS = ("q", "qd", "p_head", "p_rod")
+_KNOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES, *OF_VALVES)
+
+
+def validate_rig(
+    rig: Rig,
+    logs: Sequence[tuple[str, Record]],
+    channels: Sequence[str] = CHANNELS,
+    thresholds: Thresholds | None = None,
+    flow_maps: Maps | None = None,
+    fitted_on: Collection[str] = (),
+    progress: Progress | None = None,
+    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+) -> Validation:
+    """Judge a rig on logs.
+
+    A log that cannot be simulated is kept, marked, and rejects the model; a log in which no valve
+    is commanded, or one the model was fitted to, is shown and does not count. Payloads come from
+    each record's ``meta["payload"]``.
+
+    Args:
+        rig: with its identified numbers.
+        logs: name and record of each.
+        channels: quantities judged on every moved cylinder.
+        thresholds: what is required.
+        flow_maps: measured maps by edge name.
+        fitted_on: names of those logs that the model was fitted to.
+        progress: called with (log, share done).
+        where: file and line of a recipe's key, for the errors: `Recipe.at`.
+
+    Raises:
+        InputError: a payload or channel that the rig does not have, no logs, or one that
+            `preprocessing.prepare` refuses.
+    """
+    prepared = prepare_validation(rig, logs, channels, flow_maps, fitted_on, where)
+    return run_validation(prepared, thresholds, progress)
+
+
+@dataclass(frozen=True)
+class JudgedLog:
+    """A log to be judged.
+
+    ``fitted`` says that the model was fitted to it, ``overlap`` to which of its samples,
+    ``scored`` which part [s] counts (None: all), ``failure`` why it cannot be judged."""
+
+    log: PreparedLog
+    fitted: bool = False
+    scored: tuple[float, float] | None = None
+    overlap: tuple[Overlap, ...] = ()
+    failure: LogError | None = None
+
+    @property
+    def counted(self) -> Record:
+        """The part of the record that counts."""
+        record = self.log.record
+        if self.scored is None:
+            return record
+        start, stop = self.scored
+        return record.at((record.t >= start) & (record.t <= stop))
+
+
+@dataclass(frozen=True)
+class PreparedValidation:
+    """The input of a validation, before anything is simulated."""
+
+    rig: Rig
+    channels: tuple[str, ...]
+    logs: tuple[JudgedLog, ...]
+    flow_maps: Maps | None = None
+
+    def cases(self, results: Sequence[LogResult] = ()) -> list[Case]:
+        """The logs as `ehbench.diagnosis.ask` takes them, sensors as the results have them."""
+        sensors = {result.name: result.sensors for result in results}
+        cases = []
+        for item in self.logs:
+            log, known = item.log, sensors.get(item.log.name, {})
+            if item.failure is None:
+                bias = {t.name: t.excess(known[t.name]) for t in log.terms if t.name in known}
+                moved = commanded(log.model, log.record)
+                facts = log.name, log.record, log.model, moved, self.flow_maps, item.scored
+                cases.append(Case(*facts, log.terms, bias))
+        return cases
+
+
+def prepare_validation(
+    rig: Rig,
+    logs: Sequence[tuple[str, Record]],
+    channels: Sequence[str] = CHANNELS,
+    flow_maps: Maps | None = None,
+    fitted_on: Collection[str] = (),
+    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+    sensors: Sequence[Sensor] = (),
+) -> PreparedValidation:
+    """Prepare the logs of a validation; arguments and errors as in `validate_rig`, and ``sensors``:
+    what is known of sensors and drivers, or estimated of each log by itself.
+    """
+    models = models_of(rig, logs, channels, flow_maps, where)
+    names = numbered([name for name, _ in logs])
+    judged = tuple(
+        prepare_log(
+            name, record, models[payload_of(record) or ""], given in fitted_on, sensors=sensors
+        )
+        for name, (given, record) in zip(names, logs, strict=True)
+    )
+    return PreparedValidation(rig, tuple(channels), judged, flow_maps)
+
+
+def run_validation(
+    prepared: PreparedValidation,
+    thresholds: Thresholds | None = None,
+    progress: Progress | None = None,
+    workers: int = 0,
+) -> Validation:
+    """Judge what `prepare_validation` prepared; arguments as in `validate_rig`.
+
+    ``workers``: threads, 0 for one a core; the result does not depend on them."""
+    required = thresholds or Thresholds()
+
+    def judge(log: JudgedLog) -> LogResult:
+        return _judge(log, prepared.channels, required)
+
+    results: list[LogResult] = []
+    with ThreadPoolExecutor(max(1, min(workers or cores(), len(prepared.logs)))) as pool:
+        for result in pool.map(judge, prepared.logs):
+            results.append(result)
+            if progress is not None:
+                progress(result.name, len(results) / len(prepared.logs))
+    reasons = tuple(_reasons(results))
+    warnings = tuple(f"{log.name}: {text}" for log in results for text in log.warnings)
+    plain = required.model_dump() | {
+        "max_error": {name: float(value) for name, value in required.max_error.items()},
+        "response_phase_error": required.response_phase_error
+        and float(required.response_phase_error),
+        "response_delay_error": required.response_delay_error
+        and float(required.response_delay_error),
+    }
+    return Validation(prepared.rig.name, not reasons, reasons, warnings, plain, tuple(results))
+
+
+def prepare_log(
+    name: str,
+    record: Record,
+    model: Model,
+    fitted: bool = False,
+    scored: tuple[float, float] | None = None,
+    seen: Callable[[Record], tuple[Overlap, ...]] = lambda record: (),
+    sensors: Sequence[Sensor] = (),
+) -> JudgedLog:
+    """A log to be judged.
+
+    Args:
+        name: of the log.
+        record: of the log.
+        model: with the log's payload.
+        fitted: whether the model was fitted to it, whatever its samples.
+        scored: the part [s] that counts, None for all of it.
+        seen: where a record has samples that the model was fitted to.
+        sensors: what is known of its sensors and drivers, or estimated.
+
+    Raises:
+        InputError: one that `preprocessing.prepare` refuses, or no samples in ``scored``.
+    """
+    try:
+        log = JudgedLog(prepare(name, record, model, sensors), fitted, scored)
+    except LogError as error:
+        return JudgedLog(PreparedLog(name, record, model), fitted, scored, failure=error)
+    counted, t = log.counted, log.log.record.t
+    if counted.t.size < 3:
+        text = message("validation.nothing_scored", log=name, start=t[0], stop=t[-1])
+        raise InputError(text)
+    overlap = seen(counted)
+    return replace(log, fitted=fitted or bool(overlap), overlap=overlap)
+
+
+def models_of(
+    rig: Rig,
+    logs: Sequence[tuple[str, Record]],
+    channels: Sequence[str] = CHANNELS,
+    flow_maps: Maps | None = None,
+    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+) -> dict[str, Model]:
+    """The model for each payload of the logs, by name, '' for none; arguments and errors as in
+    `validate_rig`.
+    """
+    if not logs:
+        raise InputError(message("validation.no_logs"))
+    for index, (name, record) in enumerate(logs):
+        try:
+            rig.with_payload(payload_of(record))
+        except InputError as error:
+            text = f"{name}: {error.message}"
+            raise InputError(text, **where("data", index), hint=error.hint) from None
+    for channel in channels:
+        if channel not in _KNOWN:
+            known = ", ".join(_KNOWN)
+            raise InputError(
+                message("validation.unknown_channel", rig=rig.name, channel=channel, known=known)
+            )
+    payloads = {payload_of(record) for _, record in logs}
+    return {payload or "": Model.of(rig, flow_maps, payload) for payload in payloads}
+
+
+def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
+    """Why the model is rejected."""
+    for log in results:
+        if log.failure:
+            yield message("validation.not_simulated", log=log.name, reason=log.failure)
+    counted = [log for log in results if log.status == "held_out"]
+    for log in counted:
+        yield from (f"{log.name}: {check.sentence}" for check in log.checks if not check.passed)
+    if not any(log.checks for log in counted):
+        fitted = ", ".join(log.name for log in results if log.status == "fitted")
+        if fitted:
+            yield message("validation.all_fitted", logs=fitted)
+        else:
+            yield message("validation.no_check")
+
+
+def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -> LogResult:
+    log, counted = judged.log, judged.counted
+    record, model = log.record, log.model
+    moved = commanded(model, counted)
+    facts = LogResult(
+        name=log.name,
+        payload=payload_of(record) or "none",
+        status="fitted" if judged.fitted else "held_out" if moved else "still",
+        duration=float(np.ptp(counted.t)) if counted.t.size else 0.0,
+        sample_time=record.sample_time,
+        scored=None if judged.scored is None else (float(counted.t[0]), float(counted.t[-1])),
+        overlap=judged.overlap,
+        moved=moved,
+        held=tuple(c.name for c in model.rig.cylinder if c.name not in moved),
+    )
+    warnings = [*log.notes, *_not_counted(judged, moved)]
+    free = _wanted(record, moved, [word for word in channels if word not in tied_words(record)])
+    try:
+        if judged.failure is not None:
+            raise LogError(str(judged.failure).removeprefix(f"{log.name}: "))
+        result = _followed(log, moved, free)
+        simulated = result.replay(model)
+    except EhbenchError as error:
+        names = [name for item in _wanted(record, moved, channels) for name in alternatives(item)]
+        series = {"t": record.t} | {name: record[name] for name in names if name in record}
+        facts = replace(facts, warnings=tuple(warnings), series=series)
+        return replace(facts, status="failed", failure=str(error))
+    whole, lacking = _pairs(record, simulated, free)
+    for channel in lacking:  # of which somebody asked, by name or by a threshold
+        words = {*stood_for(channel.rpartition(".")[2])}
+        if channels != CHANNELS or words & {*required.fit_percent, *required.max_error}:
+            warnings.append(message("validation.channel_missing", channel=channel))
+    warnings += supply_off(record, simulated, model.rig)
+    keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
+    pairs = {name: pair.part(keep) for name, pair in whole.items()}
+    results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
+    warnings += [f"{item.channel}: {item.note}" for item in results if item.note]
+    rings = () if "qd" in tied_words(record) else moved
+    windows = [w for cylinder in rings for w in transients_of(counted, model, cylinder, pairs)]
+    coherence = required.response_coherence
+    sweeps = [s for name in moved for s in sweeps_of(counted, model, name, pairs, coherence)]
+    checks = checks_of(results, windows, sweeps, required, model.rig)
+    if moved and not checks:
+        warnings.append(message("validation.no_threshold"))
+    warnings += [*unjudged(rings, windows), *unrequested(results, required, model.rig, record)]
+    return replace(
+        facts,
+        channels=tuple(results),
+        transients=tuple(windows),
+        sensors={t.name: t.value(result.excess[t.name]) for t in log.terms if t.std > 0.0},
+        sweeps=tuple(sweeps),
+        checks=tuple(checks),
+        warnings=tuple(warnings),
+        series=_series(record, whole),
+    )
+
+
+def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
+    """Why a log does not count, if it does not."""
+    spans = [f"{item.start:g} … {item.stop:g} s (of {item.log})" for item in log.overlap]
+    if spans:
+        yield message("validation.samples_fitted", spans=", ".join(spans))
+    elif log.fitted:
+        yield message("validation.fitted")
+    if not moved:
+        yield message("validation.no_motion")
+
+
+def _wanted(record: Record, moved: Sequence[str], channels: Sequence[str]) -> list[str]:
+    """The channels of a log, by full name, that quantities ask for."""
+    return [
+        item for name in moved for word in channels for item in channels_asked(record, name, word)
+    ]
+
+
+def _pairs(
+    record: Record, simulated: Record, required: Sequence[str]
+) -> tuple[dict[str, Pair], list[str]]:
+    """(recorded and simulated by channel, the channels that neither the log nor a stand-in has)."""
+    pairs: dict[str, Pair] = {}
+    lacking = []
+    for channel in required:
+        for name in alternatives(channel):
+            if name not in pairs and (pair := pair_of(record, simulated, name)) is not None:
+                pairs[name] = pair
+                break
+        else:
+            lacking.append(channel)
+    return pairs, lacking
+
+
+def _followed(log: PreparedLog, moved: Sequence[str], required: Sequence[str]) -> Followed:
+    """The initial state and the sensors of a log, by the channels that are judged."""
+    record = log.record
+    options = (
+        [name for name in alternatives(channel) if column(record, name, record) is not None]
+        for channel in required
+    )
+    channels = list(dict.fromkeys(names[0] for names in options if names))
+    return follow(log.model, record, moved, channels, log.terms)
+
+
+def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:
+    series = {"t": record.t}
+    for name, pair in pairs.items():
+        series |= {name: pair.recorded, f"simulated.{name}": pair.simulated}
+    return series
