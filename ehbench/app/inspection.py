@@ -196,8 +196,8 @@ def _flowmeter(path: Path) -> Inspection:
 
 def _log(path: Path) -> Inspection:
     from ehbench.data import read
-    from ehbench.preprocessing.gaps import parts_of
-    from ehbench.preprocessing.preparation import LEAST_SAMPLES, evened
+    from ehbench.preprocessing.plausibility import LEAST_SAMPLES
+    from ehbench.preprocessing.time_base import evened, parts_of
 
     record = read(path)
     lines = [

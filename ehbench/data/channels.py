@@ -26,7 +26,8 @@ from ehbench.data.rates import (
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.record import Record
 from ehbench.signals.series import lowpass
-from ehbench.signals.timestamps import FEWEST, stamps_of
+from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
+from ehbench.signals.timestamps import timestamps_of
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
@@ -208,7 +209,7 @@ def _counted(t: np.ndarray | None, size: int, rate: float) -> np.ndarray:
     count = np.arange(size) / rate
     if t is None or not np.isfinite(t).all() or np.mean(np.diff(t) <= 0.0) > SETTINGS.repeated:
         return count
-    stamps = stamps_of(t, 1.0 / rate)
+    stamps = timestamps_of(t, 1.0 / rate)
     return count if stamps is None or not stamps.even else stamps.number / rate
 
 
@@ -216,7 +217,11 @@ def _rate_note(group: Group) -> list[str]:
     """A note where the rows of a table that a rate counts last another time than their stamps do,
     by more than these are rounded and a hundredth: rows are missing, or the rate is wrong.
     """
-    if group.stamped is None or group.t.size < FEWEST or not np.isfinite(group.stamped).all():
+    if (
+        group.stamped is None
+        or group.t.size < TIMESTAMP.fewest
+        or not np.isfinite(group.stamped).all()
+    ):
         return []
     stamped, lasts = float(np.ptp(group.stamped)), float(np.ptp(group.t))
     rounded = float(np.percentile(np.abs(np.diff(group.stamped)), 99))

@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.data.readers import SourceColumn, SourceTable
 from ehbench.data.record import Window
-from ehbench.signals.timestamps import stamps_of
+from ehbench.signals.timestamps import timestamps_of
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
@@ -222,7 +222,7 @@ def gaps(group: Group, window: Window | None) -> list[str]:
     gap, steps = SETTINGS.gap, np.diff(t) / group.period
     missing = np.where(steps > gap, np.rint(steps - 1.0), 0.0)
     if np.any(np.abs(steps - missing - 1.0) > gap - 1.0):  # late stamps, by which no step tells
-        stamps = stamps_of(t)
+        stamps = timestamps_of(t)
         missing = stamps.missing if stamps is not None and stamps.even else missing
     at = np.flatnonzero(missing)
     if not at.size:

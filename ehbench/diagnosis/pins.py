@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from ehbench.diagnosis.cases import Case
-from ehbench.preprocessing.preparation import off_pins
+from ehbench.preprocessing.plausibility import off_pins
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.units import from_si
 

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.data.record import Record
-from ehbench.preprocessing.preparation import EVEN, evened
+from ehbench.preprocessing.time_base import SETTINGS as TIME
+from ehbench.preprocessing.time_base import evened
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.terms import Z95
 
@@ -192,7 +193,7 @@ def prepare_signals(
         warnings += [f"{name}: {text}" for text in notes]
         pairs.append((record[names[0]], record[names[1]]))
         rates.append(float(f"{1.0 / record.sample_time:.9g}"))
-    if max(rates) > (1.0 + EVEN) * min(rates):
+    if max(rates) > (1.0 + TIME.even) * min(rates):
         raise InputError(
             f"the logs are sampled at {min(rates):.6g} and at {max(rates):.6g} Hz",
             hint="one response takes logs of one rate",

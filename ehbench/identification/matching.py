@@ -13,7 +13,8 @@ import numpy as np
 from ehbench.identification.results import Estimate, HydraulicsFit, Match, finish, not_excited
 from ehbench.identification.search import LEVEL, VAGUE, Coordinate
 from ehbench.identification.simulator import Log, Simulator
-from ehbench.preprocessing.observations import TOGETHER, least_change, rings_clearly
+from ehbench.preprocessing.observations import SETTINGS as OBSERVATION
+from ehbench.preprocessing.observations import least_change, rings_clearly
 from ehbench.signals.series import Ringing, ringing, ringing_like, rms, transients
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.progress import Progress
@@ -85,7 +86,7 @@ def find_windows(simulator: Simulator, tell: Progress) -> list[_Window]:
         commands = np.column_stack([log.record[name] for name in names])
         tell("thesis: looking for ringing", 0.2 * k / len(simulator.logs))
         for span in transients(log.record.t, commands, least=np.array(minimum)):
-            before = max(0, span.start - 1 - round(TOGETHER / log.record.sample_time))
+            before = max(0, span.start - 1 - round(OBSERVATION.together / log.record.sample_time))
             changed = np.abs(commands[before] - np.median(commands[span], axis=0)) > minimum
             moved = (c for c, moved in zip(cylinders, changed, strict=True) if moved)
             for cylinder in dict.fromkeys(moved):

@@ -27,7 +27,8 @@ from ehbench.preprocessing.observations import (
     least_change,
     payload_of,
 )
-from ehbench.preprocessing.preparation import LIMITED, at_limit, preprocess
+from ehbench.preprocessing.plausibility import LIMITED, at_limit
+from ehbench.preprocessing.preparation import preprocess
 from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
 from ehbench.signals.series import transients, white_noise

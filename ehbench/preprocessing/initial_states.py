@@ -25,7 +25,7 @@ from ehbench.plant.model import Model, Seen, Start, seen_of
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing.observations import column
-from ehbench.preprocessing.preparation import moving_at_first, on_at_first
+from ehbench.preprocessing.plausibility import moving_at_first, on_at_first
 from ehbench.preprocessing.sensors import Excess, Term, corrected, sensed
 from ehbench.signals.series import LEAST_LINE, autocorrelation, correlation_time, rms
 from ehbench.vocabulary.errors import SimulationError

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,10 +13,10 @@ from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import supplied
 from ehbench.signals.series import lowpass, rms, white_noise
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.quantities import GAUGES, quantity
-from ehbench.vocabulary.units import from_si
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.quantities import GAUGES
+from ehbench.vocabulary.settings import setting
 
-RATE_CUTOFF = 20.0  # [Hz] of the low-pass before a rate is taken from a position
 # what stands in for a channel that a log lacks, and moves with it
 STAND_INS = {
     "q": ("x",),
@@ -27,11 +28,33 @@ STAND_INS = {
 }
 OF_VALVES = ("opening",)  # quantities that a cylinder has of each of its valves
 _RATE_OF = {"qd": "q", "v": "x"}
-TOGETHER = 0.02  # [s]: commands that change within this before a transient have begun it with it
-EMPTY = 0.01  # share of an accumulator's precharge below which its line has no gas
-SUPPLY_OFF = 0.03  # share of the supply's pressure by which it may be off the model's, rms
-# ringing of fewer cycles, or better damped, is told by drift as well as by oscillation
-CLEAR_CYCLES, CLEAR_DAMPING = 1.5, 0.35
+
+
+@dataclass(frozen=True)
+class ObservationSettings:
+    """Numbers of what a log shows of a cylinder."""
+
+    rate_cutoff: float = setting(
+        20.0, "Hz", "low-pass before a rate is taken from a position", "above swings of a load"
+    )
+    together: float = setting(
+        0.02, "s", "commands that change within it begin one transient", "a few samples"
+    )
+    empty: float = setting(
+        0.01, "", "share of the precharge below which a line has no gas", "gauges"
+    )
+    supply_off: float = setting(
+        0.03, "", "share by which the supply's pressure may be off the model's, rms", "gauges"
+    )
+    clear_cycles: float = setting(
+        1.5, "", "least cycles of a clear ringing", "fewer may be a drift"
+    )
+    clear_damping: float = setting(
+        0.35, "", "largest damping ratio of a clear ringing", "more may be a drift"
+    )
+
+
+SETTINGS = ObservationSettings()
 
 
 def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
@@ -43,7 +66,7 @@ def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
     position = position_of(channel)
     if position == channel or position not in like:
         return None
-    smooth = lowpass(record[position], record.sample_time, RATE_CUTOFF)
+    smooth = lowpass(record[position], record.sample_time, SETTINGS.rate_cutoff)
     return np.gradient(smooth, record.sample_time)
 
 
@@ -110,64 +133,56 @@ def payload_of(record: Record) -> str | None:
     Raises:
         InputError: it changed on the way.
     """
-    (_, message), *changes = payloads_of(record)
+    (_, payload), *changes = payloads_of(record)
     if changes:
-        at, name = changes[0]
+        time, after = changes[0]
+        before, after = payload or "none", after or "none"
         raise InputError(
-            f"the payload changes from {message or 'none'} to {name or 'none'} at t = {at:g} s",
-            hint="take a window of the log with one payload",
+            message("preprocessing.payload_changes", before=before, after=after, time=time)
         )
-    return message
+    return payload
 
 
-def supply_off(record: Record, simulated: Record, rig: Rig) -> list[str]:
-    """Sentences where the recorded supply pressure is not the model's, so that its supply is
-    another than the machine's, and where the accumulator runs empty; none where neither is so, or
-    known.
+def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
+    """Notes where the accumulator runs empty, and where the recorded supply pressure is not the
+    model's, so that its supply is another than the machine's.
     """
     if supplied(record):
         return []
-    empty = _empty(record, simulated, rig)
+    notes = list(_empty(record, simulated, rig))
     if "p_supply" not in record:
-        return empty
+        return notes
     off = simulated["p_supply"] - record["p_supply"]
-    far, noise = float(off[np.argmax(np.abs(off))]), white_noise(record["p_supply"])
-    if rms(off) < max(SUPPLY_OFF * float(np.median(record["p_supply"])), 3.0 * noise):
-        return empty
-    row, unit = quantity("p_supply"), rig.unit_of("p_supply")
-    shown = f"{abs(from_si(far, unit, row)):.3g} {unit}"
-    when = f"{record.t[int(np.argmax(np.abs(off)))]:.4g} s"
-    way = "below" if far > 0.0 else "above"
-    return [
-        *empty,
-        f"p_supply is up to {shown} {way} the model's (at t = {when}), whose supply is not the "
-        "machine's: supply = \"recorded\" in the recipe drives the model by the log's, or estimate "
-        "the supply's parameters",
-    ]
+    worst, noise = int(np.argmax(np.abs(off))), white_noise(record["p_supply"])
+    limit = SETTINGS.supply_off * float(np.median(record["p_supply"]))
+    if rms(off) >= max(limit, 3.0 * noise):
+        far, time = float(off[worst]), f"{record.t[worst]:.4g} s"
+        shown, way = rig.shown("p_supply", abs(far), 3), "below" if far > 0.0 else "above"
+        notes.append(message("preprocessing.supply_off", off=shown, way=way, time=time))
+    return notes
 
 
-def _empty(record: Record, simulated: Record, rig: Rig) -> list[str]:
-    """A sentence where the supply falls below its accumulator's precharge, by the recording where
-    it tells, else by the model: without gas on the line a little oil moves its pressure by a lot.
+def _empty(record: Record, simulated: Record, rig: Rig) -> Iterator[Message]:
+    """A note where the supply falls below its accumulator's precharge, by the recording where it
+    has the pressure, else by the model.
     """
     accumulator = rig.supply.accumulator
     if accumulator is None:
-        return []
+        return
     seen = "p_supply" in record
     pressure = record["p_supply"] if seen else simulated["p_supply"]
     precharge = float(accumulator.precharge)
-    low = pressure < precharge - EMPTY * abs(precharge) - 4.0 * white_noise(pressure) * seen
-    if not low.any():
-        return []
-    when = f"{record.t[int(np.argmax(low))]:.4g} s"
-    cure = 'supply = "recorded" for this log' if seen else "record p_supply"
-    return [
-        f"the accumulator runs empty at t = {when}: p_supply falls below its precharge, "
-        f"{rig.shown('precharge', precharge)}, where a little oil more or less moves it by a lot, "
-        f"and numbers make up for that; {cure}, or stop before"
-    ]
+    low = precharge - SETTINGS.empty * abs(precharge) - 4.0 * white_noise(pressure) * seen
+    below = pressure < low
+    if below.any():
+        time = f"{record.t[int(np.argmax(below))]:.4g} s"
+        fields = {"time": time, "precharge": rig.shown("precharge", precharge)}
+        if seen:
+            yield message("preprocessing.empty_recorded", **fields)
+        else:
+            yield message("preprocessing.empty_simulated", **fields)
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:
-    """Whether an oscillation lasts long enough for its frequency to be told from drift."""
-    return cycles >= CLEAR_CYCLES and damping_ratio <= CLEAR_DAMPING
+    """Whether an oscillation lasts long enough for its frequency to be distinguished from drift."""
+    return cycles >= SETTINGS.clear_cycles and damping_ratio <= SETTINGS.clear_damping

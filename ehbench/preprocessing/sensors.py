@@ -19,6 +19,7 @@ from ehbench.data.record import Record
 from ehbench.plant.ties import tied_words
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import like_channel
 
 ATMOSPHERE = 101_325.0  # [Pa]
@@ -81,10 +82,8 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
     channels = dict(record.channels)
     for sensor in sensors:
         if sensor.channel not in channels:
-            raise InputError(
-                f"{name}: [[sensor]] names '{sensor.channel}', which the log does not have",
-                hint=like_channel(sensor.channel, list(channels)),
-            )
+            text = message("preprocessing.unknown_sensor", log=name, channel=sensor.channel)
+            raise InputError(text, hint=like_channel(sensor.channel, list(channels)))
         scale = sensor.sign * _fixed(sensor, "scale", 1.0)
         channels[sensor.channel] = (channels[sensor.channel] - _level(sensor)) / scale
     return replace(record, channels=channels) if sensors else record
@@ -121,10 +120,7 @@ def _refuse_tied(channel: str, word: str, records: Sequence[Record]) -> None:
     """Refuse a late sensor of a motion that is given: what comes too late cannot be given."""
     late, position = word in ("lag", "delay"), channel.rpartition(".")[2] in ("q", "x")
     if late and position and any("qd" in tied_words(record) for record in records):
-        raise InputError(
-            f"[[sensor]] gives '{channel}' a {word}, and the simulation is tied to its motion",
-            hint='tied = "position" bears a late sensor',
-        )
+        raise InputError(message("preprocessing.late_motion", channel=channel, word=word))
 
 
 def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:

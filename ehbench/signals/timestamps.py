@@ -1,28 +1,41 @@
-"""Time stamps that jitter about an even rate: which rows are missing, and which are merely early or
+"""Timestamps that jitter about an even rate: which rows are missing, and which are merely early or
 late.
 
-A bus or a busy computer stamps a sample when it gets to it. One step between two stamps then tells
-little: a late stamp makes the step before it long and the next one short, a missing row makes it
-long for good. But all stamps lie about the beats of one clock, however many of these are missing.
-So the clock is told first, by the circular mean of the stamps over its period, block by block, and
-each row gets the beat next to its stamp."""
+A bus or a busy computer stamps a sample when it gets to it. A late stamp makes the step before it
+long and the next one short, a missing row makes it long for good. But all stamps lie about the
+beats of one clock, however many of these are missing. So the clock is estimated first, by the
+circular mean of the stamps over its period, block by block, and each row gets the beat next to its
+stamp."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-EARLY = 0.25  # rms share of the sample time by which stamps may be off an even rate …
-MOST = 1.0  # … and at most
-FEWEST = 20  # stamps that tell a rate
-_SPAN = 20  # rows over which steps tell a first guess of the rate, which jitter blurs the less
-_BLOCK = 50  # rows that tell where the clock's beats lie
-_TURNS = 2  # the second with the rate that the first has found
+from ehbench.vocabulary.settings import setting
 
 
-class Stamps(NamedTuple):
-    """What time stamps tell of an even rate.
+@dataclass(frozen=True)
+class TimestampSettings:
+    """Numbers of timestamps that jitter."""
+
+    rms: float = setting(
+        0.25, "", "share of the sample time by which stamps may be off, rms", "below a half"
+    )
+    largest: float = setting(1.0, "", "the same at most", "a row")
+    fewest: int = setting(20, "", "timestamps that show a rate", "jitter averages out")
+    block: int = setting(
+        50, "", "rows that show where the clock's beats lie", "jitter averages out"
+    )
+
+
+SETTINGS = TimestampSettings()
+
+
+class Timestamps(NamedTuple):
+    """An even rate of timestamps.
 
     Attributes:
         period: [s] of the rate.
@@ -36,36 +49,39 @@ class Stamps(NamedTuple):
 
     @property
     def missing(self) -> np.ndarray:
-        """Rows that are missing behind each but the last; shape (rows − 1,)."""
+        """Rows that are missing after each but the last; shape (rows − 1,)."""
         return np.diff(self.number) - 1
 
     @property
     def even(self) -> bool:
         """Whether the stamps are those of an even rate, early or late by less than a row."""
         rms = float(np.sqrt(np.mean(self.off**2)))
-        return rms <= EARLY * self.period and float(np.abs(self.off).max()) <= MOST * self.period
+        return (
+            rms <= SETTINGS.rms * self.period
+            and float(np.abs(self.off).max()) <= SETTINGS.largest * self.period
+        )
 
 
-def stamps_of(t: np.ndarray, period: float | None = None) -> Stamps | None:
-    """The rows of time stamps on an even rate; none where they are too few to tell one.
+def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | None:
+    """The rows of timestamps on an even rate; none where they are too few to show one.
 
     Args:
         t: [s] increasing, shape (rows,).
         period: [s] of the rate, where it is known.
     """
-    if t.size < FEWEST:
+    fewest = SETTINGS.fewest
+    if t.size < fewest:
         return None
-    spans = t[_SPAN - 1 :] - t[: 1 - _SPAN]
-    message = float(np.median(spans)) / (_SPAN - 1) if period is None else period
-    if not message > 0.0:
+    spans = t[fewest - 1 :] - t[: 1 - fewest]
+    tick = float(np.median(spans)) / (fewest - 1) if period is None else period
+    if not tick > 0.0:
         return None
-    number = _beats(t, message)
-    for _ in range(_TURNS - 1):
-        if period is None:
-            message = float(np.polyfit(number - number[0], t - t[0], 1)[0])
-        number = _beats(t, message)
-    off = t - message * number
-    return Stamps(message, number, off - off.mean())
+    number = _beats(t, tick)
+    if period is None:
+        tick = float(np.polyfit(number - number[0], t - t[0], 1)[0])
+    number = _beats(t, tick)
+    off = t - tick * number
+    return Timestamps(tick, number, off - off.mean())
 
 
 def _beats(t: np.ndarray, period: float) -> np.ndarray:
@@ -73,7 +89,7 @@ def _beats(t: np.ndarray, period: float) -> np.ndarray:
     several stamps at one beat the last keeps it, and those before are late ones of earlier beats.
     """
     cycles = (t - t[0]) / period
-    blocks = np.array_split(np.arange(t.size), max(1, t.size // _BLOCK))
+    blocks = np.array_split(np.arange(t.size), max(1, t.size // SETTINGS.block))
     turned = np.exp(2j * np.pi * cycles)
     phases = np.unwrap([np.angle(turned[block].sum()) for block in blocks]) / (2.0 * np.pi)
     centres = [cycles[block].mean() for block in blocks]

@@ -214,8 +214,8 @@ class Inputs:
         import numpy as np
 
         from ehbench.data import read
-        from ehbench.preprocessing.gaps import parts_of
         from ehbench.preprocessing.preparation import distinct_names
+        from ehbench.preprocessing.time_base import parts_of
 
         items, places, entries = [], [], []
         for index, item in enumerate(data):

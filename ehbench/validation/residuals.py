@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import column, noise_of
-from ehbench.preprocessing.preparation import LIMITED, at_limit
+from ehbench.preprocessing.plausibility import LIMITED, at_limit
 from ehbench.signals import series
 from ehbench.validation.results import ChannelResult, Correlation
 from ehbench.vocabulary.messages import message

@@ -13,7 +13,8 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
-from ehbench.preprocessing.observations import TOGETHER, least_change
+from ehbench.preprocessing.observations import SETTINGS as OBSERVATION
+from ehbench.preprocessing.observations import least_change
 from ehbench.signals import series
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
@@ -58,7 +59,7 @@ def transients_of(
     ]
     results = []
     for window in series.transients(record.t, given):
-        before = max(0, window.start - 1 - round(TOGETHER / record.sample_time))
+        before = max(0, window.start - 1 - round(OBSERVATION.together / record.sample_time))
         if not seen or not np.any(own[window.start] != own[before : window.start]):
             continue
         t = record.t[window]

@@ -18,7 +18,9 @@ from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing.preparation import distinct_names, evened, outside_stroke, preprocess
+from ehbench.preprocessing.plausibility import outside_stroke
+from ehbench.preprocessing.preparation import distinct_names, preprocess
+from ehbench.preprocessing.time_base import evened
 from ehbench.validation import validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 
@@ -235,7 +237,7 @@ def test_logs_of_one_name_take_their_folder():
         ),
         (
             {"p_head": 0.1, "p_rod": 0.1},
-            r"at rest lift.p_head holds .*, while the load .* asks for .*is the unit right",
+            r"at rest lift.p_head holds .*, while the load .* requires .*is the unit right",
         ),
         ({"p_head": 0.01, "p_rod": 0.01}, r"is the unit right"),
     ],
@@ -410,10 +412,10 @@ def test_check_names_a_gap(tmp_path):
         ),
     )
     found = inspection.check(tmp_path / "gap.mcap")
-    assert found.code == 3 and any("9 ms pass after t = 0.699 s" in line for line in found.lines)
+    assert found.code == 3 and any("9 ms after t = 0.699 s" in line for line in found.lines)
 
 
-@pytest.mark.parametrize(("count", "says"), [(1, "has only 1 sample "), (2, "has only 2 samples ")])
+@pytest.mark.parametrize(("count", "says"), [(1, "has only 1 samples"), (2, "has only 2 samples")])
 def test_too_few_samples_are_counted(count, says):
     short = replace(
         crane(), t=crane().t[:count], channels={n: v[:count] for n, v in crane().channels.items()}

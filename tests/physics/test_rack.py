@@ -15,7 +15,7 @@ from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.ledger import ledger_of_model
 from ehbench.physics.cylinder import RACK, joint_angle, joint_range, linkage
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing.preparation import off_pins
+from ehbench.preprocessing.plausibility import off_pins
 from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

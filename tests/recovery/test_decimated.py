@@ -21,7 +21,7 @@ from ehbench.identification.means import SHARE, fastest
 from ehbench.identification.simulator import seen_as
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
-from ehbench.preprocessing.gaps import parts_of
+from ehbench.preprocessing.time_base import parts_of
 from ehbench.vocabulary.errors import InputError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

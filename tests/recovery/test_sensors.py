@@ -168,8 +168,9 @@ def test_stroke_and_angle_that_disagree_with_the_pins_are_noted():
     log = replace(made, channels=kept)
     assert not any("pins" in text for text in preprocess("log", log, model)[1])
     away = replace(log, channels=kept | {"lift.x": kept["lift.x"] + 0.0118})
-    (told,) = (text for text in preprocess("log", away, model)[1] if "pins" in text)
-    assert told.startswith("lift.x is 11.8 mm above what lift.q and the pins make it")
+    (note,) = (text for text in preprocess("log", away, model)[1] if "pins" in text)
+    assert note.key == "preprocessing.off_pins"
+    assert (note.fields["off"], note.fields["way"]) == ("11.8 mm", "above")
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from ehbench.preprocessing.initial_states import (
     mean_error,
     start_of_log,
 )
-from ehbench.preprocessing.preparation import moving_at_first
+from ehbench.preprocessing.plausibility import moving_at_first
 from ehbench.signals.series import first_of, fit_percent, rms
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"

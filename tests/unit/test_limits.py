@@ -12,7 +12,7 @@ from ehbench.config.recipe import load_rig
 from ehbench.data import read
 from ehbench.identification.simulator import prepare
 from ehbench.plant.model import Model
-from ehbench.preprocessing.preparation import at_limit
+from ehbench.preprocessing.plausibility import at_limit
 from ehbench.validation.residuals import pair_of
 
 ROOT = Path(__file__).parents[2]

@@ -21,7 +21,7 @@ from ehbench.data import read
 from ehbench.data.channels import FROM_1970
 from ehbench.data.flowmeter import alike, read_flowmeter
 from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source, reader_of
-from ehbench.preprocessing.preparation import outside_stroke
+from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 

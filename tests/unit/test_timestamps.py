@@ -10,9 +10,8 @@ import pytest
 from ehbench.config.recipe import load_columns
 from ehbench.data import read
 from ehbench.data.record import Record
-from ehbench.preprocessing.gaps import parts_of
-from ehbench.preprocessing.preparation import evened
-from ehbench.signals.timestamps import stamps_of
+from ehbench.preprocessing.time_base import evened, parts_of
+from ehbench.signals.timestamps import timestamps_of
 from ehbench.vocabulary.errors import LogError
 
 PERIOD = 0.01
@@ -36,7 +35,7 @@ def test_rows_get_the_beats_that_they_were_taken_at(kind, epoch):
     keep[[200, 201, 640, 644, *range(900, 960)]] = False
     by = late(rng, kind)
     by[[i + d for i in (200, 201, 640, 644, 900, 959) for d in (-2, -1, 1, 2)]] = 0.0
-    stamps = stamps_of(epoch + (1.00002 * PERIOD * ROWS + by)[keep])
+    stamps = timestamps_of(epoch + (1.00002 * PERIOD * ROWS + by)[keep])
     assert stamps is not None and stamps.even
     np.testing.assert_array_equal(stamps.number, ROWS[keep])
     assert stamps.period == pytest.approx(1.00002 * PERIOD, rel=3e-5)
@@ -45,9 +44,9 @@ def test_rows_get_the_beats_that_they_were_taken_at(kind, epoch):
 
 def test_no_even_rate_is_seen_where_there_is_none():
     rng = np.random.default_rng(6)
-    stamps = stamps_of(np.cumsum(rng.uniform(0.002, 0.02, 800)))
+    stamps = timestamps_of(np.cumsum(rng.uniform(0.002, 0.02, 800)))
     assert stamps is not None and not stamps.even
-    assert stamps_of(np.arange(10) * PERIOD) is None
+    assert timestamps_of(np.arange(10) * PERIOD) is None
 
 
 def recording(by: np.ndarray, keep: np.ndarray) -> Record:
@@ -65,9 +64,10 @@ def test_a_log_of_late_stamps_is_cut_where_rows_are_missing_alone():
     by[295:306] = by[695:716] = 0.0
     parts, said = parts_of("log", recording(by, keep))
     assert [part.name for part in parts] == ["log_part1", "log_part2"]
-    assert "after t = 2.99 s (1): bridged" in said[0] and "(12): the log is cut" in said[1]
+    assert said[0].fields["gaps"].endswith("after t = 2.99 s (1)")
+    assert said[1].key == "preprocessing.cut" and said[1].fields["gaps"].endswith("(12)")
     whole, notes = evened("log", parts[1].record)
-    assert "ms late of an even 100 Hz" in notes[0] and 'rate = "100 Hz"' in notes[0]
+    assert notes[0].key == "preprocessing.jitter" and notes[0].fields["rate"] == "100 Hz"
     assert np.ptp(np.diff(whole.t)) < 1e-9 and whole.t.size == 788
     np.testing.assert_allclose(whole["press.x"], np.sin(2.0 * whole.t), atol=2e-4)
     command = "press.servo.command"

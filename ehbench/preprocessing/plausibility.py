@@ -1,0 +1,590 @@
+"""What a log can be: checks of names, units, signs and sensors against a rig.
+
+What cannot be right raises an error; the rest are notes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+
+from ehbench.config.rig import Cylinder, Rig
+from ehbench.data.record import Record
+from ehbench.parts.cylinder import joint_of, linkage_arrays
+from ehbench.plant.model import Model
+from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
+from ehbench.signals.series import white_noise
+from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.quantities import GAUGES, VOCABULARY
+from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.units import factor, from_si
+
+LEAST_SAMPLES = 3
+LIMITED = ("Pa", "N")  # units of channels whose sensors may stand at the end of their range
+_MIXED = ("Pa", "kPa", "psi", "bar", "MPa")
+
+
+@dataclass(frozen=True)
+class PlausibilitySettings:
+    """Numbers by which a log is refused, or noted as odd."""
+
+    coarse: float = setting(0.05, "s", "largest sample time", "no rig is logged slower")
+    fine: float = setting(1.0e-5, "s", "least sample time", "no rig is logged faster")
+    periods: float = setting(
+        5.0, "", "largest sample time in periods of a valve", "it shows nothing of the valve"
+    )
+    apart: float = setting(
+        5.0, "", "factor between pressures beyond which the unit is wrong", "units differ by 7"
+    )
+    far_apart: float = setting(
+        50.0, "", "the same where only the supply is known", "chambers may stand far below it"
+    )
+    loaded: float = setting(
+        0.03, "", "share of the supply's force from which a load shows in pressures", "friction"
+    )
+    overshoot: float = setting(
+        0.01, "", "share of a driver's range that a command may lie outside of it", "converters"
+    )
+    still: float = setting(1.0e-4, "", "share of the stroke that is a standstill", "encoders")
+    pushed: float = setting(0.1, "", "share of the supply by which pressures push", "friction")
+    on: float = setting(0.01, "", "share of a command's range from which it is on", "its noise")
+    travel: float = setting(0.02, "", "share of the stroke that is surely a motion", "sensors")
+    first: float = setting(0.02, "s", "span of the first samples that show a speed", "short")
+    off_pins: float = setting(
+        0.005, "", "share of the stroke by which stroke and angle may disagree", "assembly"
+    )
+    noises: float = setting(6.0, "", "the same in standard deviations of noise", "never by chance")
+    worth: float = setting(
+        0.1, "", "share of a pressure's spread that a position's noise may be worth", "10 %"
+    )
+    ongoing: float = setting(
+        0.1, "", "share of the largest speed above which a log begins in motion", "else it creeps"
+    )
+    against: float = setting(
+        -0.5, "", "correlation below which a sign is turned", "friction leaves more"
+    )
+    limit_run: int = setting(4, "", "equal readings in a row at a sensor's limit", "none by chance")
+    limit_share: float = setting(
+        2.0, "", "the same in longest runs of any other value", "coarse counts"
+    )
+    limit_rise: int = setting(2, "", "samples within which a limit is reached", "else it settles")
+    limit_steps: float = setting(5.0, "", "least steps over which it is reached", "else it settles")
+
+
+SETTINGS = PlausibilitySettings()
+
+
+def replay_notes(name: str, record: Record, model: Model) -> Iterator[Message]:
+    """Notes on a log whose measured inputs are replayed.
+
+    Raises:
+        InputError: it has no position to replay, or not all that a given motion needs.
+    """
+    words, rig = tied_words(record), model.rig
+    if supplied(record):
+        yield message("preprocessing.supply_replayed")
+    if not words:
+        return
+    seen = {c.name: position_channel(record, c.name) for c in rig.cylinder}
+    tied = record.meta[TIED]
+    if not any(seen.values()):
+        cylinder = rig.cylinder[0].name
+        raise InputError(
+            message("preprocessing.no_position", log=name, tied=tied, cylinder=cylinder)
+        )
+    joints = {c.joint for c in rig.cylinder if seen[c.name]}
+    lacking = ", ".join(joint for joint in model.layout.joints if joint not in joints)
+    if "qd" in words and lacking:
+        raise InputError(
+            message("preprocessing.motion_unknown", log=name, tied=tied, joints=lacking)
+        )
+    channels = ", ".join(filter(None, seen.values()))
+    if "qd" not in words:
+        yield message("preprocessing.position_replayed", channels=channels)
+        return
+    yield message("preprocessing.motion_replayed", channels=channels)
+    yield from _coarse(record, model)
+
+
+def _coarse(record: Record, model: Model) -> Iterator[Message]:
+    """Warnings of positions whose noise, given as motion, is worth much pressure."""
+    for index, row in enumerate(model.plant.cylinders):
+        cylinder = model.layout.cylinders[index]
+        channel = position_channel(record, cylinder)
+        noise = white_noise(record[channel]) if channel else 0.0
+        x = 0.5 * float(row.stroke)
+        lever = linkage_arrays(row, np.array([joint_of(row, x)]))[1][0]
+        noise *= 1.0 if channel == f"{cylinder}.x" else abs(float(lever))
+        for side, area, volume in (
+            ("head", row.area_head, row.volume_head + row.area_head * x),
+            ("rod", row.area_rod, row.volume_rod + row.area_rod * (row.stroke - x)),
+        ):
+            pressure = f"{cylinder}.p_{side}"
+            spread = float(np.std(record[pressure])) if pressure in record else 0.0
+            worth = float(row.bulk_modulus * area / volume) * noise
+            if worth > SETTINGS.worth * spread > 0.0:
+                shown, share = _shown(model.rig, worth), worth / spread
+                fields = {"position": channel, "noise": shown, "pressure": pressure}
+                yield message("preprocessing.position_noise", share=share, **fields)
+
+
+def foreign_channels(name: str, record: Record, rig: Rig) -> list[Message]:
+    """Notes on channels that belong to nothing on the rig; refuses a log of which no cylinder
+    has any.
+    """
+    cylinders = {c.name for c in rig.cylinder}
+    valves = {f"{c.name}.{v.name}" for c, v in rig.valves()}
+    known = cylinders | set(rig.joint_names) | valves | set(rig.all_edges())
+    odd: dict[str, list[str]] = {}
+    for channel in record.channels:
+        head = channel.rpartition(".")[0]
+        if head and head not in known:
+            owner = head.partition(".")[0]
+            odd.setdefault(head if owner in cylinders else owner, []).append(channel)
+    notes = []
+    for owner, channels in odd.items():
+        valve = all(channel.endswith(".command") for channel in channels)
+        what = "a valve" if valve else "a cylinder"
+        some = ", ".join(f"'{channel}'" for channel in channels[:3]) + ", …" * (len(channels) > 3)
+        near = get_close_matches(owner, valves if "." in owner else cylinders, 1)
+        fields = {"channels": some, "what": what, "rig": rig.name}
+        if near:
+            notes.append(message("preprocessing.foreign_near", near=near[0], **fields))
+        else:
+            notes.append(message("preprocessing.foreign", **fields))
+    if not any(channel.partition(".")[0] in cylinders for channel in record.channels):
+        there = {"cylinders": ", ".join(c.name for c in rig.cylinder)}
+        there |= {"channels": ", ".join(record.channels), "notes": "; ".join(notes)}
+        raise InputError(message("preprocessing.all_foreign", log=name, rig=rig.name, **there))
+    return notes
+
+
+def refuse_sample_time(name: str, record: Record, rig: Rig) -> None:
+    """Refuse a time that can only be in another unit than it says."""
+    tick = record.sample_time
+    used = {item for _, valve in rig.valves() for item in valve.series}
+    periods = [rig.dynamics[item].period() for item in used]
+    maximum = min([SETTINGS.coarse, *(SETTINGS.periods * period for period in periods)])
+    if tick > maximum:
+        most = 1e3 * maximum
+        raise InputError(message("preprocessing.too_coarse", log=name, step=tick, most=most))
+    if tick < SETTINGS.fine:
+        span = np.ptp(record.t)
+        raise InputError(message("preprocessing.too_fine", log=name, step=tick, span=span))
+
+
+def refuse_commands(name: str, record: Record, rig: Rig) -> None:
+    """Refuse commands that no driver of the rig takes."""
+    for cylinder, valve in rig.valves():
+        channel = f"{cylinder.name}.{valve.name}.command"
+        if channel not in record:
+            continue
+        low, high = float(valve.command_min), float(valve.command_max)
+        slack = SETTINGS.overshoot * (high - low)
+        out = np.flatnonzero((record[channel] < low - slack) | (record[channel] > high + slack))
+        if out.size:
+            first = {"command": record[channel][out[0]], "time": record.t[out[0]]}
+            fields = {"channel": channel, "low": low, "high": high, **first}
+            raise InputError(message("preprocessing.outside_driver", log=name, **fields))
+
+
+def _shown(rig: Rig, pressure: float) -> str:
+    unit = rig.unit_of("p_head")
+    return f"{from_si(pressure, unit, VOCABULARY['p_head']):.3g} {unit}"
+
+
+def _unit_mistake(ratio: float) -> str:
+    """The mistake of units that makes a pressure ``ratio`` times as large as it should be; '' for
+    none.
+    """
+    pairs = [
+        (abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b)
+        for a in _MIXED
+        for b in _MIXED
+        if a != b
+    ]
+    miss, a, b = min(pairs)
+    return f" it looks like {b} labelled {a}" if miss < math.log(1.3) else ""
+
+
+def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: bool) -> None:
+    """Refuse pressures that neither the supply nor the load can have made."""
+    rig, plant, names = model.rig, model.plant, model.layout
+    supply = float(plant.supply.pressure)
+    if "p_supply" in record:
+        seen = float(np.percentile(record["p_supply"], 90))
+        minimum = float(plant.supply.margin) or supply  # which a load-sensing pump may stand at
+        if not minimum / SETTINGS.apart <= seen <= supply * SETTINGS.apart:
+            fields = {"seen": _shown(rig, seen), "supply": _shown(rig, supply)}
+            like = _unit_mistake(max(seen, 1.0) / supply)
+            raise InputError(
+                message(
+                    "preprocessing.supply_pressure", log=name, rig=rig.name, like=like, **fields
+                )
+            )
+    try:
+        start = model.start_of(record, rest)
+    except EhbenchError:
+        return  # a posture outside the stroke: the simulation says so
+    for index, cylinder in enumerate(rig.cylinder):
+        ends = {"p_head": f"{cylinder.name}.p_head", "p_rod": f"{cylinder.name}.p_rod"}
+        seen = {word: record[channel] for word, channel in ends.items() if channel in record}
+        if not seen:
+            continue
+        areas = dict(zip(ends, cylinder.areas(), strict=True))
+        force = (
+            start[names.state("p_head", index)] * areas["p_head"]
+            - start[names.state("p_rod", index)] * areas["p_rod"]
+        )
+        carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
+        need = abs(force) / areas[carrying]
+        peak = _peak(name, rig, cylinder, seen, supply, need)
+        if len(seen) == 2 and peak < supply / SETTINGS.far_apart and _fed(cylinder, record):
+            fields = {"supply": _shown(rig, supply), "peak": _shown(rig, peak)}
+            raise InputError(
+                message("preprocessing.low_pressures", log=name, cylinder=cylinder.name, **fields)
+            )
+        light = need < SETTINGS.loaded * supply
+        if not still or carrying not in seen or light or _at_end(record, cylinder, rest):
+            continue
+        back = 0.0
+        if other in seen:
+            back = float(np.mean(seen[other][:rest])) * areas[other] / areas[carrying]
+        fixed = float(np.mean(seen[carrying][:rest])) - back
+        # dry friction may hold a light load without oil, but not keep the pressures down in motion
+        if (fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart) or (
+            other in seen and fixed > need * SETTINGS.apart
+        ):
+            fields = {"channel": f"{cylinder.name}.{carrying}", "load": _shown(rig, need)}
+            fields |= {"fixed": _shown(rig, fixed), "rig": rig.name}
+            raise InputError(message("preprocessing.load_pressure", log=name, **fields))
+
+
+def _peak(
+    name: str,
+    rig: Rig,
+    cylinder: Cylinder,
+    seen: Mapping[str, np.ndarray],
+    supply: float,
+    need: float,
+) -> float:
+    """The largest pressure seen in a cylinder [Pa]; refuses one that nothing can have made.
+
+    Args:
+        supply: its pressure [Pa].
+        need: pressure [Pa] that carries the load.
+    """
+    relief = 0.0 if cylinder.relief_pressure is None else float(cylinder.relief_pressure)
+    peaks = {word: float(np.percentile(values, 99)) for word, values in seen.items()}
+    for word, peak in peaks.items():
+        if peak > SETTINGS.apart * max(supply, relief, need):
+            fields = {"channel": f"{cylinder.name}.{word}", "peak": _shown(rig, peak)}
+            fields |= {"supply": _shown(rig, supply), "rig": rig.name}
+            raise InputError(message("preprocessing.high_pressure", log=name, **fields))
+    return max(peaks.values())
+
+
+def _fed(cylinder: Cylinder, record: Record) -> bool:
+    """Whether a recorded command opens an edge from the supply."""
+    return any(
+        (command := f"{cylinder.name}.{valve.name}.command") in record
+        and bool(np.any(edge.sign * record[command] > edge.onset))
+        for valve in cylinder.valve
+        for edge in valve.edge
+        if edge.from_ == "supply"
+    )
+
+
+def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
+    """Whether the recorded stroke begins at an end stop, which carries what the oil does not."""
+    channel = f"{cylinder.name}.x"
+    if channel not in record:
+        return False
+    x = float(np.mean(record[channel][:rest]))
+    return not SETTINGS.travel < x / float(cylinder.stroke) < 1.0 - SETTINGS.travel
+
+
+def _span(cylinder: Cylinder, word: str) -> float:
+    """A full stroke [m], or an angle [rad] of the size that a stroke makes."""
+    return 1.0 if word in ("q", "qd") and cylinder.linkage is not None else float(cylinder.stroke)
+
+
+def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
+    """What is odd about single channels, and about pairs of them."""
+    rig = model.rig
+    yield from _stuck(record, rig)
+    yield from _limited(record, rig)
+    yield from _off_pins(record, model)
+    yield from _gauges_against(record, rig)
+    yield from _backwards(record, rig)
+    yield from outside_stroke(record, rig)
+
+
+def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on recorded strokes most of which lie outside of what their cylinders have: they
+    count the other way, or from another zero.
+    """
+    unit, slack = rig.unit_of("x"), SETTINGS.travel
+    for cylinder in rig.cylinder:
+        channel, stroke = f"{cylinder.name}.x", float(cylinder.stroke)
+        if channel not in record:
+            continue
+        low, middle, high = np.percentile(record[channel], (0.0, 50.0, 100.0))
+        if -slack * stroke <= middle <= (1.0 + slack) * stroke:
+            continue
+        ends = (from_si(float(end), unit, VOCABULARY["x"]) for end in (low, high, stroke))
+        first, last, largest = (f"{end:.4g}" for end in ends)
+        fields = {"channel": channel, "low": first, "high": last, "stroke": largest, "unit": unit}
+        if -slack * stroke <= -high and -low <= (1.0 + slack) * stroke:
+            yield message("preprocessing.stroke_turned", **fields)
+        else:
+            yield message("preprocessing.stroke_shifted", **fields)
+
+
+def _stuck(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on channels that stay constant while their cylinder moves, and on positions that
+    stand still while command and pressures move.
+    """
+    for cylinder in rig.cylinder:
+        name, moves = cylinder.name, _travels(record, cylinder)
+        pushed = not moves and _pushed(record, rig, cylinder)
+        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES):
+            if (channel := f"{name}.{word}") not in record:
+                continue
+            way, position = float(np.ptp(record[channel])), word in ("q", "x")
+            still = position and way < SETTINGS.still * _span(cylinder, word)
+            fields = {"channel": channel, "cylinder": name}
+            if moves and way == 0.0:
+                yield message("preprocessing.constant", **fields)
+            elif moves and still:
+                yield message("preprocessing.stands_still", **fields)
+            elif pushed and still:
+                yield message("preprocessing.stands_still_pushed", **fields)
+
+
+def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
+    """Whether a command of a cylinder changes, and its pressures by a good part of what the supply
+    has.
+    """
+    requested = any(
+        (channel := f"{cylinder.name}.{valve.name}.command") in record
+        and np.ptp(record[channel])
+        > SETTINGS.on * (float(valve.command_max) - float(valve.command_min))
+        for valve in cylinder.valve
+    )
+    ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
+    maximum = max((float(np.ptp(record[end])) for end in ends if end in record), default=0.0)
+    return requested and maximum > SETTINGS.pushed * max(float(rig.supply.pressure), 1.0e6)
+
+
+def at_limit(y: np.ndarray) -> np.ndarray:
+    """Where a sensor's readings stand at the end of its range, or of its converter's, shape
+    (samples,): at their largest or least, the very same one several times in a row, reached in a
+    few samples and left again, while elsewhere they do not repeat like that.
+    """
+    result = np.zeros(y.size, bool)
+    ends = np.flatnonzero(np.diff(y)) + 1
+    starts, stops = np.concatenate([[0], ends]), np.concatenate([ends, [y.size]])
+    length, level = stops - starts, y[starts]
+    steps = np.abs(np.diff(level))
+    if not steps.size:
+        return result
+    for end in (float(np.max(y)), float(np.min(y))):
+        here = level == end
+        usual = int(length[~here].max(initial=1))
+        before = np.abs(end - y[np.maximum(starts - SETTINGS.limit_rise, 0)])
+        cut = here & (starts > 0) & (stops < y.size) & (length >= SETTINGS.limit_run)
+        cut &= (length > SETTINGS.limit_share * usual) & (
+            before > SETTINGS.limit_steps * steps.min()
+        )
+        if cut.any():
+            result |= y == end
+    return result
+
+
+def _limited(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on pressures and forces at the end of their sensors' range."""
+    words = ("p_head", "p_rod", *GAUGES)
+    names = [f"{cylinder.name}.{word}" for cylinder in rig.cylinder for word in words]
+    for name in [*names, "p_supply"]:
+        if name not in record or not (there := at_limit(record[name])).any():
+            continue
+        first = int(np.argmax(there))
+        level, share = rig.shown(name, record[name][first]), 100.0 * float(np.mean(there))
+        time = record.t[first]
+        yield message("preprocessing.limited", channel=name, level=level, share=share, time=time)
+
+
+def off_pins(record: Record, model: Model) -> dict[str, float]:
+    """By how much a log's stroke is above that of its angle and the rig file's pins [m], by
+    cylinder: its level where that is off, else where it is worst; cylinders that agree left out.
+    """
+    results = {}
+    for index, cylinder in enumerate(model.rig.cylinder):
+        names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
+        if cylinder.linkage is None or any(name not in record for name in names):
+            continue
+        x, q = (record[name] for name in names)
+        off = x - linkage_arrays(model.plant.cylinders[index], q)[0]
+        noise = white_noise(off)
+        level, maximum = float(np.median(off)), float(off[np.argmax(np.abs(off))])
+        allowed = max(SETTINGS.off_pins * float(cylinder.stroke), SETTINGS.noises * noise)
+        if abs(level) > allowed:
+            results[cylinder.name] = level
+        elif abs(maximum) > 2.0 * allowed:
+            results[cylinder.name] = maximum
+    return results
+
+
+def _off_pins(record: Record, model: Model) -> Iterator[Message]:
+    """Notes on strokes that disagree with angle and pins."""
+    unit = model.rig.unit_of("x")
+    for name, off in off_pins(record, model).items():
+        shown = f"{abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit}"
+        way, by = "above" if off > 0.0 else "below", model.rig.cylinder_named(name).linkage_word
+        yield message("preprocessing.off_pins", cylinder=name, off=shown, way=way, linkage=by)
+
+
+def _gauges_against(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on gauges that fall as the pressures push more: friction apart, all of `GAUGES` rise
+    with them, so the sign of the one or the ends of the others are turned.
+    """
+    for cylinder in rig.cylinder:
+        ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
+        if not all(end in record for end in ends):
+            continue
+        head, rod = (record[end] for end in ends)
+        area_head, area_rod = cylinder.areas()
+        for word in GAUGES:
+            name = f"{cylinder.name}.{word}"
+            pushed = head - rod if word == "load_pressure" else head * area_head - rod * area_rod
+            if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
+                continue
+            if np.corrcoef(record[name], pushed)[0, 1] < SETTINGS.against:
+                yield message("preprocessing.gauge_turned", channel=name)
+
+
+def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on positions and speeds that fall while the commands extend a cylinder, and rise
+    while they retract it: with a sign turned nothing follows the model, and a fit goes astray.
+    """
+    for cylinder in rig.cylinder:
+        ways = _directions(cylinder, record)
+        ends = np.flatnonzero(np.diff(ways, prepend=0.0, append=0.0))
+        if ends.size < 2:
+            continue
+        each = ways[ends[:-1]]
+        driven = each != 0.0
+        sign = 1 if cylinder.linkage is None else cylinder.linkage.sign
+        for word, turn in (("x", 1), ("v", 1), ("q", sign), ("qd", sign)):
+            channel = f"{cylinder.name}.{word}"
+            if channel not in record:
+                continue
+            y = turn * record[channel]
+            y = y if word in ("x", "q") else np.cumsum(y) * record.sample_time
+            gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
+            path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
+            if path > SETTINGS.travel * _span(cylinder, word) and along < SETTINGS.against * path:
+                falls, name = "falls" if turn > 0 else "rises", cylinder.name
+                yield message("preprocessing.backwards", channel=channel, way=falls, cylinder=name)
+
+
+def _directions(cylinder: Cylinder, record: Record) -> np.ndarray:
+    """Which way the commands move a cylinder at each sample: 1 out, −1 in, 0 neither, or where
+    edges of both ways are open. Edges across the ports, and what pumps slip, count as none.
+    """
+    opened = np.zeros((2, record.t.size), dtype=bool)
+    for valve in cylinder.valve:
+        channel = f"{cylinder.name}.{valve.name}.command"
+        for edge in valve.edge:
+            if channel not in record or {edge.from_, edge.to} == {"head", "rod"}:
+                continue
+            out = "head" == edge.to or "rod" == edge.from_
+            reach = edge.sign * record[channel]
+            opened[0 if out else 1] |= reach > float(edge.deadband)
+    return opened[0].astype(float) - opened[1].astype(float)
+
+
+def _travels(record: Record, cylinder: Cylinder) -> bool:
+    """Whether a position, or the integral of a speed, changes by more than sensors err."""
+    for word in ("q", "x", "qd", "v"):
+        channel = f"{cylinder.name}.{word}"
+        if channel not in record:
+            continue
+        way = (
+            record[channel]
+            if word in ("q", "x")
+            else np.cumsum(record[channel]) * record.sample_time
+        )
+        if np.ptp(way) > SETTINGS.travel * _span(cylinder, word):
+            return True
+    return False
+
+
+def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
+    """Cylinders that move at the first sample, by their rate or by what their position does in the
+    first samples, of ``rest`` before a command changes.
+    """
+    results = []
+    for cylinder in rig.cylinder:
+        if not _travels(record, cylinder):
+            continue
+        for word in ("qd", "v", "q", "x"):
+            channel = f"{cylinder.name}.{word}"
+            if channel in record:
+                shows = _begins_fast if word in ("qd", "v") else _begins_sloped
+                if shows(record[channel], rest, record.sample_time):
+                    results.append(cylinder.name)
+                break
+    return tuple(results)
+
+
+def _begins_fast(speed: np.ndarray, rest: int, tick: float) -> bool:
+    count = min(rest, max(1, round(SETTINGS.first / tick)))
+    noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
+    return (
+        abs(float(np.mean(speed[:count])))
+        > SETTINGS.ongoing * float(np.abs(speed).max()) + 4.0 * noise
+    )
+
+
+def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
+    count = min(rest, max(8, round(2.5 * SETTINGS.first / tick)))
+    if count < 8:
+        return False
+    jumps = np.abs(np.diff(place))
+    noise = 1.5 * float(np.median(jumps)) * math.sqrt(12.0 / count)
+    if noise == 0.0 and jumps.any():  # an encoder that stands between two of its counts
+        noise = 0.5 * float(np.min(jumps[jumps > 0.0]))
+    way = float(np.polyfit(np.arange(count), place[:count], 1)[0]) * count
+    maximum = (
+        float(np.abs(place[count:] - place[:-count]).max()) if place.size > count else abs(way)
+    )
+    return abs(way) > SETTINGS.ongoing * maximum + 4.0 * noise
+
+
+def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
+    """Commands [V] that are already on at the first sample, by channel."""
+    results = {}
+    for cylinder, valve in rig.valves():
+        channel = f"{cylinder.name}.{valve.name}.command"
+        if channel not in record:
+            continue
+        first = float(np.median(record[channel][:rest]))
+        minimum = SETTINGS.on * (float(valve.command_max) - float(valve.command_min))
+        if any(edge.sign * first > float(edge.deadband) + minimum for edge in valve.edge):
+            results[channel] = first
+    return results
+
+
+def start_notes(record: Record, rig: Rig, rest: int) -> list[Message]:
+    """Notes on what is already on, or already moves, at the first sample."""
+    on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
+    return [
+        *(message("preprocessing.starts_on", channel=name, command=on[name]) for name in on),
+        *(message("preprocessing.starts_moving", cylinder=name) for name in moving),
+    ]
