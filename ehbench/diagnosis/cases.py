@@ -15,7 +15,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing.initial_states import LogStart, best_shifts, start_of_log
+from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
 from ehbench.preprocessing.observations import column
 from ehbench.preprocessing.sensors import Term, corrected, sensed
 from ehbench.signals.series import correlation_time, white_noise
@@ -29,7 +29,7 @@ FINE = 0.005  # share of a channel's spread below which an error does not matter
 class Case:
     """A log and the model, with the log's payload, that is to follow it; ``cylinders`` are those
     that are commanded, ``scored`` the part [s] that counts, None for all of it, ``terms`` and
-    ``excess`` what its sensors are known to make of it.
+    ``bias`` what its sensors are known to make of it.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Case:
     maps: Maps | None = None
     scored: tuple[float, float] | None = None
     terms: tuple[Term, ...] = ()
-    excess: Mapping[str, float] = field(default_factory=dict)
+    bias: Mapping[str, float] = field(default_factory=dict)
 
     def varied(self, rig: Rig) -> Model:
         """The model of another rig, with the same maps."""
@@ -54,19 +54,19 @@ class Case:
 
     def run_of(self, model: Model, record: Record) -> Replay:
         """(a model, a record as sound sensors would have it, the start) of `simulated`."""
-        true = corrected(record, self.terms, self.excess)
+        true = corrected(record, self.terms, self.bias)
         start = self._start if true is self._start.record else replace(self._start, record=true)
         return Replay(model, true, start.at(model, self._shifts))
 
     def seen(self, replayed: Record) -> Record:
         """A simulation as the log's sensors show it."""
-        return sensed(replayed, self.terms, self.excess)
+        return sensed(replayed, self.terms, self.bias)
 
     @cached_property
-    def _start(self) -> LogStart:
+    def _start(self) -> InitialState:
         """Where the log starts, with the uncertainty of each number of its initial state."""
-        true = corrected(self.record, self.terms, self.excess)
-        return start_of_log(self.model, true, self.cylinders, self.channels)
+        true = corrected(self.record, self.terms, self.bias)
+        return initial_state_of(self.model, true, self.cylinders, self.channels)
 
     @cached_property
     def _shifts(self) -> np.ndarray:

@@ -56,7 +56,7 @@ class Eliminated:
 
 
 def eliminate(block: Block, weight: float) -> Eliminated:
-    """A log's nuisances eliminated; ``weight`` is that of a prior, `starts.prior_weight`."""
+    """A log's nuisances eliminated; ``weight`` is a prior's, `initial_states.prior_weight`."""
     p, n = block.slopes.shape[-1], len(block.shifts)
     whole = np.concatenate([block.slopes, block.nudges, block.left[..., None]], axis=-1)
     whole = whole.reshape(-1, p + n + 1)

@@ -1,7 +1,7 @@
 """Weighted least squares of simulations over all logs at once, and the descent to a minimum.
 
-Where each log starts is estimated with the parameters: its doubts (`starts.Doubt`) are nuisances of
-that log alone, so they are eliminated block by block."""
+The initial state of each log is estimated with the parameters: its uncertain numbers
+(`initial_states.Uncertain`) are nuisances of that log alone, eliminated block by block."""
 
 from __future__ import annotations
 
@@ -269,7 +269,7 @@ class Descent:
         requested = [
             (k, j, doubt.share)
             for k, log in enumerate(logs)
-            for j, doubt in enumerate(log.start.doubts)
+            for j, doubt in enumerate(log.start.uncertain)
             if (log.start.moves or not self.coarse) and (k, j) not in known
         ]
         points = [
@@ -281,7 +281,7 @@ class Descent:
             if simulated is not None:
                 known[k, j] = (self.left_of(logs[k], simulated) - here.left[k]) / share
         return [
-            _stacked([known.get((k, j)) for j in range(len(log.start.doubts))], left)
+            _stacked([known.get((k, j)) for j in range(len(log.start.uncertain))], left)
             / self.per(self.scales, log)[:, None]
             for k, (log, left) in enumerate(zip(logs, here.left, strict=True))
         ]
@@ -524,7 +524,7 @@ class Descent:
         return blocks, self.prior(self.theta, which)
 
     def named(self) -> dict[str, float]:
-        """Where the search stands, by name; of sensors their excess."""
+        """Where the search stands, by name; of sensors their bias."""
         return dict(zip((c.name for c in self.search), self.values(self.theta), strict=True))
 
     def beside(self, logs: Sequence[Log]) -> list[np.ndarray]:

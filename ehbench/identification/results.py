@@ -116,10 +116,10 @@ class SensorFit:
     prior: float
 
     @classmethod
-    def of(cls, term: Term, log: str, excess: float, std: float, quantile: float) -> SensorFit:
-        """Of an excess with its standard error."""
+    def of(cls, term: Term, log: str, bias: float, std: float, quantile: float) -> SensorFit:
+        """Of a bias with its standard error."""
         size = abs(term.per)
-        value, half = term.value(excess), quantile * size * std
+        value, half = term.value(bias), quantile * size * std
         unit = reading_row(term.channel, term.word).unit
         ends = (value - half, value + half)
         known = term.value(0.0)

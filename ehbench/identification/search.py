@@ -22,7 +22,7 @@ LEVEL = 0.95
 # of 50 (searched as a logarithm), or its whole range
 VAGUE = {True: 1.0, False: 0.5}
 _SHARE = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*$")
-# a sensor's excess is searched in units of so many standard deviations, so that what is known
+# a sensor's bias is searched in units of so many standard deviations, so that what is known
 # before the logs counts as known, up to so many
 MANY, FAR = 4.0, 20.0
 WIDE = 1.0e3  # factor either way that a positive parameter without bounds is searched over
@@ -139,7 +139,7 @@ def coordinates(
 
 
 def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
-    """The search coordinates of the excess of sensors that all logs share, each held by its
+    """The search coordinates of the bias of sensors that all logs share, each held by its
     standard deviation.
     """
     return [
@@ -148,7 +148,7 @@ def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
             False,
             MANY * term.std,
             0.0,
-            max(term.least, -FAR * term.std),
+            max(term.lowest, -FAR * term.std),
             FAR * term.std,
             term.std,
             0.0,

@@ -19,7 +19,7 @@ from ehbench.plant.many import map_threads
 from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing.initial_states import LogStart, start_of_log
+from ehbench.preprocessing.initial_states import InitialState, initial_state_of
 from ehbench.preprocessing.observations import (
     alternatives,
     channels_asked,
@@ -71,7 +71,7 @@ class Log:
     channels: tuple[str, ...]
     recorded: np.ndarray
     counts: np.ndarray
-    start: LogStart
+    start: InitialState
     warnings: tuple[str, ...] = ()
     band: Band | None = None
     means: BlockAverages | None = None
@@ -177,7 +177,7 @@ def prepare(
         tuple(columns),
         np.column_stack(list(columns.values())),
         counts if means is None else block_averages(counts, means.each) == 1.0,
-        start_of_log(model, record, live, list(columns), terms),
+        initial_state_of(model, record, live, list(columns), terms),
         (*warnings, *voids),
         means=means,
     )
@@ -417,7 +417,7 @@ class Simulator:
 
     Args:
         names: of the parameters, in the order of the values; also of terms of sensors that all
-            logs share, whose values are their excess.
+            logs share, whose values are their bias.
         workers: threads; 0 for one per core.
         step: of the integration [s], or ``"auto"``.
     """
@@ -559,7 +559,7 @@ class Simulator:
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
-        return [np.zeros(len(log.start.doubts)) for log in self.logs]
+        return [np.zeros(len(log.start.uncertain)) for log in self.logs]
 
     def _one(self, task: _Task) -> Simulated | None:
         model, log, shifts, shared = task.model, task.log, task.shifts, task.shared

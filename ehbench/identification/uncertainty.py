@@ -247,7 +247,7 @@ def _sensors(fit: Descent, match: Errors) -> list[SensorFit]:
     for log, shifts, block in zip(fit.simulator.logs, fit.shifts, match.blocks, strict=True):
         errors = eliminate(block, fit.weight).std(match.covariance)
         terms = {term.name: term for term in log.start.terms}
-        for doubt, shift, error in zip(log.start.doubts, shifts, errors, strict=True):
+        for doubt, shift, error in zip(log.start.uncertain, shifts, errors, strict=True):
             if doubt.name in terms:
                 at, std = doubt.std * float(shift), doubt.std * float(error)
                 result.append(SensorFit.of(terms[doubt.name], log.name, at, std, 1.96))

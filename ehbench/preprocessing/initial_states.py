@@ -1,14 +1,14 @@
-"""Where a simulation along a recording starts, and by how much that may be off.
+"""The initial state of a simulation along a recording, and its uncertainty.
 
-A recording tells its own first state only as well as its sensors do: the mean of a drifting rest is
-not the pressure at the first sample, and a supply's pressure is known to its noise. Each such
+A recording shows its first state only as well as its sensors do: the mean of a drifting standstill
+is not the pressure at the first sample, and a supply's pressure is known to its noise. Each such
 number is a nuisance, in units of the standard deviation that the recording leaves it (its prior);
-identification and validation let the whole log say the rest."""
+identification and validation let the whole log estimate it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -26,45 +26,70 @@ from ehbench.plant.ties import supplied, tied_words
 from ehbench.plant.trim import settle_parts
 from ehbench.preprocessing.observations import column
 from ehbench.preprocessing.plausibility import moving_at_first, on_at_first
-from ehbench.preprocessing.sensors import Excess, Term, corrected, sensed
+from ehbench.preprocessing.sensors import Bias, Term, corrected, sensed
 from ehbench.signals.series import LEAST_LINE, autocorrelation, correlation_time, rms
 from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary.settings import setting
 
-# priors as shares: pressures of the supply's, positions of the stroke, speeds of the fastest,
-# openings of the driver's range
-VAGUE_PRESSURE, COMPARED_PRESSURE, SENSOR = 0.2, 0.05, 0.005
-VAGUE_PLACE, FINE_PLACE, VAGUE_SPEED, VAGUE_OPENING = 0.25, 1.0e-5, 0.2, 0.25
-FINE_SUPPLY = 1.0e-5
 SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
-BEGINNING = 0.03  # [s] over which the first samples of a motion tell its state
-# a rest creeps where its mean speed is so many standard errors, and such a share of the fastest
-CREEPS, CREEPING = 3.0, 1.0e-3
-DIFFERENCE = 0.3  # of finite differences, in prior standard deviations, …
-SENSED = 0.01  # … of a sensor's, which nothing makes uneven
-SMALLEST, LARGEST = 1.0e-6, 2.0e-4  # … but within these shares of a number's range
+NOTHING: Mapping[str, float] = {}  # no bias of the sensors of all logs
 LINE = math.sqrt(12.0)  # standard error of what a line rises by, in those of its mean
-LEAST_LEFT = 0.2  # share of noise that a line through few independent samples leaves
-ROUNDS, CONVERGED = 20, 1.0e-3  # of an estimate: maximum of rounds, and the gain that ends them
-NOTHING: Mapping[str, float] = {}  # wrong with the sensors of all logs
-_KEPT = 64  # starts along one recording
-FLOOR = 5.0e-3  # of a channel's scale, as a share of its spread
+_CACHED = 64  # initial states along one recording
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """One number of a start: what it is (``boom.p_head``), where it stands in the state, the
-    standard deviation that the recording leaves it and its step of finite differences, both in SI.
+class InitialStateSettings:
+    """Numbers of initial states. Priors are shares: pressures of the supply's, positions of the
+    stroke, speeds of the fastest, openings of the driver's range.
+    """
+
+    pressure: float = setting(0.2, "", "prior of a pressure that is not recorded", "vague")
+    compared: float = setting(0.05, "", "prior of a pressure that is compared", "the log decides")
+    sensor: float = setting(0.005, "", "prior of a recorded pressure beyond its noise", "gauges")
+    place: float = setting(0.25, "", "prior of a position that is not recorded", "vague")
+    fine_place: float = setting(1.0e-5, "", "least prior of a position", "encoders")
+    speed: float = setting(0.2, "", "prior of a speed", "vague")
+    opening: float = setting(0.25, "", "prior of an opening in motion", "vague")
+    supply: float = setting(1.0e-5, "", "least prior of the supply's and tank's pressure", "gauges")
+    beginning: float = setting(0.03, "s", "span that shows the state of a motion", "a parabola")
+    creep_sigmas: float = setting(3.0, "", "standard errors of a creep at standstill", "chance")
+    creep: float = setting(1.0e-3, "", "least creep, share of the fastest speed", "no matter")
+    difference: float = setting(
+        0.3, "", "step of finite differences in prior standard deviations", "linear there"
+    )
+    sensed: float = setting(0.01, "", "the same of a sensor's number", "which is smooth")
+    least_step: float = setting(1.0e-6, "", "least step, share of a number's range", "rounding")
+    largest_step: float = setting(2.0e-4, "", "largest step, likewise", "linear there")
+    residual: float = setting(
+        0.2, "", "least share of noise that a line through few independent samples leaves", "finite"
+    )
+    rounds: int = setting(20, "", "largest number of rounds of an estimate", "few needed")
+    gain: float = setting(
+        1.0e-3, "", "share of the cost by which the last round gains", "no matter"
+    )
+    floor: float = setting(
+        5.0e-3, "", "least scale of a channel, share of its spread", "finite weights"
+    )
+
+
+SETTINGS = InitialStateSettings()
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """One uncertain number of an initial state: its name (``boom.p_head``), its place in the state,
+    the standard deviation that the recording leaves it and its step of finite differences, in SI.
 
     ``valve`` is the number of the valve that an opening belongs to, −1 for all others; ``state`` is
-    −1 for what stands in no state: the tank's pressure, and a number of a sensor of this log, which
-    is its ``excess`` (`sensors.Term`)."""
+    −1 for what stands in no state: the tank's pressure, and the ``bias`` of a sensor of this log
+    (`sensors.Term`)."""
 
     name: str
     state: int
     std: float
     step: float
     valve: int = -1
-    excess: bool = False
+    bias: bool = False
 
     @property
     def share(self) -> float:
@@ -72,45 +97,19 @@ class Doubt:
         return self.step / self.std
 
 
-class Starts:
-    """Where models begin along one recording: found once of all that are alike in what a start
-    hangs on. Most parameters of a fit are none of that.
-
-    Args:
-        begin: finds the start of a model.
-        moves: whether the recording begins in motion.
-    """
-
-    def __init__(self, begin: Callable[[Model], Start], moves: bool) -> None:
-        self._begin, self._moves = begin, moves
-        self._known: dict[Hashable, Start] = {}
-
-    def of(self, model: Model) -> Start:
-        """The start of a model, which is for all: its state cannot be written."""
-        requested = model.asked_at_start(self._moves)
-        result = self._known.get(requested)
-        if result is None:
-            result = self._begin(model)
-            result.y.flags.writeable = False
-            if len(self._known) >= _KEPT:
-                self._known.clear()
-            self._known[requested] = result
-        return result
-
-
 @dataclass(frozen=True)
-class LogStart:
-    """Where a recording starts: after ``rest`` samples at rest, or in motion; its doubts, and what
-    its sensors make of it. ``shared`` is what is wrong with those of all logs alike."""
+class InitialState:
+    """The initial state of a recording: after ``rest`` samples at standstill, or in motion; its
+    uncertain numbers, and the terms of its sensors. ``shared`` is the bias of those of all logs."""
 
     record: Record
     rest: int
     moves: bool
-    doubts: tuple[Doubt, ...]
+    uncertain: tuple[Uncertain, ...]
     terms: tuple[Term, ...] = ()
 
-    def at(self, model: Model, shifts: np.ndarray, shared: Excess = NOTHING) -> Start:
-        """The start of a model, moved by ``shifts`` [prior standard deviations], one a doubt.
+    def at(self, model: Model, shifts: np.ndarray, shared: Bias = NOTHING) -> Start:
+        """The start of a model, moved by ``shifts`` [prior standard deviations], one a number.
 
         Raises:
             InputError: a posture outside the stroke.
@@ -120,60 +119,65 @@ class LogStart:
     @property
     def alike(self) -> bool:
         """Whether `unmoved` is the same for all shifts: none is of a sensor."""
-        return not any(doubt.excess for doubt in self.doubts)
+        return not any(number.bias for number in self.uncertain)
 
-    def unmoved(self, model: Model, shifts: np.ndarray, shared: Excess = NOTHING) -> Start:
-        """What `at` moves: the start as sensors tell it that the shifts have put right.
+    def unmoved(self, model: Model, shifts: np.ndarray, shared: Bias = NOTHING) -> Start:
+        """What `at` moves: the start by sensors that the shifts have put right.
 
         Raises:
             InputError: as `at`.
         """
         true = self.true(shifts, shared)
-        if true is self.record:
-            return self._starts.of(model)
-        # sensors are put right, and it tells something else
-        if self.moves:
-            return _moving_start(model, true, _firsts(true, self.rest))
-        return model.rest_start(true, self.rest)
+        if true is not self.record:  # sensors are put right, and it shows something else
+            if self.moves:
+                return _moving_start(model, true, _firsts(true, self.rest))
+            return model.rest_start(true, self.rest)
+        key = model.asked_at_start(self.moves)
+        if (result := self._known.get(key)) is None:
+            if self.moves:
+                result = _moving_start(model, self.record, self._firsts)
+            else:
+                result = model.rest_start(self.record, self.rest, self._seen)
+            result.y.flags.writeable = False
+            if len(self._known) >= _CACHED:
+                self._known.clear()
+            self._known[key] = result
+        return result
 
     @cached_property
-    def _starts(self) -> Starts:
-        """What models begin with along the recording as it is."""
-
-        def begin(model: Model) -> Start:
-            if self.moves:
-                return _moving_start(model, self.record, self._firsts)
-            return model.rest_start(self.record, self.rest, self._seen)
-
-        return Starts(begin, self.moves)
+    def _known(self) -> dict[Hashable, Start]:
+        """Starts along the recording as it is, by what of a model they depend on: most parameters
+        of a fit are none of that.
+        """
+        return {}
 
     @cached_property
     def _seen(self) -> Seen:
-        """What the recording tells of its rest: it stays, whichever model is asked to start."""
+        """What the recording shows of its standstill, the same for all models."""
         return seen_of(self.record, self.rest)
 
     @cached_property
     def _firsts(self) -> dict[str, tuple[float, float, float]]:
-        """What the recording tells of its motion."""
+        """What the recording shows of its motion."""
         return _firsts(self.record, self.rest)
 
     def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
-        """`at`, from a start of `unmoved`, which is left as it is."""
+        """`at`, from a start of `unmoved`, which stays as it is."""
         y, supply, tank = first.y.copy(), first.supply, first.tank
-        for doubt, shift in zip(self.doubts, shifts, strict=True):
-            by = doubt.std * float(shift)
-            if doubt.excess:
+        for number, shift in zip(self.uncertain, shifts, strict=True):
+            by = number.std * float(shift)
+            if number.bias:
                 continue
-            if doubt.name == TANK_CHANNEL:
+            if number.name == TANK_CHANNEL:
                 tank = None if tank is None else tank + by
                 continue
-            if doubt.valve >= 0:
-                valve = model.plant.valves[doubt.valve]
-                value = min(max(y[doubt.state] + by, valve.lowest), valve.highest)
+            if number.valve >= 0:
+                valve = model.plant.valves[number.valve]
+                value = min(max(y[number.state] + by, valve.lowest), valve.highest)
                 valve_settle(valve, value, model.plant, y)
                 continue
-            y[doubt.state] += by
-            if doubt.name == SUPPLY_CHANNEL and supply is not None:
+            y[number.state] += by
+            if number.name == SUPPLY_CHANNEL and supply is not None:
                 supply += by
         for index, row in enumerate(model.plant.cylinders):
             low, high = sorted(model.stroke_range(index))
@@ -184,70 +188,72 @@ class LogStart:
     def moved(self, shifts: np.ndarray) -> dict[str, float]:
         """By how much the shifts move each number of the start [SI]."""
         return {
-            doubt.name: doubt.std * float(shift)
-            for doubt, shift in zip(self.doubts, shifts, strict=True)
-            if not doubt.excess
+            number.name: number.std * float(shift)
+            for number, shift in zip(self.uncertain, shifts, strict=True)
+            if not number.bias
         }
 
     def numbers(self, start: Start) -> dict[str, float]:
-        """Each number of a start [SI] that is in doubt."""
+        """Each number of a start [SI] that is uncertain."""
         tank = math.nan if start.tank is None else start.tank
         return {
-            doubt.name: tank if doubt.name == TANK_CHANNEL else float(start.y[doubt.state])
-            for doubt in self.doubts
-            if not doubt.excess
+            number.name: tank if number.name == TANK_CHANNEL else float(start.y[number.state])
+            for number in self.uncertain
+            if not number.bias
         }
 
-    def excess(self, shifts: np.ndarray, shared: Excess = NOTHING) -> dict[str, float]:
-        """What is wrong with the sensors, by term."""
-        own = {
-            doubt.name: doubt.std * float(shift)
-            for doubt, shift in zip(self.doubts, shifts, strict=True)
-            if doubt.excess
+    def bias(self, shifts: np.ndarray, shared: Bias = NOTHING) -> dict[str, float]:
+        """The bias of the sensors, by term."""
+        mine = {
+            number.name: number.std * float(shift)
+            for number, shift in zip(self.uncertain, shifts, strict=True)
+            if number.bias
         }
-        return {**shared, **own}
+        return {**shared, **mine}
 
-    def true(self, shifts: np.ndarray, shared: Excess = NOTHING) -> Record:
+    def true(self, shifts: np.ndarray, shared: Bias = NOTHING) -> Record:
         """The recording as sound sensors would have given it, commands as the valves get them."""
-        return corrected(self.record, self.terms, self.excess(shifts, shared))
+        return corrected(self.record, self.terms, self.bias(shifts, shared))
 
-    def seen(self, replayed: Record, shifts: np.ndarray, shared: Excess = NOTHING) -> Record:
+    def seen(self, replayed: Record, shifts: np.ndarray, shared: Bias = NOTHING) -> Record:
         """A simulation as the sensors would show it."""
-        return sensed(replayed, self.terms, self.excess(shifts, shared))
+        return sensed(replayed, self.terms, self.bias(shifts, shared))
 
 
-def start_of_log(
+def initial_state_of(
     model: Model,
     record: Record,
     live: Sequence[str],
     compared: Sequence[str],
     terms: Sequence[Term] = (),
-) -> LogStart:
-    """Where a recording starts, with the doubts about the cylinders that move.
+) -> InitialState:
+    """The initial state of a recording, with the uncertain numbers of the cylinders that move.
 
     Args:
         record: evenly sampled.
         live: cylinders that move.
         compared: channels on which the simulation is compared with the recording, which tell a
             pressure by themselves.
-        terms: what its sensors make of it; those for each log by itself are doubts.
+        terms: of its sensors; those of each log by itself are uncertain numbers.
     """
     rest = model.rest_samples(model.commands_of(record))
     moves = bool(moving_at_first(record, model.rig, rest) or on_at_first(record, model.rig, rest))
-    doubts: list[Doubt] = []
+    numbers: list[Uncertain] = []
     for cylinder in live:
-        doubts += _of_cylinder(model, record, cylinder, compared, rest, moves)
+        numbers += _of_cylinder(model, record, cylinder, compared, rest, moves)
     given = tied_words(record)
-    doubts = [doubt for doubt in doubts if doubt.name.rpartition(".")[2] not in given]
+    numbers = [number for number in numbers if number.name.rpartition(".")[2] not in given]
     if moves:
-        doubts += _of_valves(model, record, live)
-    doubts += _of_lines(model, record, rest, moves)
-    own = [term for term in terms if term.per_log and term.std > 0.0]
-    doubts += [Doubt(term.name, -1, term.std, SENSED * term.std, excess=True) for term in own]
-    return LogStart(record, rest, moves, tuple(doubts), tuple(terms))
+        numbers += _of_valves(model, record, live)
+    numbers += _of_lines(model, record, rest, moves)
+    for term in terms:
+        if term.per_log and term.std > 0.0:
+            step = SETTINGS.sensed * term.std
+            numbers.append(Uncertain(term.name, -1, term.std, step, bias=True))
+    return InitialState(record, rest, moves, tuple(numbers), tuple(terms))
 
 
-def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Doubt]:
+def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Uncertain]:
     """Doubts about the supply's set pressure, and the tank's pressure where a recording is less
     sure of it than of any supply.
     """
@@ -258,10 +264,10 @@ def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Doub
         y = record[channel]
         std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
         if channel == SUPPLY_CHANNEL:
-            std = max(std, FINE_SUPPLY * maximum)
-            result.append(_doubt(channel, model.plant.at.supply, std, maximum))
-        elif std > FINE_SUPPLY * maximum:
-            result.append(_doubt(channel, -1, std, maximum))
+            std = max(std, SETTINGS.supply * maximum)
+            result.append(_uncertain(channel, model.plant.at.supply, std, maximum))
+        elif std > SETTINGS.supply * maximum:
+            result.append(_uncertain(channel, -1, std, maximum))
     return result
 
 
@@ -298,18 +304,20 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
     pole = float(autocorrelation(noise, 1)[1])
     pole = min(pole + (2.0 + 4.0 * pole) / rest, 1.0 - 2.0 / rest)
     time = max(correlation_time(noise), (1.0 + pole) / (1.0 - pole))
-    error = math.sqrt(time / rest) / max(1.0 - 2.0 * time / rest, LEAST_LEFT)
+    error = math.sqrt(time / rest) / max(1.0 - 2.0 * time / rest, SETTINGS.residual)
     return rms(noise) * min(1.0, error), abs(float(line[0]))
 
 
-def _doubt(name: str, state: int, std: float, span: float, valve: int = -1) -> Doubt:
-    step = min(max(DIFFERENCE * std, SMALLEST * span), LARGEST * span)
-    return Doubt(name, state, std, step, valve)
+def _uncertain(name: str, state: int, std: float, span: float, valve: int = -1) -> Uncertain:
+    step = min(
+        max(SETTINGS.difference * std, SETTINGS.least_step * span), SETTINGS.largest_step * span
+    )
+    return Uncertain(name, state, std, step, valve)
 
 
 def _of_cylinder(
     model: Model, record: Record, cylinder: str, compared: Sequence[str], rest: int, moves: bool
-) -> list[Doubt]:
+) -> list[Uncertain]:
     """Doubts about both pressures and the position of a cylinder, and its speed in motion or where
     its rest creeps.
     """
@@ -317,32 +325,32 @@ def _of_cylinder(
     supply, result = float(model.plant.supply.pressure), []
     for side in SIDES:
         channel = f"{cylinder}.p_{side}"
-        std = VAGUE_PRESSURE * supply
+        std = SETTINGS.pressure * supply
         if channel in compared:
-            std = COMPARED_PRESSURE * supply
+            std = SETTINGS.compared * supply
         elif channel in record:
             error = rms(np.diff(record[channel])) if moves else mean_error(record[channel], rest)
-            std = error + SENSOR * supply
-        result.append(_doubt(channel, names.state(f"p_{side}", index), std, supply))
+            std = error + SETTINGS.sensor * supply
+        result.append(_uncertain(channel, names.state(f"p_{side}", index), std, supply))
     row = model.plant.cylinders[index]
     low, high = sorted(model.stroke_range(index))
-    std = VAGUE_PLACE * (high - low)
+    std = SETTINGS.place * (high - low)
     for word, scale in (("q", 1.0), ("x", (high - low) / float(row.stroke))):
         if (channel := f"{cylinder}.{word}") in record:
             y = record[channel]
             error = _first(y, rest, record.sample_time)[2] if moves else first_error(y, rest)
-            std = scale * error + FINE_PLACE * (high - low)
+            std = scale * error + SETTINGS.fine_place * (high - low)
             break
     joint = int(row.joint)
-    result.append(_doubt(f"{cylinder}.q", names.state("q", joint), std, high - low))
+    result.append(_uncertain(f"{cylinder}.q", names.state("q", joint), std, high - low))
     speed = rate_of(record, cylinder)
     if speed is not None:
         maximum = float(np.abs(speed).max()) or 1.0
-        std = max(VAGUE_SPEED * maximum, 1e-4 * (high - low))
+        std = max(SETTINGS.speed * maximum, 1e-4 * (high - low))
         if not moves:
             std = _creep(record, cylinder, rest, (high - low) / float(row.stroke))
-        if std > CREEPING * maximum:
-            result.append(_doubt(f"{cylinder}.qd", names.state("qd", joint), std, maximum))
+        if std > SETTINGS.creep * maximum:
+            result.append(_uncertain(f"{cylinder}.qd", names.state("qd", joint), std, maximum))
     return result
 
 
@@ -362,11 +370,11 @@ def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
         else:
             error, creep = _rest_errors(record[channel], rest)
             creep, error = (item / (rest * record.sample_time) for item in (creep, LINE * error))
-        return scale * creep if creep > CREEPS * error else 0.0
+        return scale * creep if creep > SETTINGS.creep_sigmas * error else 0.0
     return 0.0
 
 
-def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Doubt]:
+def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Uncertain]:
     """Doubts about the openings of the valves of moving cylinders that have been commanded."""
     results = []
     for index, name in enumerate(model.layout.valves):
@@ -375,8 +383,8 @@ def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Doubt]
             continue
         span = float(valve.highest - valve.lowest)
         if np.ptp(record[channel]) > 0.0 or record[channel][0] != 0.0:
-            std = VAGUE_OPENING * span
-            results.append(_doubt(f"{name}.opening", int(valve.output), std, span, index))
+            std = SETTINGS.opening * span
+            results.append(_uncertain(f"{name}.opening", int(valve.output), std, span, index))
     return results
 
 
@@ -393,7 +401,7 @@ def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
     """(value, rate [1/s], standard error of the value) at the first sample, of a parabola through
     the first samples, as many as pass before a command changes if those are enough.
     """
-    count = min(max(LEAST_LINE, min(rest, round(BEGINNING / tick))), y.size)
+    count = min(max(LEAST_LINE, min(rest, round(SETTINGS.beginning / tick))), y.size)
     t = np.arange(count) * tick
     order = 2 if count >= LEAST_LINE else min(1, count - 1)
     line = np.polynomial.Polynomial.fit(t, y[:count], order).convert()
@@ -445,33 +453,22 @@ def _moving_start(
 
 
 class Followed(NamedTuple):
-    """How a model follows a recording best: its ``start``, the recording's commands and readings
-    as they ``truly`` are, what is wrong with its sensors (``excess`` by term), and what they are.
+    """How a model follows a recording best: its ``start``, the recording's true commands and
+    readings, the ``bias`` of its sensors by term, and the terms.
     """
 
     start: Start
-    truly: Record
-    excess: dict[str, float]
+    true: Record
+    bias: dict[str, float]
     terms: tuple[Term, ...]
 
     def replay(self, model: Model) -> Record:
         """What the model does, as the recording's sensors show it.
 
         Raises:
-            SimulationError: the numbers left the finite range.
+            SimulationError: the state is not finite.
         """
-        return sensed(model.replay(self.truly, start=self.start), self.terms, self.excess)
-
-
-def estimated_start(
-    model: Model,
-    record: Record,
-    live: Sequence[str],
-    channels: Sequence[str],
-    step: float = STEP,
-) -> Start:
-    """The start of `follow`, of a recording whose sensors are sound."""
-    return follow(model, record, live, channels, step=step).start
+        return sensed(model.replay(self.true, start=self.start), self.terms, self.bias)
 
 
 def follow(
@@ -485,8 +482,8 @@ def follow(
     """The start from which a model follows the whole of a recording best, each number of it held by
     what the recording's first samples say.
 
-    Least squares of the channels, each by its residual's rms, over the doubts of `start_of_log`,
-    their priors weighted as the residuals' correlation in time asks.
+    Least squares of the channels, each by its residual's rms, over the numbers of
+    `initial_state_of`, their priors weighted as the residuals' correlation in time asks.
 
     Args:
         record: evenly sampled.
@@ -497,16 +494,16 @@ def follow(
 
     Raises:
         InputError: a posture outside the stroke.
-        SimulationError: the numbers left the finite range.
+        SimulationError: the state is not finite.
     """
     terms = tuple(replace(term, per_log=True) for term in terms)
-    start = start_of_log(model, record, live, channels, terms)
+    start = initial_state_of(model, record, live, channels, terms)
     shifts = best_shifts(model, start, channels, step)
-    return Followed(start.at(model, shifts), start.true(shifts), start.excess(shifts), terms)
+    return Followed(start.at(model, shifts), start.true(shifts), start.bias(shifts), terms)
 
 
 def best_shifts(
-    model: Model, start: LogStart, channels: Sequence[str], step: float = STEP
+    model: Model, start: InitialState, channels: Sequence[str], step: float = STEP
 ) -> np.ndarray:
     """The shifts [prior standard deviations] of a start from which the model follows its recording
     best, as `follow` has it.
@@ -515,98 +512,102 @@ def best_shifts(
         InputError, SimulationError: as `follow`.
     """
     search = _Follow(model, start, channels, step)
-    shifts = np.zeros(len(start.doubts))
+    shifts = np.zeros(len(start.uncertain))
     return search.best(shifts) if search.recorded.size and shifts.size else shifts
 
 
 class _Follow:
     """A recording followed from a start that may be shifted."""
 
-    def __init__(self, model: Model, start: LogStart, channels: Sequence[str], step: float) -> None:
+    def __init__(
+        self, model: Model, start: InitialState, channels: Sequence[str], step: float
+    ) -> None:
         self.model, self.start, self.channels, self.step_time = model, start, channels, step
         self.recorded = _columns(start.record, channels, start.record)
-        self.floor = np.maximum(FLOOR * np.std(self.recorded, axis=0), 1e-300)
+        self.floor = np.maximum(SETTINGS.floor * np.std(self.recorded, axis=0), 1e-300)
         self.scale, self.weight = self.floor, 1.0
 
     def best(self, shifts: np.ndarray) -> np.ndarray:
         """The shifts with which the model follows best, sought from some on."""
-        left = self.left(shifts)
-        for _ in range(ROUNDS):
-            self.weigh(left)
-            before = self.cost(shifts, left)
-            move, gain = self.step(shifts, left)
+        residual = self.residual(shifts)
+        for _ in range(SETTINGS.rounds):
+            self.weigh(residual)
+            before = self.cost(shifts, residual)
+            move, gain = self.step(shifts, residual)
             result = next(self.tries(shifts, move, before), None)
             if result is None:
                 break
-            shifts, left = result
-            if gain < CONVERGED * before:
+            shifts, residual = result
+            if gain < SETTINGS.gain * before:
                 break
         return shifts
 
-    def left(self, shifts: np.ndarray) -> np.ndarray:
+    def residual(self, shifts: np.ndarray) -> np.ndarray:
         """Simulated minus recorded [SI], shape (samples, channels)."""
         run = self.run_of(shifts)
-        return self.left_by(run.model.replay(run.record, self.step_time, start=run.start), shifts)
+        return self.residual_by(
+            run.model.replay(run.record, self.step_time, start=run.start), shifts
+        )
 
     def run_of(self, shifts: np.ndarray) -> Replay:
         """What is replayed, and from where."""
         return Replay(self.model, self.start.true(shifts), self.start.at(self.model, shifts))
 
-    def left_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
-        """`left` of a replay."""
+    def residual_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
+        """`residual` of a replay."""
         seen = self.start.seen(replayed, shifts)
         return _columns(seen, self.channels, self.start.record) - self.recorded
 
-    def all_left(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
-        """`left` of several shifts."""
+    def residuals(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+        """`residual` of several shifts."""
         runs = [self.run_of(shifts) for shifts in every]
         replays = replay_many(runs, self.step_time)
         for shifts, replayed in zip(every, replays, strict=True):
             # a replay that failed says why when it runs again
             failed = replayed is None
-            yield self.left(shifts) if failed else self.left_by(replayed, shifts)
+            yield self.residual(shifts) if failed else self.residual_by(replayed, shifts)
 
-    def weigh(self, left: np.ndarray) -> None:
-        """Take scales of the channels and the weight of priors from what is left."""
-        self.scale = np.maximum(np.sqrt(np.mean(left**2, axis=0)), self.floor)
-        self.weight = prior_weight([left / self.scale])
+    def weigh(self, residual: np.ndarray) -> None:
+        """Take scales of the channels and the weight of priors from the residual."""
+        self.scale = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), self.floor)
+        self.weight = prior_weight([residual / self.scale])
 
-    def cost(self, shifts: np.ndarray, left: np.ndarray) -> float:
+    def cost(self, shifts: np.ndarray, residual: np.ndarray) -> float:
         """What is minimised."""
-        return float(np.sum((left / self.scale) ** 2) + self.weight * np.sum(shifts**2))
+        return float(np.sum((residual / self.scale) ** 2) + self.weight * np.sum(shifts**2))
 
-    def step(self, shifts: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float]:
+    def step(self, shifts: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, float]:
         """(Gauss's and Newton's step, what it should gain)."""
         each = np.eye(len(shifts))
-        doubts = self.start.doubts
-        every = [shifts + doubt.share * each[i] for i, doubt in enumerate(doubts)]
+        numbers = self.start.uncertain
+        every = [shifts + number.share * each[i] for i, number in enumerate(numbers)]
         columns = [
-            (moved - left) / (doubt.share * self.scale)
-            for doubt, moved in zip(doubts, self.all_left(every), strict=True)
+            (moved - residual) / (number.share * self.scale)
+            for number, moved in zip(numbers, self.residuals(every), strict=True)
         ]
         slopes = np.stack([column.ravel() for column in columns], axis=-1)
         normal = slopes.T @ slopes + self.weight * each
-        pull = slopes.T @ (left / self.scale).ravel() + self.weight * shifts
+        pull = slopes.T @ (residual / self.scale).ravel() + self.weight * shifts
         move = -np.linalg.solve(normal, pull)
         return move, float(-pull @ move)
 
     def tries(
         self, shifts: np.ndarray, move: np.ndarray, before: float
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """(shifts, what is left) after a step, or a part of it, where that costs less."""
+        """(shifts, the residual) after a step, or a part of it, where that costs less."""
         for share in (1.0, 0.3, 0.1):
             there = shifts + share * move
             try:
-                left = self.left(there)
+                residual = self.residual(there)
             except SimulationError:
                 continue
-            if self.cost(there, left) < before:
-                yield there, left
+            if self.cost(there, residual) < before:
+                yield there, residual
 
 
 def prior_weight(residuals: Sequence[np.ndarray]) -> float:
     """What a prior of unit variance weighs beside scaled residuals, each of shape (samples,
-    channels): their variance, by as many samples as count for one independent one; the median of
+    channels): their variance, by as many samples as count for one independent sample; the median of
     the channels.
     """
     sizes = [

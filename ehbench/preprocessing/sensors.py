@@ -1,8 +1,8 @@
-"""What sensors and drivers make of a machine, and what that leaves to be estimated.
+"""Errors of sensors and drivers, known and estimated.
 
 ``reading = scale · late(sign · true) + offset``. What a recipe knows of it is taken out of a log
 before anything else sees it (`known_taken_out`); what it wants estimated, and every lag and delay,
-is a `Term`. Its excess e beyond what is known is zero where nothing is wrong:
+is a `Term`. Its bias e is what the number is off from the known one:
 
     log, known taken out = (1 + e_scale) · late(true) + e_offset"""
 
@@ -26,14 +26,14 @@ ATMOSPHERE = 101_325.0  # [Pa]
 # standard deviations of what is only said to be estimated: an offset's as a share of the channel's
 # range, a scale's, those of a lag and a delay [s]
 VAGUE = {"offset": 0.25, "scale": 0.2, "lag": 0.01, "delay": 0.01}
-Excess = Mapping[str, float]  # by name of the term
+Bias = Mapping[str, float]  # by name of the term
 
 
 @dataclass(frozen=True)
 class Term:
     """One number of a channel's sensor: ``word`` is offset, scale, lag or delay.
 
-    Its value is ``known`` + ``per`` · excess [SI]; ``std`` is the excess's standard deviation
+    Its value is ``known`` + ``per`` · bias [SI]; ``std`` is the bias's standard deviation
     before the logs are asked, 0 where nothing is estimated; ``per_log`` says that each log has its
     own."""
 
@@ -50,16 +50,16 @@ class Term:
         return f"{self.channel}.{self.word}"
 
     @property
-    def least(self) -> float:
-        """The least excess: no reading comes before its time has lagged by nothing."""
+    def lowest(self) -> float:
+        """The lowest bias: no reading comes before its time has lagged by nothing."""
         return {"lag": -self.known, "scale": -0.99}.get(self.word, -math.inf)
 
-    def value(self, excess: float) -> float:
+    def value(self, bias: float) -> float:
         """The number itself [SI]."""
-        return self.known + self.per * excess
+        return self.known + self.per * bias
 
-    def excess(self, value: float) -> float:
-        """The excess at which the number is ``value`` [SI]."""
+    def bias(self, value: float) -> float:
+        """The bias at which the number is ``value`` [SI]."""
         return (value - self.known) / self.per
 
 
@@ -123,7 +123,7 @@ def _refuse_tied(channel: str, word: str, records: Sequence[Record]) -> None:
         raise InputError(message("preprocessing.late_motion", channel=channel, word=word))
 
 
-def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:
+def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A log whose known errors are taken out, as sound sensors would have given it by what is
     estimated as well: commands as the valves get them, readings by their level and scale.
     """
@@ -131,22 +131,22 @@ def corrected(record: Record, terms: Sequence[Term], excess: Excess) -> Record:
     for name, item in _by_channel(terms).items():
         if name not in channels:
             continue
-        e = {term.word: excess.get(term.name, 0.0) for term in item}
+        e = {term.word: bias.get(term.name, 0.0) for term in item}
         true = (channels[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
         if name.endswith(".command"):
-            true = _late(true, record.sample_time, item, excess)
+            true = _late(true, record.sample_time, item, bias)
         channels[name] = true
     return replace(record, channels=channels) if terms else record
 
 
-def sensed(replayed: Record, terms: Sequence[Term], excess: Excess) -> Record:
+def sensed(replayed: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A simulation as the log's sensors would have shown it, known errors taken out."""
     channels = dict(replayed.channels)
     for name, item in _by_channel(terms).items():
         if name not in channels or name.endswith(".command"):
             continue
-        e = {term.word: excess.get(term.name, 0.0) for term in item}
-        seen = _late(channels[name], replayed.sample_time, item, excess)
+        e = {term.word: bias.get(term.name, 0.0) for term in item}
+        seen = _late(channels[name], replayed.sample_time, item, bias)
         channels[name] = (1.0 + e.get("scale", 0.0)) * seen + e.get("offset", 0.0)
     return replace(replayed, channels=channels) if terms else replayed
 
@@ -158,9 +158,9 @@ def _by_channel(terms: Sequence[Term]) -> dict[str, list[Term]]:
     return results
 
 
-def _late(y: np.ndarray, tick: float, terms: Sequence[Term], excess: Excess) -> np.ndarray:
+def _late(y: np.ndarray, tick: float, terms: Sequence[Term], bias: Bias) -> np.ndarray:
     """A series behind the lag and the delay among some terms of its channel."""
-    times = {t.word: t.value(max(excess.get(t.name, 0.0), t.least)) for t in terms}
+    times = {t.word: t.value(max(bias.get(t.name, 0.0), t.lowest)) for t in terms}
     lag, delay = times.get("lag", 0.0), times.get("delay", 0.0)
     if delay != 0.0:
         at = np.arange(y.size, dtype=float)

@@ -121,7 +121,7 @@ class PreparedValidation:
         for item in self.logs:
             log, known = item.log, sensors.get(item.log.name, {})
             if item.failure is None:
-                bias = {t.name: t.excess(known[t.name]) for t in log.terms if t.name in known}
+                bias = {t.name: t.bias(known[t.name]) for t in log.terms if t.name in known}
                 moved = commanded(log.model, log.record)
                 facts = log.name, log.record, log.model, moved, self.flow_maps, item.scored
                 cases.append(Case(*facts, log.terms, bias))
@@ -311,7 +311,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
         facts,
         channels=tuple(results),
         transients=tuple(windows),
-        sensors={t.name: t.value(result.excess[t.name]) for t in log.terms if t.std > 0.0},
+        sensors={t.name: t.value(result.bias[t.name]) for t in log.terms if t.std > 0.0},
         sweeps=tuple(sweeps),
         checks=tuple(checks),
         warnings=tuple(warnings),

@@ -141,8 +141,10 @@ def test_starts_that_are_estimated_cost_less_than_as_much_again(monkeypatch):
     start = {"bulk_modulus": 5e8, "carriage.damping": 1500.0}
     options = FitOptions(start=start, upper={"press.leakage_internal": 1e-11}, workers=1)
     counts = [identify_hydraulics(one.rig, logs, asked, options).evaluations]
-    begun = simulator.start_of_log
-    monkeypatch.setattr(simulator, "start_of_log", lambda *of: replace(begun(*of), doubts=()))
+    begun = simulator.initial_state_of
+    monkeypatch.setattr(
+        simulator, "initial_state_of", lambda *of: replace(begun(*of), uncertain=())
+    )
     counts.append(identify_hydraulics(one.rig, logs, asked, options).evaluations)
     assert counts[1] < counts[0] < 2 * counts[1], counts
 
@@ -159,7 +161,7 @@ def test_a_check_says_where_stroke_angle_and_pins_disagree(stage, tmp_path):
     for record in (log, away):
         write_log(tmp_path / "log.mcap", record)
         lines = inspection.check(tmp_path / "recipe.toml").lines
-        told.append([line for line in lines if "pins make it" in line])
+        told.append([line for line in lines if "the pins give" in line])
     assert told[0] == []
     (line,) = told[1]
     assert line.strip().startswith("note: log: lift.x is 11.8 mm above what lift.q and the pins")

@@ -17,10 +17,10 @@ from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.initial_states import (
-    estimated_start,
     first_error,
+    follow,
+    initial_state_of,
     mean_error,
-    start_of_log,
 )
 from ehbench.preprocessing.plausibility import moving_at_first
 from ehbench.signals.series import first_of, fit_percent, rms
@@ -67,7 +67,7 @@ def test_a_log_that_begins_in_motion_is_followed(kind, drop):
     made, first = driven(kind)
     record, model = cut(measured(made, 1, drop), first), Model.of(rig("slide_servo"))
     rest = model.replay(record)
-    start = estimated_start(model, record, ["press"], COMPARED)
+    start = follow(model, record, ["press"], COMPARED).start
     followed = model.replay(record, start=start)
     for channel in ("press.x", *COMPARED):
         true = made[channel][first:]
@@ -107,7 +107,7 @@ def test_a_rest_that_drifts_does_not_bias():
     made = model.record(t, table, model.run(y, table), {"rig": "slide_servo", "payload": "none"})
     record = measured(made, 3)
     mean = model.rest_start(record).y
-    found = estimated_start(model, record, ["press"], COMPARED).y
+    found = follow(model, record, ["press"], COMPARED).start.y
     assert np.abs(mean - y)[names].max() > 2e4
     assert np.abs(found - y)[names].max() < 4e3
 
@@ -139,7 +139,7 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
     record, model = measured(made, 4, drop), Model.of(pump)
     compared = ["lift.v", "lift.p_head", "lift.p_rod"]
     rest = model.replay(record)
-    followed = model.replay(record, start=estimated_start(model, record, ["lift"], compared))
+    followed = model.replay(record, start=follow(model, record, ["lift"], compared).start)
     for channel, noise in (("lift.v", 1e-3), ("lift.p_head", 6e3)):
         off = [rms(made[channel] - y[channel]) for y in (rest, followed)]
         assert off[0] > 0.3 * noise and off[1] < 0.1 * noise, (channel, off)
@@ -147,8 +147,8 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
 
 def test_a_rest_that_stands_has_no_speed_to_find():
     record = measured(driven("steps")[0], 2)
-    start = start_of_log(Model.of(rig("slide_servo")), record, ["press"], COMPARED)
-    assert "press.qd" not in {doubt.name for doubt in start.doubts}
+    start = initial_state_of(Model.of(rig("slide_servo")), record, ["press"], COMPARED)
+    assert "press.qd" not in {number.name for number in start.uncertain}
 
 
 def test_a_place_is_as_sure_as_its_line():
@@ -187,25 +187,25 @@ def test_what_a_log_lacks_is_left_wide():
     made = driven("steps")[0]
     model = Model.of(rig("slide_servo"))
     lacking = measured(made, 8, ("p_rod", "p_supply"))
-    start = start_of_log(model, lacking, ["press"], ["press.v", "press.p_head"])
-    std = {doubt.name: doubt.std for doubt in start.doubts}
+    start = initial_state_of(model, lacking, ["press"], ["press.v", "press.p_head"])
+    std = {number.name: number.std for number in start.uncertain}
     assert set(std) == {"press.p_head", "press.p_rod", "press.q"}
     assert std["press.p_rod"] > 3.0 * std["press.p_head"]
 
 
 def test_a_tank_is_as_sure_as_the_mean_of_its_sensor():
-    """As noisy as the supply's it is as much in doubt; one that is typed in, without noise, is
+    """As noisy as the supply's it is as much in number; one that is typed in, without noise, is
     not.
     """
     made, model = driven("steps")[0], Model.of(rig("slide_servo"))
     seen = measured(made, 8)
     noise = seen["p_supply"] - made["p_supply"]
     noisy = replace(seen, channels=seen.channels | {"p_tank": 2e5 + noise})
-    start, known = (start_of_log(model, one, ["press"], COMPARED) for one in (noisy, seen))
-    assert "p_tank" not in {doubt.name for doubt in known.doubts}
-    std = {doubt.name: doubt.std for doubt in start.doubts}
+    start, known = (initial_state_of(model, one, ["press"], COMPARED) for one in (noisy, seen))
+    assert "p_tank" not in {number.name for number in known.uncertain}
+    std = {number.name: number.std for number in start.uncertain}
     assert std["p_tank"] == pytest.approx(std["p_supply"])
-    shifts = np.array([2.0 * (doubt.name == "p_tank") for doubt in start.doubts])
+    shifts = np.array([2.0 * (number.name == "p_tank") for number in start.uncertain])
     stands, moved = start.at(model, 0.0 * shifts), start.at(model, shifts)
     assert moved.tank == pytest.approx(stands.tank + 2.0 * std["p_tank"])
     np.testing.assert_array_equal(moved.y, stands.y)
@@ -251,8 +251,8 @@ def test_models_share_a_start_only_where_it_is_the_same(name, moves):
     y = made.trim(made.posture(None), None, table[0])
     record = made.record(np.arange(200) * 1e-3, table, made.run(y, table), {"rig": name})
     live = [one.name for one in rig(name).cylinder]
-    start = replace(start_of_log(made, record, live, []), moves=moves)
-    none, found = np.zeros(len(start.doubts)), []
+    start = replace(initial_state_of(made, record, live, []), moves=moves)
+    none, found = np.zeros(len(start.uncertain)), []
     for key, value in known.items():
         varied = Model.of(rig(name).with_values({key: 1.01 * float(value) or 1e-3}, known))
         shared, own = start.at(varied, none), replace(start).at(varied, none)
