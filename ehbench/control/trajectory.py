@@ -175,18 +175,6 @@ def _check_limits(**limits: float) -> None:
             )
 
 
-def there_and_back(start: float, end: float, *, cycles: int = 1, **limits) -> np.ndarray:
-    """``cycles`` of forward, hold, back, hold between two strokes [m]; limits as in
-    `point_to_point`.
-
-    Raises:
-        InputError: as `point_to_point`, or no cycle.
-    """
-    if cycles < 1:
-        raise InputError("a trajectory there and back has one cycle or more")
-    return point_to_point([start, *([end, start] * cycles)], **limits)
-
-
 def velocity_steps(
     levels: Sequence[float],
     *,

@@ -14,7 +14,7 @@ import pytest
 from ehbench.config.recipe import load_rig
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at, reference_load
-from ehbench.control.trajectory import point_to_point, there_and_back
+from ehbench.control.trajectory import point_to_point
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.cylinder import linkage_of
 from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
@@ -61,9 +61,8 @@ def thesis(valve="cartridges"):
 @cache
 def slow():
     """Up and down again, 0.15 m in about 4 s each."""
-    return there_and_back(
-        LOW,
-        HIGH,
+    return point_to_point(
+        [LOW, HIGH, LOW],
         speed=0.08,
         acceleration=0.2,
         jerk=2.0,
@@ -76,9 +75,8 @@ def slow():
 @cache
 def fast():
     """Up and down again, 0.15 m in about 1.5 s each, at 92 % of the pump's flow."""
-    return there_and_back(
-        LOW,
-        HIGH,
+    return point_to_point(
+        [LOW, HIGH, LOW],
         speed=0.23,
         acceleration=1.0,
         jerk=20.0,
@@ -493,9 +491,8 @@ def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
     design = Model.of(rig)
     cylinder = design.layout.cylinders[0]
     ax = axis_of(design, 0, {cylinder: f"{0.5 * (low + high)} m"})
-    reference = there_and_back(
-        low,
-        high,
+    reference = point_to_point(
+        [low, high, low],
         speed=0.07,
         acceleration=0.5,
         jerk=5.0,
@@ -522,9 +519,8 @@ def test_an_inclined_slide_weighs_its_load():
     )
     design = Model.of(rig)
     ax = axis_of(design, 0, {"press": "0.2 m"})
-    reference = there_and_back(
-        0.05,
-        0.3,
+    reference = point_to_point(
+        [0.05, 0.3, 0.05],
         speed=0.1,
         acceleration=0.5,
         jerk=5.0,
@@ -553,9 +549,8 @@ def test_on_the_bench(load):
     rig = load_rig(RIGS / "boom_four_valve.toml")
     design = Model.of(rig)
     ax = axis_of(design, 0, {"boom": "0.225 m"})
-    reference = there_and_back(
-        0.1,
-        0.35,
+    reference = point_to_point(
+        [0.1, 0.35, 0.1],
         speed=0.1,
         acceleration=0.3,
         jerk=3.0,

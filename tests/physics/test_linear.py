@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 
 from ehbench.config.recipe import load_rig
 from ehbench.control import pressure_feedback
@@ -21,7 +22,6 @@ from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
-from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.loop import Law, close, damping_ratio, dominant
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of

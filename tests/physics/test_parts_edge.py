@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Edge, Rig
@@ -18,7 +19,6 @@ from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.differences import plant_model
 from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.codes import FAINT, REVERSED

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.recipe.toml import read_toml, validated
@@ -26,7 +27,6 @@ from ehbench.parts.friction import (
 from ehbench.parts.friction.stribeck import SMOOTHING
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.errors import InputError

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 
 from ehbench.config.rig import Rig
 from ehbench.control.law import Site
@@ -18,7 +19,6 @@ from ehbench.parts.edge.orifice import root
 from ehbench.parts.line import LINE, Line, drop_for, line_conductance
 from ehbench.plant.model import Model, simulate
 from ehbench.runtime.compiled import table_of
-from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 from ehbench.vocabulary.errors import InputError

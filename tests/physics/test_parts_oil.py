@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 from scipy.integrate import solve_ivp
 
 from ehbench.config.recipe import BenchRecipe
@@ -15,7 +16,6 @@ from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, held
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.fields import Value

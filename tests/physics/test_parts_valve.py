@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 from scipy.signal import fftconvolve
 
 from ehbench.config.recipe import load_rig
@@ -20,7 +21,6 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import felt_commands, follow_valves
-from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.errors import InputError

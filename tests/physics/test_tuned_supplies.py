@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from plant_differences import plant_model
 
 from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_rig
 from ehbench.config.rig import LoadSensing, LowRail
@@ -23,7 +24,6 @@ from ehbench.plant.model import Model
 from ehbench.trial import prepare, run
 from ehbench.tune.arc import tune_arc
 from ehbench.tune.arc_loop import SampledPlant, Sensing
-from ehbench.tune.differences import plant_model
 from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of

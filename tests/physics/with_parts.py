@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from plant_differences import plant_model
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
@@ -14,7 +15,6 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.differences import plant_model
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 

@@ -69,7 +69,9 @@ def test_jerk_is_continuous(profile):
     steps = [
         np.abs(
             np.diff(
-                tr.there_and_back(0.0, 0.2, tick=h, hold=0.1, profile=profile, **LIMITS)[:, tr.J]
+                tr.point_to_point([0.0, 0.2, 0.0], tick=h, hold=0.1, profile=profile, **LIMITS)[
+                    :, tr.J
+                ]
             )
         ).max()
         for h in (2e-4, 1e-4)
@@ -96,10 +98,10 @@ def test_waypoints_holds_and_cycles():
     assert [
         np.isclose(table[resting, tr.X], x, atol=1e-15).sum() for x in (0.05, 0.2, 0.1)
     ] == pytest.approx([1, 300, 300], abs=1)
-    back = tr.there_and_back(0.1, 0.15, cycles=2, tick=TICK, hold=0.1, **LIMITS)
+    back = tr.point_to_point([0.1, 0.15, 0.1, 0.15, 0.1], tick=TICK, hold=0.1, **LIMITS)
     assert back[-1, tr.X] == pytest.approx(0.1, abs=1e-15)
     assert (np.diff(np.sign(back[:, tr.V])) != 0).sum() == 8
-    once = tr.there_and_back(0.1, 0.15, tick=TICK, hold=0.1, **LIMITS)
+    once = tr.point_to_point([0.1, 0.15, 0.1], tick=TICK, hold=0.1, **LIMITS)
     assert back[: once.shape[0] - 1] == pytest.approx(once[:-1], abs=1e-12)
     still = tr.point_to_point([0.1], tick=TICK, hold=0.02, **LIMITS)
     assert still.shape == (21, 4) and (still == [0.1, 0, 0, 0]).all()
@@ -212,9 +214,7 @@ def test_wrong_trajectories_are_refused(wrong, match):
         tr.point_to_point(**({"waypoints": [0.0, 0.1], "tick": TICK, **LIMITS} | wrong))
 
 
-def test_wrong_steps_cycles_and_shapings_are_refused():
-    with pytest.raises(InputError, match="cycle"):
-        tr.there_and_back(0.0, 0.1, cycles=0, tick=TICK, **LIMITS)
+def test_wrong_steps_and_shapings_are_refused():
     for wrong in ({"levels": []}, {"duration": 0.0}, {"duration": [1.0, 1.0]}, {"rest": -1.0}):
         with pytest.raises(InputError, match="velocity steps"):
             tr.velocity_steps(**({"levels": [0.1], "duration": 1.0, "tick": TICK} | wrong))
