@@ -19,23 +19,39 @@ from ehbench.data.record import Record
 from ehbench.preprocessing.time_base import SETTINGS as TIME
 from ehbench.preprocessing.time_base import evened
 from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
 
-LEAST_AVERAGES = 4  # fewer leave no error bar worth its name
-DEFAULT_AVERAGES = 8  # of the shortest log, where no length of segment is given
-LEAST_SAMPLES = 16  # of a segment
-NO_POWER = 1.0e-8  # share of the input's largest power below which a frequency is not excited
-LATE = 0.1  # share of a segment from which a delay takes away coherence and gain
-CROOKED = 2.0  # ratio of residual to expected spread from which a phase is no straight line
-LEAST_LINE = 4  # frequencies from which a slope is fitted
-SHOWN = 1.5  # how far beyond the highest frequency that counts curves go
+
+@dataclass(frozen=True)
+class ResponseSettings:
+    """Numbers of frequency responses."""
+
+    averages: int = setting(4, "", "least number of segments", "fewer leave no useful error")
+    usual_averages: int = setting(
+        8, "", "averages of the shortest log where no length of segment is given", "a compromise"
+    )
+    samples: int = setting(16, "", "least samples of a segment", "8 frequencies")
+    no_power: float = setting(
+        1.0e-8, "", "share of the largest power below which a frequency is not excited", "windows"
+    )
+    late: float = setting(0.1, "", "share of a segment from which a delay lowers the gain", "10 %")
+    curved: float = setting(
+        2.0, "", "ratio of residual to error from which a phase is no straight line", "χ²"
+    )
+    line: int = setting(4, "", "frequencies from which a slope is fitted", "two more than needed")
+    shown: float = setting(1.5, "", "shown beyond the highest frequency that counts", "half as far")
+
+
+SETTINGS = ResponseSettings()
 OVERLAP = {"hann": 0.5, "boxcar": 0.0}
 
 
 class Averaging(NamedTuple):
-    """How logs are averaged: the length of a ``segment`` [s] (None: what gives 8 averages of the
-    shortest log), its ``window``, the ``coherence`` from which a frequency counts, the largest
-    ``frequency`` [Hz] that is looked at.
+    """How logs are averaged: the length of a ``segment`` [s] (None: 8 averages of the shortest
+    log), its ``window``, the ``coherence`` from which a frequency counts, the largest
+    ``frequency`` [Hz].
     """
 
     segment: float | None = None
@@ -148,7 +164,7 @@ class Curve:
     @classmethod
     def of(cls, response: Response, highest: float) -> Curve:
         """Some way beyond the highest frequency [Hz] that counts."""
-        shown = response.frequency <= SHOWN * highest
+        shown = response.frequency <= SETTINGS.shown * highest
 
         def column(values: np.ndarray) -> tuple[float | None, ...]:
             return tuple(
@@ -194,15 +210,11 @@ def prepare_signals(
         pairs.append((record[names[0]], record[names[1]]))
         rates.append(float(f"{1.0 / record.sample_time:.9g}"))
     if max(rates) > (1.0 + TIME.even) * min(rates):
-        raise InputError(
-            f"the logs are sampled at {min(rates):.6g} and at {max(rates):.6g} Hz",
-            hint="one response takes logs of one rate",
-        )
+        low, high = min(rates), max(rates)
+        raise InputError(message("frequency_response.several_rates", low=low, high=high))
     if all(np.ptp(x) == 0.0 for x, _ in pairs):
-        raise InsufficientData(
-            f"the input {names[0]} stays at {pairs[0][0][0]:g} in every log",
-            hint="a response needs an input that moves, best a multisine",
-        )
+        fields = {"channel": names[0], "level": pairs[0][0][0]}
+        raise InsufficientData(message("frequency_response.constant_input", **fields))
     signals = signals_of(pairs, rates[0], choice)
     return replace(signals, warnings=tuple(warnings))
 
@@ -217,20 +229,17 @@ def signals_of(
     """
     shared = OVERLAP[choice.window]
     shortest = min(x.size for x, _ in pairs)
-    usual = shortest / (1.0 + (DEFAULT_AVERAGES - 1) * (1.0 - shared)) / rate
+    usual = shortest / (1.0 + (SETTINGS.usual_averages - 1) * (1.0 - shared)) / rate
     size = round((choice.segment or usual) * rate)
     step = size - round(shared * size)
     segments = tuple(max(0, 1 + (x.size - size) // max(step, 1)) for x, _ in pairs)
-    if size < LEAST_SAMPLES:
-        raise InsufficientData(
-            f"segments of {size / rate:.4g} s have only {size} samples",
-            hint=f"at least {LEAST_SAMPLES} are needed: longer segments, or longer logs",
-        )
-    if sum(segments) < LEAST_AVERAGES:
-        raise InsufficientData(
-            f"the logs give only {sum(segments)} segments of {size / rate:.4g} s",
-            hint=f"at least {LEAST_AVERAGES} are averaged: longer logs, or a shorter 'segment'",
-        )
+    seconds, count = size / rate, sum(segments)
+    if size < SETTINGS.samples:
+        fields = {"segment": seconds, "count": size, "least": SETTINGS.samples}
+        raise InsufficientData(message("frequency_response.short_segments", **fields))
+    if count < SETTINGS.averages:
+        fields = {"segment": seconds, "count": count, "least": SETTINGS.averages}
+        raise InsufficientData(message("frequency_response.few_segments", **fields))
     averages = sum(_independent(n, size, choice.window) for n in segments)
     return Signals(tuple(pairs), rate, size, segments, averages, choice, ())
 
@@ -255,19 +264,17 @@ def estimate(signals: Signals) -> Response:
         InsufficientData: no frequency is coherent enough to count.
     """
     frequency, gxx, gyy, gxy = _spectra(signals)
-    powered = gxx > NO_POWER * gxx.max()
+    powered = gxx > SETTINGS.no_power * gxx.max()
     product = np.where(powered & (gyy > 0.0), gxx * gyy, np.inf)
     coherence = np.minimum(np.abs(gxy) ** 2 / product, 1.0)
     transfer = np.where(powered, gxy / np.where(powered, gxx, 1.0), np.nan)
     noise = 1.0 - 0.05 ** (1.0 / (signals.averages - 1.0))
-    coherent = coherence >= max(signals.choice.coherence, noise)
+    limit = max(signals.choice.coherence, noise)
+    coherent = coherence >= limit
     if not coherent.any():
         best = int(np.argmax(coherence))
-        raise InsufficientData(
-            f"no frequency reaches a coherence of {max(signals.choice.coherence, noise):.3g}; "
-            f"the best has {coherence[best]:.3g}, at {frequency[best]:.4g} Hz",
-            hint="more averages, more power at the input, or less coherence asked for",
-        )
+        fields = {"limit": limit, "best": coherence[best], "frequency": frequency[best]}
+        raise InsufficientData(message("frequency_response.no_coherence", **fields))
     gain, spread = np.abs(transfer), _relative_error(coherence, signals.averages)
     phase = _unwrapped(np.angle(transfer), coherent)
     turn = np.where(spread < 1.0, np.arcsin(np.minimum(spread, 1.0)), np.nan)
@@ -277,7 +284,7 @@ def estimate(signals: Signals) -> Response:
         "phase_low": phase - turn,
         "phase_high": phase + turn,
     }
-    delay, crooked = _delay(signals, frequency, phase, turn, coherent)
+    delay, curved = _delay(signals, frequency, phase, turn, coherent)
     at = np.flatnonzero(coherent)
     fallen = [curve[at] for curve in (gain, curves["gain_low"], curves["gain_high"])]
     turned = [curve[at] for curve in (phase, curves["phase_low"], curves["phase_high"])]
@@ -294,14 +301,12 @@ def estimate(signals: Signals) -> Response:
         delay=delay,
         bandwidth=_crossing(frequency[at], fallen, [starts[0], starts[2], starts[1]]),
         quadrature=_crossing(frequency[at], turned, [-0.5 * math.pi] * 3),
-        warnings=(*signals.warnings, *_warnings(signals, frequency, powered, coherent), *crooked),
+        warnings=(*signals.warnings, *_warnings(signals, frequency, powered, coherent), *curved),
         **curves,
     )
-    if delay is not None and delay.value > LATE * result.segment:
-        late = (
-            f"the delay, {1e3 * delay.value:.3g} ms, is {100 * delay.value / result.segment:.0f} % "
-            "of a segment: gain and coherence come out too low; take longer segments"
-        )
+    if delay is not None and delay.value > SETTINGS.late * result.segment:
+        fields = {"delay": 1e3 * delay.value, "share": delay.value / result.segment}
+        late = message("frequency_response.late", **fields)
         return replace(result, warnings=(*result.warnings, late))
     return result
 
@@ -309,7 +314,7 @@ def estimate(signals: Signals) -> Response:
 def transfer_of(signals: Signals) -> np.ndarray:
     """G_xy/G_xx at the frequencies of `estimate`, complex; zero where the input has no power."""
     _, gxx, _, gxy = _spectra(signals)
-    powered = gxx > NO_POWER * gxx.max()
+    powered = gxx > SETTINGS.no_power * gxx.max()
     return np.where(powered, gxy / np.where(powered, gxx, 1.0), 0.0)
 
 
@@ -335,11 +340,8 @@ def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     frequency = transform.f
     retained = (frequency > 0.0) & (frequency <= signals.choice.frequency)
     if not retained.any():
-        raise InsufficientData(
-            f"no frequency up to {signals.choice.frequency:g} Hz in segments of "
-            f"{signals.size / signals.rate:.4g} s",
-            hint="a larger frequency_max, or longer segments",
-        )
+        fields = {"highest": signals.choice.frequency, "segment": signals.size / signals.rate}
+        raise InsufficientData(message("frequency_response.no_frequency", **fields))
     gxx, gyy, gxy = total[:, retained] / sum(signals.segments)
     return frequency[retained], gxx.real, gyy.real, gxy
 
@@ -370,14 +372,14 @@ def _delay(
     phase: np.ndarray,
     turn: np.ndarray,
     coherent: np.ndarray,
-) -> tuple[Estimate | None, list[str]]:
-    """(−dφ/dω with its interval, what is to be said of it) by a weighted line through the phase.
+) -> tuple[Estimate | None, list[Message]]:
+    """(−dφ/dω with its interval, notes on it) by a weighted line through the phase.
 
     The window spreads a frequency over its neighbours, so their errors go together: the variance
     is that of the weighted line under their correlation."""
     at = np.flatnonzero(coherent & np.isfinite(turn))
-    if at.size < LEAST_LINE:
-        return None, [f"only {at.size} coherent frequencies: no delay is fitted"]
+    if at.size < SETTINGS.line:
+        return None, [message("frequency_response.no_delay", count=at.size)]
     omega = 2.0 * math.pi * frequency[at]
     error = np.maximum(turn[at] / Z95, 1.0e-9)
     design = np.column_stack([np.ones(at.size), -omega])
@@ -387,15 +389,12 @@ def _delay(
     residual = (phase[at] - design @ solution) / error
     correlated = _neighbours(signals, at)
     variance = (inverse @ weighted.T @ correlated @ weighted @ inverse)[1, 1]
-    crooked = math.sqrt(float(residual @ residual) / (at.size - 2))
+    curved = math.sqrt(float(residual @ residual) / (at.size - 2))
     warnings = []
-    if crooked > CROOKED:
-        warnings.append(
-            f"the phase is no straight line over {frequency[at[0]]:.4g} … {frequency[at[-1]]:.4g} "
-            f"Hz (off by {crooked:.0f} times its error): the delay is its mean slope there, with "
-            "the lag"
-        )
-    half = Z95 * math.sqrt(variance) * max(1.0, crooked)
+    if curved > SETTINGS.curved:
+        fields = {"low": frequency[at[0]], "high": frequency[at[-1]], "times": curved}
+        warnings.append(message("frequency_response.curved_phase", **fields))
+    half = Z95 * math.sqrt(variance) * max(1.0, curved)
     slope = float(solution[1])
     return Estimate(slope, slope - half, slope + half), warnings
 
@@ -441,25 +440,19 @@ def _first_below(frequency: np.ndarray, curve: np.ndarray, level: float) -> floa
 
 def _warnings(
     signals: Signals, frequency: np.ndarray, powered: np.ndarray, coherent: np.ndarray
-) -> list[str]:
-    """What is to be said of frequencies without power or coherence."""
+) -> list[Message]:
+    """Notes on frequencies without power or coherence."""
     warnings = []
+    fields: dict[str, Any] = {"all": powered.size}
     if not powered.all():
-        warnings.append(
-            f"the input has no power at {_ranges(frequency, ~powered)} "
-            f"({_share(~powered)} frequencies): nothing is known there"
-        )
+        fields |= {"ranges": _ranges(frequency, ~powered), "count": int((~powered).sum())}
+        warnings.append(message("frequency_response.no_power", **fields))
     low = powered & ~coherent
     if low.any():
-        warnings.append(
-            f"coherence is below {signals.choice.coherence:g} at {_ranges(frequency, low)} "
-            f"({_share(low)} frequencies): noise, another input or a law that is not linear"
-        )
+        fields |= {"ranges": _ranges(frequency, low), "count": int(low.sum())}
+        limit = signals.choice.coherence
+        warnings.append(message("frequency_response.low_coherence", limit=limit, **fields))
     return warnings
-
-
-def _share(marked: np.ndarray) -> str:
-    return f"{int(marked.sum())} of {marked.size}"
 
 
 def _ranges(frequency: np.ndarray, marked: np.ndarray, maximum: int = 3) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ehbench.preprocessing.sensors import lagged
 from ehbench.signals.series import correlation_time, fit_percent
+from ehbench.vocabulary.settings import setting
 
 # by form: the poles that it has, whether it has a delay
 FORMS = {
@@ -23,8 +24,19 @@ FORMS = {
     "two poles": (2, False),
     "two poles and delay": (2, True),
 }
-CLOSE = 1.0  # percent of fit by which a form of more numbers must be better to be preferred
-SPREAD = 4.0  # factor between two poles where their search begins
+
+
+@dataclass(frozen=True)
+class TransferSettings:
+    """Numbers of fitted transfer functions."""
+
+    close: float = setting(
+        1.0, "%", "fit by which a form of more numbers must be better", "plain to see"
+    )
+    spread: float = setting(4.0, "", "factor between two poles where a search begins", "apart")
+
+
+SETTINGS = TransferSettings()
 
 
 @dataclass(frozen=True)
@@ -44,7 +56,7 @@ class Transfer:
 
     @property
     def numbers(self) -> int:
-        """How many numbers it has beside the gain."""
+        """How many numbers it has in addition to the gain."""
         return len(self.poles) + (self.delay is not None)
 
     def as_json(self) -> dict[str, Any]:
@@ -65,7 +77,7 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     """
     results = [_fitted(form, pairs, rate) for form in FORMS]
     level = {item.form: float(np.mean(item.fit_percent)) for item in results}
-    close = [item for item in results if level[item.form] >= max(level.values()) - CLOSE]
+    close = [item for item in results if level[item.form] >= max(level.values()) - SETTINGS.close]
     fewest = min(item.numbers for item in close)
     best = max(
         (item for item in close if item.numbers == fewest), key=lambda entry: level[entry.form]
@@ -83,30 +95,23 @@ def _fitted(form: str, pairs: Pairs, rate: float) -> Transfer:
     low, high = 2.0 * math.pi / max(y.size for _, y in pairs) * rate, 2.0 * math.pi * rate
     size = math.sqrt(float(np.mean([np.var(y) for _, y in pairs])))
 
-    def left(theta: np.ndarray) -> np.ndarray:
-        return (
-            np.concatenate(
-                [
-                    y - s
-                    for s, (_, y) in zip(_seen(theta, poles, pairs, rate)[1], pairs, strict=True)
-                ]
-            )
-            / size
-        )
+    def residuals(theta: np.ndarray) -> np.ndarray:
+        outputs = _outputs(theta, poles, pairs, rate)[1]
+        return np.concatenate([y - s for s, (_, y) in zip(outputs, pairs, strict=True)]) / size
 
     starts = [math.log(w) for w in np.geomspace(4.0 * low, 0.1 * high, 6)]
-    begins = [np.array([w + k * math.log(SPREAD) for k in range(poles)]) for w in starts]
+    begins = [np.array([w + k * math.log(SETTINGS.spread) for k in range(poles)]) for w in starts]
     if late:
         begins = [np.append(begin, 1.0) for begin in begins]  # [samples]
-    begin = min(begins, key=lambda item: float(np.sum(left(item) ** 2)))
+    begin = min(begins, key=lambda item: float(np.sum(residuals(item) ** 2)))
     bounds = (
         [math.log(low)] * poles + [0.0] * late,
         [math.log(high)] * poles + [0.5 * rate] * late,
     )
     best = least_squares(
-        left, np.clip(begin, *bounds), bounds=bounds, x_scale="jac", diff_step=1e-5
+        residuals, np.clip(begin, *bounds), bounds=bounds, x_scale="jac", diff_step=1e-5
     )
-    gain, seen = _seen(best.x, poles, pairs, rate)
+    gain, seen = _outputs(best.x, poles, pairs, rate)
     tau = float(np.median([correlation_time(y - s) for s, (_, y) in zip(seen, pairs, strict=True)]))
     inverse = np.linalg.pinv(best.jac.T @ best.jac)
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * float(np.mean(best.fun**2)) * tau)
@@ -123,7 +128,7 @@ def _fitted(form: str, pairs: Pairs, rate: float) -> Transfer:
     )
 
 
-def _seen(
+def _outputs(
     theta: np.ndarray, poles: int, pairs: Pairs, rate: float
 ) -> tuple[float, list[np.ndarray]]:
     """(gain, outputs) of a form: logarithms of its poles [rad/s], then its delay [samples]."""
@@ -131,11 +136,11 @@ def _seen(
     for u, y in pairs:
         at = np.arange(u.size, dtype=float)
         s = np.interp(at - theta[poles], at, u) if len(theta) > poles else u
-        own = np.exp(theta[:poles])
-        for pole in own:
+        rates = np.exp(theta[:poles])
+        for pole in rates:
             s = lagged(s, 1.0 / rate, 1.0 / float(pole))
         # what the log's own offset and start add: a constant, and a decay of each pole
-        additional = np.exp(-np.outer(at / rate, [0.0, *own]))
+        additional = np.exp(-np.outer(at / rate, [0.0, *rates]))
         ways, _ = np.linalg.qr(additional)
         bases.append((s - ways @ (ways.T @ s), y - ways @ (ways.T @ y), y))
     along = sum(float(s @ s) for s, _, _ in bases)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.data.record import Record
+from ehbench.frequency_response.response import SETTINGS as RESPONSE
 from ehbench.frequency_response.response import (
-    LEAST_LINE,
     Averaging,
     Curve,
     Response,
@@ -59,7 +59,7 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
     ]
     coherent = np.column_stack([item.coherent for item in results])
     at = np.flatnonzero(coherent.any(axis=1))
-    if at.size < LEAST_LINE:
+    if at.size < RESPONSE.line:
         raise InsufficientData(
             f"{log.name}: only {at.size} frequencies answer {command} coherently",
             hint="a log in which it sweeps, or a smaller coherence_min",

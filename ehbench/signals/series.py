@@ -16,22 +16,40 @@ import numpy as np
 
 from ehbench.signals import oscillation
 from ehbench.signals.oscillation import basis, drift, project
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
-LEAST_SAMPLES = 24  # fewer do not carry four amplitudes, a frequency and a decay
-LEAST_CYCLES = 1.0
-MOST_DAMPED = (
-    0.6  # above it a step overshoots by less than 10 %, and noise or drift pass for ringing
-)
-SIGNIFICANT = (
-    40.0  # log-likelihood ratio that noise alone practically never reaches over the whole search
-)
-LOUD = 0.1  # share of another oscillation's energy with which one rings, whatever else moves
-LEAST_LINE = 8  # samples that tell a slope
-_GRID_SAMPLES = 192
-_ASTRAY = 0.5  # by how much log ω may move from where a search began and count as the same one
-_INSIDE = 0.05  # by how much log ω begins at least below that of half the sampling rate
-_SAMPLES_A_CYCLE = 24
+LEAST_LINE = 8  # samples that show a slope
 _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
+
+
+@dataclass(frozen=True)
+class RingingSettings:
+    """Numbers of the search for a ringing."""
+
+    samples: int = setting(
+        24, "", "least samples of a window", "four amplitudes, a frequency and a decay"
+    )
+    cycles: float = setting(1.0, "", "least cycles", "else a drift")
+    damped: float = setting(
+        0.6, "", "largest damping ratio", "a step overshoots by 10 %; noise passes for more"
+    )
+    significant: float = setting(
+        40.0, "", "least gain in log likelihood", "noise never reaches it over the whole search"
+    )
+    loud: float = setting(
+        0.1, "", "share of another oscillation's energy from which one rings", "a third in size"
+    )
+    grid: int = setting(192, "", "samples of the search on a grid", "enough for 24 cycles")
+    astray: float = setting(0.5, "", "change of log ω from a start that is another one", "65 %")
+    inside: float = setting(0.05, "", "log ω of a start below half the sampling rate", "inside")
+    cycle: int = setting(24, "", "samples to a cycle after averaging", "the wave shows")
+    share: float = setting(0.3, "", "least share of the residual that it explains", "else noise")
+    clear: float = setting(0.9, "", "the same from which it rings whatever the noise", "plain")
+    error: float = setting(0.15, "", "largest standard error of the frequency, as a share", "known")
+
+
+SETTINGS = RingingSettings()
 
 
 @dataclass(frozen=True)
@@ -262,29 +280,31 @@ def ringing(
             window given.
     """
     y = _columns(y)
-    if len(t) < LEAST_SAMPLES:
-        return Ringing(reason=f"only {len(t)} samples")
+    if len(t) < SETTINGS.samples:
+        return Ringing(reason=message("signals.few_samples", count=len(t)))
     spread = np.std(y, axis=0)
     weight = np.where(
         spread > 1e-9 * np.max(np.abs(y), axis=0), 1.0 / np.maximum(spread, 1e-300), 0.0
     )
     if not np.any(weight):
-        return Ringing(reason="nothing moves")
+        return Ringing(reason=message("signals.nothing_moves"))
     s, y = np.asarray(t - t[0], dtype=float), y - np.mean(y, axis=0)
     (omega, zeta), used = guess or (0.0, 0.0), len(s)
     if guess is None:
         omega, zeta, used = _search(s, y[:, weight > 0.0] * weight[weight > 0.0])
     begun, block = (omega, zeta), _block(s, omega)
-    s, y, used = _blocks(s, block), _blocks(y, block), max(LEAST_SAMPLES, used // block)
+    s, y, used = _blocks(s, block), _blocks(y, block), max(SETTINGS.samples, used // block)
     first, s = s[0], s - s[0]
     floor, tau = 1e-3 * spread, 0.0
     for drifts in ((0.0,), (0.0, 0.1), None):
         if trim and (guess is not None or drifts != (0.0,)):
             required = max(4.0 / max(zeta * omega, 1e-9), 2.5 * 2 * math.pi / omega)
-            used = min(len(s), max(LEAST_SAMPLES, int(np.searchsorted(s, required, side="right"))))
+            used = min(
+                len(s), max(SETTINGS.samples, int(np.searchsorted(s, required, side="right")))
+            )
         taus = (tau,) if drifts is None else tuple(share * s[used - 1] for share in drifts)
         starts = [(omega, zeta)]
-        if abs(math.log(omega / begun[0])) > _ASTRAY:  # a drift that the window before left
+        if abs(math.log(omega / begun[0])) > SETTINGS.astray:  # a drift that the window before left
             starts.append(begun)
         omega, zeta, tau = _refine(s[:used], y[:used] * weight, starts, taus)
         _, left = project(basis(s[:used], omega, zeta, tau), y[:used])
@@ -314,7 +334,7 @@ def ringing_like(
         like: of the other series.
     """
     if not like.ok:
-        return Ringing(reason="the other series does not ring")
+        return Ringing(reason=message("signals.other_silent"))
     y = _columns(y)
     starts = (
         [guess]
@@ -327,13 +347,13 @@ def ringing_like(
     block = _block(t - t[0], like.natural_frequency)
     s, y, weight = _blocks(t - t[0], block), _blocks(y, block), np.array(like.weights)
     used = int(np.searchsorted(t[0] + s, like.stop + 1e-9))
-    if used < LEAST_SAMPLES:
-        return Ringing(reason="the window is not covered")
+    if used < SETTINGS.samples:
+        return Ringing(reason=message("signals.not_covered"))
     first, s, y = s[0], s[:used] - s[0], y[:used] - np.mean(y[:used], axis=0)
     if not np.any(np.ptp(y * weight, axis=0) > 0.0):
-        return Ringing(reason="nothing moves")
+        return Ringing(reason=message("signals.nothing_moves"))
     omega, zeta, tau = _refine(s, y * weight, starts, (like.drift_time,), free_drift=False)
-    start, loud = float(t[0] + first), LOUD * like.energy
+    start, loud = float(t[0] + first), SETTINGS.loud * like.energy
     return _judge(s, y, weight, omega, zeta, tau, start, loud)
 
 
@@ -345,7 +365,7 @@ def _columns(y: np.ndarray) -> np.ndarray:
 def _block(s: np.ndarray, omega: float) -> int:
     """Samples to average before the fit: enough stay to see the oscillation, and the window."""
     return max(
-        1, min(int(2 * math.pi / omega / (s[1] * _SAMPLES_A_CYCLE)), len(s) // LEAST_SAMPLES)
+        1, min(int(2 * math.pi / omega / (s[1] * SETTINGS.cycle)), len(s) // SETTINGS.samples)
     )
 
 
@@ -360,9 +380,9 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
     best = (-math.inf, 2 * math.pi / s[-1], 0.1, len(s))
     for halving in range(6):
         used = len(s) >> halving
-        if used < max(LEAST_SAMPLES, _GRID_SAMPLES // 4) and halving > 0:
+        if used < max(SETTINGS.samples, SETTINGS.grid // 4) and halving > 0:
             break
-        block = max(1, used // _GRID_SAMPLES)
+        block = max(1, used // SETTINGS.grid)
         count = used // block
         z, w = _blocks(s[:used], block), _blocks(y[:used], block)
         frequencies, columns = oscillation.waves(count, _GRID_DAMPING)
@@ -396,7 +416,7 @@ def _refine(
     highest = math.log(math.pi / s[1])  # beyond it, samples are those of a slower oscillation too
     for (omega, zeta), tau in product(starts, taus):
         bounds = [(-math.inf, highest), (-0.05, 0.95)]
-        start = [min(math.log(omega), highest - _INSIDE), min(max(zeta, 0.0), 0.9)]
+        start = [min(math.log(omega), highest - SETTINGS.inside), min(max(zeta, 0.0), 0.9)]
         if tau > 0.0 and free_drift:
             low, high = math.log(s[2]), math.log(2.0 * s[-1])
             bounds.append((low, high))
@@ -464,18 +484,15 @@ def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
     reason, fitted = "", math.nan
     energy = (total - residual) / n
     # what is left over is then the model's error, not noise to be judged by
-    plain = energy >= loud or (share > 0.9 and cycles > 2.0 * LEAST_CYCLES)
-    if not plain and (evidence < SIGNIFICANT or share < 0.3):
-        reason = (
-            "no oscillation stands out of noise and drift (it explains "
-            f"{100 * max(share, 0.0):.0f} % of what the drift leaves)"
-        )
-    elif zeta > MOST_DAMPED or (cycles < LEAST_CYCLES and zeta * omega * span > 3.0):
-        reason, fitted = "damped too well to ring", zeta
-    elif cycles < LEAST_CYCLES:
-        reason = f"only {cycles:.1f} cycles in the window"
-    elif std_omega > 0.15 * omega:
-        reason = f"the frequency is known to {100 * std_omega / omega:.0f} % only"
+    plain = energy >= loud or (share > SETTINGS.clear and cycles > 2.0 * SETTINGS.cycles)
+    if not plain and (evidence < SETTINGS.significant or share < SETTINGS.share):
+        reason = message("signals.no_oscillation", share=max(share, 0.0))
+    elif zeta > SETTINGS.damped or (cycles < SETTINGS.cycles and zeta * omega * span > 3.0):
+        reason, fitted = message("signals.damped"), zeta
+    elif cycles < SETTINGS.cycles:
+        reason = message("signals.few_cycles", cycles=cycles)
+    elif std_omega > SETTINGS.error * omega:
+        reason = message("signals.vague_frequency", share=std_omega / omega)
     if reason:
         return Ringing(
             reason=reason, cycles=cycles, r_squared=share, stop=start + span, fitted_damping=fitted

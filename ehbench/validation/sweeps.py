@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.data.record import Record
+from ehbench.frequency_response.response import SETTINGS as RESPONSE
 from ehbench.frequency_response.response import (
-    LEAST_LINE,
     Averaging,
     Curve,
     Response,
@@ -73,7 +73,7 @@ def sweeps_of(
         if recorded is None:
             continue
         known = recorded.frequency[recorded.coherent]
-        if known.size < LEAST_LINE or known[-1] < SETTINGS.band * known[0]:
+        if known.size < RESPONSE.line or known[-1] < SETTINGS.band * known[0]:
             continue
         among = np.count_nonzero(
             (recorded.frequency >= known[0]) & (recorded.frequency <= known[-1])
