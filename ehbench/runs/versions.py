@@ -14,7 +14,7 @@ METHODS: Mapping[str, int] = {
     "logs": 1,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 1,  # equations of the plant, its parts and their integration
     "bench": 1,  # virtual bench: delays, noise, quantisation
-    "flow_maps": 1,
+    "flow_maps": 2,
     "output_error": 1,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
@@ -31,11 +31,11 @@ _SIMULATED = ("logs", "plant")
 _TRIAL = (*_SIMULATED, "bench", "control", "trial", "ledger")
 # by stage: its schema and the methods that it uses
 STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
-    "flow_map": (1, (*_SIMULATED, "flow_maps")),
+    "flow_map": (2, (*_SIMULATED, "flow_maps")),
     "hydraulics": (1, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (1, (*_SIMULATED, "frequency_response")),
-    "validation": (1, (*_SIMULATED, "diagnosis", "validation")),
+    "validation": (2, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (1, ("plant", "control", "tuning")),
     "trial": (1, _TRIAL),

@@ -102,6 +102,8 @@ def leaves(value) -> dict[str, float]:
     sums: dict[str, float] = {}
 
     def add(item, key: str, row: str = "") -> None:
+        if _is_message(item):
+            return
         if isinstance(item, dict):
             row = item.get("name") or row
             for name, inner in item.items():
@@ -114,6 +116,11 @@ def leaves(value) -> dict[str, float]:
 
     add(value, "")
     return {name: float(f"{number:.9g}") for name, number in sums.items()}
+
+
+def _is_message(item) -> bool:
+    """Whether a value of a file is a message, which may be put in other words."""
+    return isinstance(item, dict) and set(item) == {"key", "text", "fields"}
 
 
 def schemas_of(runs: dict[str, Path]) -> dict[str, dict[str, str]]:
@@ -134,6 +141,8 @@ def _keys(path: Path) -> str:
     keys: set[str] = set()
 
     def add(item) -> None:
+        if _is_message(item):
+            return
         if isinstance(item, dict):
             keys.update(map(str, item))
             item = list(item.values())
