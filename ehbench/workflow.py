@@ -7,7 +7,7 @@ Each arrow is one stage, one file in `ehbench.stages`. Every run goes the same w
 read into its model (`recipe`), its stage takes in what the recipe names and refuses what does not
 fit (`Stage.prepare`; ``ehbench check`` ends here), and works in a new run folder of plain files
 (`Stage.run`). A recipe may name a rig, a flow map or a log by the file, by the run folder or by the
-recipe that makes it; in the last case that recipe is run first, unless its run is there."""
+recipe that makes it; in the last case that recipe is run first, unless its run is current."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehbench import stages
-from ehbench.config.recipe import HydraulicsRecipe, Recipe, load_recipe
+from ehbench.config.recipe import Recipe, load_recipe
 from ehbench.runtime.blas import one_thread
-from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Outcome, Stage
+from ehbench.sampling.sample import Workers
+from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
 from ehbench.stages.campaign import write_report
-from ehbench.stages.findings import Findings
+from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
-from ehbench.stages.look import Circle
-from ehbench.stages.study import Where
+from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.messages import message
 
 if TYPE_CHECKING:
     from ehbench.guidance.suggestions import Suggestions
@@ -38,12 +38,11 @@ __all__ = [
     "REJECTED",
     "ROOT",
     "STOPPED",
-    "FinishedRuns",
     "Outcome",
     "RigState",
     "Session",
     "ValidatedRig",
-    "Where",
+    "Workers",
     "expect_stage",
     "next_test",
     "profile",
@@ -55,64 +54,42 @@ __all__ = [
 ROOT = Path("reports")
 
 
-class FinishedRuns:
-    """The runs that a session has made or met, by recipe file: each is made once."""
-
-    def __init__(self) -> None:
-        self._by_recipe: dict[Path, Outcome] = {}
-
-    def of(self, path: Path) -> Outcome | None:
-        """The outcome of a recipe file, if it is there."""
-        return self._by_recipe.get(path.resolve())
-
-    def add(self, path: Path, outcome: Outcome) -> Outcome:
-        """Keep an outcome; returns it."""
-        self._by_recipe[path.resolve()] = outcome
-        return outcome
-
-
 @dataclass(frozen=True)
-class Session:
-    """Where runs go, how progress is told, which runs are finished, and what was allowed aloud.
+class Session(Host):
+    """Where runs go, how progress is reported, which runs are finished, and what is allowed.
 
-    ``allow_code`` lets recipes run Python code, ``unvalidated`` lets a controller be tuned on a rig
-    that no validation accepted. ``keep`` leaves a run alone that stands with the very same inputs;
-    dependencies and campaigns work so. ``where`` says where a study makes its samples; ``resume``
-    goes on with searches and studies that were stopped.
-    ``under_way`` are the recipes that wait for the one at work.
+    Args:
+        allow_code: let recipes run Python code.
+        unvalidated: let a controller be tuned on a rig that no validation accepted.
+        finished: outcomes by recipe file: each recipe is run once.
+        under_way: the recipes that wait for the one at work.
     """
 
-    root: Path = ROOT
-    out: Path | None = None
-    progress: Progress | None = None
-    finished: FinishedRuns = field(default_factory=FinishedRuns)
     allow_code: bool = False
     unvalidated: bool = False
-    keep: bool = False
-    where: Where = Where()
-    resume: bool = False
+    finished: dict[Path, Outcome] = field(default_factory=dict)
     under_way: tuple[Path, ...] = ()
 
-    def tell(self, name: str) -> Progress | None:
-        """A progress callback labelled with the recipe at work."""
-        progress = self.progress
-        if progress is None:
-            return None
-        return lambda text, share: progress(": ".join(t for t in (name, text) if t), share)
+    def inputs(self, recipe: Recipe) -> Inputs:
+        """What a recipe takes in; other recipes that it names are run when it asks for them.
+
+        Raises:
+            InputError: it needs itself.
+        """
+        if recipe.path in self.under_way:
+            raise CircularRecipes.of(list(self.under_way), recipe.path)
+        session = replace(self, out=None, under_way=(*self.under_way, recipe.path))
+        allowed = {"allow_code": self.allow_code, "unvalidated": self.unvalidated}
+        return Inputs(
+            recipe, Notes(recipe), lambda path: session.outcome_of(path).folder, **allowed
+        )
 
     def outcome_of(self, path: Path) -> Outcome:
-        """The outcome of a recipe, run only if it has not been run with these very inputs; it goes
-        to ``root``.
-        """
-        finished = self.finished.of(path)
-        return finished or self.finished.add(path, run(path, replace(self, out=None, keep=True)))
-
-    def folder(self, path: Path, findings: Findings) -> Path:
-        """The run folder of a recipe that another one names: made first, if need be."""
-        return self.outcome_of(path).folder
-
-    def findings(self, path: Path) -> None:
-        """Nothing: a run finds out when its turn comes."""
+        """The outcome of a recipe, run only if it has not been run with these very inputs."""
+        place = path.resolve()
+        if place not in self.finished:
+            self.finished[place] = run(path, replace(self, out=None, keep=True))
+        return self.finished[place]
 
 
 @one_thread()
@@ -120,20 +97,15 @@ def run(recipe: Recipe | Path | str, session: Session | None = None) -> Outcome:
     """Run a recipe of any stage.
 
     Raises:
-        EhbenchError: bad input, data that do not support the claim, and so on; nothing is left
-            behind then.
+        EhbenchError: bad input, data that do not support the result, …; no run folder is left.
     """
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
-    session = session or Session()
-    if recipe.path in session.under_way:
-        raise Circle.of(list(session.under_way), recipe.path)
-    stage = stages.stage_of(recipe)
+    session, stage = session or Session(), stages.stage_of(recipe)
     if not isinstance(stage, Stage):
-        raise InputError(f"no stage for {type(recipe).__name__}", file=recipe.path)
-    session = replace(session, under_way=(*session.under_way, recipe.path))
-    allowed = {"allow_code": session.allow_code, "unvalidated": session.unvalidated}
-    prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), session, **allowed))
-    return stage.run(prepared, session)
+        raise InputError(message("stages.no_command", stage=recipe.stage_name), file=recipe.path)
+    prepared = stage.prepare(recipe, session.inputs(recipe))
+    under_way = (*session.under_way, recipe.path)
+    return stage.run(prepared, replace(session, under_way=under_way))
 
 
 @one_thread()
@@ -147,15 +119,14 @@ def profile(recipe: Recipe | Path | str, name: str, session: Session | None = No
 
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     session = session or Session()
-    within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
-    return write_profile(Inputs(recipe, Findings(recipe), within), name, session)
+    return write_profile(session.inputs(recipe), name, session)
 
 
 @one_thread()
 def suggest(
     recipe: Recipe | Path | str, session: Session | None = None, seconds: float | None = None
 ) -> Suggestions:
-    """What would better the fit of an identify recipe, compared on windows left out of it; with
+    """What would improve the fit of an identify recipe, compared on windows left out of it; with
     ``session.out`` the first suggestion is written there, as a recipe with its rig.
 
     Args:
@@ -166,41 +137,31 @@ def suggest(
     Raises:
         EhbenchError: as `run`, or a recipe of another kind.
     """
-    from ehbench.guidance.suggestions import SECONDS
-    from ehbench.stages.hydraulics import HydraulicsStage, suggested, write_suggested
+    from ehbench.stages import hydraulics
 
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
-    session, stage = session or Session(), stages.stage_of(recipe)
-    if not isinstance(stage, HydraulicsStage) or not isinstance(recipe, HydraulicsRecipe):
-        raise InputError(
-            "has no parameters to suggest others for",
-            file=recipe.path,
-            hint='name a recipe of stage "identify", what = "hydraulics"',
-        )
-    session = replace(session, under_way=(*session.under_way, recipe.path))
-    prepared = stage.prepare(recipe, Inputs(recipe, Findings(recipe), session))
-    result = suggested(prepared, session.tell(recipe.name), SECONDS if seconds is None else seconds)
+    recipe, session = hydraulics.expect_hydraulics(recipe), session or Session()
+    prepared = hydraulics.HydraulicsStage().prepare(recipe, session.inputs(recipe))
+    result = hydraulics.suggested(prepared, session.progress_of(recipe.name), seconds)
     if session.out is not None:
-        write_suggested(prepared, result, session.out)
+        hydraulics.write_suggested(prepared, result, session.out)
     return result
 
 
 @one_thread()
 def next_test(folder: Path, name: str | None = None, session: Session | None = None) -> NextTest:
-    """The tests that would sharpen a parameter of a run of hydraulics most, by default that which
-    is known least; with ``session.out`` the best is written there as a recipe.
+    """The tests that would sharpen a parameter of a run of hydraulics the most, by default the one
+    that is known least; with ``session.out`` the best is written there as a recipe.
 
     Raises:
         EhbenchError: no such run or parameter, a recipe that has changed, no possible test.
     """
     from ehbench.report.bearing import Made
-    from ehbench.stages.planning import fit_behind, plan
+    from ehbench.stages.planning import plan, recipe_of
 
-    built = Made(folder)
-    recipe, session = fit_behind(built), session or Session()
-    within = replace(session, out=None, under_way=(*session.under_way, recipe.path))
-    inputs = Inputs(recipe, Findings(recipe), within)
-    result = plan(built, inputs, name, session.tell(recipe.name))
+    fit = Made(folder)
+    recipe, session = recipe_of(fit), session or Session()
+    result = plan(fit, session.inputs(recipe), name, session.progress_of(recipe.name))
     if session.out is not None:
         result.write(session.out)
     return result
@@ -218,10 +179,10 @@ def sample(study: Path, index: int, session: Session | None = None) -> Recipe:
     Raises:
         EhbenchError: no such study or sample, a recipe that has changed since its run.
     """
-    from ehbench.stages.single_sample import again
+    from ehbench.stages.study import sample_recipe
 
     session = session or Session()
-    return again(study, index, session)
+    return load_recipe(sample_recipe(study, index, session.root, session.inputs))
 
 
 def expect_stage(path: Path | str, *commands: str) -> Recipe:
@@ -235,7 +196,8 @@ def expect_stage(path: Path | str, *commands: str) -> Recipe:
     command = stage.command if isinstance(stage, Stage) else None
     if command not in commands:
         hint = f"run it with: ehbench {command} {path}" if command else None
-        raise InputError(f"is a recipe of stage '{recipe.stage_name}'", file=path, hint=hint)
+        text = message("stages.other_stage", stage=recipe.stage_name)
+        raise InputError(text, file=path, hint=hint)
     return recipe
 
 

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -374,9 +373,6 @@ def studies() -> Iterator[Row]:
     from ehbench.sampling.cluster import Cluster
     from ehbench.sampling.pools import Processes
     from ehbench.stages import REGISTRY
-    from ehbench.stages.findings import Findings
-    from ehbench.stages.inputs import Inputs
-    from ehbench.stages.samples import bundle_of, open_sampler
     from ehbench.stages.study import PreparedStudy
     from ehbench.workflow import Session
 
@@ -385,13 +381,12 @@ def studies() -> Iterator[Row]:
         path = Path(folder, "study.toml")
         path.write_text(_STUDY.format(samples=ROWS))
         recipe = load_recipe(path)
-        inputs = Inputs(recipe, Findings(recipe), Session())
-        prepared = REGISTRY[StudyRecipe.kind()].prepare(recipe, inputs)
+        prepared = REGISTRY[StudyRecipe.kind()].prepare(recipe, Session().inputs(recipe))
         assert isinstance(prepared, PreparedStudy)
         plan, count = prepared.plan, len(prepared.measures)
-        pool = Processes(partial(open_sampler, plan), WORKERS, count)
+        pool = Processes(plan.opened, WORKERS, count)
         yield from _overhead("here", pool, prepared)
-        bundle = bundle_of(plan)
+        bundle = plan.bundle()
         yield Row("a study's files, sent once", len(pickle.dumps(bundle)) / 1e3, 1e3, "kB")
         with _workers() as address:
             if address:

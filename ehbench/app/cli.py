@@ -252,7 +252,7 @@ def _sampling(
         Says.of(loud, as_json),
         allow_code=allow_code,
         unvalidated=unvalidated,
-        where=workflow.Where.of(workers),
+        workers=workflow.Workers.of(workers),
         resume=resume,
     )
 

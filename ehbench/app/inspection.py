@@ -1,9 +1,11 @@
-"""Look at one file and say what it holds and whether it will do, without running anything.
-
-A recipe is looked at through what its run begins with: its stage's ``prepare``."""
+"""What one file holds and whether it is valid, without running anything. A recipe is checked by a
+dry run: by the ``prepare`` of its stage, with which a run begins.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +15,13 @@ from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, 
 from ehbench.config.rig import NODES, Rig
 from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
 from ehbench.runtime.disk import impossible
-from ehbench.stages.findings import counted, line_naming
-from ehbench.stages.inputs import with_laws
-from ehbench.stages.look import Look
+from ehbench.stages.dry_run import DryRun
+from ehbench.stages.inputs import with_orifices
+from ehbench.stages.notes import Notes, line_naming
 from ehbench.stages.validation import in_rig_unit
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.text import shortened_path
 from ehbench.vocabulary.units import from_si
@@ -26,152 +30,150 @@ from ehbench.workflow import ROOT
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found: lines to read, mistakes, and the exit code: that of the first mistake, else 3
-    with data loss, else 0.
+    """What a file holds, as lines, its errors, and the exit code: that of the first error, else 3
+    with data loss, else 0; of a recipe the notes of its preparation.
     """
 
     lines: tuple[str, ...]
     code: int = 0
     errors: tuple[EhbenchError, ...] = ()
+    notes: Notes | None = None
 
 
-def check(path: Path, look: Look | None = None) -> Inspection:
+def check(path: Path, dry_run: DryRun | None = None) -> Inspection:
     """Inspect a rig, recipe or map (TOML), a flowmeter CSV, or a log of any format read.
 
     Args:
         path: of the file.
-        look: the walk over recipes to go on with: what it has looked at is not looked at again;
-            a new one by default.
+        dry_run: to go on with: what it has prepared is not prepared again; a new one by default.
 
     Raises:
-        InputError: the file cannot be taken for what it is; says what, where and what would be
-            right. Mistakes in what a recipe asks for are collected in ``errors``.
+        InputError: the file is none of these. Errors in what a recipe requests are collected in
+            ``errors``.
     """
     if reason := impossible(path):
-        raise InputError(f"can be no file: {reason}", file=shortened_path(path))
+        raise InputError(message("app.no_path", reason=reason), file=shortened_path(path))
     if not path.exists():
         raise InputError("no such file", file=path)
     if path.suffix == ".toml":
         kind = kind_of(path)
         if kind == "recipe":
-            return _recipe(path, look or Look(ROOT))
+            return _recipe(path, dry_run or DryRun(ROOT))
         return _rig(path) if kind == "rig" else _map(path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise InputError("is a folder", file=path, hint="name a file in it")
+        raise InputError(message("app.is_folder"), file=path)
     if path.suffix == ".csv" and is_flowmeter(path):
         return _flowmeter(path)
     return _log(path)
 
 
-def _recipe(path: Path, look: Look) -> Inspection:
-    result = look.at(load_recipe(path))
-    recipe = result.recipe
-    stage, what = recipe.kind()
-    what = f"{stage} {what.replace('_', ' ')}" if what else stage
-    lines = [f"recipe '{recipe.name}': {what}" + (f", '{recipe.title}'" if recipe.title else "")]
-    lines += [f"  it {result.does}"] if result.does else []
+def _recipe(path: Path, dry_run: DryRun) -> Inspection:
+    notes = dry_run.check(load_recipe(path))
+    recipe = notes.recipe
+    kind = " ".join(word.replace("_", " ") for word in recipe.kind() if word)
+    lines = [f"recipe '{recipe.name}': {kind}" + (f", '{recipe.title}'" if recipe.title else "")]
+    lines += [f"  it {notes.does}"] if notes.does else []
     for word, texts in (
-        ("runs" if isinstance(recipe, Campaign) else "reads", result.reads),
-        ("runs first", [", ".join(result.first)]),
-        ("writes", [result.writes]),
-        ("note", [*result.losses, *result.notes]),
-        ("not checked", result.open),
+        ("runs" if isinstance(recipe, Campaign) else "reads", notes.reads),
+        ("runs first", [", ".join(notes.required)]),
+        ("writes", [notes.writes]),
+        ("note", [*notes.losses, *notes.remarks]),
+        ("not checked", notes.undecided),
     ):
         lines += [f"  {word}: {text}" for text in texts if text]
-    if result.errors:
-        lines.append(counted(result.errors, "mistake"))
-        return Inspection(tuple(lines), result.errors[0].exit_code, tuple(result.errors))
-    return Inspection((*lines, "ok"), 3 if result.losses else 0)
+    if notes.errors:
+        lines.append(plural(len(notes.errors), "error"))
+        return Inspection(tuple(lines), notes.errors[0].exit_code, tuple(notes.errors), notes)
+    return Inspection((*lines, "ok"), 3 if notes.losses else 0, notes=notes)
 
 
 def _rig(path: Path) -> Inspection:
+    rig = load_rig(path)
+    counts = {
+        "joint": len(rig.joint_names),
+        "cylinder": len(rig.cylinder),
+        "valve": len([*rig.valves()]),
+        "metering edge": len([*rig.edges()]),
+    }
+    if fixed := len([*rig.fixed_edges()]):
+        counts["fixed edge"] = fixed
+    parts = ", ".join(plural(count, word) for word, count in counts.items())
+    pressure = in_rig_unit(rig, "pressure", float(rig.supply.pressure))
+    maximum = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
+    kind = "" if rig.supply.constant else f", {rig.supply.kind}"
+    lines = [
+        f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else ""),
+        f"  {parts}, supply {pressure} up to {maximum}{kind}",
+    ]
+    notes = list(_unconnected(rig))
+    for load in (None, *rig.payload):
+        try:
+            texts, remarks = _standstill(rig, load)
+        except EhbenchError as error:
+            text, line = error.message, line_naming(path, error.message)
+            raise type(error)(text, file=path, line=line, hint=error.hint) from None
+        lines += texts
+        notes += remarks
+    lines += [f"  note: {text}" for text in notes]
+    values = rig.parameters().values()
+    sources = Counter(value.sure for value in values if value.source)
+    words = [f"{count} {word}" for word, count in sorted(sources.items())]
+    if bare := sum(not value.source and value.text is not None for value in values):
+        words.append(f"{bare} without a source")
+    lines.append(message("app.sources", sources=", ".join(words) or "no sources given"))
+    return Inspection((*lines, "ok"))
+
+
+def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
+    """(a line for each cylinder: its range, its pressures at mid-stroke; remarks)."""
     from ehbench.plant.model import Model
     from ehbench.plant.rest import CREEPS, LOW_SIDE
 
-    rig = load_rig(path)
-    whole, _ = with_laws(rig, None)
+    whole, _ = with_orifices(rig, None)
     supply = float(rig.supply.pressure)
-    parts = {
-        "joint": rig.joint_names,
-        "cylinder": rig.cylinder,
-        "valve": [*rig.valves()],
-        "metering edge": [*rig.edges()],
-    }
-    if fixed := [*rig.fixed_edges()]:
-        parts["fixed edge"] = fixed
-    maximum = in_rig_unit(rig, "flow_limit", float(rig.supply.flow_limit))
-    lines = [f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else "")]
-    counts = ", ".join(counted(items, word) for word, items in parts.items())
-    kind = "" if rig.supply.constant else f", {rig.supply.kind}"
-    lines.append(f"  {counts}, supply {in_rig_unit(rig, 'pressure', supply)} up to {maximum}{kind}")
-    notes = _cut_off(rig)
-    loads: list[str | None] = [None, *rig.payload]
-    for load in loads:
-        try:
-            model = Model.of(whole, payload=load)
-            state = model.trim(model.posture({}))
-            alone = model.trim(model.posture({}), LOW_SIDE * supply)  # what the load asks for
-        except EhbenchError as error:
-            raise type(error)(
-                error.message, file=path, line=line_naming(path, error.message), hint=error.hint
-            ) from None
-        for index, cylinder in enumerate(rig.cylinder):
-            ends = model.stroke_range(index)
-            word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
-            first, last = (rig.told(word, value, decimals) for value in ends)
-            span = f"{first.partition(' ')[0]} to {last}"
-            at = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
-            lines.append(
-                f"  {load or 'no payload'}: {cylinder.name} moves {span}; "
-                f"at mid-stroke it rests at {in_rig_unit(rig, 'p_head', state[at[0]])} head, "
-                f"{in_rig_unit(rig, 'p_rod', state[at[1]])} rod"
-            )
-            if abs(speed := model.creep(index, state)) > CREEPS:
-                way = "out" if speed > 0.0 else "in"
-                lines[-1] += f", creeping {way} at {rig.shown('v', abs(speed), 2)}"
-            if alone[at].max() > supply and cylinder.pump is None:
-                notes.append(
-                    f"{load or 'no payload'}: the supply cannot carry the load of "
-                    f"'{cylinder.name}' at mid-stroke"
-                )
-    lines += [f"  note: {text}" for text in notes]
-    sure: dict[str, int] = {}
-    for value in rig.parameters().values():
-        if value.source:
-            sure[value.sure] = sure.get(value.sure, 0) + 1
-    bare = sum(not value.source and value.text is not None for value in rig.parameters().values())
-    words = [f"{n} {word}" for word, n in sorted(sure.items())]
-    message = ", ".join(words + [f"{bare} without a source"] * (bare > 0)) or "no sources given"
-    lines.append(f"  how sure the numbers are: {message}")
-    return Inspection((*lines, "ok"))
+    model = Model.of(whole, payload=load)
+    state = model.trim(model.posture({}))
+    unlimited = model.trim(model.posture({}), LOW_SIDE * supply)  # what the load requires
+    lines, notes = [], []
+    for index, cylinder in enumerate(rig.cylinder):
+        word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
+        first, last = (rig.told(word, value, decimals) for value in model.stroke_range(index))
+        places = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
+        head, rod = (in_rig_unit(rig, "p_head", state[place]) for place in places)
+        fields = {"load": load or "no payload", "cylinder": cylinder.name}
+        ends = {"first": first.partition(" ")[0], "last": last}
+        text = str(message("app.standstill", **fields, **ends, head=head, rod=rod))
+        if abs(speed := model.creep(index, state)) > CREEPS:
+            direction = "out" if speed > 0.0 else "in"
+            text += f", creeping {direction} at {rig.shown('v', abs(speed), 2)}"
+        lines.append(text)
+        if unlimited[places].max() > supply and cylinder.pump is None:
+            notes.append(message("app.weak_supply", **fields))
+    return lines, notes
+
+
+def _unconnected(rig: Rig) -> Iterator[str]:
+    """A note for each node that no edge of a cylinder touches: unusual, but at times meant."""
+    for cylinder in rig.cylinder:
+        edges = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
+        connected = {end for edge in edges for end in (edge.from_, edge.to)}
+        for node in NODES:
+            if node not in connected and (node != "tank" or cylinder.pump is None):
+                name = f"{node} end" if node in ("head", "rod") else node
+                yield message("app.unconnected", cylinder=cylinder.name, node=name)
 
 
 def _map(path: Path) -> Inspection:
     """A map of columns: what it says of each."""
     columns = load_columns(path).columns
-    lines = [f"map of {counted(columns.names, 'column')}"]
+    lines = [f"map of {plural(len(columns.names), 'column')}"]
     for name, column in columns.names.items():
-        how = f" [{column.unit}]" if column.unit else ""
-        how = f" {column.from_} → {column.to}" if column.from_ else how
-        lines.append(f"  {name}: {column.channel}{how}")
+        unit = f" [{column.unit}]" if column.unit else ""
+        unit = f" {column.from_} → {column.to}" if column.from_ else unit
+        lines.append(f"  {name}: {column.channel}{unit}")
     if not any(column.channel != "t" for column in columns.names.values()):
-        raise InputError("maps no column to a channel", file=path)
+        raise InputError(message("app.maps_nothing"), file=path)
     return Inspection((*lines, "ok"))
-
-
-def _cut_off(rig: Rig) -> list[str]:
-    """A sentence for each node that the edges of a cylinder leave out: odd, but at times meant"""
-    sentences = []
-    for cylinder in rig.cylinder:
-        own = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
-        joined = {end for edge in own for end in (edge.from_, edge.to)}
-        for node in NODES:
-            if node not in joined and (node != "tank" or cylinder.pump is None):
-                what = f"the {node} end" if node in ("head", "rod") else f"the {node}"
-                sentences.append(
-                    f"no metering edge of '{cylinder.name}' touches {what}: is one missing?"
-                )
-    return sentences
 
 
 def _flowmeter(path: Path) -> Inspection:
@@ -179,18 +181,20 @@ def _flowmeter(path: Path) -> Inspection:
     lines = [f"flowmeter readings: {data.flow.size} rows"]
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
-        result = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
+        drop = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
         drops = "no pressures"
-        if result.size:
-            minimum, maximum = (
-                rows.shown("pressure_drop", drop) for drop in (result.min(), result.max())
-            )
-            drops = f"drops {minimum} to {maximum}"
-        lines.append(
-            f"  {valve} {direction}: {counted(rows.flow, 'reading')} "
-            f"at {counted(set(rows.command.tolist()), 'command')}, "
-            f"{drops}, flow up to {rows.shown('flow', abs(rows.flow).max())}"
+        if drop.size:
+            ends = (rows.shown("pressure_drop", value) for value in (drop.min(), drop.max()))
+            drops = f"drops {' to '.join(ends)}"
+        text = message(
+            "app.readings",
+            map=f"{valve} {direction}",
+            readings=plural(len(rows.flow), "reading"),
+            commands=plural(len(set(rows.command.tolist())), "command"),
+            drops=drops,
+            flow=rows.shown("flow", abs(rows.flow).max()),
         )
+        lines.append(text)
     return Inspection((*lines, "ok"))
 
 
@@ -200,31 +204,32 @@ def _log(path: Path) -> Inspection:
     from ehbench.preprocessing.time_base import evened, parts_of
 
     record = read(path)
-    lines = [
-        f"log: {record.t.size} samples of {len(record.channels)} channels, "
-        f"{record.t[0]:g} to {record.t[-1]:g} s, every {record.sample_time * 1e3:.4g} ms"
-    ]
-    lines += [f"  {key}: {value}" for key, value in record.meta.items() if len(value) < 200]
+    text = message(
+        "app.log",
+        samples=record.t.size,
+        channels=len(record.channels),
+        first=float(record.t[0]),
+        last=float(record.t[-1]),
+        step=record.sample_time * 1e3,
+    )
+    lines = [text, *(f"  {key}: {text}" for key, text in record.meta.items() if len(text) < 200)]
     for name, values in record.channels.items():
         row = quantity(name)
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
         lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
     lines += [f"  lost: {loss}" for loss in record.losses]
+    unfit, gaps = "", []
     if record.t.size < LEAST_SAMPLES:
-        lines.append(
-            "  unfit for identification: "
-            f"it has only {record.t.size} sample{'s' * (record.t.size != 1)}"
-        )
-        return Inspection((*lines, "ok, with losses"), 3)
-    parts, gaps = parts_of(path.name, record)
-    lines += [f"  {gap}" for gap in gaps]
-    try:
-        for part in parts:
-            lines += [f"  {message}" for message in evened(part.name, part.record)[1]]
-    except LogError as error:
-        lines.append(f"  unfit for identification: {error}")
-        return Inspection((*lines, "ok, with losses"), 3)
-    return Inspection(
-        (*lines, "ok, with losses" if record.losses or gaps else "ok"),
-        3 if record.losses or gaps else 0,
-    )
+        unfit = message("app.few_samples", samples=plural(record.t.size, "sample"))
+    else:
+        parts, gaps = parts_of(path.name, record)
+        lines += [f"  {gap}" for gap in gaps]
+        try:
+            for part in parts:
+                lines += [f"  {text}" for text in evened(part.name, part.record)[1]]
+        except LogError as error:
+            unfit = str(error)
+    if unfit:
+        lines.append(message("app.unfit", reason=unfit))
+    lossy = bool(record.losses or gaps or unfit)
+    return Inspection((*lines, "ok, with losses" if lossy else "ok"), 3 * lossy)

@@ -8,6 +8,7 @@ from pathlib import Path
 from ehbench.runs import rundir
 from ehbench.runtime.disk import impossible
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened, shortened_path
 
 
@@ -24,11 +25,9 @@ def find_campaign(name: str) -> Path:
             return candidate
     known = sorted({item.parent.name for place in places for item in place.glob("*/campaign.toml")})
     near = get_close_matches(name, known, 1)
-    hint = "give a campaign's TOML file, or a name for recipes/<name>/campaign.toml"
-    raise InputError(
-        f"no campaign {shortened(name, 100)}",
-        hint=f"did you mean '{near[0]}'?" if near else f"{hint}: {', '.join(known)}",
-    )
+    hint = f"did you mean '{near[0]}'?" if near else None
+    text = message("app.no_campaign", name=shortened(name, 100), known=", ".join(known))
+    raise InputError(text, hint=hint)
 
 
 def init(folder: Path) -> Path:
@@ -36,17 +35,13 @@ def init(folder: Path) -> Path:
     written over.
 
     Raises:
-        InputError: the folder exists and is not empty, or cannot be made.
+        InputError: the folder exists and is not empty, or cannot be created.
     """
     template = rundir.PACKAGE / "workspace"
     try:
         place = folder.resolve()
         if place.exists() and (not place.is_dir() or any(place.iterdir())):
-            raise InputError(
-                "exists and is not empty; nothing was written",
-                file=folder,
-                hint="name a new folder",
-            )
+            raise InputError(message("app.not_empty"), file=folder)
         for source in sorted(template.rglob("*")):
             target = place / source.relative_to(template)
             if source.is_file():
@@ -54,6 +49,7 @@ def init(folder: Path) -> Path:
                 with target.open("xb") as file:
                     file.write(source.read_bytes())
     except (OSError, RuntimeError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be made: {reason}", file=shortened_path(folder)) from None
+        reason = str(getattr(error, "strerror", None) or error)
+        text = message("app.no_workspace", reason=reason)
+        raise InputError(text, file=shortened_path(folder)) from None
     return folder

@@ -39,8 +39,8 @@ class Drawn:
     upper: float = math.inf
 
     @property
-    def spoken(self) -> str:
-        """Its law, as a table says it; the unit stands beside."""
+    def text(self) -> str:
+        """Its law in words, without the unit."""
         first, second = f"{self.first:.4g}", f"{self.second:.4g}"
         return {
             "uniform": f"{first} … {second}, evenly",

@@ -1,10 +1,39 @@
-"""What a sample is to those who run and keep it."""
+"""A sample of a study, and where samples are made."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
+
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.text import shortened
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Where a study's samples are made: the address of a Dask ``scheduler``, '' for this machine;
+    how many workers, 0 for one a core.
+    """
+
+    scheduler: str = ""
+    count: int = 0
+
+    @classmethod
+    def of(cls, text: str) -> Workers:
+        """Those of ``--workers``: how many here, or a scheduler's address; '' is one a core.
+
+        Raises:
+            InputError: it is neither.
+        """
+        if ":" in text:
+            return cls(scheduler=text)
+        if text and not (text.isdecimal() and int(text) > 0):
+            raise InputError(message("sampling.no_workers", text=shortened(text, 40)))
+        return cls(count=int(text or 0))
+
 
 # status word by exit code
 STATUS = {

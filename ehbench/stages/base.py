@@ -1,7 +1,7 @@
-"""What a stage is: it takes in what its recipe names, does its one job, leaves one run folder.
+"""A stage takes in what its recipe names, does its work and leaves one run folder.
 
 To add a stage, write one file here with its recipe model and its `Stage`, add it to
-`stages.REGISTRY`, and give it a section in `ehbench.report.stages` under the same name."""
+`stages.REGISTRY` and to `runs.versions`, and give it a section in `ehbench.report.stages`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from ehbench.config.recipe import Recipe, load_rig
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
-from ehbench.stages.inputs import Inputs, NamedFiles, maps_in
+from ehbench.sampling.sample import Workers
+from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState, maps_in
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.progress import Progress
 
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from ehbench.config.rig import Rig
-    from ehbench.data.record import Record
     from ehbench.physics.flow_map import FlowMaps
 
 DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
@@ -32,7 +33,7 @@ DONE, INCOMPLETE, REJECTED, STOPPED = 0, 3, 4, 5
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run leaves: the run folder, the exit code, and what to tell the user."""
+    """What a run leaves: its folder, the exit code and notes to the user."""
 
     folder: Path
     code: int = DONE
@@ -73,12 +74,13 @@ class Outcome:
         ``validation``.
 
         Raises:
-            InputError: the run left none of that name; says which it left.
+            InputError: the run left none of that name.
         """
         path = self.folder / f"{name}.json"
         if not path.is_file():
-            there = ", ".join(sorted(file.stem for file in self.folder.glob("*.json")))
-            raise InputError(f"has no {path.name}", file=self.folder, hint=f"it has {there}")
+            known = ", ".join(sorted(file.stem for file in self.folder.glob("*.json")))
+            text = message("stages.no_result", name=path.name, known=known)
+            raise InputError(text, file=self.folder)
         return rundir.read_json(path)
 
     def __repr__(self) -> str:
@@ -103,15 +105,37 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that can be known of a run before its work: each stage adds what it has taken in.
+    """All that is known of a run before its work: each stage adds what it has taken in.
 
-    ``inputs`` name the run folder, with the recipe; None where only the run can tell them. ``does``
-    says in words what the run does."""
+    ``inputs`` are its files; None where only the run can tell them. ``does`` is what the run
+    does."""
 
     recipe: Recipe
     inputs: NamedFiles | None
     does: str
     seeds: Mapping[str, int] = field(default_factory=dict, kw_only=True)
+
+
+@dataclass(frozen=True)
+class PreparedFromLogs(Prepared):
+    """A run that reads a rig and logs."""
+
+    state: RigState
+    logs: Logs
+
+    def done(self, warnings: Sequence[str], **facts: Any) -> Work:
+        """The work on these logs, incomplete where data are lost."""
+        recorded_on = {record.meta["on"] for _, record in self.logs.records if "on" in record.meta}
+        losses = self.logs.losses
+        return Work(
+            {
+                "rig": self.state.rig.name,
+                "warnings": [*losses, *warnings],
+                "recorded_on": sorted(recorded_on),
+                **facts,
+            },
+            code=INCOMPLETE if losses else DONE,
+        )
 
 
 @dataclass(frozen=True)
@@ -125,28 +149,36 @@ class Work:
     code: int = DONE
 
 
-class Host(Protocol):
-    """The session that runs a stage, as far as a stage sees it."""
+@dataclass(frozen=True)
+class Host:
+    """Where a stage runs.
 
-    @property
-    def root(self) -> Path: ...
+    Args:
+        root: folder of all runs.
+        out: folder of this run; one under ``root`` by default.
+        progress: callback.
+        keep: leave a finished run of the very same inputs alone.
+        resume: go on with searches and studies that were stopped.
+        workers: where a study's samples are made.
+    """
 
-    @property
-    def out(self) -> Path | None: ...
+    root: Path = Path("reports")
+    out: Path | None = None
+    progress: Progress | None = None
+    keep: bool = False
+    resume: bool = False
+    workers: Workers = Workers()
 
-    @property
-    def keep(self) -> bool: ...
-
-    @property
-    def resume(self) -> bool: ...
-
-    def tell(self, name: str) -> Progress | None:
-        """A progress callback labelled with the recipe at work."""
-        ...
+    def progress_of(self, name: str) -> Progress | None:
+        """The progress callback, labelled with the recipe at work."""
+        progress = self.progress
+        if progress is None:
+            return None
+        return lambda text, share: progress(": ".join(t for t in (name, text) if t), share)
 
     def outcome_of(self, path: Path) -> Outcome:
         """The outcome of a recipe, run only if it has not been run with these very inputs."""
-        ...
+        raise NotImplementedError
 
 
 R = TypeVar("R", bound=Recipe)
@@ -162,7 +194,7 @@ class Checked(ABC, Generic[R]):
     def prepare(self, recipe: R, inputs: Inputs) -> Prepared:
         """Take in what the recipe names and refuse what does not fit, without running anything.
 
-        A run and ``ehbench check`` both call it; what is to be said goes into ``inputs.findings``.
+        A run and ``ehbench check`` both call it; notes go into ``inputs.notes``.
 
         Raises:
             EhbenchError: what the run would refuse before it begins.
@@ -195,8 +227,14 @@ class Stage(Checked[R], Generic[R, P]):
         """Do the work and write its files into ``folder``.
 
         Raises:
-            EhbenchError: the data do not support the claim, the numbers left the finite range, …
+            EhbenchError: the data do not support the result, numbers are not finite, …
         """
+
+    def results(self, prepared: P) -> list[Any]:
+        """What the results look like, as `sampling.measures.refuse_unknown` takes them; nothing
+        where that is not known.
+        """
+        return []
 
     def place(self, prepared: P, host: Host) -> Path:
         """Where the run's folder goes."""
@@ -222,17 +260,17 @@ class Stage(Checked[R], Generic[R, P]):
         if host.keep and rundir.is_whole(final):
             facts = rundir.read_json(final / "run.json")
             return Outcome(final, facts["code"], tuple(facts["notes"]))
-        tell = host.tell(recipe.name)
+        progress = host.progress_of(recipe.name)
         versions = self.versions(prepared)
         with rundir.open_run(
             final, recipe.stage_name, recipe.path, inputs, prepared.seeds, versions
         ) as run:
-            work = self.work(prepared, run.path, tell)
+            work = self.work(prepared, run.path, progress)
             notes = [*work.facts["warnings"], *work.reasons]
             about = {"what": self.name, "title": recipe.title}
             run.facts |= about | {**work.facts, "code": work.code, "notes": notes}
-            if tell is not None:
-                tell("drawing figures", 0.95)
+            if progress is not None:
+                progress("drawing figures", 0.95)
             run.save()
             draw(run.path)
         return Outcome(final, work.code, (*notes, *run.left_over))
@@ -258,8 +296,3 @@ def write_series(folder: Path, series: Mapping[str, Mapping[str, Any]]) -> None:
         table = np.column_stack(list(columns.values()))
         header = ",".join(columns)
         np.savetxt(folder / f"{name}.csv", table, "%.9g", ",", header=header, comments="")
-
-
-def recorded_on(logs: Sequence[tuple[str, Record]]) -> list[str]:
-    """What the logs say they were recorded on, such as the virtual bench."""
-    return sorted({record.meta["on"] for _, record in logs if "on" in record.meta})

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
 from ehbench.stages.base import Checked, Prepared
-from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 
 
 class BenchFile(Checked[BenchRecipe]):
@@ -18,10 +19,10 @@ class BenchFile(Checked[BenchRecipe]):
         from ehbench import trial
 
         rig = load_rig(inputs.existing(recipe.rig))
-        own = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
-        trial.prepare(TrialRecipe(stage="trial", duration=Value(1.0), **own), rig)
-        inputs.findings.say("reads", f"{recipe.rig} (rig '{rig.name}')")
-        return Prepared(recipe, None, 'is a virtual bench for trials with on = "bench"')
+        keys = {"on": "bench", "bench": recipe.path.name, "rig": recipe.rig, "path": recipe.path}
+        trial.prepare(TrialRecipe(stage="trial", duration=Value(1.0), **keys), rig)
+        inputs.notes.add("reads", f"{recipe.rig} (rig '{rig.name}')")
+        return Prepared(recipe, None, message("stages.does_bench"))
 
 
 class Dataset(Checked[DatasetRecipe]):
@@ -30,11 +31,12 @@ class Dataset(Checked[DatasetRecipe]):
     recipe = DatasetRecipe
 
     def prepare(self, recipe: DatasetRecipe, inputs: Inputs) -> Prepared:
-        behind = inputs.runs.findings(inputs.existing(recipe.bench))
-        for error in behind.errors if behind is not None else ():
-            inputs.findings.mistake(error)
-        inputs.findings.say("reads", f"{recipe.bench} (virtual bench)")
-        does = f"is recorded on the virtual bench: {counted(recipe.log, 'log')}"
+        bench = inputs.existing(recipe.bench)
+        for error in inputs.check(bench).errors if inputs.check is not None else ():
+            inputs.notes.add_error(error)
+        inputs.notes.add("reads", f"{recipe.bench} (virtual bench)")
+        does = message("stages.does_dataset", logs=plural(len(recipe.log), "log"))
         if recipe.flowmeter:
-            does += f", flowmeter readings of {counted(recipe.flowmeter.edges, 'edge')}"
+            edges = plural(len(recipe.flowmeter.edges), "edge")
+            does += message("stages.does_flowmeter", edges=edges)
         return Prepared(recipe, None, does)

@@ -12,9 +12,10 @@ from ehbench.config.recipe import Campaign, load_recipe
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, Work, stage_of
-from ehbench.stages.findings import STANDS, counted
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
 
 
@@ -35,51 +36,43 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
     writes = "one report.html over all runs, each of which has a folder of its own"
 
     def prepare(self, recipe: Campaign, inputs: Inputs) -> PreparedCampaign:
-        findings, files = inputs.findings, []
-        texts_of: dict[str, dict[str, list[str]]] = {"notes": {}, "open": {}}
+        notes, files = inputs.notes, []
+        shared: dict[str, dict[str, list[str]]] = {"remarks": {}, "undecided": {}}
         for index, name in enumerate(recipe.recipes):
-            with findings.noting():
+            with notes.collected():
                 files.append(inputs.existing(name))
-                behind = load_recipe(files[-1])
-                if not isinstance(stage_of(behind), Stage):
-                    raise InputError(
-                        f"'{name}' is of stage '{behind.stage_name}', which no campaign runs",
-                        **recipe.at("recipes", index),
-                    )
-                self._gather(name, files[-1], inputs, texts_of)
-        for kind, texts in texts_of.items():
-            findings.say(kind, *(f"{', '.join(names)}: {text}" for text, names in texts.items()))
+                item = load_recipe(files[-1])
+                if not isinstance(stage_of(item), Stage):
+                    text = message("stages.not_in_campaign", name=name, stage=item.stage_name)
+                    raise InputError(text, **recipe.at("recipes", index))
+                if inputs.check is None:
+                    continue
+                result = inputs.check(files[-1])
+                text = f"{name}: {result.does}"
+                if result.is_current:
+                    text = message("stages.folder_is_current", name=text)
+                notes.reads.append(text)
+                for kind, texts in shared.items():
+                    for text in getattr(result, kind):
+                        texts.setdefault(text, []).append(name)
+                notes.add("losses", *result.losses)
+                for error in result.errors:
+                    notes.add_error(error)
+        for kind, texts in shared.items():  # a note of several recipes once, with their names
+            notes.add(kind, *(f"{', '.join(names)}: {text}" for text, names in texts.items()))
         if recipe.figures:
-            findings.say("open", "the names under [figures]: the runs make them")
-        does = f"runs {counted(recipe.recipes, 'recipe')} in order; those that stand are kept"
+            notes.add("undecided", message("stages.figures_of_runs"))
+        does = message("stages.does_campaign", recipes=plural(len(recipe.recipes), "recipe"))
         return PreparedCampaign(recipe, None, does, tuple(files))
-
-    @staticmethod
-    def _gather(
-        name: str, path: Path, inputs: Inputs, texts_of: dict[str, dict[str, list[str]]]
-    ) -> None:
-        """What a check finds of one recipe; notes that several have are told once, with their
-        names.
-        """
-        findings, behind = inputs.findings, inputs.runs.findings(path)
-        if behind is None:
-            return
-        findings.reads.append(f"{name}: {behind.does}" + f", {STANDS}" * behind.stands)
-        for kind, texts in texts_of.items():
-            for text in getattr(behind, kind):
-                texts.setdefault(text, []).append(name)
-        findings.say("losses", *behind.losses)
-        for error in behind.errors:
-            findings.mistake(error)
 
     def work(self, prepared: PreparedCampaign, folder: Path, progress: Progress | None) -> Work:
         raise NotImplementedError("a campaign's work is that of its recipes")
 
     def run(self, prepared: PreparedCampaign, host: Host) -> Outcome:
-        recipe, tell, outcomes = prepared.recipe, host.tell(prepared.recipe.name), []
+        recipe, progress, outcomes = prepared.recipe, host.progress_of(prepared.recipe.name), []
         for index, (name, path) in enumerate(zip(recipe.recipes, prepared.files, strict=True)):
-            if tell is not None:
-                tell(name, index / len(recipe.recipes))
+            if progress is not None:
+                progress(name, index / len(recipe.recipes))
             outcomes.append(host.outcome_of(path))
         page = write_report([outcome.folder for outcome in outcomes], host, recipe)
         notes = (f"{run.folder.name}: {note}" for run in outcomes for note in run.notes)
@@ -98,19 +91,15 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
 
     for folder in folders:
         if not rundir.is_whole(folder):
-            raise InputError(
-                "is no whole run folder",
-                file=folder,
-                hint="name folders that hold a run.json and all outputs it lists",
-            )
+            raise InputError(message("stages.no_whole_run"), file=folder)
     inputs = [("run", folder) for folder in folders]
     source = campaign.path if campaign else folders[0] / "run.json"
     name = campaign.name if campaign else "report"
     digest = rundir.hash_of(source, inputs, Versions.of("report"))
     final = host.out or host.root / f"{name}_{digest}"
-    tell = host.tell(campaign.name if campaign else "")
-    if tell is not None:
-        tell("writing the report", 0.5)
+    progress = host.progress_of(campaign.name if campaign else "")
+    if progress is not None:
+        progress("writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as run:
         page = build(folders, campaign)
         (run.path / "report.html").write_text(page, encoding="utf-8")

@@ -13,25 +13,40 @@ from ehbench.config.recipe import FlowMapRecipe
 from ehbench.config.recipe.columns import LEAVE_OUT
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
-from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig
+    from ehbench.data.flowmeter import FlowmeterData
     from ehbench.flow_maps.tables import EdgeFit, PreparedReadings
 
-# share of the supply's pressure by which the zero of a sensor of that range is off (standard error)
-SENSOR_ERROR = 1e-3
-# share of a valve's largest command likewise: steps from rest only come up to a command, so that
-# half of the hysteresis is in it
-COMMAND_ERROR = 5e-4
+
+@dataclass(frozen=True)
+class MachineErrors:
+    """Standard errors that all readings of a machine's logs share, where the recipe states none."""
+
+    pressure: float = setting(
+        1e-3, "", "zero of a pressure sensor, share of the supply pressure", "class 0.1 sensors"
+    )
+    command: float = setting(
+        5e-4,
+        "",
+        "share of a valve's largest command",
+        "half of the hysteresis is in it, since steps from rest only approach a command from below",
+    )
+
+
+ERRORS = MachineErrors()
 
 
 @dataclass(frozen=True)
 class PreparedMaps(Prepared):
-    """Readings by edge; None where a check finds none that can be read."""
+    """Readings by edge; None where a dry run finds none that can be read."""
 
     recipe: FlowMapRecipe
     state: RigState
@@ -47,61 +62,40 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     writes = "flow_maps.json, flow_maps.csv, summary.json, points.csv, rig.toml, figures"
 
     def prepare(self, recipe: FlowMapRecipe, inputs: Inputs) -> PreparedMaps:
-        from ehbench.data.flowmeter import read_flowmeter
         from ehbench.flow_maps.tables import prepare_readings
 
-        findings = inputs.findings
         state = inputs.rig_state(recipe.rig)
-        if recipe.method == "steps":
-            return _from_logs(recipe, inputs, state)
-        supply = float(state.rig.supply.pressure)
-        parts, files, columns = [], [], inputs.columns()
-        leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
-        for name in recipe.data:
-            with findings.noting():
-                files.append(inputs.existing(name))
-                part = read_flowmeter(
-                    files[-1], columns, supply_pressure=supply, leave_out=leave_out
-                )
-                parts.append(part)
-                groups = ", ".join(" ".join(group) for group in part.groups())
-                findings.say("reads", f"{name} ({len(part)} readings of {groups})")
-                findings.notes += [str(text) for text in part.warnings]
-        maps = () if columns is None else tuple(("columns", path) for path in columns.files)
-        findings.say("open", "whether the readings carry a map")
-        count = len({group for part in parts for group in part.groups()})
-        readings = prepare_readings(state.rig, parts, leave_out) if parts else None
-        if readings is not None:
-            findings.say("losses", *(f"lost: {loss}" for loss in readings.losses))
-        return PreparedMaps(
-            recipe,
-            (*state.inputs, *(("data", path) for path in files), *maps),
-            f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings",
-            state,
-            readings,
+        from_logs = recipe.method == "steps"
+        parts, files, leave_out = (_of_logs if from_logs else _of_files)(recipe, inputs, state.rig)
+        inputs.notes.add("undecided", message("stages.map_supported"))
+        does = message(
+            "stages.does_flow_map",
+            maps=plural(len({group for part in parts for group in part.groups()}), "flow map"),
+            readings=sum(map(len, parts)),
+            source=plural(len(recipe.data), "log" if from_logs else "file"),
         )
+        readings = prepare_readings(state.rig, parts, leave_out) if parts else None
+        if readings is not None and not from_logs:
+            inputs.notes.add("losses", *(f"lost: {loss}" for loss in readings.losses))
+        return PreparedMaps(recipe, (*state.inputs, *files), does, state, readings)
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
         from ehbench.flow_maps import tables as readings
         from ehbench.physics.flow_map import collect, save_flow_maps, table
 
         recipe, rig = prepared.recipe, prepared.state.rig
-        assert prepared.readings is not None  # a run stops where a check has none
+        assert prepared.readings is not None  # a run has all its readings
         drop = recipe.calibration_drop
-        given = (
-            [
-                (float(item.command), float(item.flow), item.tolerance)
-                for item in recipe.calibration
-            ],
-            None if drop is None else float(drop),
-            progress,
-        )
-        limit = float(recipe.meter_limit)
-        fits, without = [], []
+        points = [
+            (float(item.command), float(item.flow), item.tolerance) for item in recipe.calibration
+        ]
+        options = (points, None if drop is None else float(drop), progress)
+        without: list[str] = []
         if recipe.method == "steps":
-            fits, without = _of_some(prepared.readings, given, recipe)
+            fits, without = _of_some(prepared.readings, options, recipe)
         else:
-            fits = readings.run_readings(prepared.readings, *given, meter_limit=limit)
+            limit = float(recipe.meter_limit)
+            fits = readings.run_readings(prepared.readings, *options, meter_limit=limit)
         maps = collect([fit.fit.map for fit in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
@@ -124,28 +118,55 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         return Work(facts, code=INCOMPLETE if losses else DONE)
 
 
-def _shared(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
-    """Standard errors that all readings of a machine's logs share: of the difference of two
-    pressure sensors [Pa], and of the command [V] of the valve of an edge.
-    """
-    pressure, volts = recipe.pressure_error, recipe.command_error
-    zero = SENSOR_ERROR * float(rig.supply.pressure) if pressure is None else float(pressure)
-    (valve,) = (
-        valve
-        for cylinder, valve in rig.valves()
-        for name in map(valve.edge_name, valve.edge)
-        if edge in (name, f"{cylinder.name}.{name}")
-    )
-    maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    command = COMMAND_ERROR * maximum if volts is None else float(volts)
-    return {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
+_Readings = tuple[list["FlowmeterData"], tuple[tuple[str, Path], ...], bool]
+
+
+def _of_files(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
+    """(readings of flowmeter files, the files, whether bad samples are left out)."""
+    from ehbench.data.flowmeter import read_flowmeter
+
+    parts, files, columns = [], [], inputs.columns()
+    leave_out = columns is not None and columns.columns.bad_samples == LEAVE_OUT
+    for name in recipe.data:
+        with inputs.notes.collected():
+            files.append(inputs.existing(name))
+            supply = float(rig.supply.pressure)
+            part = read_flowmeter(files[-1], columns, supply_pressure=supply, leave_out=leave_out)
+            parts.append(part)
+            _note_readings(name, part, inputs)
+            inputs.notes.remarks += [str(text) for text in part.warnings]
+    maps = () if columns is None else columns.files
+    named = (*(("data", path) for path in files), *(("columns", path) for path in maps))
+    return parts, named, leave_out
+
+
+def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
+    """(readings that step logs give, the logs, False)."""
+    from ehbench.config.recipe.base import DataFile
+    from ehbench.flow_maps.step_readings import step_readings
+    from ehbench.plant.model import Model
+
+    logs = inputs.logs([DataFile(path=name) for name in recipe.data])
+    model, parts = Model.of(rig), []
+    for name, record in logs.records:
+        with inputs.notes.collected():
+            part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
+            parts.append(part)
+            _note_readings(name, part, inputs)
+    return parts, logs.files, False
+
+
+def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:
+    groups = ", ".join(" ".join(group) for group in part.groups())
+    text = message("stages.reads_flowmeter", name=name, count=len(part), groups=groups)
+    inputs.notes.add("reads", text)
 
 
 def _of_some(
-    prepared: PreparedReadings, given: tuple[Any, ...], recipe: FlowMapRecipe
+    prepared: PreparedReadings, options: tuple[Any, ...], recipe: FlowMapRecipe
 ) -> tuple[list[EdgeFit], list[str]]:
     """(maps of the edges that logs tell enough of, a sentence for each of the others): a log steps
-    what it steps, and nobody asked for a map of each edge.
+    only some edges.
 
     Raises:
         InsufficientData: no edge has a map.
@@ -155,38 +176,28 @@ def _of_some(
     fits, without = [], []
     for edge in prepared.edges:
         try:
-            shared = _shared(recipe, prepared.rig, edge.edge)
-            fits += run_readings(replace(prepared, edges=(edge,)), *given, **shared)
+            shared = _shared_errors(recipe, prepared.rig, edge.edge)
+            fits += run_readings(replace(prepared, edges=(edge,)), *options, **shared)
         except InsufficientData as error:
-            without.append(f"no map of {edge.edge} {edge.side}: {error.message}")
+            name, reason = f"{edge.edge} {edge.side}", error.message
+            without.append(message("stages.no_map", edge=name, reason=reason))
     if not fits:
-        raise InsufficientData("; ".join(without), hint="step each edge at 4 commands or more")
+        raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
     return fits, without
 
 
-def _from_logs(recipe: FlowMapRecipe, inputs: Inputs, state: RigState) -> PreparedMaps:
-    """Readings that step logs give."""
-    from ehbench.config.recipe.base import DataFile
-    from ehbench.flow_maps.step_readings import step_readings
-    from ehbench.flow_maps.tables import prepare_readings
-    from ehbench.plant.model import Model
-
-    findings = inputs.findings
-    logs = inputs.logs([DataFile(path=name) for name in recipe.data])
-    model, parts = Model.of(state.rig), []
-    for name, record in logs.records:
-        with findings.noting():
-            part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
-            parts.append(part)
-            groups = ", ".join(" ".join(group) for group in part.groups())
-            findings.say("reads", f"{name} ({len(part)} readings of {groups})")
-    findings.say("open", "whether the readings carry a map")
-    count = len({group for part in parts for group in part.groups()})
-    does = f"fits {count} flow map{'s' * (count != 1)} to {sum(map(len, parts))} readings"
-    return PreparedMaps(
-        recipe,
-        (*state.inputs, *logs.files, *logs.maps),
-        f"{does} that {counted(recipe.data, 'log')} give",
-        state,
-        prepare_readings(state.rig, parts) if parts else None,
+def _shared_errors(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
+    """Standard errors that all readings of a machine's logs share: of the difference of two
+    pressure sensors [Pa], and of the command [V] of the valve of an edge.
+    """
+    pressure, volts = recipe.pressure_error, recipe.command_error
+    zero = ERRORS.pressure * float(rig.supply.pressure) if pressure is None else float(pressure)
+    (valve,) = (
+        valve
+        for cylinder, valve in rig.valves()
+        for name in map(valve.edge_name, valve.edge)
+        if edge in (name, f"{cylinder.name}.{name}")
     )
+    maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+    command = ERRORS.command * maximum if volts is None else float(volts)
+    return {"drop_std": math.sqrt(2.0) * zero, "command_std": command}

@@ -1,17 +1,17 @@
 """What stages take in, by the names a recipe has for it: rigs with their maps, logs, runs of other
 recipes.
 
-In a run a recipe that another one names is run first. A check runs nothing: what has not been run
-is stood in for by the rig file at the root of the chain, or left out, and that is said."""
+A run first runs a recipe that another one names. A dry run takes the rig file at the root of the
+chain in place of what has not been run, or leaves it out, and notes that."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from ehbench.config.recipe import (
     ColumnMap,
@@ -26,9 +26,10 @@ from ehbench.config.recipe import (
 )
 from ehbench.config.rig import Edge, Rig, Valve
 from ehbench.runs import rundir
-from ehbench.stages.findings import Findings
+from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
 
 if TYPE_CHECKING:
     from ehbench.data.additional import AdditionalFile
@@ -40,64 +41,66 @@ NamedFiles = tuple[tuple[str, Path], ...]  # (role, file or run folder) of each 
 
 @dataclass(frozen=True)
 class RigState:
-    """A rig as a stage receives it: its numbers, its measured maps, how far it has come, and the
-    inputs behind it.
+    """A rig as a stage receives it: its numbers, its measured maps, the stage it has passed, the
+    inputs that made it.
 
-    ``blind`` are edges whose measured maps are not there, in a check only: orifices stand in."""
+    ``without_maps`` are edges whose measured maps are missing, in a dry run only: orifices stand
+    in."""
 
     rig: Rig
     flow_maps: FlowMaps | None
     stage: str
     inputs: NamedFiles
     origin: Path
-    blind: tuple[str, ...] = ()
+    without_maps: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class ValidatedRig(RigState):
-    """A rig that a validation accepted, or that the user insists on (`insisted`)."""
+    """A rig that a validation accepted, or that the user insists on."""
 
     @classmethod
     def insisted(cls, state: RigState) -> ValidatedRig:
-        """A rig as it is because the user said ``--unvalidated``; its ``stage`` still tells."""
+        """A rig as it is because the user said ``--unvalidated``; ``stage`` stays as it is."""
         return cls(**{name: getattr(state, name) for name in cls.__dataclass_fields__})
 
 
 class Logs(NamedTuple):
-    """Name and record of each log, the input behind each, what was lost, the number of the
-    recipe's entry of each, the maps of columns that they were read by, and the inputs by entry,
-    of which one with a gap is behind several logs.
+    """The logs of a recipe.
+
+    Attributes:
+        records: name and record of each.
+        inputs: the file of each; one with a gap is that of several logs.
+        losses: what was lost.
+        entries: number of the recipe's entry of each.
+        files: all files, with the maps of columns that they were read by.
     """
 
     records: list[tuple[str, Record]]
     inputs: NamedFiles
     losses: list[str]
     entries: list[int]
-    maps: NamedFiles = ()
-    files: NamedFiles = ()
-
-
-class Runs(Protocol):
-    """Where the runs of recipes come from that another recipe names."""
-
-    def folder(self, path: Path, findings: Findings) -> Path | None:
-        """The run folder of a recipe; None where a check finds none and says so in ``findings``."""
-        ...
-
-    def findings(self, path: Path) -> Findings | None:
-        """What a check finds of a recipe; None in a run, which finds out when its turn comes."""
-        ...
+    files: NamedFiles
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the recipe at work takes in. ``allow_code`` and ``unvalidated`` are what the user
-    allowed.
+    """What the recipe at work takes in.
+
+    Args:
+        recipe: at work.
+        notes: of its preparation.
+        run_of: the run folder of a recipe file, which a run makes first; None where a dry run has
+            none.
+        check: the notes of a recipe file, in a dry run.
+        allow_code: whether recipes may run Python code.
+        unvalidated: whether a controller may be tuned on a rig that no validation accepted.
     """
 
     recipe: Recipe
-    findings: Findings
-    runs: Runs
+    notes: Notes
+    run_of: Callable[[Path], Path | None]
+    check: Callable[[Path], Notes] | None = None
     allow_code: bool = False
     unvalidated: bool = False
 
@@ -111,21 +114,18 @@ class Inputs:
         if path.exists():
             return path
         folder = path.parent
-        there = [p.name for p in folder.iterdir()] if folder.is_dir() else []
-        near = get_close_matches(path.name, there, 1)
-        raise InputError(
-            f"names '{name}', which is not there",
-            file=self.recipe.path,
-            hint=f"did you mean '{near[0]}'?" if near else f"looked for {path}",
-        )
+        known = [item.name for item in folder.iterdir()] if folder.is_dir() else []
+        near = get_close_matches(path.name, known, 1)
+        hint = f"did you mean '{near[0]}'?" if near else f"looked for {path}"
+        text = message("stages.no_file", name=name)
+        raise InputError(text, file=self.recipe.path, hint=hint)
 
     def run_folder(self, path: Path) -> Path | None:
-        """A run folder, or that of a recipe; None where a check finds that it has not been run. A
-        file that is no recipe stays as it is.
+        """A run folder, or that of a recipe; None where a dry run has none. A file that is no
+        recipe stays as it is.
         """
-        if path.is_file() and path.suffix == ".toml":
-            return self.runs.folder(path, self.findings)
-        return path
+        is_recipe = path.is_file() and path.suffix == ".toml"
+        return self.run_of(path) if is_recipe else path
 
     def rig_state(self, rig: str, flow_maps: str | None = None) -> RigState:
         """A rig with its maps: from a rig file, a run folder, or a recipe that makes one.
@@ -140,24 +140,20 @@ class Inputs:
             inputs.append(("flow_maps", maps_path))
             maps = maps_in(maps_path)
             if maps is None:
-                raise InputError(
-                    "holds no flow maps", file=maps_path, hint="name a run of what = 'flow_map'"
-                )
+                raise InputError(message("stages.no_maps"), file=maps_path)
         kind = ValidatedRig if promised or stage == "validated" else RigState
         state = kind(load_rig(path), maps, stage, tuple(inputs), path)
-        sources = [f"{self.findings.shown(path)} (rig '{state.rig.name}', {stage})"]
+        sources = [f"{self.notes.name_of(path)} (rig '{state.rig.name}', {stage})"]
         if maps_path is not None:
-            sources.append(f"{self.findings.shown(maps_path)} (flow maps)")
-        self.findings.say("reads", *sources)
-        return self._with_stand_ins(state) if self.findings.collects else state
-
-    def _with_stand_ins(self, state: RigState) -> RigState:
-        rig, blind = with_laws(state.rig, state.flow_maps)
-        if blind:
-            self.findings.say(
-                "open", f"what hangs on the flow maps of {', '.join(blind)}: none is given"
-            )
-        return replace(state, rig=rig, blind=blind)
+            sources.append(f"{self.notes.name_of(maps_path)} (flow maps)")
+        self.notes.add("reads", *sources)
+        if not self.notes.dry_run:
+            return state
+        whole, missing = with_orifices(state.rig, state.flow_maps)
+        if missing:
+            text = message("stages.without_maps", edges=", ".join(missing))
+            self.notes.add("undecided", text)
+        return replace(state, rig=whole, without_maps=missing)
 
     def _rig_source(self, rig: str, flow_maps: str | None) -> tuple[Path, Path | None, bool]:
         """(rig file or run folder, maps file or run folder, whether a validation that has not been
@@ -165,7 +161,7 @@ class Inputs:
         """
         path, promised = self.existing(rig), False
         if path.is_file() and kind_of(path) == "recipe":
-            folder = self.runs.folder(path, self.findings)
+            folder = self.run_of(path)
             if folder is None:
                 promised = isinstance(load_recipe(path), ValidateRecipe)
                 path, inherited = self._root(rig, path)
@@ -177,113 +173,110 @@ class Inputs:
         source = self.existing(flow_maps)
         maps = self.run_folder(source)
         if maps is None:
-            self.findings.say(
-                "open",
-                f"what hangs on the flow maps: '{self.findings.shown(source)}' has not been run",
-            )
+            text = message("stages.maps_not_run", name=self.notes.name_of(source))
+            self.notes.add("undecided", text)
         return path, maps, promised
 
     def _root(self, rig: str, path: Path) -> tuple[Path, str | None]:
         """(rig file or run folder, flow maps) at the root of a chain that has not been run."""
-        behind = load_recipe(path)
-        name, maps = getattr(behind, "rig", None), getattr(behind, "flow_maps", None)
-        if name is None or behind.stage_name == "bench":
-            raise InputError(
-                f"names '{rig}', which leaves no rig behind",
-                **self.recipe.at("rig"),
-                hint="name a rig file, or a recipe that has one",
-            )
-        inner = replace(self, recipe=behind, findings=Findings(behind, collects=True))
+        upstream = load_recipe(path)
+        name, maps = getattr(upstream, "rig", None), getattr(upstream, "flow_maps", None)
+        if name is None or upstream.stage_name == "bench":
+            raise InputError(message("stages.no_rig", name=rig), **self.recipe.at("rig"))
+        notes = Notes(upstream, dry_run=True)
+        inner = replace(self, recipe=upstream, notes=notes)
         root, maps_path, _ = inner._rig_source(name, maps)
-        self.findings.say("open", *inner.findings.open)
-        if isinstance(behind, FlowMapRecipe):
-            self.findings.say("open", f"what hangs on the flow maps: '{rig}' has not been run")
-        self.findings.say(
-            "notes", f"'{rig}' has not been run: checked against {self.findings.shown(root)}"
-        )
+        self.notes.add("undecided", *notes.undecided)
+        if isinstance(upstream, FlowMapRecipe):
+            self.notes.add("undecided", message("stages.maps_not_run", name=rig))
+        text = message("stages.checked_against", name=rig, root=self.notes.name_of(root))
+        self.notes.add("remarks", text)
         return root, None if maps_path is None else str(maps_path)
 
     def logs(self, data: Sequence[DataFile], driven: bool = False) -> Logs:
-        """Logs that are there, each a file, or the recipe or run folder of a trial; one with gaps
-        is several (`gaps.parts_of`), of which those without a command that changes are left out
-        where logs are to be ``driven``.
+        """The logs of some entries, each a file, or the recipe or run folder of a trial; one with
+        gaps is several (`time_base.parts_of`), without those in which no command changes where logs
+        are to be ``driven``.
 
         Raises:
-            InputError: one is not there, or has no samples in the window asked for.
+            InputError: one is not there, or has no samples in its window.
         """
         import numpy as np
 
-        from ehbench.data import read
         from ehbench.preprocessing.preparation import distinct_names
         from ehbench.preprocessing.time_base import parts_of
 
-        items, places, entries = [], [], []
+        available = []
         for index, item in enumerate(data):
             place = self.run_folder(self.existing(item.path))
             if place is None:
-                self.findings.say("open", f"the log of '{item.path}': it has not been run")
+                self.notes.add("undecided", message("stages.log_not_run", name=item.path))
             else:
-                items.append(item)
-                places.append(place)
-                entries.append(index)
-        records, inputs, losses, maps, numbers = [], [], [], [], []
+                available.append((index, item, place))
+        names = distinct_names([place for _, _, place in available])
+        records, inputs, losses, entries = [], [], [], []
         files: list[tuple[str, Path]] = []
-        named = zip(items, places, distinct_names(places), entries, strict=True)
-        for item, place, name, index in named:
-            is_run = (place / "log.mcap").is_file()
-            path = place / "log.mcap" if is_run else place
-            columns = None if is_run else self.columns(item, index)
-            additional = self._additional(item, index)
-            for entry in (columns, *(other.columns for other in additional)):
-                used = () if entry is None else entry.files
-                maps += [("columns", file) for file in used if ("columns", file) not in maps]
-            whole = read(path, columns, window=_span(item), additional=additional)
+        maps: list[tuple[str, Path]] = []
+        for (index, item, place), name in zip(available, names, strict=True):
+            path = place / "log.mcap" if (place / "log.mcap").is_file() else place
+            whole, others = self._read(item, index, path, path is not place, maps)
             losses += [f"{path.name}: {loss}" for loss in whole.losses]
-            record = self._tied(_window(whole, item, path), item, index)
-            span = getattr(item, "scored", None)
-            parts, message = parts_of(name, record, driven=driven, within=span)
-            losses += message
+            record = self._replayed(_window(whole, item, path), item, index)
+            scored = getattr(item, "scored", None)
+            parts, texts = parts_of(name, record, driven=driven, within=scored)
+            losses += texts
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
-            files += [("log", path), *(("log", other.path) for other in additional)]
-            numbers += [index] * len(parts)
-            load = record.meta.get("payload") or "not said"
-            also = "".join(f" and {other.path}" for other in item.beside)
-            self.findings.say(
-                "reads", f"{item.path}{also} ({np.ptp(record.t):.4g} s, payload {load})"
+            entries += [index] * len(parts)
+            files += [("log", path), *(("log", other.path) for other in others)]
+            text = message(
+                "stages.reads_log",
+                names=" and ".join([item.path, *(other.path for other in item.beside)]),
+                seconds=float(np.ptp(record.t)),
+                payload=record.meta.get("payload") or "not stated",
             )
-        self.findings.say("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses, numbers, tuple(maps), tuple(files))
+            self.notes.add("reads", text)
+        self.notes.add("losses", *(f"lost: {loss}" for loss in losses))
+        return Logs(records, tuple(inputs), losses, entries, (*files, *maps))
 
-    def _additional(self, item: DataFile, index: int) -> list[AdditionalFile]:
-        """The additional files of a log, each with its map of columns."""
+    def _read(
+        self, item: DataFile, index: int, path: Path, is_run: bool, maps: list[tuple[str, Path]]
+    ) -> tuple[Record, list[AdditionalFile]]:
+        """(the record of an entry, its additional files); their maps of columns are added to
+        ``maps``.
+        """
+        from ehbench.data import read
         from ehbench.data.additional import AdditionalFile
 
-        results = []
-        for at, other in enumerate(item.beside):
-            columns = None
+        columns = None if is_run else self.columns(item, index)
+        others = []
+        for number, other in enumerate(item.beside):
+            place = ("data", index, "beside", number, "columns")
+            own = None
             if other.columns is not None:
-                place = ("data", index, "beside", at, "columns")
-                columns = whole_map(other.columns, self.recipe.path, place)
+                own = whole_map(other.columns, self.recipe.path, place)
             shift = None if other.shift is None else float(other.shift)
-            path = self.existing(other.path)
-            results.append(AdditionalFile(path, columns, shift, other.clock == "shared"))
-        return results
+            shared = other.clock == "shared"
+            others.append(AdditionalFile(self.existing(other.path), own, shift, shared))
+        for entry in (columns, *(other.columns for other in others)):
+            for file in () if entry is None else entry.files:
+                maps += [("columns", file)] if ("columns", file) not in maps else []
+        record = read(path, columns=columns, window=span_of(item), additional=others)
+        return record, others
 
-    def _tied(self, record: Record, item: DataFile, index: int) -> Record:
-        """A record with what the simulation is tied to, as its entry or the recipe says."""
+    def _replayed(self, record: Record, item: DataFile, index: int) -> Record:
+        """A record with what a simulation along it takes from it, as its entry or the recipe
+        says.
+        """
         from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
         facts = {name: fact for name, fact in record.meta.items() if name not in (TIED, SUPPLY)}
-        for key, usual in ((TIED, "none"), (SUPPLY, "model")):
-            message = getattr(item, key, None) or getattr(self.recipe, key, usual)
-            facts |= {} if message == usual else {key: message}
+        for key, default in ((TIED, "none"), (SUPPLY, "model")):
+            choice = getattr(item, key, None) or getattr(self.recipe, key, default)
+            facts |= {} if choice == default else {key: choice}
         if facts.get(SUPPLY) == RECORDED and "p_supply" not in record:
-            raise InputError(
-                f'{item.path}: supply = "{RECORDED}", and the log has no p_supply',
-                **self.recipe.at("data", index),
-                hint='map a column to "p_supply [bar]", or leave the supply to the model',
-            )
+            text = message("stages.no_supply", name=item.path)
+            raise InputError(text, **self.recipe.at("data", index))
         return replace(record, meta=facts)
 
     def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
@@ -291,20 +284,19 @@ class Inputs:
         path = self.recipe.path
         if item is not None and item.columns is not None:
             return whole_map(item.columns, path, ("data", index, "columns"))
-        own = getattr(self.recipe, "columns", None)
-        return None if own is None else whole_map(own, path, ("columns",))
+        columns = getattr(self.recipe, "columns", None)
+        return None if columns is None else whole_map(columns, path, ("columns",))
 
 
 def _stage_of(path: Path) -> str:
-    """How far the rig of a file or run folder has come."""
+    """The stage that the rig of a file or run folder has passed."""
     if not path.is_dir():
         return "file"
     facts = rundir.read_json(path / "run.json")
     if facts["stage"] == "validate" and not facts["accepted"]:
         return "rejected"
-    return {"identify": "identified", "validate": "validated"}.get(
-        facts["stage"], str(facts["stage"])
-    )
+    stage = str(facts["stage"])
+    return {"identify": "identified", "validate": "validated"}.get(stage, stage)
 
 
 def maps_in(folder: Path) -> FlowMaps | None:
@@ -314,59 +306,56 @@ def maps_in(folder: Path) -> FlowMaps | None:
     return load_flow_maps(folder) if (folder / "flow_maps.json").is_file() else None
 
 
-def _span(item: DataFile) -> tuple[float, float]:
-    """The part of a log that an entry asks for [s]."""
+def span_of(item: DataFile) -> tuple[float, float]:
+    """The part of a log that an entry names [s]."""
     low = -math.inf if item.start is None else float(item.start)
     return low, math.inf if item.stop is None else float(item.stop)
 
 
 def _window(record: Record, item: DataFile, path: Path) -> Record:
     """The part of a record between the data entry's start and stop, with the payload it names."""
-    low, high = _span(item)
-    keep = (record.t >= low) & (record.t <= high)
-    if keep.sum() < 3 <= record.t.size:
-        raise InputError(
-            f"has no samples between {low:g} and {high:g} s",
-            file=path,
-            hint=f"it runs from {record.t[0]:g} to {record.t[-1]:g} s",
-        )
+    low, high = span_of(item)
+    inside = (record.t >= low) & (record.t <= high)
+    if inside.sum() < 3 <= record.t.size:
+        first, last = float(record.t[0]), float(record.t[-1])
+        text = message("stages.empty_window", low=low, high=high, first=first, last=last)
+        raise InputError(text, file=path)
     meta = dict(record.meta)
     if item.payload:
         meta.pop("payload_change", None)
         meta["payload"] = item.payload
-    channels = {name: values[keep] for name, values in record.channels.items()}
-    return type(record)(record.t[keep], channels, meta, record.attachments, record.losses)
+    channels = {name: values[inside] for name, values in record.channels.items()}
+    return type(record)(record.t[inside], channels, meta, record.attachments, record.losses)
 
 
-def with_laws(rig: Rig, maps: FlowMaps | None) -> tuple[Rig, tuple[str, ...]]:
+def with_orifices(rig: Rig, maps: FlowMaps | None) -> tuple[Rig, tuple[str, ...]]:
     """(the rig with an orifice in place of each edge whose measured map is not given, the names of
     those edges).
 
     The orifice passes the pump's flow limit at full command and supply pressure; only its sign and
     place are of use."""
     known = set(maps or ())
-    blind = sorted(
+    missing = sorted(
         f"{c.name}.{v.edge_name(e)}"
         for c, v, e in rig.edges()
         if e.law == "map" and not {f"{c.name}.{v.edge_name(e)}", v.edge_name(e)} & known
     )
+    if not missing:
+        return rig, ()
 
-    def lawful(cylinder: str, valve: Valve, edge: Edge) -> Edge:
-        if f"{cylinder}.{valve.edge_name(edge)}" not in blind:
+    def edge_of(cylinder: str, valve: Valve, edge: Edge) -> Edge:
+        if f"{cylinder}.{valve.edge_name(edge)}" not in missing:
             return edge
         maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-        gain = Value(
-            float(rig.supply.flow_limit) / (maximum * math.sqrt(float(rig.supply.pressure)))
-        )
+        full = maximum * math.sqrt(float(rig.supply.pressure))
+        gain = Value(float(rig.supply.flow_limit) / full)
         return edge.model_copy(update={"law": "orifice", "flow_gain": gain})
 
-    if not blind:
-        return rig, ()
     cylinders = []
     for c in rig.cylinder:
         valves = tuple(
-            v.model_copy(update={"edge": tuple(lawful(c.name, v, e) for e in v.edge)})
+            v.model_copy(update={"edge": tuple(edge_of(c.name, v, e) for e in v.edge)})
             for v in c.valve
         )
         cylinders.append(c.model_copy(update={"valve": valves}))
-    return rig.model_copy(update={"cylinder": tuple(cylinders)}), tuple(blind)
+    return rig.model_copy(update={"cylinder": tuple(cylinders)}), tuple(missing)

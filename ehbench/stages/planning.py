@@ -19,9 +19,10 @@ from ehbench.report.words import estimate, interval, number, pretty, shown, unit
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.stages.base import DONE, Host, Outcome, write_rig
-from ehbench.stages.hydraulics import HydraulicsStage
+from ehbench.stages.hydraulics import HydraulicsStage, expect_hydraulics
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
 _SHOWN = 8
@@ -37,12 +38,11 @@ class NextTest:
     rig_file: Path
 
     def lines(self, width: int) -> Iterator[str]:
-        """What people read."""
+        """As a table."""
         name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
-        now = f"{self._text(self.known.value, self.known.interval)} {unit}".strip()
-        best = self.proposals[0]
-        then = self._text(self.known.value, best.interval)
-        yield f"{name} is {now} now; the first of these tests would leave {then} {unit}".rstrip()
+        now = self._text(self.known.interval)
+        then = self._text(self.proposals[0].interval)
+        yield message("stages.next_test", name=name, now=now, then=then, unit=unit).rstrip()
         yield ""
         head = ["cylinder", "test", "amplitude [V]", "starts at [mm]", "payload"]
         head += [f"95 % interval then [{unit}]" if unit else "95 % interval then", "of now"]
@@ -53,44 +53,35 @@ class NextTest:
                 num(number(max(abs(entry["amplitude"]) for entry in proposal.trial.commands), 3)),
                 num(number(1e3 * proposal.trial.stroke, 3)),
                 proposal.trial.payload or "none",
-                num(self._ends(proposal.interval)),
+                num(interval(*map(self._shown, proposal.interval))),
                 num("–" if proposal.share is None else f"{100.0 * proposal.share:.0f} %"),
             ]
             for proposal in self.proposals[:_SHOWN]
         ]
         yield from table(Grid(head, rows), (), width)
 
-    def _text(self, value: float, ends: tuple[float, float] | None) -> str:
-        name = self.known.name
-        if ends is None:
-            return f"not known ({number(float(shown(self.rig, name, value)))} is where it starts)"
-        low, high = (float(shown(self.rig, name, end)) for end in ends)
-        text = estimate(float(shown(self.rig, name, value)), low, high)
-        return text if "±" in text else f"{text} ({interval(low, high)})"
+    def _shown(self, value: float) -> float:
+        return float(shown(self.rig, self.known.name, value))
 
-    def _ends(self, ends: tuple[float, float]) -> str:
-        return interval(*(float(shown(self.rig, self.known.name, end)) for end in ends))
+    def _text(self, ends: tuple[float, float] | None) -> str:
+        value = self._shown(self.known.value)
+        if ends is None:
+            return message("stages.unknown_value", value=number(value))
+        low, high = map(self._shown, ends)
+        text = estimate(value, low, high)
+        return text if "±" in text else f"{text} ({interval(low, high)})"
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for scripts, SI."""
-        return {
-            "name": self.known.name,
-            "value": self.known.value,
-            "interval": self.known.interval,
-            "tests": [
-                {
-                    "cylinder": proposal.trial.cylinder,
-                    "wave": proposal.trial.wave,
-                    "stroke": proposal.trial.stroke,
-                    "payload": proposal.trial.payload,
-                    "duration": proposal.trial.seconds,
-                    "commands": [dict(entry) for entry in proposal.trial.commands],
-                    "interval": proposal.interval,
-                    "share": proposal.share,
-                }
-                for proposal in self.proposals
-            ],
-        }
+        tests = []
+        for proposal in self.proposals:
+            trial = proposal.trial
+            names = ("cylinder", "wave", "stroke", "payload")
+            test = {name: getattr(trial, name) for name in names} | {"duration": trial.seconds}
+            test["commands"] = [dict(entry) for entry in trial.commands]
+            tests.append(test | {"interval": proposal.interval, "share": proposal.share})
+        known = {name: getattr(self.known, name) for name in ("name", "value", "interval")}
+        return {**known, "tests": tests}
 
     def write(self, path: Path) -> Path:
         """The first test as the recipe of a trial on the virtual bench.
@@ -101,7 +92,7 @@ class NextTest:
         import tomli_w
 
         if path.exists():
-            raise InputError("is there already; nothing was written", file=path)
+            raise InputError(message("stages.exists"), file=path)
         trial = self.proposals[0].trial
         recipe: dict[str, Any] = {
             "stage": "trial",
@@ -137,20 +128,14 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     from ehbench.guidance.profile import profile
     from ehbench.report import draw
 
-    recipe = inputs.recipe
-    if not isinstance(recipe, HydraulicsRecipe):
-        raise InputError(
-            "has no parameters to profile",
-            file=recipe.path,
-            hint='name a recipe of stage "identify", what = "hydraulics"',
-        )
+    recipe = expect_hydraulics(inputs.recipe)
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
     files, versions = prepared.inputs or (), Versions.of("profile")
     digest = rundir.hash_of(recipe.path, files, versions)
     final = host.out or host.root / f"profile_{name}_{recipe.path.stem}_{digest}"
     with rundir.open_run(final, recipe.stage_name, recipe.path, files, versions=versions) as run:
-        fit, result = profile(prepared.fit, name, host.tell(recipe.name))
+        fit, result = profile(prepared.fit, name, host.progress_of(recipe.name))
         write_rig(run.path, fit.rig, prepared.state.flow_maps)
         rundir.write_json(run.path / "profile.json", result.as_json())
         run.facts |= {"what": "profile", "title": f"Profile of {name}", "rig": fit.rig.name}
@@ -160,62 +145,43 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     return Outcome(final, DONE, (*fit.warnings, *run.left_over))
 
 
-def fit_behind(built: Made) -> HydraulicsRecipe:
+def recipe_of(run: Made) -> HydraulicsRecipe:
     """The recipe of a run that fitted hydraulics, as the run read it.
 
     Raises:
         InputError: another kind of run; a recipe that is gone or has changed.
     """
-    if built.run.what != "hydraulics":
-        raise InputError(
-            "fitted no hydraulics",
-            file=built.folder,
-            hint='name a run of stage "identify", what = "hydraulics"',
-        )
-    if built.recipe.place is None or not built.recipe.is_same:
-        why = "is not found" if built.recipe.place is None else "has changed since"
-        raise InputError(
-            f"the run's recipe '{built.recipe.name}' {why}",
-            file=built.folder,
-            hint="run it again: ehbench identify RECIPE",
-        )
-    recipe = load_recipe(built.recipe.place)
-    assert isinstance(recipe, HydraulicsRecipe)  # by what the run says and the recipe's digest
+    if run.run.what != "hydraulics":
+        raise InputError(message("stages.no_fit"), file=run.folder)
+    if run.recipe.place is None or not run.recipe.is_same:
+        text = message("stages.recipe_changed", name=run.recipe.name)
+        raise InputError(text, file=run.folder)
+    recipe = expect_hydraulics(load_recipe(run.recipe.place))
     if recipe.response is not None:
-        raise InputError(
-            "compared frequency responses, beside which a test's samples cannot stand",
-            file=built.folder,
-            hint="run the recipe without [response]",
-        )
+        raise InputError(message("stages.no_samples_to_add"), file=run.folder)
     return recipe
 
 
-def plan(built: Made, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
-    """The tests that would sharpen a parameter of a run most.
+def plan(run: Made, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
+    """The tests that would sharpen a parameter of a run the most.
 
     Raises:
         InputError: the parameter was not fitted.
         InsufficientData: no test is possible.
     """
-    recipe = inputs.recipe
-    assert isinstance(recipe, HydraulicsRecipe)
-    rows = {
-        parameter["name"]: parameter
-        for parameter in built.run.json("parameters.json")["parameters"]
-    }
+    recipe = expect_hydraulics(inputs.recipe)
+    rows = {row["name"]: row for row in run.run.json("parameters.json")["parameters"]}
     if name is not None:
         must_be_fitted(name, rows)  # before anything that the recipe names is run
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
-    fitted = []
+    fitted = {}
     for c in prepared.fit.search:
         row = rows[c.name]
-        ends = row["interval"]
-        known = None if ends is None else (float(ends[0]), float(ends[1]))
-        fitted.append(Known(c.name, float(row["value"]), known, row["status"]))
-    name = name or widest(fitted, prepared.fit.search)
-    proposals = propose(prepared.fit, fitted, name, progress)
-    known = next(item for item in fitted if item.name == name)
-    source = next(item.place for item in built.sources if item.role == "rig")
-    rig_file = source or built.folder
-    return NextTest(built.run.rig, known, tuple(proposals), rig_file)
+        ends = row["interval"] and (float(row["interval"][0]), float(row["interval"][1]))
+        fitted[c.name] = Known(c.name, float(row["value"]), ends, row["status"])
+    known = list(fitted.values())
+    name = name or widest(known, prepared.fit.search)
+    proposals = propose(prepared.fit, known, name, progress)
+    rig_file = next(item.place for item in run.sources if item.role == "rig") or run.folder
+    return NextTest(run.run.rig, fitted[name], tuple(proposals), rig_file)

@@ -10,10 +10,11 @@ from pydantic import Field
 
 from ehbench.config.recipe import AnyColumns, DataFiles, Recipe
 from ehbench.runs import rundir
-from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, recorded_on, write_rig
-from ehbench.stages.findings import counted
-from ehbench.stages.inputs import Inputs, Logs, RigState
+from ehbench.stages.base import PreparedFromLogs, Stage, Work, write_rig
+from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.fields import Q, Value
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import quantity
 
@@ -57,12 +58,10 @@ class ResponseRecipe(Recipe):
 
 
 @dataclass(frozen=True)
-class PreparedResponse(Prepared):
-    """Input and output of the logs; None without a log, in a check."""
+class PreparedResponse(PreparedFromLogs):
+    """Input and output of the logs; None without a log, in a dry run."""
 
     recipe: ResponseRecipe
-    state: RigState
-    logs: Logs
     signals: Signals | None
 
 
@@ -84,30 +83,33 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         if recipe.frequency_max is not None:
             choice = choice._replace(frequency=float(recipe.frequency_max))
         signals = None
-        with inputs.findings.noting():
+        with inputs.notes.collected():
             if logs.records:
                 signals = prepare_signals(logs.records, (recipe.input, recipe.output), choice)
-        inputs.findings.say("open", "which frequencies are coherent")
-        does = f"estimates {recipe.output} over {recipe.input} from {counted(recipe.data, 'log')}"
-        return PreparedResponse(
-            recipe, (*state.inputs, *logs.files, *logs.maps), does, state, logs, signals
+        inputs.notes.add("undecided", message("stages.coherence"))
+        does = message(
+            "stages.does_response",
+            output=recipe.output,
+            input=recipe.input,
+            logs=plural(len(recipe.data), "log"),
         )
+        return PreparedResponse(recipe, (*state.inputs, *logs.files), does, state, logs, signals)
 
     def work(self, prepared: PreparedResponse, folder: Path, progress: Progress | None) -> Work:
         from ehbench.frequency_response.response import estimate
         from ehbench.frequency_response.transfer import transfers
 
-        recipe, losses = prepared.recipe, prepared.logs.losses
-        assert prepared.signals is not None  # a run stops where a check has none
+        recipe = prepared.recipe
+        assert prepared.signals is not None  # a run has all its logs
         result = estimate(prepared.signals)
         unit = f"({quantity(recipe.output).unit})/({quantity(recipe.input).unit})"
-        names = {"input": recipe.input, "output": recipe.output, "gain_unit": unit}
-        requested = {"window": recipe.window, "coherence_min": recipe.coherence_min}
-        logs = [name for name, _ in prepared.logs.records]
         table = {
-            **names,
-            **requested,
-            "logs": logs,
+            "input": recipe.input,
+            "output": recipe.output,
+            "gain_unit": unit,
+            "window": recipe.window,
+            "coherence_min": recipe.coherence_min,
+            "logs": [name for name, _ in prepared.logs.records],
             **result.as_json(),
             "warnings": result.warnings,
         }
@@ -117,9 +119,4 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
         rundir.write_json(folder / "response.json", table)
         (folder / "response.csv").write_text(result.table(unit), encoding="utf-8")
         write_rig(folder, prepared.state.rig, None)
-        facts = {
-            "rig": prepared.state.rig.name,
-            "warnings": [*losses, *result.warnings],
-            "recorded_on": recorded_on(prepared.logs.records),
-        }
-        return Work(facts, code=INCOMPLETE if losses else DONE)
+        return prepared.done(result.warnings)

@@ -6,19 +6,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ehbench.config.recipe import TrialSetRecipe
 from ehbench.runs import rundir
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
-from ehbench.stages.findings import counted
 from ehbench.stages.inputs import Inputs, RigState
-from ehbench.stages.trial import (
-    length_of,
-    place_of,
-    prepared_case,
-    time_is_known,
-)
+from ehbench.stages.trial import PLACES, length_of, measure_types, prepared_case, time_is_known
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
 
 if TYPE_CHECKING:
@@ -51,21 +47,21 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         planned = recipe.cases()
         for _, _, entry in planned:
             trial.refuse_code(entry, inputs.allow_code)
-            with inputs.findings.noting():
+            with inputs.notes.collected():
                 trial.refuse_unknown(entry)
         base = inputs.rig_state(recipe.rig, recipe.flow_maps)
         states = {(recipe.rig, recipe.flow_maps): base}
         files = list(base.inputs)
         cases, trials, lengths = [], [], []
         for name, _, entry in planned:
-            with inputs.findings.noting():
+            with inputs.notes.collected():
                 key = (entry.rig, entry.flow_maps)
                 if key not in states:
                     other = inputs.rig_state(*key)
                     states[key] = replace(other, rig=with_identified(other.rig, base.rig))
-                case, own, prepared = prepared_case(name, entry, states[key], inputs)
+                case, inside, prepared = prepared_case(name, entry, states[key], inputs)
                 case = replace(case, seeds=recipe.seeds)
-                files += [item for item in (*states[key].inputs, *own) if item not in files]
+                files += [item for item in (*states[key].inputs, *inside) if item not in files]
                 cases.append(case)
                 trials.append(prepared)
                 if time_is_known(entry, states[key]):
@@ -76,15 +72,21 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
             **({"machine": recipe.machine} if recipe.machine else {}),
             "controller": recipe.controller,
         }
-        counts = " × ".join(counted(items, word) for word, items in factors.items())
-        does = (
-            f"runs {counted(planned, 'trial')} ({counts}) on {place_of(recipe.on)}, "
-            f"{length_of(lengths, float(recipe.rate))}"
+        does = message(
+            "stages.does_trials",
+            trials=plural(len(planned), "trial"),
+            factors=" × ".join(plural(len(items), word) for word, items in factors.items()),
+            place=PLACES[recipe.on],
+            length=length_of(lengths, float(recipe.rate)),
         )
         if recipe.seeds > 1:
-            does += f", each with {recipe.seeds} seeds of noise"
+            does += message("stages.does_seeds", count=recipe.seeds)
         seeds = {"trial": recipe.seed}
         return PreparedSet(recipe, tuple(files), does, base, cases, trials, seeds=seeds)
+
+    def results(self, prepared: PreparedSet) -> list[Any]:
+        item = {**measure_types(), "duration": float, "stopped": str}
+        return [{case.name: item for case in prepared.cases}]
 
     def work(self, prepared: PreparedSet, folder: Path, progress: Progress | None) -> Work:
         from ehbench import trial

@@ -12,26 +12,26 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.stages.look import Look
+from ehbench.stages.dry_run import DryRun
 
 ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
 
 
 @pytest.fixture(scope="module")
-def look() -> Look:
-    """One walk over all recipes: those that several name are looked at once."""
-    return Look(workflow.ROOT)
+def dry_run() -> DryRun:
+    """One for all recipes: those that several name are prepared once."""
+    return DryRun(workflow.ROOT)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", sorted({path.parent.name for path in RECIPES}))
-def test_every_recipe_and_all_it_names_is_sound(folder, look):
+def test_every_recipe_and_all_it_names_is_sound(folder, dry_run):
     """A folder at a time, whose recipes name each other, by one worker of a parallel run."""
     if folder == "real" and not os.environ.get("EHBENCH_DATA"):
         pytest.skip("EHBENCH_DATA does not say where these recordings are")
     for path in (path for path in RECIPES if path.parent.name == folder):
-        found = inspection.check(path, look)
+        found = inspection.check(path, dry_run)
         assert found.code == 0 and found.lines[-1] == "ok", path
 
 

@@ -76,7 +76,7 @@ def test_a_format_that_is_not_written_is_refused_in_plain_words(inside, tmp_path
 
 @pytest.mark.parametrize(
     "name, right",
-    [("slide_serv", "did you mean 'slide_servo'?"), ("xyz", "campaign.toml: boom_four_valve, ")],
+    [("slide_serv", "did you mean 'slide_servo'?"), ("xyz", "recipes/: boom_four_valve, ")],
 )
 def test_a_campaign_that_is_not_there_is_told_from_those_that_are(inside, tmp_path, name, right):
     done = inside("reproduce", name, cwd=tmp_path)
@@ -173,7 +173,7 @@ def test_a_slip_gets_one_sentence_and_leaves_nothing(
 def test_check_tells_all_mistakes_of_a_recipe_on_stderr(workspace, inside, tmp_path):
     copy = broken(workspace, tmp_path, "recipes/step_small.toml", '"3.5 V"', '"35 V"')
     done = inside("check", "recipes/step_small.toml", cwd=copy)
-    assert done.returncode == 2 and done.stdout.rstrip().endswith("1 mistake")
+    assert done.returncode == 2 and done.stdout.rstrip().endswith("1 error")
     assert re.fullmatch(r"error: .*step_small.toml:\d+: .*-10 to 10 V.*\n", done.stderr)
     done = inside("check", "recipes/validate.toml", cwd=copy)
     assert done.returncode == 2 and "35 V" in done.stderr and "runs first:" in done.stdout

@@ -127,19 +127,19 @@ def test_a_cluster_whose_worker_is_killed_loses_nothing(makers, cluster, tmp_pat
 @pytest.mark.parametrize(
     "said, where",
     [
-        ("", workflow.Where()),
-        ("3", workflow.Where(workers=3)),
-        ("tcp://host:8786", workflow.Where(scheduler="tcp://host:8786")),
+        ("", workflow.Workers()),
+        ("3", workflow.Workers(count=3)),
+        ("tcp://host:8786", workflow.Workers(scheduler="tcp://host:8786")),
     ],
 )
 def test_workers_are_so_many_here_or_those_of_a_scheduler(said, where):
-    assert workflow.Where.of(said) == where
+    assert workflow.Workers.of(said) == where
 
 
 @pytest.mark.parametrize("said", ["0", "-2", "1.5", "many", " "])
 def test_workers_that_are_neither_are_refused(said):
     with pytest.raises(InputError, match="a number from 1 on, or the address of a Dask scheduler"):
-        workflow.Where.of(said)
+        workflow.Workers.of(said)
 
 
 def test_nobody_answers(makers):
@@ -220,16 +220,16 @@ def same(first: Path, second: Path) -> None:
 @pytest.mark.slow
 def test_a_cluster_makes_the_same_bytes(study, cluster, tmp_path):
     path, here = study
-    where = workflow.Where(scheduler=cluster.scheduler_address)
-    there = workflow.run(path, workflow.Session(out=tmp_path / "there", where=where))
+    workers = workflow.Workers(scheduler=cluster.scheduler_address)
+    there = workflow.run(path, workflow.Session(out=tmp_path / "there", workers=workers))
     same(here, there.folder)
 
 
 def test_where_nobody_answers_nothing_is_left(study, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster_module.Cluster.__init__, "__defaults__", (None, QUICK))
-    where = workflow.Where.of("tcp://127.0.0.1:9")
+    workers = workflow.Workers.of("tcp://127.0.0.1:9")
     with pytest.raises(InputError) as caught:
-        workflow.run(study[0], workflow.Session(out=tmp_path / "run", where=where))
+        workflow.run(study[0], workflow.Session(out=tmp_path / "run", workers=workers))
     assert caught.value.key == "sampling.no_scheduler"
     assert not list(tmp_path.iterdir())
 
@@ -247,16 +247,16 @@ def test_a_killed_study_goes_on(study, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         workflow.run(
-            path, workflow.Session(out=out, progress=stop, where=workflow.Where(workers=1))
+            path, workflow.Session(out=out, progress=stop, workers=workflow.Workers(count=1))
         )
     kept = [json.loads(line) for line in journal.read_text().splitlines()[1:]]
     assert 0 < len(kept) < 16 and not out.exists()
     lines = journal.read_text().splitlines(keepends=True)
     journal.write_text("".join(lines) + '{"i":9,"c":', encoding="utf-8")  # torn by the kill
     told = []
-    where = workflow.Where(workers=1)
+    workers = workflow.Workers(count=1)
     tell = lambda *said: told.append(said[0])
-    session = workflow.Session(out=out, where=where, resume=True, progress=tell)
+    session = workflow.Session(out=out, workers=workers, resume=True, progress=tell)
     workflow.run(path, session)
     assert int(told[0].split()[1]) > len(kept) and not journal.exists()
     same(here, out)
@@ -282,10 +282,10 @@ def test_unknown_keys_and_measures_are_named_at_check(study, tmp_path):
     text = path.read_text(encoding="utf-8")
     for old, new, said in (
         ("rig.bulk_modulus", "rig.bulk_modulos", "nearest is 'rig.bulk_modulus'"),
-        ('"duration",', '"duratoin",', "nearest is 'duration'"),
+        ('"duration",', '"duratoin",', "nearest: duration"),
         ("recipe.payload", "recipe.pay", "unknown key 'pay'"),
-        ('measure = "speed"', 'measure = "sped"', "did you mean 'speed'"),
-        ('"press.v"', '"pres.v"', "nearest is 'press.v'"),
+        ('measure = "speed"', 'measure = "sped"', "nearest: speed"),
+        ('"press.v"', '"pres.v"', "nearest: press.v"),
         ('"100 kg"', '"100 kgs"', "no payload '100 kgs'"),
         ("samples = 8", "samples = 90_000_000", "GB of memory"),
     ):

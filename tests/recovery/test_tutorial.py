@@ -41,7 +41,7 @@ def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(undrawn, tm
     )
     inherits = workflow.run(bare, session)  # the lag that the fit found, as its recipe says none
     assert inherits.code == workflow.DONE
-    assert any("press.v is taken to have a lag of 4.9 ±" in note for note in inherits.notes)
+    assert any("press.v is taken with lag 4.9 ±" in note for note in inherits.notes)
     text = (ROOT / "docs" / "explanation" / "identification.md").read_text(encoding="utf-8")
     for name in ("first_fit", "first_validation", "better_fit", "better_validation"):
         assert f"recipes/tutorial/{name}.toml" in text

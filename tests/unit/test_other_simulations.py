@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe
-from ehbench.stages.findings import Findings
-from ehbench.stages.inputs import Inputs
-from ehbench.stages.look import Look
+from ehbench.stages.dry_run import DryRun
+from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -59,8 +58,7 @@ def two(tmp_path):
         path = tmp_path / "validate.toml"
         path.write_text(RECIPE.replace("RIG", str(rig)) + more)
         recipe = load_recipe(path)
-        findings = Findings(recipe, collects=True)
-        return Inputs(recipe, findings, Look(tmp_path)).logs(recipe.data)
+        return DryRun(tmp_path).inputs(Notes(recipe, dry_run=True)).logs(recipe.data)
 
     return write
 

@@ -39,9 +39,9 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for item in study["sensitivity"]:
         rows = sorted(item["inputs"], key=lambda row: -abs(_weight(row)))
         name = item["measure"]
-        caption = _SOBOL if item["way"] == "sobol" else _RANK
+        caption = _SOBOL if item["method"] == "sobol" else _RANK
         path = index.add(f"moves_{name}", f"What moves {name}", caption, _key("moves", name))
-        figures.bars(path, rows[:20], item["way"])
+        figures.bars(path, rows[:20], item["method"])
     _maps(index, study)
 
 
@@ -185,12 +185,12 @@ def _measures(study: Table) -> Grid:
         if "quantiles" in measure:
             cells += [num(number(measure["mean"])), num(number(measure.get("std")))]
             cells += [num(_quantile(each)) for each in measure["quantiles"]]
-            cells += [num(number(measure["least"])), num(number(measure["most"]))]
+            cells += [num(number(measure["minimum"])), num(number(measure["maximum"]))]
         else:
             cells += [num(number(None))] * (2 + len(_SHARES) + 2)
         rows.append([*cells, pretty(measure["unit"])])
     heads = [f"{100 * share:g} % quantile" for share in _SHARES]
-    head = ["measure", "samples", "mean", "spread", *heads, "least", "most", "unit"]
+    head = ["measure", "samples", "mean", "spread", *heads, "minimum", "maximum", "unit"]
     caption = "Of samples that came to their end; quantiles with 95 % intervals."
     return Grid(head, rows, caption)
 
@@ -211,7 +211,7 @@ def _groups(study: Table) -> list[Block]:
     keys = [item["key"] for item in study["inputs"] if item["values"]]
     head = [*keys, "came to their end"]
     for measure in study["measures"]:
-        ways = ("median", "95 %", "most") if study["points"] > 1 else ("",)
+        ways = ("median", "95 %", "maximum") if study["points"] > 1 else ("",)
         head += [f"{_shown(measure)}{', ' * bool(way)}{way}" for way in ways]
     head += [f"keep {target['measure']} {ends_of(target)}" for target in study["targets"]]
     rows = []
@@ -219,7 +219,7 @@ def _groups(study: Table) -> list[Block]:
         cells: list[Cell | str] = [group["values"][key] for key in keys]
         cells.append(num(f"{group['whole']} of {group['samples']}"))
         for item in group["measures"]:
-            ways = ("median", "q95", "most") if study["points"] > 1 else ("median",)
+            ways = ("median", "q95", "maximum") if study["points"] > 1 else ("median",)
             cells += [num(number(item.get(way), 3)) for way in ways]
         rows.append(cells + [num(_met(target)) for target in group["targets"]])
     return [Grid(head, rows)]
