@@ -40,7 +40,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "arc_tuning": (1, ("plant", "control", "tuning")),
     "trial": (1, _TRIAL),
     "trials": (1, _TRIAL),
-    "study": (1, ("sampling",)),
+    "study": (2, ("sampling",)),
     "report": (1, ()),
 }
 
