@@ -154,10 +154,10 @@ def _fit_leaking(readings: Readings) -> Fit:
     """
     leak = _find_leak(readings)
     if leak is None:
-        result = _settle(readings, None)
+        result = _iterate(readings, None)
     else:
-        ends = _settle(readings, leak)
-        goes_on = _settle(replace(readings, y=readings.y - leak.flow(readings.s)), None)
+        ends = _iterate(readings, leak)
+        goes_on = _iterate(replace(readings, y=readings.y - leak.flow(readings.s)), None)
         gain = _misfit(ends, ends) - _misfit(goes_on, ends)
         result = goes_on if gain > 0 else ends
         result = replace(result, leak=replace(leak, goes_on=gain > 0))
@@ -179,14 +179,14 @@ def _misfit(result: Fit, by: Fit) -> float:
     return float(np.sum(squares)) / by.solution.lack + 2.0 * result.solution.parameters
 
 
-def _settle(readings: Readings, leak: Leak | None) -> Fit:
+def _iterate(readings: Readings, leak: Leak | None) -> Fit:
     """Alternate noise, fit and outliers until the outliers stay the same, then find the deadband
     and do it again.
 
     Args:
         leak: one that ends with the opening.
     """
-    readings, shape, flow, keep = _guess(readings, leak)
+    readings, shape, flow, keep = _first_shape(readings, leak)
     kinks: tuple[Kink, ...] = ()
     noise, lack, deadband = first_noise(readings), 1.0, Deadband()
     leverage = (flow > 0) * (shape.spline().rows + 3) / np.count_nonzero(flow > 0)
@@ -228,7 +228,7 @@ def _settle(readings: Readings, leak: Leak | None) -> Fit:
     return Fit(readings, shape, solution, noise, deadband, window, keep, sigmas, kinks)
 
 
-def _guess(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.ndarray, np.ndarray]:
+def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.ndarray, np.ndarray]:
     """(readings without the leak, shape, scaled flow at each reading, readings to keep) by a robust
     fit to the cells' medians; leaves out what lies far from it.
     """

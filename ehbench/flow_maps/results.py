@@ -344,7 +344,7 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     trials = np.unique(r.trial[result.keep]).size
     few = np.sqrt(trials / np.interp(opening, r.levels, np.maximum(counts, 1)))
     variance += (scatter * few * flow) ** 2
-    variance += _missed(result, opening, root) + _between(result, opening, root)
+    variance += _missed(result, opening, root) + _between_drops(result, opening, root)
     used = solution.cells.without(solution.lone)
     for sides in _uncertain(result):
         low, high = (
@@ -395,7 +395,7 @@ def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.maximum(near @ square - sure * (near @ (1.0 / cells.weight[some])), 0.0)
 
 
-def _between(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+def _between_drops(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Variance [rated²] of where a map that bends sharply does so between the drops measured;
     else zero.
 

@@ -63,7 +63,7 @@ class ShapeSettings:
 SETTINGS = ShapeSettings()
 _COARSE = (-9.0, -7.0, -5.0, -3.0, -1.0)
 
-Point = tuple[float, float]
+Penalties = tuple[float, float]
 Solved = tuple[np.ndarray, float, np.ndarray]  # coefficients, −2 log likelihood, which are tied
 
 
@@ -100,10 +100,10 @@ class Regression:
         self.factors = spline.factors(cells.u, cells.s)
         self.band, self.right = spline.normal(self.factors, cells.weight, cells.y)
         self.unit, self.total = float(cells.weight.sum()), float(cells.weight @ cells.y**2)
-        self._scores: dict[Point, float] = {}
-        self._solved: dict[Point, Solved] = {}
+        self._scores: dict[Penalties, float] = {}
+        self._solved: dict[Penalties, Solved] = {}
 
-    def score(self, point: Point) -> float:
+    def score(self, point: Penalties) -> float:
         """−2 log likelihood of the penalties 10**point·unit, without the constraint."""
         if point not in self._scores:
             smoothing = 10.0 ** np.array(point) * self.unit
@@ -164,7 +164,7 @@ def likelihoods(shape: Shape, splines: Iterable[Spline], cells: Cells) -> np.nda
     return np.array(values)
 
 
-def _lattice(shape: Shape, cells: Cells) -> tuple[Regression, Point]:
+def _lattice(shape: Shape, cells: Cells) -> tuple[Regression, Penalties]:
     """(the regression of a shape, its penalties as a point on the lattice of logarithms)."""
     fit = regression(shape.spline(), cells)
     now = np.clip(np.round(4 * np.log10(shape.smoothing / fit.unit)) / 4, -12, 0)
@@ -393,7 +393,7 @@ def find_deadband(
     spread = weight @ (grid - value) ** 2 / weight.sum() + (grid[1] - grid[0]) ** 2 / 12
     # an extrapolation is worth less
     level = SETTINGS.level_999 if window.flows_at_lowest else SETTINGS.level_95
-    lower, upper = (_crossing(grid[best::way], rise[best::way], level) for way in (-1, 1))
+    lower, upper = (_level_crossing(grid[best::way], rise[best::way], level) for way in (-1, 1))
     low, high = max(min(lower, value - narrowest), 0.0), max(upper, value + narrowest)
     interval = (round(low, 4), round(high, 4))
     result = Deadband(value, float(np.sqrt(spread)), interval, at_bound=lower <= 0.0)
@@ -466,7 +466,7 @@ def _lowest(x: np.ndarray, y: np.ndarray, at: int) -> float:
     return float(x[at] + 0.5 * (x[1] - x[0]) * (left - right) / max(left + right, 1e-300))
 
 
-def _crossing(x: np.ndarray, rise: np.ndarray, level: float) -> float:
+def _level_crossing(x: np.ndarray, rise: np.ndarray, level: float) -> float:
     """The first x along the array where ``rise`` reaches ``level``; its last x if it does not."""
     above = np.flatnonzero(rise > level)
     if not above.size:

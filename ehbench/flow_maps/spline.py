@@ -151,7 +151,7 @@ class Spline:
         rising: float = np.inf,
     ) -> None:
         self.deadband, self.top = deadband, float(above[-1])
-        inner = _between(above)
+        inner = _inner_breaks(above)
         if soft:
             inner = np.append(above[0], inner)
         kinks = tuple(kink for kink in kinks if above[0] < kink < self.top)
@@ -377,7 +377,7 @@ def _pairs(rows: int, columns: int) -> _Pairs:
     return _Pairs((i, j), (k, m), line, first, second, source, first * shape[1] + line, shape)
 
 
-def _between(above: np.ndarray) -> np.ndarray:
+def _inner_breaks(above: np.ndarray) -> np.ndarray:
     """Breaks between commands: a spline of degree 2 rings without end if its knots are the places
     read.
     """

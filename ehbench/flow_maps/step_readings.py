@@ -101,7 +101,7 @@ def step_readings(
         if any(f"{cylinder}.p_{side}" not in record for side in SIDES):
             continue
         for trial, window in enumerate(_stretches(model, index, record, settle)):
-            for block in _blocks(model, index, record, window, span):
+            for block in _steady_blocks(model, index, record, window, span):
                 rows += [
                     (*reading, trial, block.first + 1)
                     for reading in _readings(model, record, block)
@@ -143,7 +143,7 @@ def _stretches(model: Model, index: int, record: Record, settle: float) -> Itera
         yield slice(window.start + skip, window.stop)
 
 
-def _blocks(
+def _steady_blocks(
     model: Model, index: int, record: Record, window: slice, span: float
 ) -> Iterator[_Block]:
     """Means over pieces of a stretch, of a cylinder whose chambers are neither empty nor

@@ -364,7 +364,7 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
         rows, fit = item.readings, item.fit
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
         drop = np.where(np.isnan(rows.pressure_drop), fit.map.drop_max, rows.pressure_drop)
-        fitted = _fitted(fit, rows, drop)
+        fitted = _fitted_flow(fit, rows, drop)
         for i in range(len(rows)):
             cells = (
                 fit.map.valve,
@@ -383,7 +383,7 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _fitted(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarray:
+def _fitted_flow(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarray:
     """What the fit makes of each reading [m³/s]: the map, on the side of the hysteresis from which
     the command came.
     """

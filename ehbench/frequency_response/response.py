@@ -299,8 +299,8 @@ def estimate(signals: Signals) -> Response:
         averages=signals.averages,
         segment=signals.size / signals.rate,
         delay=delay,
-        bandwidth=_crossing(frequency[at], fallen, [starts[0], starts[2], starts[1]]),
-        quadrature=_crossing(frequency[at], turned, [-0.5 * math.pi] * 3),
+        bandwidth=_falls_below(frequency[at], fallen, [starts[0], starts[2], starts[1]]),
+        quadrature=_falls_below(frequency[at], turned, [-0.5 * math.pi] * 3),
         warnings=(*signals.warnings, *_warnings(signals, frequency, powered, coherent), *curved),
         **curves,
     )
@@ -409,7 +409,7 @@ def _neighbours(signals: Signals, at: np.ndarray) -> np.ndarray:
     return np.where(apart < leak.size, leak[np.minimum(apart, leak.size - 1)], 0.0)
 
 
-def _crossing(
+def _falls_below(
     frequency: np.ndarray, curves: Sequence[np.ndarray], levels: Sequence[float]
 ) -> Estimate | None:
     """Where a curve first falls through a level, with its interval; None where it does not, or

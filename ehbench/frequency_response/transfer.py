@@ -75,7 +75,7 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
         pairs: input and output of each log.
         rate: samples per second.
     """
-    results = [_fitted(form, pairs, rate) for form in FORMS]
+    results = [_fit_form(form, pairs, rate) for form in FORMS]
     level = {item.form: float(np.mean(item.fit_percent)) for item in results}
     close = [item for item in results if level[item.form] >= max(level.values()) - SETTINGS.close]
     fewest = min(item.numbers for item in close)
@@ -88,7 +88,7 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     return (Transfer(**{**asdict(best), "preferred": True}), *rest)
 
 
-def _fitted(form: str, pairs: Pairs, rate: float) -> Transfer:
+def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer:
     from scipy.optimize import least_squares
 
     poles, late = FORMS[form]

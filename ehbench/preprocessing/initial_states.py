@@ -32,7 +32,7 @@ from ehbench.vocabulary.errors import SimulationError
 from ehbench.vocabulary.settings import setting
 
 SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
-NOTHING: Mapping[str, float] = {}  # no bias of the sensors of all logs
+NO_BIAS: Mapping[str, float] = {}  # no bias of the sensors of all logs
 LINE = math.sqrt(12.0)  # standard error of what a line rises by, in those of its mean
 _CACHED = 64  # initial states along one recording
 
@@ -108,7 +108,7 @@ class InitialState:
     uncertain: tuple[Uncertain, ...]
     terms: tuple[Term, ...] = ()
 
-    def at(self, model: Model, shifts: np.ndarray, shared: Bias = NOTHING) -> Start:
+    def at(self, model: Model, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Start:
         """The start of a model, moved by ``shifts`` [prior standard deviations], one a number.
 
         Raises:
@@ -121,7 +121,7 @@ class InitialState:
         """Whether `unmoved` is the same for all shifts: none is of a sensor."""
         return not any(number.bias for number in self.uncertain)
 
-    def unmoved(self, model: Model, shifts: np.ndarray, shared: Bias = NOTHING) -> Start:
+    def unmoved(self, model: Model, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Start:
         """What `at` moves: the start by sensors that the shifts have put right.
 
         Raises:
@@ -202,7 +202,7 @@ class InitialState:
             if not number.bias
         }
 
-    def bias(self, shifts: np.ndarray, shared: Bias = NOTHING) -> dict[str, float]:
+    def bias(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> dict[str, float]:
         """The bias of the sensors, by term."""
         mine = {
             number.name: number.std * float(shift)
@@ -211,11 +211,11 @@ class InitialState:
         }
         return {**shared, **mine}
 
-    def true(self, shifts: np.ndarray, shared: Bias = NOTHING) -> Record:
+    def true(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Record:
         """The recording as sound sensors would have given it, commands as the valves get them."""
         return corrected(self.record, self.terms, self.bias(shifts, shared))
 
-    def seen(self, replayed: Record, shifts: np.ndarray, shared: Bias = NOTHING) -> Record:
+    def seen(self, replayed: Record, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Record:
         """A simulation as the sensors would show it."""
         return sensed(replayed, self.terms, self.bias(shifts, shared))
 
@@ -471,7 +471,7 @@ class Followed(NamedTuple):
         return sensed(model.replay(self.true, start=self.start), self.terms, self.bias)
 
 
-def follow(
+def follow_recording(
     model: Model,
     record: Record,
     live: Sequence[str],
@@ -506,10 +506,10 @@ def best_shifts(
     model: Model, start: InitialState, channels: Sequence[str], step: float = STEP
 ) -> np.ndarray:
     """The shifts [prior standard deviations] of a start from which the model follows its recording
-    best, as `follow` has it.
+    best, as `follow_recording` has it.
 
     Raises:
-        InputError, SimulationError: as `follow`.
+        InputError, SimulationError: as `follow_recording`.
     """
     search = _Follow(model, start, channels, step)
     shifts = np.zeros(len(start.uncertain))
@@ -523,7 +523,7 @@ class _Follow:
         self, model: Model, start: InitialState, channels: Sequence[str], step: float
     ) -> None:
         self.model, self.start, self.channels, self.step_time = model, start, channels, step
-        self.recorded = _columns(start.record, channels, start.record)
+        self.recorded = _channel_table(start.record, channels, start.record)
         self.floor = np.maximum(SETTINGS.floor * np.std(self.recorded, axis=0), 1e-300)
         self.scale, self.weight = self.floor, 1.0
 
@@ -556,7 +556,7 @@ class _Follow:
     def residual_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
         """`residual` of a replay."""
         seen = self.start.seen(replayed, shifts)
-        return _columns(seen, self.channels, self.start.record) - self.recorded
+        return _channel_table(seen, self.channels, self.start.record) - self.recorded
 
     def residuals(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
         """`residual` of several shifts."""
@@ -619,6 +619,6 @@ def prior_weight(residuals: Sequence[np.ndarray]) -> float:
     return float(np.median(sizes)) if sizes else 1.0
 
 
-def _columns(record: Record, channels: Sequence[str], like: Record) -> np.ndarray:
+def _channel_table(record: Record, channels: Sequence[str], like: Record) -> np.ndarray:
     result = (column(record, channel, like) for channel in channels)
     return np.column_stack([y for y in result if y is not None] or [np.zeros((record.t.size, 0))])

@@ -127,7 +127,7 @@ def _coarse(record: Record, model: Model) -> Iterator[Message]:
             spread = float(np.std(record[pressure])) if pressure in record else 0.0
             worth = float(row.bulk_modulus * area / volume) * noise
             if worth > SETTINGS.worth * spread > 0.0:
-                shown, share = _shown(model.rig, worth), worth / spread
+                shown, share = _pressure_text(model.rig, worth), worth / spread
                 fields = {"position": channel, "noise": shown, "pressure": pressure}
                 yield message("preprocessing.position_noise", share=share, **fields)
 
@@ -192,7 +192,7 @@ def refuse_commands(name: str, record: Record, rig: Rig) -> None:
             raise InputError(message("preprocessing.outside_driver", log=name, **fields))
 
 
-def _shown(rig: Rig, pressure: float) -> str:
+def _pressure_text(rig: Rig, pressure: float) -> str:
     unit = rig.unit_of("p_head")
     return f"{from_si(pressure, unit, VOCABULARY['p_head']):.3g} {unit}"
 
@@ -219,7 +219,7 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         seen = float(np.percentile(record["p_supply"], 90))
         minimum = float(plant.supply.margin) or supply  # which a load-sensing pump may stand at
         if not minimum / SETTINGS.apart <= seen <= supply * SETTINGS.apart:
-            fields = {"seen": _shown(rig, seen), "supply": _shown(rig, supply)}
+            fields = {"seen": _pressure_text(rig, seen), "supply": _pressure_text(rig, supply)}
             like = _unit_mistake(max(seen, 1.0) / supply)
             raise InputError(
                 message(
@@ -244,7 +244,7 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         need = abs(force) / areas[carrying]
         peak = _peak(name, rig, cylinder, seen, supply, need)
         if len(seen) == 2 and peak < supply / SETTINGS.far_apart and _fed(cylinder, record):
-            fields = {"supply": _shown(rig, supply), "peak": _shown(rig, peak)}
+            fields = {"supply": _pressure_text(rig, supply), "peak": _pressure_text(rig, peak)}
             raise InputError(
                 message("preprocessing.low_pressures", log=name, cylinder=cylinder.name, **fields)
             )
@@ -259,8 +259,8 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         if (fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart) or (
             other in seen and fixed > need * SETTINGS.apart
         ):
-            fields = {"channel": f"{cylinder.name}.{carrying}", "load": _shown(rig, need)}
-            fields |= {"fixed": _shown(rig, fixed), "rig": rig.name}
+            fields = {"channel": f"{cylinder.name}.{carrying}", "load": _pressure_text(rig, need)}
+            fields |= {"fixed": _pressure_text(rig, fixed), "rig": rig.name}
             raise InputError(message("preprocessing.load_pressure", log=name, **fields))
 
 
@@ -282,8 +282,8 @@ def _peak(
     peaks = {word: float(np.percentile(values, 99)) for word, values in seen.items()}
     for word, peak in peaks.items():
         if peak > SETTINGS.apart * max(supply, relief, need):
-            fields = {"channel": f"{cylinder.name}.{word}", "peak": _shown(rig, peak)}
-            fields |= {"supply": _shown(rig, supply), "rig": rig.name}
+            fields = {"channel": f"{cylinder.name}.{word}", "peak": _pressure_text(rig, peak)}
+            fields |= {"supply": _pressure_text(rig, supply), "rig": rig.name}
             raise InputError(message("preprocessing.high_pressure", log=name, **fields))
     return max(peaks.values())
 
@@ -308,7 +308,7 @@ def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
     return not SETTINGS.travel < x / float(cylinder.stroke) < 1.0 - SETTINGS.travel
 
 
-def _span(cylinder: Cylinder, word: str) -> float:
+def _travel_of(cylinder: Cylinder, word: str) -> float:
     """A full stroke [m], or an angle [rad] of the size that a stroke makes."""
     return 1.0 if word in ("q", "qd") and cylinder.linkage is not None else float(cylinder.stroke)
 
@@ -356,7 +356,7 @@ def _stuck(record: Record, rig: Rig) -> Iterator[Message]:
             if (channel := f"{name}.{word}") not in record:
                 continue
             way, position = float(np.ptp(record[channel])), word in ("q", "x")
-            still = position and way < SETTINGS.still * _span(cylinder, word)
+            still = position and way < SETTINGS.still * _travel_of(cylinder, word)
             fields = {"channel": channel, "cylinder": name}
             if moves and way == 0.0:
                 yield message("preprocessing.constant", **fields)
@@ -488,7 +488,10 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
             y = y if word in ("x", "q") else np.cumsum(y) * record.sample_time
             gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
-            if path > SETTINGS.travel * _span(cylinder, word) and along < SETTINGS.against * path:
+            if (
+                path > SETTINGS.travel * _travel_of(cylinder, word)
+                and along < SETTINGS.against * path
+            ):
                 falls, name = "falls" if turn > 0 else "rises", cylinder.name
                 yield message("preprocessing.backwards", channel=channel, way=falls, cylinder=name)
 
@@ -520,7 +523,7 @@ def _travels(record: Record, cylinder: Cylinder) -> bool:
             if word in ("q", "x")
             else np.cumsum(record[channel]) * record.sample_time
         )
-        if np.ptp(way) > SETTINGS.travel * _span(cylinder, word):
+        if np.ptp(way) > SETTINGS.travel * _travel_of(cylinder, word):
             return True
     return False
 

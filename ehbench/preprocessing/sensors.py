@@ -68,7 +68,7 @@ def _fixed(sensor: Sensor, word: str, otherwise: float) -> float:
     return float(given) if isinstance(given, Value) else otherwise
 
 
-def _level(sensor: Sensor) -> float:
+def _zero_reading(sensor: Sensor) -> float:
     """What a sensor is known to read at zero."""
     return _fixed(sensor, "offset", 0.0) + ATMOSPHERE * (sensor.pressure == "absolute")
 
@@ -85,7 +85,7 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
             text = message("preprocessing.unknown_sensor", log=name, channel=sensor.channel)
             raise InputError(text, hint=like_channel(sensor.channel, list(channels)))
         scale = sensor.sign * _fixed(sensor, "scale", 1.0)
-        channels[sensor.channel] = (channels[sensor.channel] - _level(sensor)) / scale
+        channels[sensor.channel] = (channels[sensor.channel] - _zero_reading(sensor)) / scale
     return replace(record, channels=channels) if sensors else record
 
 
@@ -102,7 +102,7 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
             given = sensor[word]
             if given is None:
                 continue
-            known = {"offset": _level(sensor), "scale": scale}.get(word, 0.0)
+            known = {"offset": _zero_reading(sensor), "scale": scale}.get(word, 0.0)
             known = known if word in ("offset", "scale") else _fixed(sensor, word, 0.0)
             per = scale if word in ("offset", "scale") else 1.0
             std = 0.0
@@ -134,7 +134,7 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
         e = {term.word: bias.get(term.name, 0.0) for term in item}
         true = (channels[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
         if name.endswith(".command"):
-            true = _late(true, record.sample_time, item, bias)
+            true = _delayed(true, record.sample_time, item, bias)
         channels[name] = true
     return replace(record, channels=channels) if terms else record
 
@@ -146,7 +146,7 @@ def sensed(replayed: Record, terms: Sequence[Term], bias: Bias) -> Record:
         if name not in channels or name.endswith(".command"):
             continue
         e = {term.word: bias.get(term.name, 0.0) for term in item}
-        seen = _late(channels[name], replayed.sample_time, item, bias)
+        seen = _delayed(channels[name], replayed.sample_time, item, bias)
         channels[name] = (1.0 + e.get("scale", 0.0)) * seen + e.get("offset", 0.0)
     return replace(replayed, channels=channels) if terms else replayed
 
@@ -158,7 +158,7 @@ def _by_channel(terms: Sequence[Term]) -> dict[str, list[Term]]:
     return results
 
 
-def _late(y: np.ndarray, tick: float, terms: Sequence[Term], bias: Bias) -> np.ndarray:
+def _delayed(y: np.ndarray, tick: float, terms: Sequence[Term], bias: Bias) -> np.ndarray:
     """A series behind the lag and the delay among some terms of its channel."""
     times = {t.word: t.value(max(bias.get(t.name, 0.0), t.lowest)) for t in terms}
     lag, delay = times.get("lag", 0.0), times.get("delay", 0.0)

@@ -93,7 +93,7 @@ def _on_beats(record: Record, stamps: Timestamps) -> tuple[Record, list[Message]
     return replace(record, t=beats, channels=channels), [note]
 
 
-class Part(NamedTuple):
+class LogPart(NamedTuple):
     """A part of a log: ``name`` and samples."""
 
     name: str
@@ -102,7 +102,7 @@ class Part(NamedTuple):
 
 def parts_of(
     name: str, record: Record, *, driven: bool = False, within: tuple[float, float] | None = None
-) -> tuple[list[Part], list[Message]]:
+) -> tuple[list[LogPart], list[Message]]:
     """(the log, or its parts between gaps; messages on the gaps and on what is left out).
 
     A log of which nothing would be left, or whose time is wrong in another way, comes back as it
@@ -114,7 +114,7 @@ def parts_of(
         driven: leave out parts in which no command changes.
         within: [s] the span that counts; parts outside of it are left out.
     """
-    whole = [Part(name, record)]
+    whole = [LogPart(name, record)]
     if record.t.size < 3:
         return whole, []
     steps, missing = np.diff(record.t), _missing(record)
@@ -130,7 +130,7 @@ def parts_of(
     if not retained:
         return whole, []
     results = [
-        Part(
+        LogPart(
             name if len(retained) == 1 else f"{name}_part{number}",
             _bridged(record, start, stop, few, missing),
         )
@@ -139,10 +139,10 @@ def parts_of(
     left_out = [span for span in spans if span not in retained]
     notes = []
     if few.size:
-        shown = _shown(record, few, missing)
+        shown = _gap_list(record, few, missing)
         notes.append(message("preprocessing.bridged", log=name, gaps=shown))
     if many.size:
-        shown = _shown(record, many, missing)
+        shown = _gap_list(record, many, missing)
         notes.append(message("preprocessing.cut", log=name, gaps=shown))
     return results, [*notes, *_parts_notes(name, record, results, left_out)]
 
@@ -206,7 +206,7 @@ def _bridged(
     return replace(part, t=t, channels=channels)
 
 
-def _shown(record: Record, gaps: np.ndarray, missing: np.ndarray) -> str:
+def _gap_list(record: Record, gaps: np.ndarray, missing: np.ndarray) -> str:
     """The first of some gaps, and how many there are."""
     some = ", ".join(
         f"{1e3 * (record.t[gap + 1] - record.t[gap]):.4g} ms after t = {record.t[gap]:.6g} s "
@@ -217,7 +217,7 @@ def _shown(record: Record, gaps: np.ndarray, missing: np.ndarray) -> str:
 
 
 def _parts_notes(
-    name: str, record: Record, parts: Sequence[Part], left_out: Sequence[tuple[int, int]]
+    name: str, record: Record, parts: Sequence[LogPart], left_out: Sequence[tuple[int, int]]
 ) -> Iterator[Message]:
     """Which parts are used, and which are not."""
     if len(parts) > 1 or left_out:

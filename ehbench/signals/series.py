@@ -166,7 +166,7 @@ def transients(
         least: [V], one number or one a valve: a command has changed when it is off its last level
             by more.
     """
-    table = _columns(commands)
+    table = _as_table(commands)
     changed: set[int] = set()
     for u, dead in zip(table.T, np.broadcast_to(least, table.shape[1]), strict=True):
         at = 0
@@ -279,7 +279,7 @@ def ringing(
         trim: leave out what comes after the oscillation has decayed; keep False to use exactly the
             window given.
     """
-    y = _columns(y)
+    y = _as_table(y)
     if len(t) < SETTINGS.samples:
         return Ringing(reason=message("signals.few_samples", count=len(t)))
     spread = np.std(y, axis=0)
@@ -293,7 +293,11 @@ def ringing(
     if guess is None:
         omega, zeta, used = _search(s, y[:, weight > 0.0] * weight[weight > 0.0])
     begun, block = (omega, zeta), _block(s, omega)
-    s, y, used = _blocks(s, block), _blocks(y, block), max(SETTINGS.samples, used // block)
+    s, y, used = (
+        _block_means(s, block),
+        _block_means(y, block),
+        max(SETTINGS.samples, used // block),
+    )
     first, s = s[0], s - s[0]
     floor, tau = 1e-3 * spread, 0.0
     for drifts in ((0.0,), (0.0, 0.1), None):
@@ -335,7 +339,7 @@ def ringing_like(
     """
     if not like.ok:
         return Ringing(reason=message("signals.other_silent"))
-    y = _columns(y)
+    y = _as_table(y)
     starts = (
         [guess]
         if guess
@@ -345,7 +349,7 @@ def ringing_like(
         ]
     )
     block = _block(t - t[0], like.natural_frequency)
-    s, y, weight = _blocks(t - t[0], block), _blocks(y, block), np.array(like.weights)
+    s, y, weight = _block_means(t - t[0], block), _block_means(y, block), np.array(like.weights)
     used = int(np.searchsorted(t[0] + s, like.stop + 1e-9))
     if used < SETTINGS.samples:
         return Ringing(reason=message("signals.not_covered"))
@@ -357,7 +361,7 @@ def ringing_like(
     return _judge(s, y, weight, omega, zeta, tau, start, loud)
 
 
-def _columns(y: np.ndarray) -> np.ndarray:
+def _as_table(y: np.ndarray) -> np.ndarray:
     y = np.asarray(y, dtype=float)
     return y[:, None] if y.ndim == 1 else y
 
@@ -369,7 +373,7 @@ def _block(s: np.ndarray, omega: float) -> int:
     )
 
 
-def _blocks(y: np.ndarray, size: int) -> np.ndarray:
+def _block_means(y: np.ndarray, size: int) -> np.ndarray:
     """Means over blocks of ``size`` samples; what does not fill a block at the end is left out."""
     count = len(y) // size
     return y[: count * size].reshape(count, size, *y.shape[1:]).mean(axis=1)
@@ -384,7 +388,7 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
             break
         block = max(1, used // SETTINGS.grid)
         count = used // block
-        z, w = _blocks(s[:used], block), _blocks(y[:used], block)
+        z, w = _block_means(s[:used], block), _block_means(y[:used], block)
         frequencies, columns = oscillation.waves(count, _GRID_DAMPING)
         _, rest = project(drift(z - z[0], 0.0), w)
         explained = np.sum((columns @ rest) ** 2, axis=(2, 3)).ravel()

@@ -40,7 +40,7 @@ from ehbench.vocabulary.units import from_si
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig
     from ehbench.validation import PreparedValidation
-    from ehbench.validation.held_out import Rows
+    from ehbench.validation.held_out import FittedSamples
 
 
 @dataclass(frozen=True)
@@ -167,12 +167,12 @@ def in_rig_unit(rig: Rig, name: str, value: float) -> str:
     return f"{float(f'{from_si(float(value), unit, quantity(name)):.4g}'):g} {unit}"
 
 
-def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[Rows]]:
+def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[FittedSamples]]:
     """(SHA-256 of the logs that the runs behind these inputs were fitted on, their samples as far
     as the runs have them).
     """
     from ehbench.report.saved import read_series
-    from ehbench.validation.held_out import Rows
+    from ehbench.validation.held_out import FittedSamples
 
     digests, result = set(), []
     for folder in (path for _, path in inputs if path.is_dir()):
@@ -185,7 +185,7 @@ def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[Rows]]:
             path = folder / "series" / f"{name}.csv"
             if path.is_file():
                 series = read_series(path)
-                result.append(Rows(name, series.t, series.recorded, digest))
+                result.append(FittedSamples(name, series.t, series.recorded, digest))
     return digests, result
 
 

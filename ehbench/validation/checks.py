@@ -76,7 +76,7 @@ def _sweep_checks(sweep: Sweep, requested: Thresholds) -> Iterator[Check]:
         if limit is None:
             continue
         maximum, fields = float(limit), {"what": what, "low": low, "high": high}
-        fields["channel"] = _words(sweep.channel)
+        fields["channel"] = _channel_name(sweep.channel)
         if reached is None:
             sentence = message("validation.no_response", **fields)
         else:
@@ -93,7 +93,7 @@ def _fit_check(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
     reached = result.fit_percent
     if required is None or reached is None:
         return
-    fields = {"channel": _words(result.channel), "reached": reached, "required": required}
+    fields = {"channel": _channel_name(result.channel), "reached": reached, "required": required}
     sentence, least = message("validation.fit", **fields), required
     if 100.0 * (1.0 - result.noise_share) < required + SETTINGS.noisy:
         least = beyond_noise(required, result.noise_share)
@@ -117,7 +117,7 @@ def _error_check(result: ChannelResult, requested: Thresholds, rig: Rig) -> Iter
         shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, maximum)]
         sentence = message(
             "validation.error",
-            channel=_words(result.channel),
+            channel=_channel_name(result.channel),
             reached=f"{shown[0]} {unit}",
             allowed=f"{shown[1]} {unit}",
         )
@@ -148,7 +148,7 @@ def _residual_checks(result: ChannelResult, requested: Thresholds) -> Iterator[C
             reached, kind = max(item.outside_percent for item in correlations), _KINDS[key]
             sentence = message(
                 "validation.residual",
-                channel=_words(result.channel),
+                channel=_channel_name(result.channel),
                 kind=kind,
                 reached=reached,
                 allowed=requested.outside_percent,
@@ -164,13 +164,13 @@ def unrequested(
     that is off, residuals outside of their bands.
     """
     for result in results:
-        yield from _level(result, rig)
+        yield from _level_note(result, rig)
         word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
         silent = not {*stood_for(word)} & {*requested.fit_percent, *requested.max_error}
         if word in ("q", "x") and silent and reached is not None and reached < SETTINGS.poor:
             row, unit = quantity(word), rig.unit_of(word)
             error = f"{from_si(abs(result.max_error), unit, row):.3g} {unit}"
-            fields = {"channel": _words(result.channel), "fit": reached, "error": error}
+            fields = {"channel": _channel_name(result.channel), "fit": reached, "error": error}
             yield message("validation.poor_fit", word=word, **fields)
             wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
             if wish in record:
@@ -187,7 +187,7 @@ def unrequested(
             yield message("validation.residuals", kind=_KINDS[key], shares=shares, word=key)
 
 
-def _level(result: ChannelResult, rig: Rig) -> Iterator[Message]:
+def _level_note(result: ChannelResult, rig: Rig) -> Iterator[Message]:
     """That a channel is followed but for its level. Positions have none: they begin where the
     recording does.
     """
@@ -200,7 +200,7 @@ def _level(result: ChannelResult, rig: Rig) -> Iterator[Message]:
     if abs(bias) > SETTINGS.level * spread and shape >= SETTINGS.shape:
         way = "high" if bias > 0.0 else "low"
         off = f"{rig.shown(result.channel, abs(bias), 3)} too {way}"
-        channel = _words(result.channel)
+        channel = _channel_name(result.channel)
         yield message("validation.level", channel=channel, shape=shape, off=off, fit=fit)
 
 
@@ -237,7 +237,7 @@ def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit:
     return Check(what, reached, limit, "share", passed, sentence)
 
 
-def _words(channel: str) -> str:
+def _channel_name(channel: str) -> str:
     cylinder, word = channel.rsplit(".", 1)
     plain = {
         "q": "position",

@@ -44,7 +44,7 @@ class SampleSettings:
 SETTINGS = SampleSettings()
 
 
-class Rows(NamedTuple):
+class FittedSamples(NamedTuple):
     """Samples that a model was fitted to: time [s], shape (samples,), and channels [SI]; ``digest``
     is the SHA-256 of their file.
     """
@@ -55,7 +55,9 @@ class Rows(NamedTuple):
     digest: str = ""
 
 
-def overlaps(record: Record, fitted: Sequence[Rows], digest: str = "") -> tuple[Overlap, ...]:
+def overlaps(
+    record: Record, fitted: Sequence[FittedSamples], digest: str = ""
+) -> tuple[Overlap, ...]:
     """Where a record has the very samples that a model was fitted to, in the order of time.
 
     Args:
@@ -73,7 +75,7 @@ def overlaps(record: Record, fitted: Sequence[Rows], digest: str = "") -> tuple[
     return tuple(sorted(results, key=lambda item: (item.start, item.log)))
 
 
-def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
+def _overlaps(record: Record, rows: FittedSamples) -> list[Overlap]:
     names = [name for name in rows.channels if name in record]
     if not names or rows.t.size < SETTINGS.rows or record.t.size < SETTINGS.rows:
         return []
@@ -96,11 +98,11 @@ def _overlaps(record: Record, rows: Rows) -> list[Overlap]:
     return [
         run
         for run in _runs(record.t, same, rows)
-        if _moves(mine[(record.t >= run.start) & (record.t <= run.stop)], allowed)
+        if _changes_at_all(mine[(record.t >= run.start) & (record.t <= run.stop)], allowed)
     ]
 
 
-def _same_noise(record: Record, rows: Rows) -> list[Overlap]:
+def _same_noise(record: Record, rows: FittedSamples) -> list[Overlap]:
     """Where a record has the noise of fitted samples, though not their rows."""
     names = [name for name in rows.channels if name in record]
     levels = {name: _white(rows.channels[name]) for name in names}
@@ -112,7 +114,7 @@ def _same_noise(record: Record, rows: Rows) -> list[Overlap]:
     theirs = np.column_stack([rows.channels[name] for name in names])
     best: np.ndarray = np.zeros(record.t.size, dtype=bool)
     for shift in {0.0, _aligned(record.t, mine / noise, rows.t, theirs / noise)}:
-        same = _blocks(record.t - shift, mine / noise, rows.t, theirs / noise)
+        same = _same_blocks(record.t - shift, mine / noise, rows.t, theirs / noise)
         best = max(best, same, key=np.count_nonzero)
     at = np.flatnonzero(best)
     tick = max(float(np.median(np.diff(record.t))), float(np.median(np.diff(rows.t))))
@@ -141,7 +143,9 @@ def _tells(y: np.ndarray, noise: float) -> bool:
     return fine and noise > SETTINGS.same * float(np.max(np.abs(y)))
 
 
-def _blocks(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+def _same_blocks(
+    t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarray
+) -> np.ndarray:
     """Which samples of ``mine``, shape (samples, channels), stand in blocks in which ``theirs`` is
     nearer than its noise, which is 1: half at least of the channels that have some there.
 
@@ -153,9 +157,9 @@ def _blocks(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarra
         slower, faster = faster, slower
     same = np.zeros(t.size, dtype=bool)
     for item, other, between in (
-        (slower, faster, _at),
-        (slower, faster, _means),
-        (faster, slower, _at),
+        (slower, faster, _interpolated),
+        (slower, faster, _sample_means),
+        (faster, slower, _interpolated),
     ):
         inside = (item[0] >= other[0][0]) & (item[0] <= other[0][-1])
         at, y = item[0][inside], item[1][inside]
@@ -176,19 +180,21 @@ def _rms(y: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(y**2, axis=0))
 
 
-def _at(at: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _interpolated(at: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Channels between their samples, on straight lines."""
     return np.column_stack([np.interp(at, t, column) for column in y.T])
 
 
-def _means(at: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _sample_means(at: np.ndarray, t: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Means of channels over a sample time about each of some times: differences of their running
     sums.
     """
     half, tick = 0.5 * float(np.median(np.diff(at))), float(np.median(np.diff(t)))
     edges = np.append(t - 0.5 * tick, t[-1] + 0.5 * tick)
     sums = np.vstack([np.zeros(y.shape[1]), np.cumsum(y * tick, axis=0)])
-    return (_at(at + half, edges, sums) - _at(at - half, edges, sums)) / (2.0 * half)
+    return (_interpolated(at + half, edges, sums) - _interpolated(at - half, edges, sums)) / (
+        2.0 * half
+    )
 
 
 def _aligned(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarray) -> float:
@@ -215,12 +221,12 @@ def _aligned(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarr
     return shift
 
 
-def _moves(readings: np.ndarray, allowed: np.ndarray) -> bool:
+def _changes_at_all(readings: np.ndarray, allowed: np.ndarray) -> bool:
     """Whether readings, shape (samples, channels), change: at rest any two logs are alike."""
     return bool(np.any(np.ptp(readings, axis=0) > allowed))
 
 
-def _runs(t: np.ndarray, same: np.ndarray, rows: Rows) -> list[Overlap]:
+def _runs(t: np.ndarray, same: np.ndarray, rows: FittedSamples) -> list[Overlap]:
     """The stretches of samples that are marked, but for single ones."""
     at = np.flatnonzero(same)
     tick = max(float(np.median(np.diff(t))), float(np.median(np.diff(rows.t))))

@@ -2,7 +2,7 @@
 is compared with the recording channel by channel.
 
 Where a log starts, its recording says within what its first samples leave open
-(`preprocessing.initial_states.follow`). Errors are simulated minus recorded, in SI."""
+(`preprocessing.initial_states.follow_recording`). Errors are simulated minus recorded, in SI."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ehbench.diagnosis import Case
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing.initial_states import Followed, follow
+from ehbench.preprocessing.initial_states import Followed, follow_recording
 from ehbench.preprocessing.observations import (
     OF_VALVES,
     alternatives,
@@ -35,7 +35,7 @@ from ehbench.preprocessing.observations import (
 from ehbench.preprocessing.preparation import PreparedLog, numbered, prepare
 from ehbench.runtime.cores import cores
 from ehbench.validation.checks import checks_of, unrequested
-from ehbench.validation.residuals import Pair, compare, pair_of
+from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
@@ -278,14 +278,19 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
         held=tuple(c.name for c in model.rig.cylinder if c.name not in moved),
     )
     warnings = [*log.notes, *_not_counted(judged, moved)]
-    free = _wanted(record, moved, [word for word in channels if word not in tied_words(record)])
+    words = [word for word in channels if word not in tied_words(record)]
+    free = _channels_wanted(record, moved, words)
     try:
         if judged.failure is not None:
             raise LogError(str(judged.failure).removeprefix(f"{log.name}: "))
         result = _followed(log, moved, free)
         simulated = result.replay(model)
     except EhbenchError as error:
-        names = [name for item in _wanted(record, moved, channels) for name in alternatives(item)]
+        names = [
+            name
+            for item in _channels_wanted(record, moved, channels)
+            for name in alternatives(item)
+        ]
         series = {"t": record.t} | {name: record[name] for name in names if name in record}
         facts = replace(facts, warnings=tuple(warnings), series=series)
         return replace(facts, status="failed", failure=str(error))
@@ -297,7 +302,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
     warnings += supply_off(record, simulated, model.rig)
     keep = (record.t >= counted.t[0]) & (record.t <= counted.t[-1])
     pairs = {name: pair.part(keep) for name, pair in whole.items()}
-    results = [compare(counted, model, name, pair) for name, pair in pairs.items()]
+    results = [compare_channel(counted, model, name, pair) for name, pair in pairs.items()]
     warnings += [f"{item.channel}: {item.note}" for item in results if item.note]
     rings = () if "qd" in tied_words(record) else moved
     windows = [w for cylinder in rings for w in transients_of(counted, model, cylinder, pairs)]
@@ -330,7 +335,7 @@ def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
         yield message("validation.no_motion")
 
 
-def _wanted(record: Record, moved: Sequence[str], channels: Sequence[str]) -> list[str]:
+def _channels_wanted(record: Record, moved: Sequence[str], channels: Sequence[str]) -> list[str]:
     """The channels of a log, by full name, that quantities ask for."""
     return [
         item for name in moved for word in channels for item in channels_asked(record, name, word)
@@ -361,7 +366,7 @@ def _followed(log: PreparedLog, moved: Sequence[str], required: Sequence[str]) -
         for channel in required
     )
     channels = list(dict.fromkeys(names[0] for names in options if names))
-    return follow(log.model, record, moved, channels, log.terms)
+    return follow_recording(log.model, record, moved, channels, log.terms)
 
 
 def _series(record: Record, pairs: Mapping[str, Pair]) -> dict[str, np.ndarray]:

@@ -59,7 +59,7 @@ def pair_of(record: Record, simulated: Record, channel: str) -> Pair | None:
     return Pair(recorded, shown, channel not in record)
 
 
-def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelResult:
+def compare_channel(record: Record, model: Model, channel: str, pair: Pair) -> ChannelResult:
     """How a channel is followed."""
     recorded, error = pair.recorded, pair.simulated - pair.recorded
     plain = ChannelResult(
@@ -88,7 +88,7 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
     if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
         return plain
     lag = block * record.sample_time * np.arange(lags + 1)
-    auto = _correlation(
+    auto = _rounded_correlation(
         channel,
         lag[1:],
         series.autocorrelation(residual, lags)[1:],
@@ -104,7 +104,7 @@ def compare(record: Record, model: Model, channel: str, pair: Pair) -> ChannelRe
         if float(np.ptp(command)) > 0.0:
             band = np.full(lags + 1, series.correlation_band(residual, command))
             values = series.correlation(residual, command, lags)[lags:]
-            cross.append(_correlation(name, lag, values, band))
+            cross.append(_rounded_correlation(name, lag, values, band))
     return replace(plain, autocorrelation=auto, cross_correlation=tuple(cross))
 
 
@@ -113,7 +113,9 @@ def _averaged(y: np.ndarray, block: int) -> np.ndarray:
     return np.mean(y[: count * block].reshape(count, block), axis=1)
 
 
-def _correlation(of: str, lag: np.ndarray, value: np.ndarray, band: np.ndarray) -> Correlation:
+def _rounded_correlation(
+    of: str, lag: np.ndarray, value: np.ndarray, band: np.ndarray
+) -> Correlation:
     rounded = [
         tuple(float(f"{number:.6g}") for number in numbers) for numbers in (lag, value, band)
     ]

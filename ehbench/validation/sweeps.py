@@ -24,7 +24,7 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import least_change
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Sweep
-from ehbench.validation.transients import OSCILLATES, held
+from ehbench.validation.transients import OSCILLATES, steps_only
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
@@ -81,7 +81,7 @@ def sweeps_of(
         if known.size < SETTINGS.share * among:
             continue
         simulated = _response(record, command, channel, pair.simulated, span, 0.0)
-        results.append(_compared(command, channel, recorded, simulated))
+        results.append(_sweep_of(command, channel, recorded, simulated))
     return results
 
 
@@ -94,7 +94,7 @@ def _sweeping(record: Record, model: Model, cylinder: str) -> tuple[str, slice] 
         channel = f"{cylinder}.{valve.name}.command"
         if item.name != cylinder or channel not in record:
             continue
-        level = held(record[channel], least_change(valve))
+        level = steps_only(record[channel], least_change(valve))
         changes = np.flatnonzero(np.diff(level)) + 1
         if changes.size < SETTINGS.changes:
             continue
@@ -120,7 +120,7 @@ def _response(
         return None
 
 
-def _compared(command: str, channel: str, recorded: Response, simulated: Response | None) -> Sweep:
+def _sweep_of(command: str, channel: str, recorded: Response, simulated: Response | None) -> Sweep:
     at = recorded.coherent
     known = recorded.frequency[at]
     facts = Sweep(

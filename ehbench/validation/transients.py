@@ -49,7 +49,7 @@ def transients_of(
     """
     minimum = {f"{c.name}.{v.name}.command": least_change(v) for c, v in model.rig.valves()}
     names = [f"{valve}.command" for valve in model.layout.valves if f"{valve}.command" in record]
-    given = np.column_stack([held(record[name], minimum[name]) for name in names])
+    given = np.column_stack([steps_only(record[name], minimum[name]) for name in names])
     mine = [name.startswith(f"{cylinder}.") for name in names]
     own, raw = given[:, mine], np.column_stack([record[name] for name in names])[:, mine]
     seen = [
@@ -79,7 +79,7 @@ def transients_of(
     return results
 
 
-def held(command: np.ndarray, span: float) -> np.ndarray:
+def steps_only(command: np.ndarray, span: float) -> np.ndarray:
     """A command that keeps its value until it has changed by more than ``span`` [V], so that noise
     makes no steps.
     """

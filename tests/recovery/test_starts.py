@@ -18,7 +18,7 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.initial_states import (
     first_error,
-    follow,
+    follow_recording,
     initial_state_of,
     mean_error,
 )
@@ -67,7 +67,7 @@ def test_a_log_that_begins_in_motion_is_followed(kind, drop):
     made, first = driven(kind)
     record, model = cut(measured(made, 1, drop), first), Model.of(rig("slide_servo"))
     rest = model.replay(record)
-    start = follow(model, record, ["press"], COMPARED).start
+    start = follow_recording(model, record, ["press"], COMPARED).start
     followed = model.replay(record, start=start)
     for channel in ("press.x", *COMPARED):
         true = made[channel][first:]
@@ -107,7 +107,7 @@ def test_a_rest_that_drifts_does_not_bias():
     made = model.record(t, table, model.run(y, table), {"rig": "slide_servo", "payload": "none"})
     record = measured(made, 3)
     mean = model.rest_start(record).y
-    found = follow(model, record, ["press"], COMPARED).start.y
+    found = follow_recording(model, record, ["press"], COMPARED).start.y
     assert np.abs(mean - y)[names].max() > 2e4
     assert np.abs(found - y)[names].max() < 4e3
 
@@ -139,7 +139,7 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
     record, model = measured(made, 4, drop), Model.of(pump)
     compared = ["lift.v", "lift.p_head", "lift.p_rod"]
     rest = model.replay(record)
-    followed = model.replay(record, start=follow(model, record, ["lift"], compared).start)
+    followed = model.replay(record, start=follow_recording(model, record, ["lift"], compared).start)
     for channel, noise in (("lift.v", 1e-3), ("lift.p_head", 6e3)):
         off = [rms(made[channel] - y[channel]) for y in (rest, followed)]
         assert off[0] > 0.3 * noise and off[1] < 0.1 * noise, (channel, off)

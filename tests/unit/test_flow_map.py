@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 
 from ehbench.config.recipe import load_rig
 from ehbench.flow_maps.spline import Axis, OneColumn, Spline, full, pivoted
-from ehbench.flow_maps.tables import _fitted
+from ehbench.flow_maps.tables import _fitted_flow
 from ehbench.physics.flow_map import (
     FlowMap,
     UnknownValve,
@@ -455,6 +455,6 @@ def test_a_reading_is_compared_on_its_side_of_the_hysteresis():
     flow = level + side + error
     flow[2:] = 0.5 * level[2:]  # below the meter's limit; at a drop of which there is no residual
     fit = SimpleNamespace(map=one, residuals=error)
-    found = _fitted(fit, SimpleNamespace(command=command, flow=flow), drop)
+    found = _fitted_flow(fit, SimpleNamespace(command=command, flow=flow), drop)
     np.testing.assert_allclose(found[:2], (level + side)[:2], rtol=1e-9)
     np.testing.assert_array_equal(found[2:], level[2:])

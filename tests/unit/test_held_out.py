@@ -12,7 +12,7 @@ from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.validation import PreparedValidation, prepare_log, read_validation, run_validation
-from ehbench.validation.held_out import Rows, overlaps
+from ehbench.validation.held_out import FittedSamples, overlaps
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
 from tests.virtual_logs import RIGS, virtual_log
@@ -37,11 +37,11 @@ def part(record: Record, start: float, stop: float) -> Record:
     return Record(record.t[keep], {n: v[keep] for n, v in record.channels.items()}, record.meta)
 
 
-def rows_of(record: Record, digits: int = 9) -> Rows:
+def rows_of(record: Record, digits: int = 9) -> FittedSamples:
     """As a run of an identification saves what it was fitted to."""
     names = ("press.x", "press.v", "press.p_head", "press.p_rod")
     saved = {n: np.array([float(f"{y:.{digits}g}") for y in record[n]]) for n in names}
-    return Rows("steps", np.array([float(f"{t:.9g}") for t in record.t]), saved, "abc")
+    return FittedSamples("steps", np.array([float(f"{t:.9g}") for t in record.t]), saved, "abc")
 
 
 def test_a_log_is_itself_and_another_window_of_it_is_not(log):
