@@ -33,7 +33,8 @@ def pressure_entries(cylinder: int, channels: int) -> list[int]:
     """Where the `Pressures` of a cylinder stand in a sample of so many channels."""
     cylinders = cylinders_in(channels)
     own = [entry(cylinder, channel) for channel in (OF.p_head, OF.p_rod)]
-    return [*own, *(line_entry(cylinders, channel) for channel in LINE)]
+    lines = (LINE.p_supply, LINE.p_tank)
+    return [*own, *(line_entry(cylinders, channel) for channel in lines)]
 
 
 @kernel

@@ -10,9 +10,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, control, violated
-from ehbench.parts.cylinder import linkage_of
-from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
-from ehbench.parts.sample import LINE, OF, entry, line_entry, sample_channels
+from ehbench.parts.sample import perfect_sample, sample_channels
 from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
 from ehbench.plant.build import Maps, Plant, links_of
 from ehbench.plant.derivatives import derivatives
@@ -41,24 +39,6 @@ class Running(NamedTuple):
 
 
 @kernel
-def model_sample(y, plant, sample):
-    """Write what perfect sensors say of state ``y`` into ``sample``."""
-    cylinders = plant.cylinders.shape[0]
-    for c in range(cylinders):
-        row = plant.cylinders[c]
-        q, rate = y[row.joint], y[plant.at.rates + row.joint]
-        x, lever, _ = linkage_of(row, q)
-        sample[entry(c, OF.q)] = q
-        sample[entry(c, OF.qd)] = rate
-        sample[entry(c, OF.x)] = x
-        sample[entry(c, OF.v)] = lever * rate
-        sample[entry(c, OF.p_head)] = node_pressure(y, plant, row.node_head)
-        sample[entry(c, OF.p_rod)] = node_pressure(y, plant, row.node_rod)
-    sample[line_entry(cylinders, LINE.p_supply)] = node_pressure(y, plant, SUPPLY)
-    sample[line_entry(cylinders, LINE.p_tank)] = node_pressure(y, plant, TANK)
-
-
-@kernel
 def model_tick(y, command, plant, line, steps, k, work, sample):
     """Let ``command`` [V] act for one tick of its ``line`` on state ``y``, in place, then write the
     sample at its end.
@@ -70,7 +50,7 @@ def model_tick(y, command, plant, line, steps, k, work, sample):
         line_felt(line, command, plant, step * h, h)
         rk4(y, line.held, plant, h, k, work)
     line_push(line, command)
-    model_sample(y, plant, sample)
+    perfect_sample(y, plant, sample)
 
 
 @kernel
@@ -80,7 +60,7 @@ def paced_tick(own, command, pace, sample):
     rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
     over_tick(Way(own.y, own.plant, own.line, pace, own.k, own.work), command, rate)
     line_push(own.line, command)
-    model_sample(own.y, own.plant, sample)
+    perfect_sample(own.y, own.plant, sample)
 
 
 @kernel
@@ -119,7 +99,7 @@ def _advance(first, stop, own, rows, law, pace):
         else:
             over_tick(Way(own.y, own.plant, own.line, pace, own.k, own.work), command, rate)
         line_push(own.line, command)
-        model_sample(own.y, own.plant, sample)
+        perfect_sample(own.y, own.plant, sample)
     return -1
 
 
@@ -177,7 +157,7 @@ class SimulatedMachine:
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)
         self._own.line.past[:] = self.model.plant.valves.before
         sample = np.empty(len(self.channels))
-        model_sample(self.state, self.model.plant, sample)
+        perfect_sample(self.state, self.model.plant, sample)
         return sample
 
     def tick(self, command: np.ndarray) -> np.ndarray:

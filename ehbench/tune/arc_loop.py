@@ -20,8 +20,8 @@ from ehbench.control.axis import inertias, load_at
 from ehbench.control.functions import METERED, SUPPLY_HEAD, SUPPLY_ROD
 from ehbench.control.law import Controller, Site
 from ehbench.control.registry import tick as law_tick
-from ehbench.machines.simulated import model_sample, model_tick
-from ehbench.parts.sample import sample_channels, sample_size
+from ehbench.machines.simulated import model_tick
+from ehbench.parts.sample import perfect_sample, sample_channels, sample_size
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
@@ -234,7 +234,7 @@ class SampledPlant:
         """The plant of a model at a point, sampled each ``tick`` [s]."""
         at = state_of(model, point)
         sample = np.empty(sample_size(len(model.layout.cylinders)))
-        model_sample(at[0], model.plant, sample)
+        perfect_sample(at[0], model.plant, sample)
         valves = tuple(sorted({path.valve for path in point.paths}))
         return cls(model, point, _plant_map(model, at, valves, tick), valves, sample)
 
@@ -282,7 +282,7 @@ def _plant_map(
         return state
 
     def read(push: np.ndarray) -> np.ndarray:
-        model_sample(y + push, plant, sample)
+        perfect_sample(y + push, plant, sample)
         return sample.copy()
 
     sizes, none = _steps(model), np.zeros(len(valves))

@@ -15,9 +15,9 @@ from ehbench.control.axis import Axis, Mechanism
 from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import Site
-from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.machines.simulated import model_tick
 from ehbench.machines.virtual.laws import bench_tick
-from ehbench.parts.sample import sample_size
+from ehbench.parts.sample import perfect_sample, sample_size
 from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.derivatives import derivatives
@@ -70,7 +70,7 @@ def on_model(y, reference, law, plant, line, steps, trace, flows):
     k = np.empty((5, y.shape[0]))
     work = np.empty(plant.at.work)
     sample = np.empty(trace.log.shape[1])
-    model_sample(y, plant, sample)
+    perfect_sample(y, plant, sample)
     for i in range(reference.shape[0]):
         control(i * line.tick, sample, reference[i], law, trace.telemetry[i])
         trace.log[i], trace.commands[i] = sample, law.command

@@ -16,8 +16,8 @@ from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import Controller
 from ehbench.control.registry import tick as law_tick
-from ehbench.machines.simulated import model_sample, model_tick
-from ehbench.parts.sample import OF, entry, sample_channels
+from ehbench.machines.simulated import model_tick
+from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.plant.site import site_of
@@ -125,7 +125,7 @@ class Bench:
             memory.state[name] = start[name]
         memory.state.x -= delay * point.v
         sample = np.empty(len(sample_channels(layout.cylinders)))
-        model_sample(y, plant, sample)
+        perfect_sample(y, plant, sample)
         observed = arc.observed(site.axis, sample.size)
         law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size))
         whole = int(delay / TICK)

@@ -16,7 +16,8 @@ from ehbench.config.recipe import load_rig
 from ehbench.control import pressure_feedback
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
-from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.machines.simulated import model_tick
+from ehbench.parts.sample import perfect_sample
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics import arm
 from ehbench.physics.cylinder import joint_angle
@@ -285,7 +286,7 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
         k = np.empty((5, model.layout.states))
         work = np.empty(plant.at.work)
         sample = np.empty(6 * len(model.layout.cylinders) + 2)
-        model_sample(y, plant, sample)
+        perfect_sample(y, plant, sample)
         # as if it had run for long: the function chosen, the washout at rest (or, without one, the
         # static pressure taken off)
         memory.started, memory.function, memory.age = 1, function, 10.0

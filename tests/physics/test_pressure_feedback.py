@@ -17,8 +17,7 @@ from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
 from ehbench.control.measured import pressure_entries
 from ehbench.control.records import blank
-from ehbench.machines.simulated import model_sample
-from ehbench.parts.sample import OF, entry, sample_channels
+from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
 from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import allocating_kernel
@@ -50,7 +49,7 @@ def closed_loop(y, reference, plant, law, samples, notes, commands):
     work = np.empty(plant.at.work)
     seen = np.empty(samples.shape[1])
     for i in range(reference.shape[0]):
-        model_sample(y, plant, samples[i])
+        perfect_sample(y, plant, samples[i])
         for j in range(seen.shape[0]):
             seen[j] = samples[i, j] if law.given[j] else np.nan
         laws = law.circuit, law.gains, law.memory

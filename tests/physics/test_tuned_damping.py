@@ -13,8 +13,9 @@ from ehbench.config.recipe import TuneRecipe, load_rig
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
-from ehbench.machines.simulated import model_sample, model_tick
+from ehbench.machines.simulated import model_tick
 from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.sample import perfect_sample
 from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.tune.gains import tune_pressure_feedback
@@ -70,7 +71,7 @@ class Running:
             memory.ends[name] = ends
         k, sample = np.empty((5, size)), np.empty(6 * len(self.layout.cylinders) + 2)
         work = np.empty(self.plant.at.work)
-        model_sample(y, self.plant, sample)
+        perfect_sample(y, self.plant, sample)
         for i in range(ticks):
             pf.step(
                 i * TICK,

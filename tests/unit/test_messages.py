@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import copy
 import pickle
+import re
 import string
 import tomllib
 from pathlib import Path
@@ -60,7 +61,9 @@ def test_every_use_has_its_entry_and_every_entry_its_fields():
 
 def test_every_entry_is_used():
     texts = "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
-    assert [key for key in ENTRIES if f'"{key}"' not in texts] == []
+    begun = tuple(re.findall(r'message\(\s*f"([a-z_]+\.\w*)\{', texts))  # f"part.name_{{kind}}"
+    unused = [key for key in ENTRIES if f'"{key}"' not in texts and not key.startswith(begun)]
+    assert unused == []
 
 
 def test_a_message_is_text_that_keeps_its_key_and_fields(tmp_path):

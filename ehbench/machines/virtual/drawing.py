@@ -17,11 +17,13 @@ from ehbench.machines.virtual.plant import (
     BENCH_VALVE,
     CURVE,
     FLUID,
+    RAW,
     SENSOR,
     VirtualPlant,
     offsets_of,
 )
 from ehbench.parts.edge import CHECK, PUMP, check, pump
+from ehbench.parts.sample import LINE, OF
 from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
@@ -383,6 +385,9 @@ def _fluid(of: _Seeded) -> np.record:
     return row
 
 
+PERFECT = (0.0, 0.0, 0.0, 0.0)  # lag, noise, resolution and zero offset of a perfect sensor
+
+
 def _sensors(of: _Seeded) -> np.recarray:
     """Lag, noise, resolution and zero offset of every raw channel."""
     slide = of.model.rig.mechanism.kind == "slide"
@@ -400,7 +405,10 @@ def _sensors(of: _Seeded) -> np.recarray:
         spread = given("pressure_offset", 1e-3 * of.p_supply)
         zeros = np.clip(rng.standard_normal(2), -2, 2) * spread
         both = [(lag, noise, resolution, float(zero)) for zero in zeros]
-        rows += both if name == "supply" else [angle, position, *both]
+        of_cylinder = {OF.q: angle, OF.x: position, OF.p_head: both[0], OF.p_rod: both[1]}
+        of_lines = {LINE.p_supply: both[0], LINE.p_tank: both[1]}
+        sensors_of, channels = (of_lines, LINE) if name == "supply" else (of_cylinder, RAW)
+        rows += [sensors_of.get(channel, PERFECT) for channel in channels]
     sensors = table(len(rows), SENSOR)
     sensors[:] = rows
     return sensors

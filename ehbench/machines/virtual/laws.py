@@ -15,9 +15,9 @@ from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.edge.preload import metered
 from ehbench.parts.line import line_rates
 from ehbench.parts.mount import resistance_of
-from ehbench.parts.nodes import SUPPLY, TANK, node_pressure
+from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.oil import bulk
-from ehbench.parts.sample import OF, entry, line_entry
+from ehbench.parts.sample import OF, entry, line_entry, line_reading, reading
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.valve import limited
 from ehbench.parts.valve.delay import line_felt, line_push
@@ -244,15 +244,10 @@ def raw_of(y, bench, raw):
     """What the sensors would say were they perfect, in the order of the raw channels."""
     cylinders = bench.cylinders.shape[0]
     for c in range(cylinders):
-        row = bench.cylinders[c]
-        q = y[row.joint]
-        x, _, _ = linkage_of(row, q)
-        raw[A_CYLINDER * c] = q
-        raw[A_CYLINDER * c + 1] = x
-        raw[A_CYLINDER * c + 2] = node_pressure(y, bench, row.node_head)
-        raw[A_CYLINDER * c + 3] = node_pressure(y, bench, row.node_rod)
-    raw[A_CYLINDER * cylinders] = node_pressure(y, bench, SUPPLY)
-    raw[A_CYLINDER * cylinders + 1] = node_pressure(y, bench, TANK)
+        for i in range(A_CYLINDER):
+            raw[A_CYLINDER * c + i] = reading(y, bench, c, RAW[i])
+    for i in range(LINES):
+        raw[A_CYLINDER * cylinders + i] = line_reading(y, bench, i)
 
 
 @part_kernel

@@ -11,14 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.parts.edge import check, pump
-from ehbench.parts.sample import OF
+from ehbench.parts.sample import DERIVED, LINE, OF
 from ehbench.parts.valve import VALVE_COLUMNS
 from ehbench.parts.valve.delay import Line, line_of
 from ehbench.plant.layout import Layout, Offsets
 from ehbench.runtime.compiled import record
 
-RAW = (OF.q, OF.x, OF.p_head, OF.p_rod)  # a cylinder's raw channels
-A_CYLINDER, LINES, FILTER = len(RAW), 2, 3  # raw channels of one, of supply and tank; of a filter
+RAW = tuple(channel for channel in OF if channel not in DERIVED)  # a cylinder's raw channels
+A_CYLINDER, LINES = len(RAW), len(LINE)  # raw channels of a cylinder, of the supply lines
+FILTER = 3  # numbers of a speed filter
 STROKE = RAW.index(OF.x)
 
 # Wider rows begin with the columns of their own: numba would else take one for the other.
