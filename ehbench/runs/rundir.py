@@ -20,35 +20,26 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ehbench.runs.versions import Versions
 from ehbench.runtime.disk import DATA, impossible, read_bytes
 from ehbench.runtime.interrupts import unbroken
 from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import Message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SHIPPED = PACKAGE / "shipped"  # recipes and datasets in a wheel; a checkout has them beside it
 _PART = re.compile(r"\.(?P<name>.+)\.(?P<pid>[1-9]\d*)\.part")
-# what a disk says that takes no more
+# errors of a disk that takes no more
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
-_LIBRARIES = (
-    "numpy",
-    "scipy",
-    "pandas",
-    "numba",
-    "matplotlib",
-    "pydantic",
-    "mcap",
-    "control",
-)
+_LIBRARIES = "numpy scipy pandas numba matplotlib pydantic mcap control".split()
 
 
 def sha256(path: Path) -> str:
@@ -96,11 +87,10 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
         return plain(value.tolist())
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [
-            plain(item)
-            for item in (sorted(value) if isinstance(value, (set, frozenset)) else value)
-        ]
+    if isinstance(value, (set, frozenset)):
+        value = sorted(value)
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Path):
@@ -125,12 +115,10 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(read_bytes(path, DATA).decode("utf-8"), object_hook=_messages)
     except FileNotFoundError:
-        raise InputError(
-            "no such file", file=path, hint="is this a finished run folder of the right stage?"
-        ) from None
+        raise InputError(message("runs.no_file"), file=path) from None
     except (ValueError, RecursionError) as error:
-        reason = str(error) or "nested too deeply"
-        raise InputError(f"not JSON: {reason}", file=path) from None
+        text = message("runs.no_json", reason=str(error) or "nested too deeply")
+        raise InputError(text, file=path) from None
 
 
 def _messages(value: dict[str, Any]) -> Any:
@@ -213,33 +201,27 @@ def open_run(
     seeds: Mapping[str, int] | None = None,
     versions: Versions | None = None,
 ) -> Iterator[Run]:
-    """A ``Run`` whose folder becomes ``final`` when the block ends well; else nothing stays.
+    """A ``Run`` whose folder becomes ``final`` when the block ends well; otherwise nothing stays.
 
-    A run that stands there is replaced, but only where it is as it was written.
+    An earlier run there is replaced, but only where its files are as it wrote them.
 
     Raises:
-        InputError: ``final`` holds anything but a run's own files as the run wrote them, or it
-            cannot be written.
+        InputError: ``final`` contains anything but the files of a run, or it cannot be written.
     """
-    inputs, final = list(inputs), _place_of(final)
-    _standing(final)
+    inputs, final = list(inputs), _resolved(final)
     left_over = clear_left(final.parent)
     scratch = final.parent / f".{final.name}.{os.getpid()}.part"
     shutil.rmtree(scratch, ignore_errors=True)
     # before there is a folder that a signal could leave behind: this takes a while
-    run = Run(
-        scratch,
-        final,
-        _record(stage, recipe, inputs, seeds or {}, versions or Versions.of(stage)),
-        left_over=left_over,
-    )
-    began, hold = time.time(), None
+    record = _record(stage, recipe, inputs, seeds or {}, versions or Versions.of(stage))
+    run = Run(scratch, final, record, left_over=left_over)
+    began, lock = time.time(), None
     try:
         try:
             scratch.mkdir(parents=True)
         except (OSError, ValueError) as error:
             raise _no_place(final, error) from None
-        hold = _held(scratch)
+        lock = _lock(scratch)
         yield run
         run.save()
         places = {"recipe": recipe.resolve(), "inputs": [path.resolve() for _, path in inputs]}
@@ -248,20 +230,17 @@ def open_run(
     except OSError as error:
         if error.errno not in FULL:
             raise
-        raise InputError(
-            f"the run cannot be written: {error.strerror}; nothing of it stays",
-            file=final,
-            hint="make room, or choose another --out",
-        ) from None
-    except EhbenchError as error:  # of a file that is gone by the time the sentence is read
+        text = message("runs.not_written", reason=error.strerror)
+        raise InputError(text, file=final) from None
+    except EhbenchError as error:  # of a file that is gone by the time the message is read
         if error.file is None or scratch not in Path(error.file).parents:
             raise
         raise type(error)(error.message, file=final, hint=error.hint) from None
     finally:
         with unbroken():
             shutil.rmtree(scratch, ignore_errors=True)
-        if hold is not None:
-            os.close(hold)
+        if lock is not None:
+            os.close(lock)
 
 
 def _record(
@@ -271,28 +250,37 @@ def _record(
     seeds: Mapping[str, int],
     versions: Versions,
 ) -> dict[str, Any]:
-    """What ``run.json`` says of a run whatever its stage: the same from the same inputs."""
+    """What ``run.json`` states of a run of any stage: the same from the same inputs."""
+    digests = [(role, path, sha256(path)) for role, path in inputs]
+    content = [(role, digest) for role, _, digest in digests]
     return {
         "stage": stage,
         "name": recipe.stem,
         "argv": ["ehbench", stage, recipe.name],
-        "hash": hash_of(recipe, inputs, versions),
+        "hash": run_hash(sha256(recipe), content, versions),
         "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
         "inputs": [
-            {"role": role, "path": _relative(path, recipe.parent), "sha256": sha256(path)}
-            for role, path in inputs
+            {"role": role, "path": _name_of(path, recipe.parent), "sha256": digest}
+            for role, path, digest in digests
         ],
         "seeds": dict(seeds),
-        "versions": dict(_versions()),
         "schema": versions.schema,
         "methods": dict(versions.methods),
+        "versions": dict(_libraries()),
         "commit": commit(),
     }
 
 
+def _name_of(path: Path, folder: Path) -> str:
+    """A name for an input that is the same on every machine: its path from the recipe, or a run
+    folder's name.
+    """
+    return path.name if path.is_dir() else Path(os.path.relpath(path, folder)).as_posix()
+
+
 @lru_cache(maxsize=1)
-def _versions() -> Mapping[str, str]:
-    """Versions of the package, of Python and of what results hang on; looked up once a process."""
+def _libraries() -> Mapping[str, str]:
+    """Versions of the package, of Python and of libraries that results depend on."""
     return {
         "ehbench": metadata.version("ehbench"),
         "python": platform.python_version(),
@@ -312,85 +300,54 @@ def _volatile(began: float) -> dict[str, Any]:
     }
 
 
-def _place_of(final: Path) -> Path:
-    """Where a run's folder really lies: a link is followed, never replaced.
+def _resolved(final: Path) -> Path:
+    """Where a run's folder really is: a link is followed, never replaced.
 
     Raises:
-        InputError: the path leads nowhere: a loop of links, a name that no disk can hold.
+        InputError: the path leads nowhere, or to what no run may replace.
     """
     try:
         place = final.resolve() if final.is_symlink() else final
-        place.exists()
+        _survey(place)
+    except FileNotFoundError:  # another process is putting its run there
+        pass
     except (OSError, RuntimeError, ValueError) as error:
         raise _no_place(final, error) from None
     return place
 
 
-class Standing(NamedTuple):
-    """What lies in the folder of a run that stands: the files that are as the run wrote them, and
-    those of its files that have changed since.
-    """
-
-    own: tuple[Path, ...] = ()
-    changed: tuple[Path, ...] = ()
+def _no_place(final: Path, error: Exception) -> InputError:
+    reason = str(getattr(error, "strerror", None) or error)
+    return InputError(message("runs.no_place", reason=reason), file=shortened_path(final))
 
 
-def _standing(final: Path) -> Standing:
-    """What stands where a run shall go.
+def _survey(folder: Path) -> tuple[list[Path], list[Path]]:
+    """(files of the run in a folder that are as the run wrote them, those that have changed).
 
     Raises:
-        InputError: it is no folder, or holds anything that its run did not write.
+        InputError: it is no folder, or contains anything that its run did not write.
     """
-    for _ in range(100):
-        try:
-            return _surveyed(final)
-        except FileNotFoundError:  # another process is putting its run there
-            continue
-        except (OSError, ValueError) as error:
-            raise _no_place(final, error) from None
-    raise InputError("another process keeps writing this run", file=final, hint="wait for it")
-
-
-def _surveyed(final: Path) -> Standing:
-    if not final.exists():
-        return Standing()
-    if not final.is_dir():
-        raise InputError("is a file", file=final, hint="choose another --out")
-    there = [path for path in sorted(final.rglob("*")) if path.is_symlink() or not path.is_dir()]
-    if not there:
-        return Standing()
-    facts = final / "run.json"
-    if not facts.is_file():
-        for path in there:
+    if not folder.exists():
+        return [], []
+    if not folder.is_dir():
+        raise InputError(message("runs.is_file"), file=folder)
+    files = [path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir()]
+    if not files:
+        return [], []
+    if not (folder / "run.json").is_file():
+        for path in files:
             path.lstat()
-        raise InputError(
-            "exists and is no run folder; it is left as it is",
-            file=final,
-            hint="choose another --out",
-        )
-    own, changed = outputs_of(facts), []
-    for path in there:
-        name = path.relative_to(final).as_posix()
+        raise InputError(message("runs.not_a_run"), file=folder)
+    outputs, unchanged, changed = outputs_of(folder / "run.json"), [], []
+    for path in files:
+        name = path.relative_to(folder).as_posix()
         if name in ("run.json", "volatile.json"):
-            continue
-        if name not in own or path.is_symlink() or not path.is_file():
-            raise InputError(
-                f"holds '{name}', which its run did not write; the folder is left as it is",
-                file=final,
-                hint="move that file away, or choose another --out",
-            )
-        if sha256(path) != own[name]:
-            changed.append(path)
-    return Standing(tuple(path for path in there if path not in changed), tuple(changed))
-
-
-def _no_place(final: Path, error: Exception) -> InputError:
-    reason = getattr(error, "strerror", None) or error
-    return InputError(
-        f"no run can be written here: {reason}",
-        file=shortened_path(final),
-        hint="choose another --out",
-    )
+            unchanged.append(path)
+        elif name not in outputs or path.is_symlink() or not path.is_file():
+            raise InputError(message("runs.foreign_file", name=name), file=folder)
+        else:
+            (unchanged if sha256(path) == outputs[name] else changed).append(path)
+    return unchanged, changed
 
 
 def outputs_of(facts: Path) -> Mapping[str, Any]:
@@ -399,57 +356,52 @@ def outputs_of(facts: Path) -> Mapping[str, Any]:
     Raises:
         InputError: it is no ``run.json``.
     """
-    read = read_json(facts)
-    outputs = read.get("outputs") if isinstance(read, Mapping) else None
+    content = read_json(facts)
+    outputs = content.get("outputs") if isinstance(content, Mapping) else None
     if not isinstance(outputs, Mapping):
-        raise InputError("names no outputs: it is no run's", file=facts)
+        raise InputError(message("runs.no_outputs"), file=facts)
     return outputs
 
 
 def _put(scratch: Path, final: Path) -> tuple[str, ...]:
-    """Move a whole run to its place; of two processes that make one run, the last stays. Files of
-    the run before that someone changed are kept in ``salvaged``; a sentence for each.
+    """Move a whole run to its place; of two processes that write one run, the last stays. Files of
+    the run before that someone changed are kept in ``salvaged``; a message for each.
     """
-    before, message = final.with_name(f".{final.name}.{os.getpid()}.before"), []
+    before, messages = final.with_name(f".{final.name}.{os.getpid()}.before"), []
     for _ in range(100):
-        try:
+        with suppress(FileNotFoundError):
             final.rename(before)
-        except FileNotFoundError:
-            pass
-        else:
             try:
-                message += _cleared(before, final)
-            except InputError:  # someone put a file there while the run was made
+                messages += _remove(before, final)
+            except InputError:  # someone put a file there meanwhile
                 before.rename(final)
                 raise
         try:
             scratch.rename(final)
-            return tuple(message)
-        except OSError as error:
+            return tuple(messages)
+        except OSError as error:  # another process has put its run there
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
                 raise
-    raise InputError("another process keeps writing this run", file=final, hint="wait for it")
+    raise InputError(message("runs.busy"), file=final)
 
 
-def _cleared(before: Path, final: Path) -> list[str]:
-    """Take away a run that another one replaces, which now lies at ``before``, but for what someone
-    changed in it.
-    """
-    standing, message = _standing(before), []
-    if standing.changed:
-        retained = _free(final.parent / "salvaged" / final.name)
-        for path in standing.changed:
-            target = retained / path.relative_to(before)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(path, target)
-            name = path.relative_to(before).as_posix()
-            message.append(f"'{name}' of the run before had been changed; it is kept as {target}")
-    for path in standing.own:
+def _remove(before: Path, final: Path) -> list[Message]:
+    """Remove the run of ``final``, which now lies at ``before``, but for what someone changed."""
+    unchanged, changed = _survey(before)
+    messages = []
+    retained = _unused(final.parent / "salvaged" / final.name)
+    for path in changed:
+        name = path.relative_to(before)
+        target = retained / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(path, target)
+        messages.append(message("runs.changed", name=name.as_posix(), target=str(target)))
+    for path in unchanged:
         path.unlink()
     for folder in sorted((path for path in before.rglob("*") if path.is_dir()), reverse=True):
         folder.rmdir()
     before.rmdir()
-    return message
+    return messages
 
 
 # --- what killed processes left
@@ -457,37 +409,34 @@ def _cleared(before: Path, final: Path) -> list[str]:
 
 
 def clear_left(folder: Path) -> tuple[str, ...]:
-    """Clear the temporary folders of processes that are gone, and keep the logs in them that hold
-    samples, as ``salvaged/<name>_<pid>/…``; a sentence for each log kept.
+    """Remove the temporary folders of processes that are gone, and keep the logs in them that have
+    samples, as ``salvaged/<name>_<pid>/…``; a message for each log.
     """
     messages = []
     for left in sorted(folder.glob(".*.part")):
         match = _PART.fullmatch(left.name)
         if match is None or not left.is_dir() or not _abandoned(left, int(match["pid"])):
             continue
-        logs = [path for path in sorted(left.rglob("*.mcap")) if _holds_samples(path)]
-        retained = _free(folder / "salvaged" / f"{match['name']}_{match['pid']}")
+        logs = [path for path in sorted(left.rglob("*.mcap")) if _has_samples(path)]
+        retained = _unused(folder / "salvaged" / f"{match['name']}_{match['pid']}")
         for path in logs:
             target = retained / path.relative_to(left)
             target.parent.mkdir(parents=True, exist_ok=True)
-            try:
+            with suppress(FileNotFoundError):  # another process was quicker
                 os.replace(path, target)
-            except FileNotFoundError:  # another process was quicker
-                continue
-            messages.append(
-                f"a run of '{match['name']}' was killed; what it had logged is in {target}"
-            )
+                text = message("runs.salvaged", name=match["name"], target=str(target))
+                messages.append(text)
         shutil.rmtree(left, ignore_errors=True)
     return tuple(messages)
 
 
-def _free(place: Path) -> Path:
+def _unused(place: Path) -> Path:
     """A folder name that is not taken."""
     tries = (place if n == 1 else place.with_name(f"{place.name}_{n}") for n in itertools.count(1))
-    return next(each for each in tries if not each.exists())
+    return next(item for item in tries if not item.exists())
 
 
-def _holds_samples(path: Path) -> bool:
+def _has_samples(path: Path) -> bool:
     from ehbench.data import read
 
     try:
@@ -498,7 +447,7 @@ def _holds_samples(path: Path) -> bool:
 
 def _abandoned(folder: Path, pid: int) -> bool:
     """Whether no process works in a temporary folder: neither one of that number nor, where
-    processes of several containers share a disk, one that holds the folder.
+    processes of several containers share a disk, one that locks the folder.
     """
     if os.name != "posix":
         return False
@@ -509,34 +458,25 @@ def _abandoned(folder: Path, pid: int) -> bool:
         pass
     except (OSError, OverflowError):
         return False
-    hold = _held(folder)
-    if hold is not None:
-        os.close(hold)
-    return hold is not None
+    lock = _lock(folder)
+    if lock is not None:
+        os.close(lock)
+    return lock is not None
 
 
-def _held(folder: Path) -> int | None:
-    """An open folder that this process alone holds until it is closed, or ends; None where another
-    one holds it, or the system knows no such hold.
+def _lock(folder: Path) -> int | None:
+    """An open folder that only this process locks until it is closed, or ends; None where another
+    one does, or the system has no such lock.
     """
     try:
         import fcntl
 
-        hold = os.open(folder, os.O_RDONLY)
+        lock = os.open(folder, os.O_RDONLY)
     except (ImportError, OSError):
         return None
     try:
-        fcntl.flock(hold, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        os.close(hold)
+        os.close(lock)
         return None
-    return hold
-
-
-def _relative(path: Path, folder: Path) -> str:
-    """A name for an input that is the same on every machine: its path from the recipe, or a run
-    folder's own name.
-    """
-    if path.is_dir():
-        return path.name
-    return Path(os.path.relpath(path, folder)).as_posix()
+    return lock

@@ -210,7 +210,7 @@ def test_a_folder_that_a_process_holds_stays(tmp_path, gone):
     """Such as one of another container, whose process numbers mean nothing here."""
     left = tmp_path / f".a.{gone}.part"
     left.mkdir()
-    hold = rundir._held(left)
+    hold = rundir._lock(left)
     assert rundir.clear_left(tmp_path) == () and left.exists()
     os.close(hold)
     rundir.clear_left(tmp_path)

@@ -66,14 +66,15 @@ def test_a_file_that_a_run_did_not_write_saves_its_folder(place, name):
     (place / "out" / name).parent.mkdir(exist_ok=True)
     (place / "out" / name).write_text("mine")
     before = tree("out")
-    with pytest.raises(InputError, match=f"holds '{name}', which its run did not write"):
+    with pytest.raises(InputError) as caught:
         made("out", "two")
+    assert (caught.value.key, caught.value.fields["name"]) == ("runs.foreign_file", name)
     assert tree("out") == before and not list(place.glob(".*"))
 
 
 def test_a_file_put_there_while_the_run_is_made_is_kept(place):
     made("out")
-    with pytest.raises(InputError, match="holds 'late.txt'"):
+    with pytest.raises(InputError, match="late.txt"):
         with rundir.open_run(Path("out"), "trial", Path(RECIPE), []) as run:
             (run.path / "result.json").write_text("two")
             Path("out/late.txt").write_text("mine")
@@ -114,7 +115,7 @@ def test_a_link_within_a_run_is_no_file_of_it(place):
     Path("mine.txt").write_text("one")
     Path("out/result.json").unlink()
     Path("out/result.json").symlink_to(Path("mine.txt").resolve())
-    with pytest.raises(InputError, match=r"holds 'result\.json'"):
+    with pytest.raises(InputError, match="result.json"):
         made("out", "two")
     assert Path("mine.txt").read_text() == "one"
 
