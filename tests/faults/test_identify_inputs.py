@@ -319,10 +319,7 @@ def test_a_position_that_goes_against_its_commands_is_told_before_a_fit(word):
     turned = changed(log, **{f"lift_{word}": -log[channel]})
     pins = rig().cylinder[0].pins.model_copy(update={"sign": -1})
     cylinder = rig().cylinder[0].model_copy(update={"pins": pins})
-    for own, good, bad in (
-        (rig().cylinder[0], log, turned),
-        (cylinder, turned, log),
-    ):
+    for own, good, bad in ((rig().cylinder[0], log, turned), (cylinder, turned, log)):
         model = Model.of(rig().model_copy(update={"cylinder": (own,)}))
         for record, count in ((good, 0), (bad, 1)):
             told = [one for one in preprocess("log", record, model)[1] if "extend lift" in one]

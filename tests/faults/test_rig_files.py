@@ -81,18 +81,14 @@ def padded(*cases):
         (
             '{ value = "200 bar", source = "datasheet: pump, p. 4" }',
             '"20000 psi"',
-            "a supply of 20000 psi is beyond any hydraulics: 14503.8 psi at most",
+            "20000 psi is beyond all hydraulics: at most 14503.8 psi",
             "pressure =",
         ),
         ('flow = "L/min"', 'flow = "bar"', "display.flow: 'bar' cannot be turned into m^3/s"),
         ('flow = "L/min"', 'flov = "L/min"', "there is no quantity 'flov'; nearest is 'flow'"),
         ("[oil]", "[oill]", "unknown key 'oill' (did you mean 'oil'?)"),
         ("[supply]", "[suppl]", "unknown key 'suppl' (did you mean 'supply'?)"),
-        (
-            'name = "crane"',
-            'name = "Kran-Größe"',
-            "small letters, digits and _ make one, such as 'kran_grosse'",
-        ),
+        ('name = "crane"', 'name = "Kran-Größe"', "'kran_grosse'"),
         (
             'kind = "chain"',
             'kind = "chian"',
@@ -102,12 +98,12 @@ def padded(*cases):
         (
             "[[mechanism.joint]]",
             "[mechanism.joint]",
-            "mechanism.joint is no list (write [[mechanism.joint]] for each entry)",
+            "mechanism.joint is not a list (write [[mechanism.joint]] for each entry)",
         ),
         (
             'flow_limit = "60 L/min"',
             'flow_limit = "60 L/min"\naccumulator = 3',
-            "accumulator = 3 is no table (write accumulator = { gas_volume = …, ",
+            "accumulator = 3 is not a table (write accumulator = { gas_volume = …, ",
             "accumulator",
         ),
         (
@@ -134,10 +130,10 @@ def padded(*cases):
         (
             'joint = "boom"',
             'joint = "arm"',
-            "cylinder 'lift': joint: there is no joint 'arm'; there are boom",
+            "cylinder 'lift': joint: there is no joint 'arm'; known are boom",
         ),
-        ('name = "lift"', 'name = "li.ft"', "'li.ft' is no name (letters, digits, _ and -"),
-        ('name = "lift"', 'name = ""', "'' is no name"),
+        ('name = "lift"', 'name = "li.ft"', "'li.ft' is not a name"),
+        ('name = "lift"', 'name = ""', "'' is not a name"),
         ('rod = "45 mm"', 'rod = "45 mm"\ncount = 0', "count = 0", "count = 0"),
         ('rod = "45 mm"', 'rod = "45 mm"\nthrough_rod = 1.5', "through_rod", "through_rod = 1.5"),
         ('rod = "45 mm"', 'rod = "85 mm"', "area_rod must be positive and not above area_head"),
@@ -178,15 +174,11 @@ def padded(*cases):
             'retracted_length = "1450 mm"',
             "1450 mm long retracted and 1950 mm extended",
         ),
-        (
-            'retracted_length = "850 mm"',
-            'retracted_length = "600 mm"',
-            "allow 600 mm to 1800 mm, the ends excluded",
-        ),
+        ('retracted_length = "850 mm"', 'retracted_length = "600 mm"', "allow 600 mm to 1800 mm"),
         (
             'retracted_length = "850 mm"',
             'retracted_length = "60 in"',
-            "is 60 in long retracted and 79.685 in extended, while l_a and l_b allow 23.622 in to",
+            "is 60 in long retracted and 79.685 in extended; l_a and l_b allow 23.622 in to",
         ),
         ('command_min = "-10 V"', 'command_min = "10 V"', "command_min must lie below command_max"),
         (
@@ -198,16 +190,16 @@ def padded(*cases):
         (
             'command_min = "-10 V"',
             'command_min = "2 V"\ndrive_limit = "1 V"',
-            "a drive that gives no more than this never comes to rest",
+            "never comes to rest",
             "drive_limit = ",
         ),
         (
             'command_min = "-10 V"',
             'command_min = "-10 V"\ndrive_limit = "0 V"',
-            "a drive that gives nothing moves no valve",
+            "a drive limit of zero",
             "drive_limit = ",
         ),
-        ('dynamics = "spool"', 'dynamics = "spol"', "there is no [dynamics.spol]; there are spool"),
+        ('dynamics = "spool"', 'dynamics = "spol"', "there is no [dynamics.spol]; known are spool"),
         (
             "damping_ratio = 0.8",
             's1 = "8 ms"',
@@ -244,7 +236,7 @@ def padded(*cases):
         (
             BACK,
             BACK.replace('"head"', '"rod"'),
-            "two edges are called 'spool_rod_tank'; give each a name of its own",
+            "two edges are called 'spool_rod_tank'",
             "edge = [",
         ),
         (BACK, BACK.replace("-1", "-2"), "edge 4: sign = -2 is none of 1, -1", "edge = ["),
@@ -345,7 +337,7 @@ def test_a_slip_in_a_press(tmp_path, old, new, words):
         ('law = "pump"', 'law = "pump"\ncracking_pressure = "1 bar"', "has no cracking pressure"),
         ('"check_rod"', '"check_head"', "two edges are called 'check_head'"),
         ('"check_rod"', '"pump"', "two edges are called 'pump'"),
-        ('pilot = "head"\n', "", "a pilot-operated check valve takes pilot and pilot_ratio"),
+        ('pilot = "head"\n', "", "pilot and pilot_ratio belong together"),
         ('pilot = "head"', 'pilot = "supply"', "the pilot is at 'from', where it opens nothing"),
         ('to = "rod"', 'to = "supply"', "an edge joins two different nodes"),
         ('law = "pump"', 'law = "pump"\npump_speed = "900 rpm"', "unknown key 'pump_speed'"),
@@ -505,12 +497,7 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
             "the head end has a line already; give their volumes and resistances in one",
             'end = "head" ',
         ),
-        (
-            PINS,
-            LINE + NAMED + PINS,
-            "two forces are called 'line_head'; give each a name of its own",
-            NAMED[:20],
-        ),
+        (PINS, LINE + NAMED + PINS, "two forces are called 'line_head'", NAMED[:20]),
         (PINS, MOUNT.replace("50 kN/mm", "0 kN/mm") + PINS, "must be above 0", "stiffness = "),
         (PINS, MOUNT.replace("50 kN/mm", "50 kN") + PINS, "'kN' cannot be turned", "stiffness = "),
         (
@@ -543,7 +530,7 @@ SATURATING = EDGE.replace('"orifice"', '"saturating"')
         (
             EDGE,
             EDGE.replace(" }", ', opening_max = "2 V" }'),
-            "law 'orifice' takes no 'opening_max'; its own keys: flow_gain",
+            "law 'orifice' takes no 'opening_max'; its keys: flow_gain",
             "edge = [",
         ),
     ),

@@ -240,13 +240,13 @@ def test_the_linear_model_has_every_element(series):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('["amplifier", "spool"]', '["amplifer", "spool"]', "no [dynamics.amplifer]; there are"),
+        ('["amplifier", "spool"]', '["amplifer", "spool"]', "no [dynamics.amplifer]; known are"),
         (
             'natural_frequency = "60 Hz"\ndamping_ratio = 1.0',
             'lag = "6 Hz"\nkind = "first_order"',
             "dynamics.amplifier.lag: 'Hz' cannot be turned into s",
         ),
-        ('["amplifier", "spool"]', '["spool", "spool"]', "'spool' stands in the series twice"),
+        ('["amplifier", "spool"]', '["spool", "spool"]', "'spool' is in the series twice"),
         ('"60 Hz"', '"60 s"', "natural_frequency: 's' cannot be turned into"),
         ('natural_frequency = "60 Hz"', 'kind = "third_order"', "kind = 'third_order' is none of"),
         (

@@ -40,5 +40,5 @@ def test_a_figure_of_others_has_the_channel_s_unit(value):
     given = {"name": "a", "channel": "press.p_head", "value": value, "source": "b"}
     with pytest.raises(ValidationError, match="for Reference\nvalue"):
         Reference.model_validate(given)
-    with pytest.raises(ValidationError, match="no percentage"):
+    with pytest.raises(ValidationError, match="not a fit in percent"):
         Reference.model_validate(given | {"measure": "fit_percent", "value": "3 bar"})

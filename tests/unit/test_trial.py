@@ -71,7 +71,7 @@ def test_none_is_the_word_for_no_payload(tmp_path):
     assert recipe(payload="100 kg").payload == "100 kg"
     written = (RECIPES / "rigs" / "slide_servo.toml").read_text()
     (tmp_path / "rig.toml").write_text(written.replace('payload."100 kg"', "payload.none"))
-    with pytest.raises(InputError, match="'none' is no payload"):
+    with pytest.raises(InputError, match="'none' means no payload"):
         load_rig(tmp_path / "rig.toml")
 
 

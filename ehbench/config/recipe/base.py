@@ -17,6 +17,7 @@ from ehbench.config.recipe.toml import line_of
 from ehbench.runtime.disk import impossible
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened
 
 
@@ -144,14 +145,13 @@ class Recipe(FileModel):
         for variable in re.findall(r"\$(\w+)", name):
             if not os.environ.get(variable):
                 raise InputError(
-                    f"names {shortened(name, 60)}, and {variable} is not set",
+                    message("config.variable_not_set", name=shortened(name, 60), variable=variable),
                     file=self.path,
-                    hint=f"say where these files are: export {variable}=/path/to/them",
                 )
         path = self.path.parent / re.sub(r"\$(\w+)", lambda at: os.environ[at[1]], name)
         if reason := impossible(path):
             raise InputError(
-                f"names {shortened(name, 60)}, which can be no file: {reason}", file=self.path
+                message("config.no_path", name=shortened(name, 60), reason=reason), file=self.path
             )
         return path.resolve()
 
@@ -180,7 +180,7 @@ def _flat(raw: Any) -> Any:
             else {name: value}
         )
         if twice := sorted(set(inner) & set(results)):
-            raise ValueError(f"'{twice[0]}' is given twice")
+            raise ValueError(message("config.given_twice", twice=twice[0]))
         results |= inner
     return results
 

@@ -18,15 +18,14 @@ from ehbench.config.recipe.base import (
 from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
 from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened
 
 
 def _samples(given: object) -> object:
     whole = isinstance(given, int) and not isinstance(given, bool) and given >= 1
     if not whole and given != "auto":
-        raise ValueError(
-            f'{shortened(given, 40)} is no number of samples: a whole number from 1 on, or "auto"'
-        )
+        raise ValueError(message("config.no_sample_count", given=shortened(given, 40)))
     return given
 
 

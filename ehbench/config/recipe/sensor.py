@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, fie
 
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FileModel, Value, read_value, write_value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
 
 ESTIMATE = "estimate"
@@ -61,7 +62,7 @@ class Sensor(FileModel):
     def _of_a_pressure(cls, message: str, info: ValidationInfo) -> str:
         channel = info.data.get("channel", "p_head")
         if message == "absolute" and quantity(channel).unit != "Pa":
-            raise ValueError(f"'{channel}' is no pressure")
+            raise ValueError(message("config.not_a_pressure", channel=channel))
         return message
 
     @field_validator(*WORDS)
@@ -77,7 +78,7 @@ class Sensor(FileModel):
                 f'{error}; or "{ESTIMATE}"' if isinstance(raw, str) else str(error)
             ) from None
         if word != "offset" and float(value) < 0.0 or word == "scale" and float(value) == 0.0:
-            raise ValueError(f"{word} = {raw} is not positive; `sign` says which way it reads")
+            raise ValueError(message("config.not_positive", word=word, raw=raw))
         return value
 
     def __getitem__(self, word: str) -> Value | str | None:
@@ -99,7 +100,7 @@ def _each_once(sensors: tuple[Sensor, ...]) -> tuple[Sensor, ...]:
     names = [sensor.channel for sensor in sensors]
     for at, name in enumerate(names):
         if name in names[:at]:
-            raise ValueError(f"'{name}' stands here twice; say all of it in one table")
+            raise ValueError(message("config.channel_twice", name=name))
     return sensors
 
 

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ehbench.config.recipe.base import Recipe
 from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.messages import message
 
 Number = str | int | float
 LAWS = {  # law: the two numbers that give it
@@ -48,7 +49,7 @@ class Spread(FileModel):
             required = "low and high, mean and std, or median and spread"
             if self.law is not None:
                 required = " and ".join(LAWS[self.law])
-            raise ValueError(f"a draw takes {required}")
+            raise ValueError(message("config.draw_needs", required=required))
         return self
 
     @property
@@ -82,7 +83,7 @@ class Span(FileModel):
     def _whole(self) -> Span:
         both = self.low is not None and self.high is not None
         if bool(self.values) == both or (self.values and self.count is not None):
-            raise ValueError("a sweep takes a list of values, or low and high, with a count or not")
+            raise ValueError(message("config.sweep_needs"))
         return self
 
 
@@ -106,7 +107,7 @@ def by_key(raw: Any) -> Any:
             else {name: value}
         )
         if twice := sorted(set(inner) & set(results)):
-            raise ValueError(f"'{twice[0]}' is given twice")
+            raise ValueError(message("config.given_twice", twice=twice[0]))
         results |= inner
     return results
 
@@ -160,9 +161,9 @@ class Measure(FileModel):
     @model_validator(mode="after")
     def _whole(self) -> Measure:
         if (self.result is None) == (self.channel is None):
-            raise ValueError("a measure takes 'result' or 'channel', and not both")
+            raise ValueError(message("config.measure_needs"))
         if self.result is None and not (self.over is None and self.inside is None):
-            raise ValueError("'over' and 'inside' are of results, not of channels")
+            raise ValueError(message("config.over_of_results"))
         return self
 
     @property
@@ -188,7 +189,7 @@ class Target(FileModel):
     @model_validator(mode="after")
     def _whole(self) -> Target:
         if self.at_most is None and self.at_least is None:
-            raise ValueError("a target takes 'at_most' or 'at_least'")
+            raise ValueError(message("config.target_needs"))
         return self
 
 
@@ -225,9 +226,9 @@ class StudyRecipe(Recipe):
         labels = [measure.label for measure in self.measures]
         for label in labels:
             if labels.count(label) > 1:
-                raise ValueError(f"two measures are called '{label}'; give each its own name")
+                raise ValueError(message("config.measure_twice", label=label))
         keys = [*self.draw, *self.sweep, *self.seeds]
         for key in keys:
             if keys.count(key) > 1:
-                raise ValueError(f"'{key}' is varied twice")
+                raise ValueError(message("config.varied_twice", key=key))
         return self

@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from ehbench.runtime.disk import read_bytes
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FROM_FILE, FileModel
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import shortened
 
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
@@ -139,13 +140,10 @@ def read_text(path: Path) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
-            "is not UTF-8 text",
-            file=path,
-            line=data.count(b"\n", 0, error.start) + 1,
-            hint="save it as UTF-8",
+            message("config.not_utf8"), file=path, line=data.count(b"\n", 0, error.start) + 1
         ) from None
     if not text.strip():
-        raise InputError("the file is empty", file=path)
+        raise InputError(message("config.file_empty"), file=path)
     return text
 
 
@@ -161,14 +159,13 @@ def table_of(text: str, path: Path) -> dict[str, Any]:
         result = re.search(r"\(at line (\d+)", str(error))
         reason = str(error).split(" (at ")[0]
         line = int(result[1]) if result else text.rstrip().count("\n") + 1
-        raise InputError(
-            f"not TOML: {reason}", file=path, line=line, hint=_remedy(reason)
-        ) from None
+        text = message("config.not_toml", reason=reason)
+        raise InputError(text, file=path, line=line, hint=_remedy(reason)) from None
     except RecursionError:
-        raise InputError("not TOML: it is nested too deeply", file=path) from None
+        raise InputError(message("config.toml_nested"), file=path) from None
     except ValueError:  # more digits than Python turns into a number
         raise InputError(
-            "not TOML: a whole number is too long", file=path, line=_long_number(text)
+            message("config.toml_long_number"), file=path, line=_long_number(text)
         ) from None
 
 
@@ -193,13 +190,13 @@ def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
     except ValidationError as error:
         result = error.errors()
     except RecursionError:
-        raise InputError("a table is nested too deeply", file=path) from None
+        raise InputError(message("config.table_nested"), file=path) from None
     first = next((e for e in result if e["type"] == "extra_forbidden"), result[0])
     try:
-        message, location, hint = _explained(model, table, dict(first))
+        explained, location, hint = _explained(model, table, dict(first))
     except RecursionError:
-        raise InputError("a table is nested too deeply", file=path) from None
-    raise InputError(message, file=path, line=line_of(text, location), hint=hint)
+        raise InputError(message("config.table_nested"), file=path) from None
+    raise InputError(explained, file=path, line=line_of(text, location), hint=hint)
 
 
 def _explained(
@@ -216,29 +213,42 @@ def _explained(
         location = (*location, word)
         kind = "missing" if kind == "union_tag_not_found" else "literal_error"
         expected = first["ctx"].get("expected_tags", "")
-    place, key = _spoken(table, location)
+    place, key = _place_in(table, location)
+    fields: dict[str, Any] = {"key": key, "value": shortened(given, 60)}
     if kind == "extra_forbidden":
-        message, hint = f"unknown key '{key}'", _valid_hint(model, table, location, first["loc"])
+        text, hint = (
+            message("config.unknown_key", **fields),
+            _valid_hint(model, table, location, first["loc"]),
+        )
     elif kind == "missing":
-        message, location = f"'{key}' is missing", location[:-1] or location
+        text, location = message("config.missing", **fields), location[:-1] or location
     elif kind == "value_error":
-        message = str(reason) if not key or str(reason).startswith(key) else f"{key}: {reason}"
+        text = reason.args[0] if reason.args else str(reason)
+        if key and not text.startswith(key):
+            text = _with(f"{key}: {text}", text)
     elif kind == "literal_error":
-        message = f"{key} = {shortened(given, 60)} is none of {expected.replace(' or ', ', ')}"
+        text = message("config.not_one_of", **fields, words=expected.replace(" or ", ", "))
         near = get_close_matches(str(given), re.findall(r"'([^']*)'", expected), 1)
         hint = f"did you mean '{near[0]}'?" if near else None
     elif kind == "tuple_type":
-        message = f"{key} is no list"
+        text = message("config.no_list", **fields)
         if isinstance(given, dict):
             hint = f"write [[{_header(location)}]] for each entry"
     elif kind in ("model_type", "model_attributes_type", "dict_type", "dataclass_type"):
-        message = f"{key} = {shortened(given, 60)} is no table"
+        text = message("config.no_table", **fields)
         keys = [name for name in _valid_keys(model, location) if name not in ("note", "title")]
         some = ", ".join(f"{name} = …" for name in keys[:3])
         hint = f"write {location[-1]} = {{ {some}{', …' * (len(keys) > 3)} }}"
     else:
-        message = f"{key} = {shortened(given, 60)}: {first['msg'][0].lower() + first['msg'][1:]}"
-    return ": ".join(part for part in (place, message) if part), location, hint
+        reason = first["msg"][0].lower() + first["msg"][1:]
+        text = message("config.invalid", **fields, reason=reason)
+    return _with(": ".join(part for part in (place, text) if part), text), location, hint
+
+
+def _with(text: str, original: str) -> Message:
+    """A longer text of the same message."""
+    fields, hint = getattr(original, "fields", {}), getattr(original, "hint", "")
+    return Message(text, getattr(original, "key", ""), fields, hint)
 
 
 def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -302,12 +312,12 @@ def _valid_hint(
     ends = range(len(location) - 2, 0, -1)
     above = next((at for at in ends if location[-1] in _valid_keys(model, location[:at])), None)
     if above is not None:
-        owner = _spoken(table, location[:above])[0]
+        owner = _place_in(table, location[:above])[0]
         return f"a key of {owner}: put it above the table [{_header(location[:-1])}]"
     return "valid keys: " + ", ".join(valid) if valid else None
 
 
-def _spoken(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
+def _place_in(table: Any, location: tuple[Any, ...]) -> tuple[str, str]:
     """(the entries of lists that a location lies in, by name or number; the key below them)."""
     places, words = [], []
     for part in location:

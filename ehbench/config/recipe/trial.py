@@ -11,6 +11,7 @@ from ehbench.config.recipe.base import ByParameter, Payload, Recipe
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import LAW_NAMES
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
+from ehbench.vocabulary.messages import message
 
 
 class Command(FileModel):
@@ -41,24 +42,24 @@ class Command(FileModel):
         if self.kind in ("sine", "multisine"):
             self._waves()
         if self.kind == "ramp" and self.stop is None:
-            raise ValueError("a ramp needs 'stop'")
+            raise ValueError(message("config.ramp_needs_stop"))
         if self.kind == "file" and self.file is None:
-            raise ValueError("a file command needs 'file'")
+            raise ValueError(message("config.file_command_needs_file"))
         return self
 
     def _waves(self) -> None:
         if self.frequency is None:
-            raise ValueError(f"a {self.kind} needs 'frequency'")
+            raise ValueError(message("config.needs_frequency", kind=self.kind))
         low = float(self.frequency)
         if not low > 0.0:
-            raise ValueError("'frequency' must be above 0 Hz")
+            raise ValueError(message("config.frequency_not_positive"))
         if self.kind == "sine":
             return
         if self.frequency_max is None:
-            raise ValueError("a multisine needs 'frequency_max'")
+            raise ValueError(message("config.multisine_needs_frequency_max"))
         high = float(self.frequency_max)
         if not high > low:
-            raise ValueError(f"frequency_max, {high:g} Hz, must lie above frequency, {low:g} Hz")
+            raise ValueError(message("config.frequency_max_low", high=high, low=low))
 
 
 class Limits(FileModel):
@@ -146,22 +147,20 @@ class CylinderMotion(FileModel):
     def _whole(self) -> CylinderMotion:
         if self.kind == "velocity_steps":
             if not self.levels:
-                raise ValueError(
-                    'velocity_steps need \'levels\', such as ["30 %", "70 %", "100 %"]'
-                )
+                raise ValueError(message("config.steps_need_levels"))
             if (self.duration is None) == (self.travel is None):
-                raise ValueError("velocity_steps need 'duration' or 'travel', and not both")
+                raise ValueError(message("config.steps_need_duration"))
         if self.kind == "point_to_point":
             if len(self.waypoints) < 2:
-                raise ValueError("point_to_point needs 'waypoints', two strokes or more")
+                raise ValueError(message("config.waypoints_needed"))
             if self.speed is None:
                 raise ValueError("point_to_point needs 'speed'")
         if self.cycles > 1 and (
             self.kind != "point_to_point" or float(self.waypoints[0]) != float(self.waypoints[-1])
         ):
-            raise ValueError("only a point_to_point that ends at its first waypoint makes 'cycles'")
+            raise ValueError(message("config.no_cycles"))
         if self.kind == "file" and self.file is None:
-            raise ValueError("a motion of kind file needs 'file'")
+            raise ValueError(message("config.motion_file"))
         return self
 
 
@@ -194,14 +193,14 @@ class Motion(CylinderMotion):
     def _a_path(self) -> Motion:
         if self.kind != "path":
             if self.points or self.cylinders:
-                raise ValueError("'points' and 'cylinders' are of a motion of kind path")
+                raise ValueError(message("config.points_of_path"))
             return self
         if len(self.points) < 2:
-            raise ValueError("a path needs 'points', two or more")
+            raise ValueError(message("config.path_needs_points_two"))
         if self.speed is None:
-            raise ValueError("a path needs 'speed'")
+            raise ValueError(message("config.path_needs_speed"))
         if self.cylinder is not None or self.also:
-            raise ValueError("a path moves its 'cylinders': leave 'cylinder' and 'also' out")
+            raise ValueError(message("config.path_names_cylinders"))
         return self
 
     @model_validator(mode="after")
@@ -209,13 +208,13 @@ class Motion(CylinderMotion):
         if not self.also:
             return self
         if any(item.kind == "path" for item in self.also):
-            raise ValueError("a path is of the whole trial: it cannot stand under 'also'")
+            raise ValueError(message("config.path_under_also"))
         names = [self.cylinder, *(item.cylinder for item in self.also)]
         if None in names:
-            raise ValueError("where several cylinders move, each motion names its 'cylinder'")
+            raise ValueError(message("config.also_needs_cylinder"))
         twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
         if twice is not None:
-            raise ValueError(f"cylinder '{twice}' has two motions at a time")
+            raise ValueError(message("config.cylinder_twice", twice=twice))
         return self
 
     @property
@@ -239,7 +238,7 @@ def _refuse_shaping(kind: str | None) -> None:
 
     shaped = [name for name, law in LAWS.items() if law.shaped]
     if kind not in shaped:
-        raise ValueError(f"'shaping' is of {' and '.join(shaped)} only")
+        raise ValueError(message("config.shaping_only", shaped=" and ".join(shaped)))
 
 
 class CylinderController(FileModel):
@@ -259,7 +258,7 @@ class CylinderController(FileModel):
         if self.shaping:
             _refuse_shaping(self.kind)
         if "from" in self.gains:
-            raise ValueError("a cylinder's own gains are written out: 'from' is of [controller]")
+            raise ValueError(message("config.from_of_cylinder"))
         return self
 
 
@@ -323,7 +322,7 @@ class Controller(FileModel):
     @model_validator(mode="after")
     def _one_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
-            raise ValueError("give 'kind' or 'class', and not both")
+            raise ValueError(message("config.kind_or_class"))
         if self.shaping:
             _refuse_shaping(self.kind)
         return self
@@ -336,13 +335,13 @@ def refuse_unmatched(controller: Controller, motions: Sequence[Motion]) -> None:
         ValueError: says what does not.
     """
     if controller.code is not None and any(motion.also for motion in motions):
-        raise ValueError("a controller of your own moves one cylinder: leave 'also' out")
+        raise ValueError(message("config.code_moves_one"))
     if any(motion.kind == "path" for motion in motions):
         return  # only the rig knows which cylinders it moves
     names = {item.cylinder for motion in motions for item in motion.each}
     for name in controller.cylinders:
         if name not in names:
-            raise ValueError(f"controller.cylinders names '{name}', which has no motion")
+            raise ValueError(message("config.controller_without_motion", name=name))
 
 
 class Sampled(Protocol):
@@ -369,8 +368,13 @@ def refuse_fast_waves(trial: Sampled) -> None:
                 continue
             if float(requested) >= half:
                 raise ValueError(
-                    f"command to {command.valve}: {key}, {float(requested):g} Hz, "
-                    f"must lie below half the rate, {half:g} Hz"
+                    message(
+                        "config.command_too_fast",
+                        valve=command.valve,
+                        key=key,
+                        requested=float(requested),
+                        half=half,
+                    )
                 )
 
 
@@ -413,7 +417,7 @@ class AnyTrial(Recipe):
     def _one_after_the_other(self) -> AnyTrial:
         times = [0.0, *(float(change.at) for change in self.payload_change)]
         if any(later <= sooner for sooner, later in zip(times, times[1:], strict=False)):
-            raise ValueError("the times of 'payload_change' must grow, the first above 0 s")
+            raise ValueError(message("config.payload_times"))
         return self
 
 
@@ -433,9 +437,9 @@ class TrialRecipe(AnyTrial):
     @model_validator(mode="after")
     def _whole(self) -> TrialRecipe:
         if self.controller is None and self.motion is not None:
-            raise ValueError("a motion needs a [controller] that makes it")
+            raise ValueError(message("config.motion_without_controller"))
         if self.controller is not None and self.motion is None and self.controller.code is None:
-            raise ValueError(f"controller '{self.controller.label}' needs a [motion]")
+            raise ValueError(message("config.controller_needs_motion", label=self.controller.label))
         if self.motion is None and self.duration is None:
             raise ValueError("'duration' is missing")
         if self.controller is not None and self.motion is not None:

@@ -17,6 +17,7 @@ from ehbench.config.recipe.trial import (
     TrialRecipe,
     refuse_unmatched,
 )
+from ehbench.vocabulary.messages import message
 
 
 class SetController(Controller):
@@ -56,7 +57,7 @@ class TrialSetRecipe(AnyTrial):
     @model_validator(mode="after")
     def _noise_differs(self) -> TrialSetRecipe:
         if self.seeds > 1 and self.on != "bench":
-            raise ValueError("'seeds' are of the virtual bench's sensors: the model has no noise")
+            raise ValueError(message("config.seeds_of_bench"))
         return self
 
     @model_validator(mode="after")
@@ -69,9 +70,7 @@ class TrialSetRecipe(AnyTrial):
         ):
             twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
             if twice is not None:
-                raise ValueError(
-                    f"two entries of {what} are called '{twice}'; give each its own name"
-                )
+                raise ValueError(message("config.entry_twice", what=what, twice=twice))
         return self
 
     @model_validator(mode="after")

@@ -20,12 +20,13 @@ from ehbench.config.recipe.columns import AnyColumns
 from ehbench.config.recipe.sensor import Channel, Sensors
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FileModel, Q, Value, read_value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, meant, quantity
 
 
 def _share(raw: Any) -> Any:
     if raw is True:
-        raise ValueError("a share of the recorded value such as 0.15, or false to ask for none")
+        raise ValueError(message("config.share_expected"))
     return None if raw is False else raw
 
 
@@ -34,7 +35,7 @@ _Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share)
 
 def _unasked(raw: Any) -> Any:
     if raw is True:
-        raise ValueError("a value with unit, or false to ask for none")
+        raise ValueError(message("config.value_expected"))
     return None if raw is False else raw
 
 
@@ -89,7 +90,7 @@ class Thresholds(FileModel):
                     f"no quantity '{name}'" + (of_all if word in VOCABULARY else meant(name))
                 )
             if info.field_name == "fit_percent" and not value < 100.0:
-                raise ValueError(f"{name} = {value:g} cannot be reached: 100 % is an exact match")
+                raise ValueError(message("config.fit_too_high", name=name, value=value))
         if info.field_name == "fit_percent":
             return requested
         try:
@@ -141,14 +142,14 @@ class Reference(FileModel):
             return None
         if info.data["measure"] == "fit_percent":
             if isinstance(raw, bool) or not isinstance(raw, int | float) or not raw <= 100.0:
-                raise ValueError(f"{raw!r} is no percentage of fit: a number up to 100")
+                raise ValueError(message("config.no_percentage", raw=raw))
             return Value(float(raw))
         try:
             value = read_value(raw, quantity(info.data["channel"]))
         except InputError as error:
             raise ValueError(str(error)) from None
         if not 0.0 <= float(value) < math.inf:
-            raise ValueError(f"an rms error is not {raw}")
+            raise ValueError(message("config.no_rms_error", raw=raw))
         return value
 
     def as_json(self) -> dict[str, Any]:

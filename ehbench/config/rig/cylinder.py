@@ -17,6 +17,7 @@ from ehbench.parts.line import Line
 from ehbench.parts.mount import Mount
 from ehbench.parts.sway import Sway
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 
 if TYPE_CHECKING:
@@ -59,19 +60,16 @@ class Force(FileModel):
         needs = takes[:2]
         for key in needs:
             if getattr(self, key) is None:
-                raise ValueError(f"a force of kind '{self.kind}' needs '{key}'")
+                raise ValueError(message("config.force_kind_needs", kind=self.kind, key=key))
         for key in set(type(self).model_fields) - {"name", "kind", *takes}:
             if getattr(self, key) is not None:
-                raise Misplaced(f"a force of kind '{self.kind}' takes no '{key}'", key)
+                raise Misplaced(message("config.force_kind_takes", kind=self.kind, key=key), key)
         if (self.area_rod is None) != (self.pressure_rod is None):
-            raise ValueError("give area_rod and pressure_rod together")
+            raise ValueError(message("config.area_with_pressure"))
         if self.channel is not None:
             row = VOCABULARY.get(self.channel.rsplit(".", 1)[-1])
             if row is None or row.unit != "N" or "." not in self.channel:
-                raise Misplaced(
-                    f"'{self.channel}' is no channel of a force (such as '<cylinder>.force')",
-                    "channel",
-                )
+                raise Misplaced(message("config.no_force_channel", channel=self.channel), "channel")
         return self
 
 
@@ -123,25 +121,23 @@ class Cylinder(FileModel):
             (self.bore is not None, self.rod is not None),
         }
         if pairs != {(True, True), (False, False)}:
-            raise ValueError("give area_head and area_rod, or bore and rod")
+            raise ValueError(message("config.areas_or_bore"))
         for key in ("count", "through_rod"):
             if self.bore is None and getattr(self, key) != type(self).model_fields[key].default:
-                raise Misplaced(
-                    f"'{key}' goes with bore and rod; area_head and area_rod say all themselves",
-                    key,
-                )
+                raise Misplaced(message("config.only_with_bore", key=key), key)
         head, rod = self.areas()
         by = "area_rod" if self.area_rod is not None else "rod"
         if not 0 < rod <= head:
-            raise Misplaced(
-                "area_rod must be positive and not above area_head (head end = full-bore side)", by
-            )
+            raise Misplaced(message("config.area_rod_range"), by)
         swept = rod * float(self.stroke)
         if float(self.volume_rod) <= swept:
             both = self.volume_rod.like
             raise Misplaced(
-                f"volume_rod at x = 0 is {both('volume_rod', float(self.volume_rod))}, "
-                f"but the full stroke displaces {both('volume_rod', swept)}",
+                message(
+                    "config.volume_rod_small",
+                    volume_rod=both("volume_rod", float(self.volume_rod)),
+                    swept=both("volume_rod", swept),
+                ),
                 "volume_rod",
             )
         return self
@@ -166,9 +162,13 @@ class Cylinder(FileModel):
             if not (low < ends[0] and ends[1] < high):
                 is_in, length = self.pins.retracted_length.like, "retracted_length"
                 raise Misplaced(
-                    f"from pin to pin the cylinder is {is_in(length, ends[0])} long retracted "
-                    f"and {is_in(length, ends[1])} extended, while l_a and l_b allow "
-                    f"{is_in(length, low)} to {is_in(length, high)}, the ends excluded",
+                    message(
+                        "config.linkage_reach",
+                        ends=is_in(length, ends[0]),
+                        ends2=is_in(length, ends[1]),
+                        low=is_in(length, low),
+                        high=is_in(length, high),
+                    ),
                     "pins",
                     "retracted_length",
                 )
@@ -177,7 +177,7 @@ class Cylinder(FileModel):
     @model_validator(mode="after")
     def _one_linkage(self) -> Cylinder:
         if self.pins is not None and self.rack is not None:
-            raise Misplaced("a cylinder sits on 'pins' or drives a 'rack', not both", "rack")
+            raise Misplaced(message("config.pins_and_rack"), "rack")
         return self
 
     @property
@@ -194,9 +194,7 @@ class Cylinder(FileModel):
     def _one_line_an_end(self) -> Cylinder:
         if (at := second([line.end for line in self.line])) is not None:
             raise Misplaced(
-                f"the {self.line[at].end} end has a line already; give their volumes and "
-                "resistances in one",
-                *("line", at, "end"),
+                message("config.line_twice", end=self.line[at].end), *("line", at, "end")
             )
         return self
 
@@ -221,9 +219,7 @@ class Cylinder(FileModel):
         ):
             if (at := second([name for _, name in places])) is not None:
                 where, name = places[at]
-                raise Misplaced(
-                    f"two {what} are called '{name}'; give each a name of its own", *where
-                )
+                raise Misplaced(message("config.name_twice", what=what, name=name), *where)
         return self
 
     def parts(self) -> Iterator[tuple[str, FileModel]]:

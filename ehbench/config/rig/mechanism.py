@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from ehbench.config.rig.names import Name
 from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.messages import message
 
 _ROUNDED = 1e-2  # of an inertia that a drawing gives in two or three digits
 
@@ -23,10 +24,7 @@ def _solid(inertia: Value) -> Value:
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     spread = 0.5 * np.trace(tensor) * np.eye(3) - tensor
     if np.linalg.eigvalsh(spread)[0] < -_ROUNDED * abs(tensor).max():
-        raise ValueError(
-            "no body has this inertia: of xx, yy, zz none is above the sum of the others, "
-            "and xy, xz, yz are small beside them"
-        )
+        raise ValueError(message("config.no_inertia"))
     return inertia
 
 

@@ -10,6 +10,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel
 
 from ehbench.vocabulary.fields import FileModel
+from ehbench.vocabulary.messages import message
 
 NODES = ("supply", "tank", "head", "rod")
 
@@ -26,9 +27,7 @@ class Misplaced(ValueError):
 
 def _name(name: str) -> str:
     if not re.fullmatch(r"\w[\w-]*", name):
-        raise ValueError(
-            f"'{name}' is no name (letters, digits, _ and - make one; channels are called by it)"
-        )
+        raise ValueError(message("config.no_name", name=name))
     return name
 
 
@@ -36,9 +35,7 @@ def plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         plain = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode()
         plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_") or "my_rig"
-        raise ValueError(
-            f"'{name}' is no name of a rig: small letters, digits and _ make one, such as '{plain}'"
-        )
+        raise ValueError(message("config.no_rig_name", name=name, plain=plain))
     return name
 
 

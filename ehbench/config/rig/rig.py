@@ -22,6 +22,7 @@ from ehbench.parts.valve.law import DynamicsTable
 from ehbench.vocabulary import units
 from ehbench.vocabulary.errors import InputError, UnitError
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 from ehbench.vocabulary.units import factor, from_si
@@ -88,29 +89,28 @@ class Rig(FileModel):
         for at, cylinder in enumerate(self.cylinder):
             if cylinder.joint not in joints:
                 raise Misplaced(
-                    f"there is no joint '{cylinder.joint}'; there are {', '.join(joints)}",
+                    message("config.no_joint", joint=cylinder.joint, joints=", ".join(joints)),
                     "cylinder",
                     at,
                     "joint",
                 )
             if (cylinder.linkage is None) != (self.mechanism.kind == "slide"):
-                raise Misplaced(
-                    "on a joint a cylinder needs 'pins' or a 'rack', on a slide it has none",
-                    *("cylinder", at),
-                )
+                raise Misplaced(message("config.linkage_needed"), *("cylinder", at))
             for i, valve in enumerate(cylinder.valve):
                 for name in valve.series:
                     if name not in self.dynamics:
                         there = ", ".join(self.dynamics) or "none"
                         where = ("cylinder", at, "valve", i, "dynamics")
-                        raise Misplaced(f"there is no [dynamics.{name}]; there are {there}", *where)
+                        raise Misplaced(
+                            message("config.no_dynamics", name=name, there=there), *where
+                        )
         if "none" in self.payload:
-            raise Misplaced("'none' is no payload: name this one otherwise", "payload", "none")
+            raise Misplaced(message("config.payload_none"), "payload", "none")
         for load, links in self.payload.items():
             for link in links:
                 if link not in joints:
                     raise Misplaced(
-                        f"there is no link '{link}'; there are {', '.join(joints)}",
+                        message("config.no_link", link=link, joints=", ".join(joints)),
                         "payload",
                         load,
                         link,
@@ -126,14 +126,19 @@ class Rig(FileModel):
             bodies = self.mechanism.joint
             where = ("mechanism", "joint", len(bodies) - 1)
         if not float(bodies[-1].mass) > 0.0:
-            raise Misplaced(f"'{bodies[-1].name}' has no mass to move", *where, "mass")
+            raise Misplaced(message("config.no_mass", name=bodies[-1].name), *where, "mass")
         empty = {body.name: float(body.mass) for body in bodies}
         for load, links in self.payload.items():
             for link, change in links.items():
                 if change.mass is not None and float(change.mass) < empty[link]:
                     raise Misplaced(
-                        f"with '{load}' '{link}' has {float(change.mass):g} kg, less than its "
-                        f"{empty[link]:g} kg without: give the whole link with what it carries",
+                        message(
+                            "config.payload_light",
+                            load=load,
+                            link=link,
+                            mass=float(change.mass),
+                            empty=empty[link],
+                        ),
                         *("payload", load, link, "mass"),
                     )
         return self
@@ -151,8 +156,12 @@ class Rig(FileModel):
                     speed = float(edge.flow_gain) * reach * root / area
                     if speed > _FASTEST:
                         raise Misplaced(
-                            f"wide open '{valve.edge_name(edge)}' moves '{cylinder.name}' at "
-                            f"{speed:.3g} m/s: check the unit of flow_gain",
+                            message(
+                                "config.edge_too_wide",
+                                edge=valve.edge_name(edge),
+                                name=cylinder.name,
+                                speed=speed,
+                            ),
                             *("cylinder", at, "valve", i, "edge", j, "flow_gain"),
                         )
         return self
@@ -198,7 +207,7 @@ class Rig(FileModel):
             if cylinder.name == name:
                 return cylinder
         raise InputError(
-            f"rig '{self.name}' has no cylinder '{name}'",
+            message("config.no_cylinder", name=self.name, name2=name),
             hint="it has " + ", ".join(c.name for c in self.cylinder),
         )
 
@@ -293,7 +302,7 @@ class Rig(FileModel):
             return self.mechanism
         if load not in self.payload:
             raise InputError(
-                f"rig '{self.name}' has no payload '{load}'",
+                message("config.no_payload", name=self.name, load=load),
                 hint="it has " + (", ".join(self.payload) or "none"),
             )
         changes = self.payload[load]
@@ -380,7 +389,7 @@ class Rig(FileModel):
             if name not in known:
                 near = get_close_matches(name, known, 1)
                 raise InputError(
-                    f"rig '{self.name}' has no parameter '{name}'",
+                    message("config.no_parameter", name=self.name, name2=name),
                     hint=f"nearest is '{near[0]}'" if near else None,
                 )
         new = {
@@ -430,7 +439,7 @@ class Rig(FileModel):
             wrong = next((name for name in requested if name not in known), None)
             if wrong is not None:
                 raise InputError(
-                    f"rig '{self.name}' has no {what} '{wrong}'",
+                    message("config.no_such_part", name=self.name, what=what, wrong=wrong),
                     hint="there are " + (", ".join(known) or "none"),
                 )
 

@@ -8,6 +8,7 @@ from pydantic import model_validator
 
 from ehbench.config.rig.names import Misplaced, tables_of
 from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.messages import message
 
 _MOST_SUPPLY = 1.0e8  # [Pa]
 
@@ -93,25 +94,17 @@ class Supply(FileModel):
         load, low = self.load_sensing, self.low_rail
         maximum = float(self.pressure) - float(self.tank_pressure)
         if load is not None and not 0.0 < float(load.load_margin) < maximum:
-            raise Misplaced(
-                "the margin of load sensing must lie between 0 and the supply's pressure",
-                *("load_sensing", "load_margin"),
-            )
+            raise Misplaced(message("config.load_margin_range"), *("load_sensing", "load_margin"))
         if load is not None and not float(load.load_lag) > 0.0:
-            raise Misplaced("the lag of load sensing must be above 0", "load_sensing", "load_lag")
+            raise Misplaced(message("config.load_lag_range"), "load_sensing", "load_lag")
         if (
             low is not None
             and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < maximum
         ):
-            raise Misplaced(
-                "the low rail's pressure must lie between its margin and the supply's pressure",
-                *("low_rail", "rail_pressure"),
-            )
+            raise Misplaced(message("config.rail_range"), *("low_rail", "rail_pressure"))
         if load is not None and (low is not None or self.accumulator is not None):
             other = "low_rail" if low is not None else "accumulator"
-            raise Misplaced(
-                f"'{other}' holds a pressure, which load sensing is to change: leave one out", other
-            )
+            raise Misplaced(message("config.holds_pressure", other=other), other)
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
@@ -120,16 +113,13 @@ class Supply(FileModel):
                 self.pressure.like("pressure", float(p)) for p in (self.pressure, _MOST_SUPPLY)
             )
             raise Misplaced(
-                f"a supply of {given} is beyond any hydraulics: {maximum} at most", "pressure"
+                message("config.supply_too_high", given=given, maximum=maximum), "pressure"
             )
         if float(self.pressure) <= float(self.tank_pressure):
-            raise Misplaced("the supply's pressure must lie above tank_pressure", "pressure")
+            raise Misplaced(message("config.supply_below_tank"), "pressure")
         gas = self.accumulator
         if gas is not None and float(self.pressure) <= float(gas.precharge):
-            raise Misplaced(
-                "the accumulator holds no oil: its precharge must lie below the supply's pressure",
-                *("accumulator", "precharge"),
-            )
+            raise Misplaced(message("config.precharge_high"), *("accumulator", "precharge"))
         return self
 
 
@@ -145,5 +135,5 @@ class Oil(FileModel):
     @model_validator(mode="after")
     def _air_is_whole(self) -> Oil:
         if self.polytropic_exponent is not None and self.air_fraction is None:
-            raise Misplaced("an exponent of air needs 'air_fraction'", "polytropic_exponent")
+            raise Misplaced(message("config.exponent_without_air"), "polytropic_exponent")
         return self

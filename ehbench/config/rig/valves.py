@@ -14,6 +14,7 @@ from ehbench.parts.edge.law import EdgeLaw
 from ehbench.vocabulary import units
 from ehbench.vocabulary.errors import UnitError
 from ehbench.vocabulary.fields import FileModel, Q, Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 
 
@@ -36,17 +37,16 @@ class Rated(FileModel):
         if (self.drop is None) == (name == "flow_gain"):
             messages = "takes the drop across the edge" if self.drop is None else "goes by no drop"
             raise Misplaced(
-                f"a rated flow of this law {messages}", *([] if self.drop is None else ["drop"])
+                message("config.rated_flow_law", messages=messages),
+                *([] if self.drop is None else ["drop"]),
             )
         drop = 1.0 if self.drop is None else float(self.drop)
         for key, size in (("flow", float(self.flow)), ("drop", drop)):
             if not size > 0.0:
-                raise Misplaced(f"a rated {key} must be positive", key)
+                raise Misplaced(message("config.rated_not_positive", key=key), key)
         wide = min(abs(float(self.command)), widest) - deadband
         if not wide > 0.0:
-            raise Misplaced(
-                f"the rated command lies within the deadband of {deadband:g} V", "command"
-            )
+            raise Misplaced(message("config.rated_in_deadband", deadband=deadband), "command")
         each = 1.0 / (wide * math.sqrt(drop))
         unit = f"{self.flow.unit or 'm^3/s'}/V"
         messages = [self.flow.like("flow", float(self.flow)), f"{float(self.command):g} V"]
@@ -108,10 +108,10 @@ class Edge(LawFields, MeteringEdge):
             return self
         gains = {"flow_gain", "compensated_gain"} & set(edge_law(self.law).needs)
         if not gains:
-            raise Misplaced(f"law '{self.law}' takes no 'rated'", "rated")
+            raise Misplaced(message("config.no_rated", law=self.law), "rated")
         (name,) = gains
         if getattr(self, name) is not None:
-            raise Misplaced(f"give {name} or rated, not both", "rated")
+            raise Misplaced(message("config.gain_or_rated", name=name), "rated")
         widest = math.inf if self.opening_max is None else float(self.opening_max)
         try:
             gain = self.rated.gain(name, self.onset, widest)
@@ -124,19 +124,16 @@ class Edge(LawFields, MeteringEdge):
         law = edge_law(self.law)
         _must_be_whole(self, law, law.needs, set(LawFields.model_fields))
         if not law.metering and self.reverse == "blocked":
-            raise Misplaced(
-                f"a {self.law} passes oil both ways; put a check valve beside it", "reverse"
-            )
+            raise Misplaced(message("config.passes_both_ways", law=self.law), "reverse")
         if not law.metering and float(self.deadband) > 0.0:
-            raise Misplaced(f"a {self.law} has no deadband", "deadband")
+            raise Misplaced(message("config.no_deadband", law=self.law), "deadband")
         if self.underlap is not None and not law.has_deadband:
-            raise Misplaced(f"law '{self.law}' takes no underlap", "underlap")
+            raise Misplaced(message("config.no_underlap", law=self.law), "underlap")
         if float(self.underlap or 0.0) > 0.0 and float(self.deadband) > 0.0:
-            raise Misplaced("give deadband (overlap) or underlap, not both", "underlap")
+            raise Misplaced(message("config.deadband_or_underlap"), "underlap")
         if not law.metering and float(self.cracking_pressure) > 0.0:
             raise Misplaced(
-                f"a {self.law} has no cracking pressure; put a check valve beside it",
-                "cracking_pressure",
+                message("config.no_cracking_pressure", law=self.law), "cracking_pressure"
             )
         if (odd := law.odd(self)) is not None:
             raise Misplaced(*odd)
@@ -175,11 +172,9 @@ class FixedEdge(FixedLawFields, UnmeteredEdge):
         law = edge_law(self.law)
         _must_be_whole(self, law, law.needs_fixed, set(FixedLawFields.model_fields))
         if (self.pilot is None) != (self.pilot_ratio is None):
-            raise ValueError(
-                "a pilot-operated check valve takes pilot and pilot_ratio, another none"
-            )
+            raise ValueError(message("config.pilot_ratio"))
         if self.pilot == self.from_:
-            raise Misplaced("the pilot is at 'from', where it opens nothing", "pilot")
+            raise Misplaced(message("config.pilot_at_from"), "pilot")
         return self
 
     @property
@@ -196,17 +191,17 @@ def _must_be_whole(
     had before it was measured.
     """
     if edge.from_ == edge.to:
-        raise ValueError(f"an edge joins two different nodes, not {edge.to} with itself")
+        raise ValueError(message("config.edge_to_itself", to=edge.to))
     for need in needs:
         if getattr(edge, need) is None:
-            raise ValueError(f"law '{law.name}' needs '{need}'")
+            raise ValueError(message("config.law_needs", name=law.name, need=need))
     if law.name == "map":
         return
     takes = (*needs, *law.takes)
     for key in sorted(edge.model_fields_set & of_laws - set(takes)):
         if getattr(edge, key) is not None:
             own = ", ".join(takes)
-            raise Misplaced(f"law '{law.name}' takes no '{key}'; its own keys: {own}", key)
+            raise Misplaced(message("config.law_without_key", name=law.name, key=key, own=own), key)
 
 
 class Valve(FileModel):
@@ -228,9 +223,7 @@ class Valve(FileModel):
     @classmethod
     def _each_once(cls, names: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
         if isinstance(names, tuple) and (at := second(names)) is not None:
-            raise ValueError(
-                f"'{names[at]}' stands in the series twice; give one a name of its own"
-            )
+            raise ValueError(message("config.dynamics_twice", names=names[at]))
         return names
 
     @field_validator("calibration")
@@ -247,14 +240,12 @@ class Valve(FileModel):
     @model_validator(mode="after")
     def _range(self) -> Valve:
         if float(self.command_min) >= float(self.command_max):
-            raise Misplaced("command_min must lie below command_max", "command_min")
+            raise Misplaced(message("config.command_range"), "command_min")
         lowest, highest = self.given
         if self.drive_limit is not None and float(self.drive_limit) == 0.0:
-            raise Misplaced("a drive that gives nothing moves no valve", "drive_limit")
+            raise Misplaced(message("config.drive_zero"), "drive_limit")
         if not lowest <= self.rest <= highest:
-            raise Misplaced(
-                "a drive that gives no more than this never comes to rest", "drive_limit"
-            )
+            raise Misplaced(message("config.drive_never_rests"), "drive_limit")
         for index, edge in enumerate(self.edge):
             reach = highest if edge.sign > 0 else -lowest
             opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
@@ -265,7 +256,7 @@ class Valve(FileModel):
                     else f"commands below {0.0 - opens:g} V"
                 )
                 raise Misplaced(
-                    f"the edge opens on {way}, and the valve takes {lowest:g} to {highest:g} V",
+                    message("config.edge_never_opens", way=way, lowest=lowest, highest=highest),
                     "edge",
                     index,
                 )
