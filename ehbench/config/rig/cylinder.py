@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from ehbench.config.rig.mechanism import Pins, Rack
-from ehbench.config.rig.names import Misplaced, Name, prefix_of, second, tables_of
+from ehbench.config.rig.names import Misplaced, Name, second
 from ehbench.config.rig.valves import FixedEdge, Valve
 from ehbench.parts.friction import TABLES as FRICTIONS
 from ehbench.parts.friction.law import FrictionTable
@@ -221,13 +220,6 @@ class Cylinder(FileModel):
                 where, name = places[at]
                 raise Misplaced(message("config.name_twice", what=what, name=name), *where)
         return self
-
-    def parts(self) -> Iterator[tuple[str, FileModel]]:
-        """Its further parts with what their parameters' names begin with, after the cylinder's."""
-        for key, item in tables_of(self).items():
-            yield prefix_of(key), item
-        for part in (*self.force, *self.line):
-            yield f"{part.name}.", part
 
     @property
     def unmodelled(self) -> tuple[str, ...]:

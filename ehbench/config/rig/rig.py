@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -343,34 +342,55 @@ class Rig(FileModel):
             raise InputError(str(error)) from None
         return self.model_copy(update={"supply": supply})
 
+    def _parts(self) -> Iterator[tuple[str, tuple[str | int, ...], Any]]:
+        """(what its parameters' names begin with, where it is, the table) of each part of the rig,
+        a part before those inside it.
+        """
+        yield "", (), self
+        yield "", ("oil",), self.oil
+        yield "supply.", ("supply",), self.supply
+        for key, part in tables_of(self.supply).items():
+            yield "supply.", ("supply", key), part
+        if isinstance(self.mechanism, Slide):
+            yield f"{self.mechanism.name}.", ("mechanism",), self.mechanism
+        else:
+            for i, joint in enumerate(self.mechanism.joint):
+                yield f"{joint.name}.", ("mechanism", "joint", i), joint
+        for i, cylinder in enumerate(self.cylinder):
+            yield f"{cylinder.name}.", ("cylinder", i), cylinder
+            for key, part in tables_of(cylinder).items():
+                yield f"{cylinder.name}.{prefix_of(key)}", ("cylinder", i, key), part
+            for key in ("force", "line"):
+                for j, part in enumerate(getattr(cylinder, key)):
+                    yield f"{cylinder.name}.{part.name}.", ("cylinder", i, key, j), part
+        valves = [
+            (cylinder.name, ("cylinder", i, "valve", j), valve)
+            for i, cylinder in enumerate(self.cylinder)
+            for j, valve in enumerate(cylinder.valve)
+        ]
+        for owner, place, valve in valves:
+            yield f"{owner}.{valve.name}.", place, valve
+        for name, dynamics in self.dynamics.items():
+            yield f"{name}.", ("dynamics", name), dynamics
+        for owner, place, valve in valves:
+            for k, edge in enumerate(valve.edge):
+                yield f"{owner}.{valve.edge_name(edge)}.", (*place, "edge", k), edge
+        for i, cylinder in enumerate(self.cylinder):
+            for j, edge in enumerate(cylinder.edge):
+                yield f"{cylinder.name}.{edge.name}.", ("cylinder", i, "edge", j), edge
+
     def parameters(self) -> dict[str, Value]:
         """Every scalar parameter by the name recipes use.
 
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
-        results: dict[str, Value] = {"gravity": self.gravity}
-        results |= {name: value for name, value in scalars(self.oil)}
-        for line in (self.supply, *self.supply.tables().values()):
-            results |= {f"supply.{name}": value for name, value in scalars(line)}
-        bodies = (
-            [self.mechanism] if isinstance(self.mechanism, Slide) else list(self.mechanism.joint)
-        )
-        for body in bodies:
-            results |= {f"{body.name}.{name}": value for name, value in scalars(body)}
-        for cylinder in self.cylinder:
-            results |= {f"{cylinder.name}.{name}": value for name, value in scalars(cylinder)}
-            for prefix, part in cylinder.parts():
-                results |= {
-                    f"{cylinder.name}.{prefix}{name}": value for name, value in scalars(part)
-                }
-        for cylinder, valve in self.valves():
-            if valve.drive_limit is not None:
-                results[f"{cylinder.name}.{valve.name}.drive_limit"] = valve.drive_limit
-        for name, dynamics in self.dynamics.items():
-            results |= {f"{name}.{key}": value for key, value in dynamics.parameters().items()}
-        for edge_name, edge in self.all_edges().items():
-            results |= {f"{edge_name}.{name}": value for name, value in scalars(edge)}
+        results: dict[str, Value] = {}
+        for prefix, _, part in self._parts():
+            numbers = part.parameters() if isinstance(part, DynamicsTable) else dict(scalars(part))
+            if isinstance(part, Valve):
+                numbers = {key: value for key, value in numbers.items() if key == "drive_limit"}
+            results |= {f"{prefix}{key}": value for key, value in numbers.items()}
         return results
 
     def with_values(
@@ -379,49 +399,38 @@ class Rig(FileModel):
         """This rig with parameters replaced, addressed as in ``parameters``.
 
         Args:
+            values: by name [SI].
             known: its ``parameters()``, where they are at hand: to gather them takes longest.
 
         Raises:
             InputError: no such parameter; names the nearest.
         """
         known = self.parameters() if known is None else known
-        for name in values:
+        new: dict[str, dict[str, Value]] = {}
+        for name, value in values.items():
             if name not in known:
                 near = get_close_matches(name, known, 1)
-                raise InputError(
-                    message("config.no_parameter", name=self.name, name2=name),
-                    hint=f"nearest is '{near[0]}'" if near else None,
-                )
-        new = {
-            name: replace(value, unit=value.unit or known[name].unit)
-            if isinstance(value, Value)
-            else replace(known[name], value=float(value), text=None)
-            for name, value in values.items()
-        }
-
-        def own(prefix: str, model: Any) -> Any:
-            return _replaced(model, prefix, new)
-
-        mechanism = (
-            own(f"{self.mechanism.name}.", self.mechanism)
-            if isinstance(self.mechanism, Slide)
-            else _renewed(
-                self.mechanism, joint=tuple(own(f"{j.name}.", j) for j in self.mechanism.joint)
+                hint = f"nearest is '{near[0]}'" if near else None
+                text = message("config.no_parameter", rig=self.name, name=name)
+                raise InputError(text, hint=hint)
+            prefix, dot, key = name.rpartition(".")
+            new.setdefault(prefix + dot, {})[key] = (
+                replace(value, unit=value.unit or known[name].unit)
+                if isinstance(value, Value)
+                else replace(known[name], value=float(value), text=None)
             )
-        )
-        tables = {key: own("supply.", part) for key, part in self.supply.tables().items()}
-        return own("", self).model_copy(
-            update={
-                "oil": own("", self.oil),
-                "supply": _renewed(own("supply.", self.supply), **tables),
-                "mechanism": mechanism,
-                "cylinder": tuple(_cylinder_with(c, new) for c in self.cylinder),
-                "dynamics": {
-                    name: model.with_values(_below(f"{name}.", new))
-                    for name, model in self.dynamics.items()
-                },
-            }
-        )
+        rig = self
+        for prefix, place, part in self._parts():
+            update = new.get(prefix, {})
+            if isinstance(part, DynamicsTable):
+                changed = part.with_values(update)
+            else:
+                fields = type(part).model_fields
+                update = {key: value for key, value in update.items() if key in fields}
+                changed = part.model_copy(update=update) if update else part
+            if changed is not part:
+                rig = _with_part(rig, place, changed)
+        return rig
 
     def with_dynamics(self, by_valve: Mapping[str, str]) -> Rig:
         """This rig with valves, named ``<cylinder>.<valve>``, that have other dynamics of its file.
@@ -467,55 +476,19 @@ class Rig(FileModel):
         )
 
 
-def _replaced(model: Any, prefix: str, new: Mapping[str, Value]) -> Any:
-    """A part with those of its own fields replaced that ``new`` names with ``prefix``."""
-    own = _below(prefix, new)
-    if not own:
-        return model
-    fields = type(model).model_fields
-    update = {key: value for key, value in own.items() if key in fields}
-    return model.model_copy(update=update) if update else model
-
-
-def _renewed(model: Any, **parts: Any) -> Any:
-    """A part with other parts of its own; itself where they are what it has: what a plant keeps of
-    parts (`plant.build.Kept`) is found by them.
+def _with_part(model: Any, place: tuple[str | int, ...], part: Any) -> Any:
+    """A table with another part at a place; its other parts stay the very same objects, by which
+    `plant.build` finds what it has built of them.
     """
-    for key, part in parts.items():
-        old = getattr(model, key)
-        many = isinstance(part, tuple)
-        if part is not old and not (many and all(map(operator.is_, part, old))):
-            return model.model_copy(update=parts)
-    return model
-
-
-def _below(prefix: str, new: Mapping[str, Value]) -> dict[str, Value]:
-    """The values whose names begin with ``prefix``, by the rest of their names."""
-    return {name[len(prefix) :]: value for name, value in new.items() if name.startswith(prefix)}
-
-
-def _cylinder_with(model: Cylinder, new: Mapping[str, Value]) -> Cylinder:
-    """A cylinder with new values of its own, of its tables and its edges."""
-    own = _below(f"{model.name}.", new)
-    tables = {key: _replaced(part, prefix_of(key), own) for key, part in tables_of(model).items()}
-    changed = _renewed(_replaced(model, "", own), **tables)
-    if not any("." in name for name in own):
-        return changed
-    valves = []
-    for valve in model.valve:
-        edges = (_replaced(e, f"{valve.edge_name(e)}.", own) for e in valve.edge)
-        whole = _replaced(valve, f"{valve.name}.", own)
-        valves.append(_renewed(whole, edge=tuple(edges)))
-    named: dict[str, tuple[Any, ...]] = {
-        "force": model.force,
-        "edge": model.edge,
-        "line": model.line,
-    }
-    lists = {
-        key: tuple(_replaced(part, f"{part.name}.", own) for part in parts)
-        for key, parts in named.items()
-    }
-    return _renewed(changed, valve=tuple(valves), **lists)
+    if not place:
+        return part
+    key, rest = place[0], place[1:]
+    if isinstance(model, tuple):
+        inner = _with_part(model[key], rest, part)
+        return (*model[:key], inner, *model[key + 1 :])  # type: ignore[operator]
+    if isinstance(model, dict):
+        return {**model, key: _with_part(model[key], rest, part)}
+    return model.model_copy(update={key: _with_part(getattr(model, str(key)), rest, part)})
 
 
 def parameter_row(name: str) -> Quantity:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import model_validator
 
-from ehbench.config.rig.names import Misplaced, tables_of
+from ehbench.config.rig.names import Misplaced
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
 
@@ -75,10 +75,6 @@ class Supply(FileModel):
             if item is not None:
                 results |= {name: float(getattr(item, name)) for name in type(item).model_fields}
         return results
-
-    def tables(self) -> dict[str, FileModel]:
-        """The tables that it has beside its own values."""
-        return tables_of(self)
 
     @model_validator(mode="after")
     def _one_way_to_follow_the_load(self) -> Supply:
