@@ -6,9 +6,8 @@
     run = ehbench.identify("recipes/slide_servo/hydraulics.toml")
     run.parameters
 
-Everything is SI inside; `ehbench.vocabulary.quantities` names each quantity with its unit. What a
-command of
-the command line does, the function of its name does: `check`, `identify`, `validate`, `tune`,
+Everything is SI inside; `ehbench.vocabulary.quantities` names each quantity with its unit. Commands
+of the command line are functions of the same names: `check`, `identify`, `validate`, `tune`,
 `run_trial`, `report`; `run` takes a recipe of any stage. Importing the package changes nothing else
 in the process.
 """
@@ -109,18 +108,7 @@ def identify(
         run = ehbench.identify("recipes/slide_servo/hydraulics.toml")
         run.parameters.loc["bulk_modulus"]
 
-    Args:
-        recipe: its TOML file.
-        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
-        progress: called with a sentence and the share done.
-
-    Returns:
-        The outcome: ``.folder``, ``.code``, ``.notes``, and what the run saved: ``.rig``,
-            ``.flow_maps``, ``.parameters``, ``.json("parameters")``.
-
-    Raises:
-        InputError: a bad recipe or bad data; says file, line and what would be right.
-        InsufficientData: the data do not support the fit.
+    Arguments and errors as in `run`.
     """
     return _run(recipe, "identify", out, progress)
 
@@ -135,13 +123,7 @@ def validate(
         run = ehbench.validate("recipes/slide_servo/validation.toml")
         run.code, run.json("validation")["verdict"]
 
-    Args:
-        recipe: its TOML file.
-        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
-        progress: called with a sentence and the share done.
-
-    Raises:
-        InputError: a bad recipe or bad data; says file, line and what would be right.
+    Arguments and errors as in `run`.
     """
     return _run(recipe, "validate", out, progress)
 
@@ -159,15 +141,7 @@ def tune(
         run = ehbench.tune("recipes/slide_servo/tuning.toml")
         run.json("tuning")["gains"]
 
-    Args:
-        recipe: its TOML file.
-        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
-        progress: called with a sentence and the share done.
-        unvalidated: tune on a rig that no validation accepted.
-
-    Raises:
-        InputError: a bad recipe; says file, line and what would be right.
-        ModelRejected: the rig is not validated.
+    Arguments and errors as in `run`.
     """
     return _run(recipe, "tune", out, progress, unvalidated=unvalidated)
 
@@ -185,14 +159,7 @@ def run_trial(
         run = ehbench.run_trial("my_rig/recipes/step_small.toml")
         log = ehbench.read_log(run.folder / "log.mcap")
 
-    Args:
-        recipe: its TOML file.
-        out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
-        progress: called with a sentence and the share done.
-        allow_code: let the recipe run a controller of your own, which is Python code.
-
-    Raises:
-        InputError: a bad recipe; says file, line and what would be right.
+    Arguments and errors as in `run`.
     """
     return _run(recipe, "run-trial", out, progress, allow_code=allow_code)
 
@@ -214,13 +181,18 @@ def run(
     Args:
         recipe: its TOML file.
         out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
-        progress: called with a sentence and the share done.
+        progress: called with an activity and the share done.
         unvalidated: tune on a rig that no validation accepted.
         allow_code: let the recipe run a controller of your own, which is Python code.
 
+    Returns:
+        The outcome: ``.folder``, ``.code``, ``.notes``, and what the run saved: ``.rig``,
+            ``.flow_maps``, ``.parameters``, ``.json("parameters")``.
+
     Raises:
-        InputError: a bad recipe or bad data; says file, line and what would be right.
-        InsufficientData: the data do not support the claim.
+        InputError: a bad recipe or bad data; with file, line and what would be right.
+        InsufficientData: the data do not support the result.
+        ModelRejected: the rig is not validated.
     """
     from ehbench import workflow
 

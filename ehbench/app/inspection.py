@@ -137,7 +137,7 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
     lines, notes = [], []
     for index, cylinder in enumerate(rig.cylinder):
         word, decimals = ("x", 0) if rig.mechanism.kind == "slide" else ("q", 1)
-        first, last = (rig.told(word, value, decimals) for value in model.stroke_range(index))
+        first, last = (rig.text(word, value, decimals) for value in model.stroke_range(index))
         places = [model.layout.state(name, index) for name in ("p_head", "p_rod")]
         head, rod = (in_rig_unit(rig, "p_head", state[place]) for place in places)
         fields = {"load": load or "no payload", "cylinder": cylinder.name}

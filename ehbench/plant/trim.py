@@ -103,7 +103,7 @@ def _coordinate(rig: Rig, plant: Plant, index: int, name: str, text: str) -> flo
         if not 0 <= stroke <= row.stroke:
             raise InputError(
                 f"posture {name} = {text} lies outside the stroke",
-                hint=f"0 to {rig.told('x', row.stroke, 1)}",
+                hint=f"0 to {rig.text('x', row.stroke, 1)}",
             ) from None
         return float(joint_of(row, stroke))
 
@@ -113,7 +113,7 @@ def _must_lie_on_the_stroke(rig: Rig, plant: Plant, index: int, name: str, numbe
     if low - 1e-9 <= number <= high + 1e-9:
         return
     word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
-    first, last, at = (rig.told(word, value, decimals) for value in (low, high, number))
+    first, last, at = (rig.text(word, value, decimals) for value in (low, high, number))
     raise InputError(
         f"posture {name} = {at} lies outside the stroke",
         hint=f"the stroke allows {first.partition(' ')[0]} to {last}",

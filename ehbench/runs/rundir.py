@@ -1,6 +1,6 @@
 """Run folders: results in plain files, with every input named by its SHA-256.
 
-A run is written into a temporary folder beside its place and renamed when it is whole, so nothing
+A run is written into a temporary folder next to its place and renamed when it is whole, so nothing
 half-written stays. What a killed process left is cleared by the next run, and the logs in it are
 kept. ``run.json`` holds only what the same inputs give again; what differs from run to run is in
 ``volatile.json``."""
@@ -35,7 +35,7 @@ from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import shortened_path
 
 PACKAGE = Path(__file__).resolve().parents[1]
-SHIPPED = PACKAGE / "shipped"  # recipes and datasets in a wheel; a checkout has them beside it
+SHIPPED = PACKAGE / "shipped"  # recipes and datasets in a wheel; a checkout has them next to it
 _PART = re.compile(r"\.(?P<name>.+)\.(?P<pid>[1-9]\d*)\.part")
 # errors of a disk that takes no more
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -132,7 +132,7 @@ def _messages(value: dict[str, Any]) -> Any:
 class Run:
     """A run being written: put files into ``path``; ``facts`` become part of ``run.json``.
 
-    ``left_over`` says what killed runs had left beside it.
+    ``left_over`` says what killed runs had left next to it.
     """
 
     path: Path

@@ -96,13 +96,13 @@ def make_chunk(sent: Sent, chunk: list[Task]) -> list[Sample]:
 
 
 class Cluster:
-    """The workers behind a Dask scheduler.
+    """The workers of a Dask scheduler.
 
     Args:
         address: of the scheduler, such as ``tcp://host:8786``.
         bundle: of the study.
         measures: of a sample.
-        limit: time [s] that a sample may take; a worker that hangs beyond it is started anew.
+        limit: time [s] that a sample may take; a worker that hangs beyond it is restarted.
         settings: how samples are handed over.
 
     Raises:
@@ -200,7 +200,7 @@ class Cluster:
             yield [Sample.lost(chunk[0][0], text, self._measures, late)]
 
     def _overdue(self) -> Iterator[list[Sample]]:
-        """A chunk at work for longer than its samples may take: its worker is started anew."""
+        """A chunk at work for longer than its samples may take: its worker is restarted."""
         if self._limit is None:
             return
         chosen = self._settings

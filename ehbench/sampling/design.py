@@ -1,7 +1,7 @@
 """Which samples a study has: every combination of listed values, each on the same points of what is
 drawn or swept without a count.
 
-A sample hangs on the study's seed and its own number alone, never on where or when it is made."""
+A sample depends only on the study's seed and its number, never on where or when it is made."""
 
 from __future__ import annotations
 

@@ -25,18 +25,17 @@ class Journal:
     """The samples that are done.
 
     Args:
-        path: of the file; what stands there is taken over if it is of this very study, else
-            replaced.
+        path: of the file; its content is taken over if it is of this very study, else replaced.
         key: of the study: recipe, inputs, versions.
         size: how many samples it has.
-        resume: whether to take over what stands.
+        resume: whether to take over its content.
 
     Attributes:
         done: which samples are there.
         taken: how many samples were taken over.
 
     Raises:
-        InputError: samples of this study stand there, and ``resume`` is not set.
+        InputError: it has samples of this study, and ``resume`` is not set.
     """
 
     def __init__(self, path: Path, key: str, size: int, resume: bool) -> None:

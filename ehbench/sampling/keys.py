@@ -132,10 +132,10 @@ def changed_table(table: Mapping[str, Any], changes: Mapping[str, Any], file: st
     Args:
         table: as TOML has it.
         changes: values by dotted path; the payload "none" is none.
-        file: ``rig``, ``recipe`` or ``bench``, for what is said.
+        file: ``rig``, ``recipe`` or ``bench``, for messages.
 
     Raises:
-        InputError: the path leads through what is no table, or a factor stands on no number.
+        InputError: the path leads through what is no table, or a factor meets no number.
     """
     built = deepcopy(dict(table))
     for path, raw in changes.items():

@@ -75,7 +75,7 @@ class Rows:
 
 
 def hash_of(key: str, settings: Any) -> str:
-    """What a sample hangs on, as 16 hex digits."""
+    """What a sample depends on, as 16 hex digits."""
     text = json.dumps(settings, sort_keys=True, default=str)
     return hashlib.sha256(f"{key}{text}".encode()).hexdigest()[:16]
 
@@ -88,7 +88,7 @@ def write_tables(
     Args:
         folder: of the run.
         design: the samples' inputs.
-        measures: the columns behind them.
+        measures: the columns after them.
         journal: every sample.
         key: of the study.
     """

@@ -1,6 +1,6 @@
 """Where samples are made: in threads or processes of this machine, or on a Dask cluster
-(`ehbench.sampling.cluster`). No sample depends on where, in which order or beside how many others
-it is made.
+(`ehbench.sampling.cluster`). No sample depends on where or in which order it is
+made.
 """
 
 from __future__ import annotations

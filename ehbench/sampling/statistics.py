@@ -112,7 +112,7 @@ def rank_regression(
 
 
 def scores(codes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """What stands for a text in a regression of ranks: the mean rank of its samples.
+    """The number of a text in a regression of ranks: the mean rank of its samples.
 
     Args:
         codes: a number for each text, shape (samples,).

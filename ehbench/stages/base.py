@@ -41,12 +41,12 @@ class Outcome:
 
     @property
     def rig(self) -> Rig:
-        """The rig that the run leaves behind."""
+        """The rig that the run leaves."""
         return load_rig(self.folder)
 
     @property
     def flow_maps(self) -> FlowMaps | None:
-        """The flow maps that the run leaves behind, if any."""
+        """The flow maps that the run leaves, if any."""
         return maps_in(self.folder)
 
     @property
@@ -140,7 +140,7 @@ class PreparedFromLogs(Prepared):
 
 @dataclass(frozen=True)
 class Work:
-    """What a stage's work leaves beside its files: facts for ``run.json`` with their ``warnings``,
+    """What a stage's work leaves in addition to files: facts for ``run.json`` with ``warnings``,
     reasons why it is not simply done, and the exit code.
     """
 
@@ -250,8 +250,8 @@ class Stage(Checked[R], Generic[R, P]):
         return Versions.of(self.name)
 
     def run(self, prepared: P, host: Host) -> Outcome:
-        """Do the work in a new run folder and draw its figures; a run that stands with these very
-        inputs is kept if the host keeps.
+        """Do the work in a new run folder and draw its figures; a finished run of these very inputs
+        is left alone if the host keeps.
         """
         from ehbench.report import draw
 

@@ -83,7 +83,7 @@ def _shown(rig: Rig, channel: str, word: str, value: float, std: float) -> str:
 
 
 def _given_terms(table: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """What a table states beside what its fit estimated of all logs."""
+    """What a table states in addition to what its fit estimated of all logs."""
     shared = {row["word"] for row in rows if row["channel"] == table["channel"] and not row["log"]}
     if table.get("sign") == -1:
         yield "sign -1"

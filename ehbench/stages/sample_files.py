@@ -47,7 +47,7 @@ def run_samples(
 
 
 def _run(plan: Plan, path: Path, out: Path, runs: dict[Path, Path]) -> Outcome:
-    """Run a written recipe; upstream recipes that were written with it run beside it."""
+    """Run a written recipe; upstream recipes that were written with it run next to it."""
 
     def run_of(upstream: Path) -> Path:
         if upstream in plan.runs:

@@ -57,7 +57,10 @@ class StudySettings:
         4, "", "numbers in memory for each of the table", "it, its point in the design, two at work"
     )
     outer_draws: tuple[float, float] = setting(
-        (0.02, 0.98), "", "shares of each draw that are tried before the study", "rarer is not told"
+        (0.02, 0.98),
+        "",
+        "shares of each draw that are tried before the study",
+        "rarer draws are few",
     )
     short: float = setting(
         10.0, "s", "work that is done in threads", "a process takes seconds to start"
@@ -159,7 +162,7 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         return prepared.versions
 
     def run(self, prepared: PreparedStudy, host: Host) -> Outcome:
-        """As `Stage.run`; samples are stored beside the run's place until it is complete."""
+        """As `Stage.run`; samples are stored next to the run until it is complete."""
         final = self.place(prepared, host)
         journal = final.with_name(f"{final.name}.samples.jsonl")
         resume = host.resume or host.keep

@@ -127,7 +127,7 @@ def length_of(lengths: list[float], rate: float) -> str:
 def prepared_case(
     name: str, recipe: TrialRecipe, state: RigState, inputs: Inputs
 ) -> tuple[Case, NamedFiles, Ready]:
-    """(one trial, its inputs beside the rig, the trial before its first tick)."""
+    """(one trial, its inputs without the rig, the trial before its first tick)."""
     from ehbench import trial
     from ehbench.machines.protocol import truth_of
     from ehbench.trial import Case

@@ -168,7 +168,7 @@ def in_rig_unit(rig: Rig, name: str, value: float) -> str:
 
 
 def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[FittedSamples]]:
-    """(SHA-256 of the logs that the runs behind these inputs were fitted on, their samples as far
+    """(SHA-256 of the logs that the runs among these inputs were fitted on, their samples as far
     as the runs have them).
     """
     from ehbench.report.saved import read_series

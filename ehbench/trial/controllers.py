@@ -334,7 +334,7 @@ def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
     """Set-point of the off-side chamber above tank [Pa] that a recipe's controller has, at which
     its trial starts.
     """
-    given = controller_of(recipe).own_gains.get("low_pressure")
+    given = controller_of(recipe).written_gains.get("low_pressure")
     if given is not None:
         return quantities(
             recipe, "gains", {"low_pressure": given}, {"low_pressure": VOCABULARY["low_pressure"]}
@@ -433,7 +433,7 @@ def _written(
     rules |= {"choice": None, "allow_seventh": None}
     shaping = {name: VOCABULARY[name] for name in SHAPING_NAMES}
     return (
-        quantities(recipe, "gains", chosen.own_gains, law.gains, law.bounds),
+        quantities(recipe, "gains", chosen.written_gains, law.gains, law.bounds),
         quantities(recipe, "rules", chosen.rules, rules),
         quantities(recipe, "shaping", chosen.shaping, shaping),
     )

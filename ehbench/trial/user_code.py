@@ -65,7 +65,7 @@ class UserCode:
         assert file is not None  # the recipe names a class
         self.code = _Code(file, chosen.class_name)
         _refuse_foreign(recipe)
-        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.own_gains.items()}
+        gains = {name: _gain(recipe, name, raw) for name, raw in chosen.written_gains.items()}
         self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
         with self.code.guard.watched():
             self.object = self.code.make(gains)

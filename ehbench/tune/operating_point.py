@@ -332,7 +332,7 @@ class _Motion:
             off = (force + row.area_rod * other) / row.area_head
         note = (
             "the load does not suit this function: off-side raised to "
-            f"{self.model.rig.told('p_rod', off, 0)} to keep the metered chamber full"
+            f"{self.model.rig.text('p_rod', off, 0)} to keep the metered chamber full"
         )
         return _Settled(force, *self.chambers(force, off), note)
 
@@ -489,7 +489,7 @@ def operating_point(
         possible=not troubles,
         fits=not troubles and not note,
         note="; ".join([note] * bool(note) + troubles),
-        where=f"x = {model.rig.told('x', here.x[index], 0)}, v = {model.rig.told('v', v, 0, '+')}",
+        where=f"x = {model.rig.text('x', here.x[index], 0)}, v = {model.rig.text('v', v, 0, '+')}",
     )
 
 

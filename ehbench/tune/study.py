@@ -258,6 +258,6 @@ def _strokes(rig: Rig, recipe: AnyTuning, stroke: float) -> np.ndarray:
     if x.min() < 0 or x.max() > stroke:
         raise InputError(
             "a stroke to tune at lies outside the cylinder's",
-            hint=f"0 to {rig.told('x', stroke, 1)}",
+            hint=f"0 to {rig.text('x', stroke, 1)}",
         )
     return x

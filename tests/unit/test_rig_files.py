@@ -142,9 +142,9 @@ def test_places_are_told_in_the_readers_unit_as_finely_as_in_mm():
     """An inch takes two decimals more than a millimetre, bar two more than kPa, m/s three more."""
     rig = load_rig(FOLDER / "slide_servo.toml")
     inch = rig.model_copy(update={"display": {"x": "in", "v": "m/s"}})
-    assert rig.told("x", 0.254, 1) == "254.0 mm" and inch.told("x", 0.254, 1) == "10.000 in"
-    assert rig.told("v", 0.05, 0, "+") == "+50 mm/s" and inch.told("v", 0.05, 0) == "0.050 m/s"
-    assert rig.told("press.p_rod", 5.2e5, 0) == "5.20 bar"
+    assert rig.text("x", 0.254, 1) == "254.0 mm" and inch.text("x", 0.254, 1) == "10.000 in"
+    assert rig.text("v", 0.05, 0, "+") == "+50 mm/s" and inch.text("v", 0.05, 0) == "0.050 m/s"
+    assert rig.text("press.p_rod", 5.2e5, 0) == "5.20 bar"
     with pytest.raises(InputError, match=r"posture press = 118\.110 in lies") as caught:
         Model.of(inch).posture({"press": "3 m"})
     assert caught.value.hint == "the stroke allows 0.000 to 15.748 in"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Set
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -166,23 +167,35 @@ class Recipe(FileModel):
         return {"file": self.path, "line": line}
 
 
-def _flat(raw: Any) -> Any:
-    """Tables within a table of parameters as dotted names, as unquoted keys such as
-    ``boom.joint_damping`` make them.
+def dotted(raw: Any, entry_keys: Set[str] = frozenset()) -> Any:
+    """Tables within tables as dotted names, as unquoted keys such as ``boom.joint_damping`` make
+    them.
+
+    Args:
+        raw: a table.
+        entry_keys: keys of a table that is itself an entry, with values that are not all tables;
+            none where entries are plain values.
     """
     if not isinstance(raw, dict):
         return raw
     results: dict[str, Any] = {}
     for name, value in raw.items():
-        inner = (
-            {f"{name}.{key}": item for key, item in _flat(value).items()}
-            if isinstance(value, dict)
-            else {name: value}
-        )
+        is_nested = isinstance(value, dict)
+        if is_nested and entry_keys:
+            inside = all(isinstance(item, dict | list) for item in value.values())
+            is_nested = bool(value) and inside and not entry_keys & set(value)
+        inner = {name: value}
+        if is_nested:
+            inner = {f"{name}.{key}": item for key, item in dotted(value, entry_keys).items()}
         if twice := sorted(set(inner) & set(results)):
             raise ValueError(message("config.given_twice", twice=twice[0]))
         results |= inner
     return results
 
 
-ByParameter = Annotated[dict[str, str], BeforeValidator(_flat)]
+def as_list(raw: Any) -> Any:
+    """One text as a list of one."""
+    return [raw] if isinstance(raw, str) else raw
+
+
+ByParameter = Annotated[dict[str, str], BeforeValidator(dotted)]

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ehbench.config.recipe.base import Recipe
+from ehbench.config.recipe.base import Recipe, as_list, dotted
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
 
@@ -87,40 +87,15 @@ class Span(FileModel):
         return self
 
 
-def by_key(raw: Any) -> Any:
-    """Tables within tables as dotted names, as unquoted keys such as ``rig.bulk_modulus`` make
-    them; a table whose entries are not all tables is the entry of a key itself.
-    """
-    if not isinstance(raw, dict):
-        return raw
-    results: dict[str, Any] = {}
-    for name, value in raw.items():
-        nested = (
-            isinstance(value, dict)
-            and value
-            and all(isinstance(item, dict | list) for item in value.values())
-            and not ({"values", "low", "mean", "median"} & set(value))
-        )
-        inner = (
-            {f"{name}.{key}": item for key, item in by_key(value).items()}
-            if nested
-            else {name: value}
-        )
-        if twice := sorted(set(inner) & set(results)):
-            raise ValueError(message("config.given_twice", twice=twice[0]))
-        results |= inner
-    return results
+def _by_key(raw: Any) -> Any:
+    return dotted(raw, {"values", "low", "mean", "median"})
 
 
 def _listed(raw: Any) -> Any:
-    raw = by_key(raw)
+    raw = _by_key(raw)
     if not isinstance(raw, dict):
         return raw
     return {k: {"values": item} if isinstance(item, list) else item for k, item in raw.items()}
-
-
-def _one_or_more(raw: Any) -> Any:
-    return [raw] if isinstance(raw, str) else raw
 
 
 class Case(FileModel):
@@ -203,9 +178,9 @@ class StudyRecipe(Recipe):
     what is swept without a count. ``measures`` are what is taken of each sample."""
 
     stage: Literal["study"]
-    recipe: Annotated[tuple[str, ...], BeforeValidator(_one_or_more), Field(min_length=1)]
+    recipe: Annotated[tuple[str, ...], BeforeValidator(as_list), Field(min_length=1)]
     identified: Identified | None = None
-    draw: Annotated[dict[str, Spread], BeforeValidator(by_key)] = {}
+    draw: Annotated[dict[str, Spread], BeforeValidator(_by_key)] = {}
     sweep: Annotated[dict[str, Span], BeforeValidator(_listed)] = {}
     case: tuple[Case, ...] = ()
     correlation: tuple[tuple[str, str, float], ...] = ()

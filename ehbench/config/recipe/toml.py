@@ -26,7 +26,7 @@ _KEY = re.compile(
 _WRITTEN = 'a line is like key = "1.5 mm", a table begins with [name]'
 _REMEDIES = {
     "string": "close the quotes that were opened",
-    "Invalid value": 'a value with a unit stands in quotes, like "1.5 mm"',
+    "Invalid value": 'a value with a unit is in quotes, like "1.5 mm"',
     "Cannot overwrite": "give each key once",
     "Cannot declare": "give each table once",
     "array": "close the list with ]",
@@ -35,7 +35,7 @@ _REMEDIES = {
 
 
 def line_of(text: str, location: tuple[Any, ...]) -> int | None:
-    """The line of a TOML text at which the key at ``location`` (names and list indices) stands, or
+    """The line of a TOML text of the key at ``location`` (names and list indices), or
     the first one below it, or its nearest parent.
     """
     flat, required = _flat_lines(text), _pieces(location)
@@ -253,7 +253,7 @@ def _with(text: str, original: str) -> Message:
 
 def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
     """A location as the file has it: without the names by which pydantic tells the kinds of a
-    table apart, which stand behind the table's own.
+    table apart, which follow the table's name.
     """
     retained: list[Any] = []
     here, keys = [model], 0

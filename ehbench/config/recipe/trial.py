@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ehbench.config.recipe.base import ByParameter, Payload, Recipe
+from ehbench.config.recipe.base import ByParameter, Payload, Recipe, as_list
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import LAW_NAMES
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
@@ -105,10 +105,6 @@ class PayloadChange(FileModel):
     payload: str
 
 
-def _one_or_more(raw: Any) -> Any:
-    return [raw] if isinstance(raw, str) else raw
-
-
 class CylinderMotion(FileModel):
     """What one cylinder shall do.
 
@@ -128,7 +124,7 @@ class CylinderMotion(FileModel):
     travel: Annotated[Value, Q("x")] | None = None
     rest: Annotated[Value, Q("hold")] | None = None
     waypoints: tuple[Annotated[Value, Q("x")], ...] = ()
-    hold: Annotated[tuple[Annotated[Value, Q("hold")], ...], BeforeValidator(_one_or_more)] = ()
+    hold: Annotated[tuple[Annotated[Value, Q("hold")], ...], BeforeValidator(as_list)] = ()
     speed: Annotated[Value, Q("speed")] | None = None
     acceleration: Annotated[Value, Q("acceleration")] | None = None
     jerk: Annotated[Value, Q("jerk")] | None = None
@@ -204,7 +200,7 @@ class Motion(CylinderMotion):
         return self
 
     @model_validator(mode="after")
-    def _each_its_own(self) -> Motion:
+    def _single_motion_of_each(self) -> Motion:
         if not self.also:
             return self
         if any(item.kind == "path" for item in self.also):
@@ -254,7 +250,7 @@ class CylinderController(FileModel):
     )
 
     @model_validator(mode="after")
-    def _one_law(self) -> CylinderController:
+    def _single_law(self) -> CylinderController:
         if self.shaping:
             _refuse_shaping(self.kind)
         if "from" in self.gains:
@@ -305,7 +301,7 @@ class Controller(FileModel):
         return self.gains if isinstance(self.gains, str) else self.gains.get("from")
 
     @property
-    def own_gains(self) -> dict[str, Any]:
+    def written_gains(self) -> dict[str, Any]:
         """The gains that stand in the recipe itself, by name, as written."""
         table = {} if isinstance(self.gains, str) else self.gains
         return {name: raw for name, raw in table.items() if name != "from"}
@@ -320,7 +316,7 @@ class Controller(FileModel):
         return self.model_copy(update=taken | {"cylinders": {}, "name": "", "where": place})
 
     @model_validator(mode="after")
-    def _one_law(self) -> Controller:
+    def _single_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
             raise ValueError(message("config.kind_or_class"))
         if self.shaping:
@@ -414,7 +410,7 @@ class AnyTrial(Recipe):
         return self
 
     @model_validator(mode="after")
-    def _one_after_the_other(self) -> AnyTrial:
+    def _times_grow(self) -> AnyTrial:
         times = [0.0, *(float(change.at) for change in self.payload_change)]
         if any(later <= sooner for sooner, later in zip(times, times[1:], strict=False)):
             raise ValueError(message("config.payload_times"))

@@ -10,27 +10,3 @@ from ehbench.config.rig.names import NODES
 from ehbench.config.rig.rig import Dynamics, Rig, parameter_row
 from ehbench.config.rig.supply import Accumulator, LoadSensing, LowRail, Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
-
-__all__ = [
-    "Accumulator",
-    "Chain",
-    "Cylinder",
-    "Dynamics",
-    "Edge",
-    "FixedEdge",
-    "Force",
-    "Friction",
-    "Joint",
-    "LinkLoad",
-    "LoadSensing",
-    "LowRail",
-    "NODES",
-    "Oil",
-    "Pins",
-    "Rack",
-    "Rig",
-    "Slide",
-    "Supply",
-    "Valve",
-    "parameter_row",
-]

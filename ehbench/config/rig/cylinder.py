@@ -174,7 +174,7 @@ class Cylinder(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _one_linkage(self) -> Cylinder:
+    def _single_linkage(self) -> Cylinder:
         if self.pins is not None and self.rack is not None:
             raise Misplaced(message("config.pins_and_rack"), "rack")
         return self
@@ -190,7 +190,7 @@ class Cylinder(FileModel):
         return "pins" if self.rack is None else "rack"
 
     @model_validator(mode="after")
-    def _one_line_an_end(self) -> Cylinder:
+    def _single_line_at_each_end(self) -> Cylinder:
         if (at := second([line.end for line in self.line])) is not None:
             raise Misplaced(
                 message("config.line_twice", end=self.line[at].end), *("line", at, "end")

@@ -43,12 +43,12 @@ Name = Annotated[str, AfterValidator(_name)]
 
 
 def second(names: Sequence[str]) -> int | None:
-    """Where a name stands for the second time."""
+    """The index of the first repeated name."""
     return next((at for at, name in enumerate(names) if name in names[:at]), None)
 
 
 def tables_of(model: BaseModel) -> dict[str, FileModel]:
-    """The tables that a part of the rig has beside its own values."""
+    """The tables within a part of the rig."""
     own = {name: getattr(model, name) for name in type(model).model_fields}
     return {name: part for name, part in own.items() if isinstance(part, FileModel)}
 

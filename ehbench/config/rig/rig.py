@@ -117,7 +117,7 @@ class Rig(FileModel):
         return self
 
     @model_validator(mode="after")
-    def _bodies_weigh(self) -> Rig:
+    def _masses_are_positive(self) -> Rig:
         bodies: tuple[Slide | Joint, ...]
         if isinstance(self.mechanism, Slide):
             bodies, where = (self.mechanism,), ("mechanism",)
@@ -254,7 +254,7 @@ class Rig(FileModel):
         number = f"{float(from_si(value, unit, VOCABULARY[name.rsplit('.', 1)[-1]])):.{digits}g}"
         return number if unit == "dimensionless" else f"{number} {unit}"
 
-    def told(self, name: str, value: float, decimals: int, sign: str = "") -> str:
+    def text(self, name: str, value: float, decimals: int, sign: str = "") -> str:
         """A value [SI] in the unit that people see, as finely as so many ``decimals`` tell it in
         the vocabulary's own unit; ``sign`` is "+" where that is always said.
         """

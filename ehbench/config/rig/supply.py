@@ -10,7 +10,7 @@ from ehbench.config.rig.names import Misplaced
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
 
-_MOST_SUPPLY = 1.0e8  # [Pa]
+_HIGHEST_PRESSURE = 1.0e8  # [Pa]
 
 
 class Accumulator(FileModel):
@@ -77,7 +77,7 @@ class Supply(FileModel):
         return results
 
     @model_validator(mode="after")
-    def _one_way_to_follow_the_load(self) -> Supply:
+    def _follows_the_load(self) -> Supply:
         self.check_following()
         return self
 
@@ -104,9 +104,9 @@ class Supply(FileModel):
 
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
-        if float(self.pressure) > _MOST_SUPPLY:
+        if float(self.pressure) > _HIGHEST_PRESSURE:
             given, maximum = (
-                self.pressure.like("pressure", float(p)) for p in (self.pressure, _MOST_SUPPLY)
+                self.pressure.like("pressure", float(p)) for p in (self.pressure, _HIGHEST_PRESSURE)
             )
             raise Misplaced(
                 message("config.supply_too_high", given=given, maximum=maximum), "pressure"
