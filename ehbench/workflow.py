@@ -156,10 +156,10 @@ def next_test(folder: Path, name: str | None = None, session: Session | None = N
     Raises:
         EhbenchError: no such run or parameter, a recipe that has changed, no possible test.
     """
-    from ehbench.report.bearing import Made
+    from ehbench.report.provenance import TracedRun
     from ehbench.stages.planning import plan, recipe_of
 
-    fit = Made(folder)
+    fit = TracedRun(folder)
     recipe, session = recipe_of(fit), session or Session()
     result = plan(fit, session.inputs(recipe), name, session.progress_of(recipe.name))
     if session.out is not None:

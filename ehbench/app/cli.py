@@ -366,17 +366,19 @@ def why(
     as_json: AsJson = False,
 ) -> None:
     """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
-    rig line; exit 3 where these no longer bear it."""
-    from ehbench.report.why import why as origin_of
+    rig line; exit 3 where these have changed."""
+    from ehbench.report.terminal import table
+    from ehbench.report.why import origin
+    from ehbench.runs.rundir import plain
 
-    result = origin_of(name, run)
+    result = origin(name, run)
     if as_json:
         import json
 
-        print(json.dumps(result.as_json(), ensure_ascii=False, indent=1))
+        print(json.dumps(plain(result.as_json()), ensure_ascii=False, indent=1))
     else:
-        print("\n".join(result.lines()))
-    raise typer.Exit(3 if result.marks else 0)
+        print("\n".join([result.headline, "", *table(result.table(), (), sys.maxsize)]))
+    raise typer.Exit(3 if result.changes else 0)
 
 
 @app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")

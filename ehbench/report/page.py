@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehbench.config.recipe import Campaign
-from ehbench.report.bearing import no_longer_bears
 from ehbench.report.blocks import (
     Block,
     Bullets,
@@ -35,6 +34,7 @@ from ehbench.report.content import SectionContent, chip
 from ehbench.report.dark import dark
 from ehbench.report.first_screen import chapters, first_screen
 from ehbench.report.index import FigureKey
+from ehbench.report.provenance import changed_inputs
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import place_of, report_of
@@ -110,8 +110,8 @@ def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Title
         if part.inside and part.title
     ]
     inside: list[Block] = [Text(content.sentence, "lead")]
-    if gone := no_longer_bears(run.folder):
-        inside.append(Bullets([f"No longer borne: {text}" for text in gone], "warn"))
+    if gone := changed_inputs(run.folder):
+        inside.append(Bullets([f"Not supported any more: {text}" for text in gone], "warn"))
     if content.more:
         inside.append(Bullets(content.more))
     if recorded := run.facts.get("recorded_on"):

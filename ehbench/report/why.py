@@ -1,5 +1,5 @@
 """Where a number of a run comes from: interval, method, windows, logs with SHA-256, recipe line,
-rig line and source, and whether all of it still stands as it was."""
+rig line and source, and whether all of it is unchanged."""
 
 from __future__ import annotations
 
@@ -10,54 +10,23 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.config.recipe.toml import line_of, read_toml
-from ehbench.config.rig import Rig
-from ehbench.report.bearing import Made, Source
-from ehbench.report.claims import Claim, claim_of
+from ehbench.report.blocks import Grid
+from ehbench.report.named_results import NamedResult, named_result
+from ehbench.report.provenance import Source, TracedRun
 from ehbench.report.saved import Saved
-from ehbench.report.words import (
-    estimate,
-    interval,
-    number,
-    pretty,
-    row_of,
-    shown,
-    unit_of,
-    words,
-)
+from ehbench.report.words import estimate, interval, number, pretty, row_of, shown, unit_of, words
 from ehbench.runs.rundir import SHIPPED
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.messages import Message, message
 
-# how each kind of run comes to its numbers, and the page of the docs that says it in full
-_METHODS = {
-    "flow_map": (
-        "penalised splines through the means of repeated readings",
-        "explanation/flow_maps.md",
-    ),
-    "hydraulics": (
-        "the model simulated along the logs, fitted to them",
-        "explanation/identification.md",
-    ),
-    "profile": ("fits of all else with the parameter held", "explanation/identification.md"),
-    "response": ("averaged spectra of the logs", "explanation/frequency_response.md"),
-    "validation": (
-        "the identified rig simulated along logs it was not fitted to",
-        "explanation/validation.md",
-    ),
-    "tuning": ("root loci over postures, loads and functions", "explanation/tuning.md"),
-    "trial": ("measured on the trial's own log", "howto/run_trials.md"),
-    "trials": ("measured on the logs of the trials", "howto/run_trials.md"),
-}
-_ERRORS = {
-    "hac": "intervals from the covariance of correlated residuals",
-    "acf": "intervals from the residuals' own autocovariance",
-    "jackknife": "intervals from leaving out one log at a time",
-    "range": "the interval is what the logs do not deny of the range; within it all is one to them",
-}
+# kinds of runs and of intervals whose method the catalogue describes
+_KINDS = "flow_map hydraulics profile response validation tuning trial trials".split()
+_ERRORS = ("hac", "acf", "jackknife", "range")
 
 
 @dataclass(frozen=True)
-class Place:
-    """A line of a file, and what stands there; ``source``: where its number is from."""
+class Line:
+    """A line of a file; ``source``: the source that it names."""
 
     file: str
     line: int
@@ -66,186 +35,174 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Why:
-    """Where a number comes from; ``marks`` say what no longer bears it."""
+class Origin:
+    """Where a number comes from; ``shown``: it with its unit; ``changes``: what no longer supports
+    it.
+    """
 
     run: str
-    claim: Claim
+    result: NamedResult
     shown: str
     method: tuple[str, ...]
     windows: tuple[str, ...]
     sources: tuple[Source, ...]
-    recipe: Place | None
-    rig: Place | None
-    marks: tuple[str, ...]
+    recipe: Line | None
+    rig: Line | None
+    changes: tuple[Message, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for scripts, numbers in SI."""
         return {
             "run": self.run,
-            "name": self.claim.path,
-            "file": self.claim.file,
-            "value": self.claim.value,
-            "unit": self.claim.unit,
-            "interval": self.claim.interval,
-            "about": dict(self.claim.about),
-            "method": list(self.method),
-            "windows": list(self.windows),
+            "name": self.result.path,
+            "file": self.result.file,
+            "value": self.result.value,
+            "unit": self.result.unit,
+            "interval": self.result.interval,
+            "about": self.result.about,
+            "method": self.method,
+            "windows": self.windows,
             "inputs": [
                 {
                     "role": source.role,
                     "path": source.name,
-                    "place": None if source.place is None else str(source.place),
+                    "place": source.place,
                     "sha256": source.sha256,
                     "same": source.is_same,
                 }
                 for source in self.sources
             ],
-            "recipe": None if self.recipe is None else vars(self.recipe),
-            "rig": None if self.rig is None else vars(self.rig),
-            "marks": list(self.marks),
+            "recipe": self.recipe and vars(self.recipe),
+            "rig": self.rig and vars(self.rig),
+            "changes": self.changes,
         }
 
-    def lines(self) -> Iterator[str]:
-        """The same to read."""
-        state = "NO LONGER BORNE: " if self.marks else ""
-        yield f"{state}{self.claim.path} = {self.shown}"
-        yield f"  stands in   {self.run}/{self.claim.file}"
-        for label, texts in (("method", self.method), ("window", self.windows)):
-            yield from (f"  {label:11} {text}" for text in texts)
-        for item in self.sources:
-            state = "" if item.is_same else "  (not as it was read)"
-            yield f"  {item.role:11} {item.name}  SHA-256 {item.sha256}{state}"
-        for label, place in (("recipe line", self.recipe), ("rig line", self.rig)):
-            if place is not None:
-                source = f"  source: {place.source}" if place.source else ""
-                yield f"  {label:11} {place.file}:{place.line}: {place.text}{source}"
-        yield from (f"  mark        {mark}" for mark in self.marks)
+    @property
+    def headline(self) -> Message:
+        """The number, and whether it is still supported."""
+        key = "report.not_supported" if self.changes else "report.number"
+        return message(key, name=self.result.path, value=self.shown)
+
+    def table(self) -> Grid:
+        """A row for each thing it comes from."""
+        rows = [["file", f"{self.run}/{self.result.file}"]]
+        rows += [["method", text] for text in self.method]
+        rows += [["window", text] for text in self.windows]
+        rows += [[item.role, f"{item.name}  SHA-256 {item.sha256}"] for item in self.sources]
+        for name, line in (("recipe line", self.recipe), ("rig line", self.rig)):
+            if line is not None:
+                rows.append([name, f"{line.file}:{line.line}: {line.text}"])
+        if self.rig is not None and self.rig.source:
+            rows.append(["source", self.rig.source])
+        rows += [["changed", text] for text in self.changes]
+        return Grid(["from", "what"], rows)
 
 
-def why(name: str, folder: Path) -> Why:
-    """Where the number ``name`` of a run comes from; of a report, that of the run in it which has
-    it.
+def origin(name: str, folder: Path) -> Origin:
+    """Where the number ``name`` of a run comes from; of a report, that of its run that has it.
 
     Raises:
         InputError: no run, no number of that name, or several.
     """
-    built, marks = Made(folder), []
-    if built.run.stage == "report":
-        marks = built.marks()
-        built = _run_with(name, built)
-    claim = claim_of(built.run, name)
-    rig = next((source for source in built.sources if source.role == "rig"), None)
-    return Why(
-        run=str(built.folder),
-        claim=claim,
-        shown=_shown(built.run, claim),
-        method=tuple(_method(built.run, claim)),
-        windows=tuple(_windows(built)),
-        sources=tuple(built.sources),
-        recipe=_recipe_line(built, claim),
-        rig=None if rig is None else _rig_line(rig, claim),
-        marks=tuple(dict.fromkeys([*marks, *built.marks()])),
+    traced, changes = TracedRun(folder), []
+    if traced.run.stage == "report":
+        changes = traced.changes()
+        traced = _run_with(name, traced)
+    result = named_result(traced.run, name)
+    rig = next((source for source in traced.sources if source.role == "rig"), None)
+    return Origin(
+        run=str(traced.folder),
+        result=result,
+        shown=_shown(traced.run, result),
+        method=tuple(_method(traced.run, result)),
+        windows=tuple(_windows(traced.recipe)),
+        sources=tuple(traced.sources),
+        recipe=_recipe_line(traced.recipe, result),
+        rig=None if rig is None else _rig_line(rig, result),
+        changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
     )
 
 
-def _run_with(name: str, report: Made) -> Made:
+def _run_with(name: str, report: TracedRun) -> TracedRun:
     """The run of a report that has a number of that name.
 
     Raises:
         InputError: none has, or it is not there.
     """
-    refusal: EhbenchError | None = None
+    errors = []
     for source in report.sources:
         try:
-            built = Made(source.place or report.folder.parent / source.name)
-            claim_of(built.run, name)
-            return built
+            traced = TracedRun(source.place or report.folder.parent / source.name)
+            named_result(traced.run, name)
+            return traced
         except EhbenchError as error:
-            refusal = refusal if refusal and "several" in refusal.message else error
-    raise refusal or InputError("holds no runs", file=report.folder)
+            errors.append(error)
+    if not errors:
+        raise InputError(message("report.no_runs"), file=report.folder)
+    raise next((e for e in errors if e.key == "report.several_numbers"), errors[0])
 
 
-def _shown(run: Saved, claim: Claim) -> str:
-    """The number with its interval, in the rig's units where it is one of the rig's parameters."""
-    if isinstance(claim.value, bool):
-        return str(claim.value).lower()
-    value, ends, unit = claim.value, claim.interval, claim.unit
-    rig = _rig(run)
-    if rig is not None and unit and row_of(claim.path).unit == unit:
-        value, unit = float(shown(rig, claim.path, value)), unit_of(rig, claim.path)
-        ends = ends and (
-            float(shown(rig, claim.path, ends[0])),
-            float(shown(rig, claim.path, ends[1])),
-        )
-    text = number(value) if ends is None else estimate(value, *ends)
+def _shown(run: Saved, result: NamedResult) -> str:
+    """The number with its interval, in the rig's units if it is one of the rig's parameters."""
+    if isinstance(result.value, bool):
+        return str(result.value).lower()
+    values, unit = [result.value, *(result.interval or ())], result.unit
+    if unit and row_of(result.path).unit == unit and (run.folder / "rig.toml").is_file():
+        try:
+            values = [float(shown(run.rig, result.path, value)) for value in values]
+            unit = unit_of(run.rig, result.path)
+        except EhbenchError:
+            pass  # in SI without a rig that can be read
+    value, *ends = values
+    text = estimate(value, *ends) if ends else number(value)
     text = " ".join(part for part in (text, pretty(unit)) if part)
-    if ends is not None:
-        text += f"  (95 % interval {interval(*ends)})"
-    status = claim.about.get("status")
+    text += f" (95 %: {interval(*ends)})" if ends else ""
+    status = result.about.get("status")
     return text + (f", {words(status)}" if isinstance(status, str) else "")
 
 
-def _rig(run: Saved) -> Rig | None:
-    try:
-        return run.rig
-    except EhbenchError:
-        return None
-
-
-def _method(run: Saved, claim: Claim) -> Iterator[str]:
-    text, page = _METHODS.get(str(run.what), ("", ""))
-    message = run.facts.get("method")
-    yield f"{run.stage} {words(str(run.what))}" + (f", {words(message)}" if message else "")
-    if text:
-        yield f"{text} (docs/{page})"
-    about = claim.about
+def _method(run: Saved, result: NamedResult) -> Iterator[str]:
+    names = [run.stage, words(str(run.what)), words(run.facts.get("method") or "")]
+    yield ", ".join(filter(None, names))
+    if run.what in _KINDS:
+        yield message(f"report.method_{run.what}")
+    about = result.about
     if (kind := about.get("error_from")) in _ERRORS:
-        yield _ERRORS[str(kind)]
+        yield message(f"report.error_{kind}")
     if about.get("prior") is not None:
-        yield f"with a prior; {100 * float(about.get('from_data', 1.0)):.0f} % known from the data"
+        yield message("report.prior", share=float(about.get("from_data", 1.0)))
     if "samples" in about:
-        yield f"from {about['samples']} samples"
+        yield message("report.samples", count=about["samples"])
 
 
-def _windows(built: Made) -> Iterator[str]:
-    """Which part of each log was read, by the recipe."""
-    recipe = _table(built.recipe)
-    data = recipe.get("data", ())
-    for item in data if isinstance(data, list) else ():
-        if isinstance(item, Mapping) and ("start" in item or "stop" in item):
-            ends = [str(item.get(key, word)) for key, word in (("start", "begin"), ("stop", "end"))]
-            yield f"{item.get('path', '?')}: {ends[0]} to {ends[1]}"
-        else:
-            yield f"{item.get('path', '?') if isinstance(item, Mapping) else item}: all of it"
+def _windows(recipe: Source) -> Iterator[str]:
+    """Which part of each log was read, by the recipe as it was read."""
+    table: Mapping[str, Any] = {}
+    if recipe.place is not None and recipe.is_same and recipe.place.suffix == ".toml":
+        try:
+            table, _ = read_toml(recipe.place)
+        except (EhbenchError, tomllib.TOMLDecodeError):
+            return
+    data = table.get("data", ())
+    for entry in data if isinstance(data, list) else ():
+        item = entry if isinstance(entry, Mapping) else {"path": entry}
+        ends = [str(item.get(key, word)) for key, word in (("start", "start"), ("stop", "end"))]
+        yield f"{item.get('path', '?')}: {' to '.join(ends)}"
 
 
-def _table(source: Source) -> dict[str, Any]:
-    """The table of a TOML file that is there as it was read; else empty."""
-    if source.place is None or not source.is_same or source.place.suffix != ".toml":
-        return {}
-    try:
-        return read_toml(source.place)[0]
-    except (EhbenchError, tomllib.TOMLDecodeError):
-        return {}
-
-
-def _recipe_line(built: Made, claim: Claim) -> Place | None:
-    """The line of the recipe that names the number, else the one that names its data."""
-    source = built.recipe
-    if source.place is None or not source.place.is_file():
+def _recipe_line(recipe: Source, result: NamedResult) -> Line | None:
+    """The line of the recipe that names the number, else the line that names its data."""
+    if recipe.place is None or not recipe.place.is_file():
         return None
-    text = source.place.read_text(encoding="utf-8", errors="replace")
+    text = recipe.place.read_text(encoding="utf-8", errors="replace")
     rows = text.splitlines()
-    tokens = [claim.path, f'"{claim.path.rpartition(".")[2]}"']
-    for index, row in enumerate(rows, 1):
-        if any(f'"{token.strip(chr(34))}"' in row.partition("#")[0] for token in tokens):
-            return Place(source.name, index, row.strip())
-    line = line_of(text, ("data",)) or line_of(text, ("stage",))
-    return None if line is None else Place(source.name, line, rows[line - 1].strip())
+    tokens = {f'"{result.path}"', f'"{result.path.rpartition(".")[2]}"'}
+    naming = (i for i, row in enumerate(rows, 1) if any(t in row.partition("#")[0] for t in tokens))
+    line = next(naming, None) or line_of(text, ("data",)) or line_of(text, ("stage",))
+    return None if line is None else Line(recipe.name, line, rows[line - 1].strip())
 
 
-def _rig_line(source: Source, claim: Claim) -> Place | None:
+def _rig_line(source: Source, result: NamedResult) -> Line | None:
     """The line of the rig file that has the parameter, with the source it names."""
     place = source.place
     place = place / "rig.toml" if place is not None and place.is_dir() else place
@@ -255,20 +212,18 @@ def _rig_line(source: Source, claim: Claim) -> Place | None:
         table, text = read_toml(place)
     except EhbenchError:
         return None
-    required = claim.path.split(".")
-    best: tuple[Any, ...] = ()
-    result: Any = None
+    *parts, last = result.path.split(".")
     for location, names, value in _leaves(table, (), ()):
-        rated = required[-1].endswith("_gain") and names[-2:] == ("rated", "flow")
-        if (rated or names[-1] == required[-1]) and set(required[:-1]) <= set(names):
-            best, result = location, value
-            break
-    line = line_of(text, best) if best else None
-    if line is None:
-        return None
-    message = result.get("source", "") if isinstance(result, Mapping) else ""
-    name = place.name if SHIPPED in place.parents else source.name
-    return Place(name, line, text.splitlines()[line - 1].strip(), str(message))
+        rated = last.endswith("_gain") and names[-2:] == ("rated", "flow")
+        if not ((rated or names[-1] == last) and set(parts) <= set(names)):
+            continue
+        line = line_of(text, location)
+        if line is None:
+            return None
+        origin = value.get("source", "") if isinstance(value, Mapping) else ""
+        name = place.name if SHIPPED in place.parents else source.name
+        return Line(name, line, text.splitlines()[line - 1].strip(), str(origin))
+    return None
 
 
 def _leaves(
@@ -278,11 +233,11 @@ def _leaves(
     table with a value is one.
     """
     if isinstance(value, Mapping) and "value" not in value:
-        own = (*names, value["name"]) if isinstance(value.get("name"), str) else names
-        if own == names and names[-1:] == ("edge",):  # goes by its valve's name and its nodes
-            own = (*names, f"{names[-2]}_{value.get('from')}_{value.get('to')}")
+        inner = (*names, value["name"]) if isinstance(value.get("name"), str) else names
+        if inner == names and names[-1:] == ("edge",):  # named by its valve and its nodes
+            inner = (*names, f"{names[-2]}_{value.get('from')}_{value.get('to')}")
         for key, inside in value.items():
-            yield from _leaves(inside, (*location, key), (*own, key))
+            yield from _leaves(inside, (*location, key), (*inner, key))
     elif isinstance(value, list) and value and isinstance(value[0], Mapping):
         for index, inside in enumerate(value):
             yield from _leaves(inside, (*location, index), names)

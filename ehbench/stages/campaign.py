@@ -87,7 +87,7 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
         InputError: a folder is no whole run, or lacks what its section needs.
     """
     from ehbench.report import build
-    from ehbench.report.bearing import no_longer_bears
+    from ehbench.report.provenance import changed_inputs
 
     for folder in folders:
         if not rundir.is_whole(folder):
@@ -103,5 +103,5 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     with rundir.open_run(final, "report", source, inputs) as run:
         page = build(folders, campaign)
         (run.path / "report.html").write_text(page, encoding="utf-8")
-    marks = [text for folder in folders for text in no_longer_bears(folder)]
-    return Outcome(run.final, INCOMPLETE if marks else DONE, (*marks, *run.left_over))
+    changes = [text for folder in folders for text in changed_inputs(folder)]
+    return Outcome(run.final, INCOMPLETE if changes else DONE, (*changes, *run.left_over))

@@ -11,9 +11,9 @@ from typing import Any
 from ehbench.config.recipe import HydraulicsRecipe, load_recipe
 from ehbench.config.rig import Rig
 from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose, widest
-from ehbench.report.bearing import Made
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
+from ehbench.report.provenance import TracedRun
 from ehbench.report.terminal import table
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
 from ehbench.runs import rundir
@@ -145,7 +145,7 @@ def write_profile(inputs: Inputs, name: str, host: Host) -> Outcome:
     return Outcome(final, DONE, (*fit.warnings, *run.left_over))
 
 
-def recipe_of(run: Made) -> HydraulicsRecipe:
+def recipe_of(run: TracedRun) -> HydraulicsRecipe:
     """The recipe of a run that fitted hydraulics, as the run read it.
 
     Raises:
@@ -162,7 +162,7 @@ def recipe_of(run: Made) -> HydraulicsRecipe:
     return recipe
 
 
-def plan(run: Made, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
+def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | None) -> NextTest:
     """The tests that would sharpen a parameter of a run the most.
 
     Raises:

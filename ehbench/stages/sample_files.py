@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 from ehbench.config.recipe import Recipe, TrialRecipe, load_recipe
-from ehbench.report.bearing import Made
+from ehbench.report.provenance import TracedRun
 from ehbench.sampling.design import RECIPE, Design, label_of
 from ehbench.sampling.keys import Changes, changed_table
 from ehbench.stages.base import Host, Outcome, Stage, stage_of, write_rig
@@ -158,7 +158,7 @@ def load_study(study: Path) -> Path:
     """
     if not study.is_dir():
         return study
-    run = Made(study)
+    run = TracedRun(study)
     if run.recipe.place is None or not run.recipe.is_same:
         raise InputError(message("stages.study_changed"), file=study)
     return run.recipe.place

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from ehbench import workflow
-from ehbench.report.bearing import no_longer_bears
-from ehbench.report.why import why
+from ehbench.report.provenance import changed_inputs
+from ehbench.report.why import origin
 from ehbench.runs import rundir, versions
 from ehbench.runs.versions import METHODS, Versions
 from ehbench.vocabulary.errors import InputError
@@ -103,9 +103,9 @@ def shop(tmp_path) -> Path:
 
 
 def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop):
-    found = why("bulk_modulus", shop / "reports" / "fit_1")
-    assert found.marks == () and found.claim.interval == (6.9e8, 7.1e8)
-    text = "\n".join(found.lines())
+    found = origin("bulk_modulus", shop / "reports" / "fit_1")
+    assert found.changes == () and found.result.interval == (6.9e8, 7.1e8)
+    text = "\n".join(str(cell) for row in found.table().rows for cell in row)
     for wanted in ("output error", "correlated residuals", "400 samples", "0.2 s to 3 s"):
         assert wanted in text, text
     for name in ("one", "two"):
@@ -115,7 +115,7 @@ def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop
     assert found.rig is not None and "bulk_modulus" in lines[found.rig.line - 1]
     assert found.rig.source and found.rig.source in lines[found.rig.line - 1]
     plain = json.loads(json.dumps(found.as_json()))
-    assert plain["value"] == 7.0e8 and len(plain["inputs"]) == 4 and plain["marks"] == []
+    assert plain["value"] == 7.0e8 and len(plain["inputs"]) == 4 and plain["changes"] == []
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_the_rig_line_of_an_edge_without_a_name_is_its_gain_or_rated_point(shop,
     rows = json.loads((fit / "parameters.json").read_text())
     rows["parameters"][1]["name"] = name
     (fit / "parameters.json").write_text(json.dumps(rows))
-    found = why(name, fit)
+    found = origin(name, fit)
     assert found.rig is not None and found.rig.line == line
 
 
@@ -148,16 +148,16 @@ def test_the_rig_line_of_an_edge_without_a_name_is_its_gain_or_rated_point(shop,
     ],
 )
 def test_any_number_of_a_report_is_found_by_the_end_of_its_path(shop, name, value):
-    found = why(name, shop / "reports" / "report_1")
-    assert found.claim.value == value and found.marks == ()
+    found = origin(name, shop / "reports" / "report_1")
+    assert found.result.value == value and found.changes == ()
 
 
 def test_a_name_of_nothing_or_of_several_is_refused_with_what_is_near(shop):
     with pytest.raises(InputError, match="no number") as error:
-        why("bulk_moduls", shop / "reports" / "fit_1")
+        origin("bulk_moduls", shop / "reports" / "fit_1")
     assert "bulk_modulus" in str(error.value.hint)
     with pytest.raises(InputError, match="2 numbers"):
-        why("fit_percent", shop / "reports" / "fit_1")
+        origin("fit_percent", shop / "reports" / "fit_1")
 
 
 def edit(name, old, new):
@@ -257,13 +257,16 @@ TAMPERINGS = {
 @pytest.mark.parametrize("of", ["fit_1", "report_1"])
 def test_whatever_is_tampered_with_marks_the_number(shop, what, of):
     TAMPERINGS[what](shop)
-    found = why("bulk_modulus", shop / "reports" / of)
-    assert found.marks and next(found.lines()).startswith("NO LONGER BORNE")
+    found = origin("bulk_modulus", shop / "reports" / of)
+    assert found.changes and found.headline.key == "report.not_supported"
 
 
 def test_the_page_of_a_report_is_part_of_it(shop):
     edit("reports/report_1/report.html", "700", "800")(shop)
-    assert any("report.html" in mark for mark in why("deadband", shop / "reports/report_1").marks)
+    assert any(
+        "report.html" == change.fields["file"]
+        for change in origin("deadband", shop / "reports/report_1").changes
+    )
 
 
 def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop, monkeypatch):
@@ -271,7 +274,7 @@ def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop,
     fit = shop / "reports" / "fit_1"
     assert workflow.report([fit], workflow.Session(out=shop / "first")).code == 0
     edit("one.csv", "1,5", "1,6")(shop)
-    assert any("one.csv" in text for text in no_longer_bears(fit))
+    assert any("one.csv" in text for text in changed_inputs(fit))
     made = workflow.report([fit], workflow.Session(out=shop / "second"))
     assert made.code == 3 and "one.csv" in made.notes[0]
 
@@ -280,8 +283,8 @@ def test_a_run_of_an_older_method_is_marked(shop, monkeypatch):
     monkeypatch.setattr(
         versions, "METHODS", METHODS | {"output_error": METHODS["output_error"] + 1}
     )
-    marks = why("bulk_modulus", shop / "reports" / "fit_1").marks
-    assert len(marks) == 1 and "output_error" in marks[0]
+    changes = origin("bulk_modulus", shop / "reports" / "fit_1").changes
+    assert len(changes) == 1 and "output_error" in changes[0]
 
 
 def test_a_shop_moved_as_a_whole_still_bears_its_numbers(shop, tmp_path_factory):
@@ -291,11 +294,11 @@ def test_a_shop_moved_as_a_whole_still_bears_its_numbers(shop, tmp_path_factory)
         (there / "reports" / name / "volatile.json").unlink()
     for file in ("fit.toml", "maps.toml", "maps.csv", "one.csv", "two.csv", "rig.toml"):
         shutil.copy(there / file, there / "reports" / file)
-    assert why("bulk_modulus", there / "reports" / "fit_1").marks == ()
+    assert origin("bulk_modulus", there / "reports" / "fit_1").changes == ()
 
 
 def test_a_file_in_place_of_a_run_folder_is_named_as_it_is(tmp_path):
     (tmp_path / "fit.toml").write_text(RECIPE)
     with pytest.raises(InputError, match="is no run folder") as caught:
-        why("bulk_modulus", tmp_path / "fit.toml")
+        origin("bulk_modulus", tmp_path / "fit.toml")
     assert str(caught.value.file).endswith("fit.toml")
