@@ -66,7 +66,7 @@ class Origin:
                 {
                     "role": source.role,
                     "path": source.name,
-                    "place": source.place,
+                    "place": source.place and str(source.place),
                     "sha256": source.sha256,
                     "same": source.is_same,
                 }
