@@ -13,6 +13,7 @@ from ehbench.config.recipe import load_rig
 from ehbench.identification import simulator
 from ehbench.identification.simulator import CHANNELS, Simulator, prepare
 from ehbench.plant.build import Kept, Plant
+from ehbench.plant.many import map_threads
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import EhbenchError
 from tests.virtual_logs import virtual_log
@@ -99,12 +100,12 @@ def test_what_is_remembered_has_bounds(fitted, monkeypatch):
     assert ["a" in latest, "b" in latest, "c" in latest] == [True, False, True]
 
 
-def test_a_failure_in_any_thread_is_told(fitted):
+def test_a_failure_in_any_thread_is_raised():
     def work(i: int) -> int:
         if i == 3:
             raise ValueError("the fourth")
         return i
 
     with pytest.raises(ValueError, match="the fourth"):
-        fitted._all(work, range(200))
-    assert fitted._all(lambda i: i * i, range(50)) == [i * i for i in range(50)]
+        map_threads(work, range(200), 4)
+    assert map_threads(lambda i: i * i, range(50), 4) == [i * i for i in range(50)]
