@@ -10,13 +10,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from queue import LifoQueue
+from queue import LifoQueue, SimpleQueue
 from typing import Any, Protocol
 
 from ehbench.runtime.blas import one_thread
@@ -69,17 +69,19 @@ def _in_threads(
     make: Make, tasks: Iterable[Task], workers: int, stop: Callable[[], None] = lambda: None
 ) -> Iterator[list[Sample]]:
     """Samples as they come; ``stop`` ends those under way when nobody wants more."""
-    waiting: set[Future[Sample]] = set()
-    tasks = iter(tasks)
+    done: SimpleQueue[Future[Sample]] = SimpleQueue()
+    tasks, waiting = iter(tasks), 0
     with ThreadPoolExecutor(workers) as pool:
         try:
             while True:
-                free = 2 * workers - len(waiting)
-                waiting |= {pool.submit(make, *task) for task in islice(tasks, free)}
+                for task in islice(tasks, 2 * workers - waiting):
+                    pool.submit(make, *task).add_done_callback(done.put)
+                    waiting += 1
                 if not waiting:
                     return
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                yield [job.result() for job in done]
+                jobs = [done.get(), *(done.get() for _ in range(done.qsize()))]
+                waiting -= len(jobs)
+                yield [job.result() for job in jobs]
         finally:
             stop()
             pool.shutdown(cancel_futures=True)

@@ -38,7 +38,7 @@ HEAD = 'stage = "trial"\nrig = "rig.toml"\n'
         ('stage = "tune"\nwhat = "arcs"', "what = 'arcs' .what is one of arc, or left out", 2),
         ('stage = "trial"\nwhat = "arc"', "unknown key 'what'", 2),
         ('stage = "trial"\nrig = "a', "close the quotes", 2),
-        ("stage = trial", "stands in quotes", 1),
+        ("stage = trial", "is in quotes", 1),
         (HEAD + "rig = 'x'", "give each key once", 3),
         ("\ufeff" + HEAD, "'duration' is missing", None),
     ],

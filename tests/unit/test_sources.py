@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 
-import pytest
-
 from ehbench.runs.rundir import PACKAGE
 from ehbench.runtime.sources import sources
 
@@ -24,8 +22,3 @@ def test_what_another_process_clears_away_is_not_looked_into(monkeypatch):
     monkeypatch.setattr(os, "scandir", lambda path: looked.append(str(path)) or scan(path))
     assert PACKAGE / "workflow.py" in sources(PACKAGE, ".py")
     assert looked and not any("__pycache__" in path for path in looked)
-
-
-@pytest.mark.parametrize("word", ["arm", "workflow"])
-def test_the_package_is_there(word):
-    assert any(path.stem == word for path in sources(PACKAGE, ".py"))
