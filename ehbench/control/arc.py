@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.control.arc_gains import GAIN_NAMES, GAINS, VOCABULARY_OF_GAINS, pack
+from ehbench.control.arc_gains import COUNT, GAIN_NAMES, GAINS, VOCABULARY_OF_GAINS, pack
 from ehbench.control.axis import Axis, inertias, load_at
 from ehbench.control.coupling import loads_among
 from ehbench.control.functions import (
@@ -56,12 +57,12 @@ from ehbench.control.measured import (
 from ehbench.control.oil_learning import (
     OIL,
     begin_oil,
+    credit_maps,
     lacking,
     learn_oil,
-    told_already,
-    weigh_anew,
+    restart_for,
 )
-from ehbench.control.records import blank, rows_of
+from ehbench.control.records import blank, constants, rows_of
 from ehbench.control.trajectory import ORDERS, reference_of, speeds_soon
 from ehbench.control.valve_level import Flows, allocate
 from ehbench.parts.cylinder import chamber_oil
@@ -74,7 +75,6 @@ from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.codes import (
     AGAINST,
     DISTURBANCE,
-    ESTIMATES,
     EXTEND_RESISTIVE_REGENERATION,
     FREE,
     FROZEN,
@@ -86,24 +86,34 @@ from ehbench.vocabulary.codes import (
     SATURATED,
     WEIGHED,
 )
+from ehbench.vocabulary.settings import setting
 
-LOST = 0.01  # [m] between observed and measured stroke, at which the observer starts anew
-AHEAD = 1.0e-3  # [s] by which the laws look along the motion for their rates
-PREVIEW = 0.15  # [s] by which the law looks ahead for the flow that will be wanted
-SMALLER = 0.15  # of the supply pressure: the most by which a drop is made smaller for more flow
-SETTLED = 3.0  # over k1: how long a load is brought to rest after a motion, once it is near
-TURNS = 4  # as often oil is wanted to and fro at rest; a load that still swings is left alone then
-ONE_COUNT = 1.5  # of the stroke's resolution: what is less is a count of the sensor at most
-BACK = 4.0  # of that nearness [m/s]: oil that is wanted against the error turns the motion round
-FRESH = 3.0  # over the time since a change of function: as fast calm follows measured [rad/s]
-FELT = 1.5  # margins of a pump above a chamber: where there is more, it follows another one
-FORGETS = 5.0  # over k1: how long what pressures told of the payload counts
-FAINTLY = 0.1  # [(N/kg)²] of a payload's pull and inertia: what is less tells hardly anything of it
-ANOTHER = 0.15  # of the payload's bound: what is more, beyond the interval's half, is another load
-NOTHING = 1e-6  # [(N/kg)²]
-OFFSET = 0.1  # of the disturbance's bound: what zeros of the sensors may make
-DAMPED = 0.2  # share of the damping that may be wrong
-COUNT = len(ESTIMATES)
+
+@dataclass(frozen=True)
+class ArcSettings:
+    """Numbers of the law that are no gain."""
+
+    jump: float = setting(0.01, "m", "observer error that restarts it", "beyond any sensor error")
+    ahead: float = setting(1e-3, "s", "step along the motion for its rates", "a tick at 1 kHz")
+    preview: float = setting(0.15, "s", "how far desired speeds are known", "docs arc.md")
+    smaller: float = setting(0.15, "", "largest cut of a drop, of supply pressure", "docs arc.md")
+    settled: float = setting(
+        3.0, "1/k1", "quiet time before a standstill", "leaves 5 % of an error"
+    )
+    turns: int = setting(4, "", "reversals at standstill that end damping", "docs arc.md")
+    counts: float = setting(1.5, "", "stroke error of one count, in resolutions", "sensor counts")
+    reversal: float = setting(4.0, "", "required speed that reverses, in small speeds", "chosen")
+    fresh: float = setting(3.0, "rad/s·s", "corner of a new function times its age", "chosen")
+    follows: float = setting(1.5, "", "margins above a chamber that a pump follows", "chosen")
+    payload_memory: float = setting(5.0, "1/k1", "memory of the payload estimate", "docs arc.md")
+    weak_pull: float = setting(0.1, "(N/kg)²", "pull that hardly shows a payload", "chosen")
+    other_payload: float = setting(0.15, "", "change of payload, of its bound", "docs arc.md")
+    no_information: float = setting(1e-6, "(N/kg)²", "information at the first tick", "above 0")
+    offset: float = setting(0.1, "", "sensor zeros, of the disturbance's bound", "chosen")
+    damping: float = setting(0.2, "", "error of the damping in the payload interval", "chosen")
+
+
+ARC = constants(ArcSettings())
 
 STATE = record(
     ("started", "i8"),
@@ -115,10 +125,10 @@ STATE = record(
     ("slow_load", "f8"),
     ("slow_error", "f8"),
     ("slow_reference", "f8"),
-    ("rested", "f8"),
+    ("standstill", "f8"),
     ("way", "i8"),
     ("turns", "i8"),
-    ("slow_wanted", "f8"),
+    ("slow_required", "f8"),
     ("calm_load", "f8"),
     ("supply_swing", "f8"),
     ("slow_drop", "f8"),
@@ -146,16 +156,16 @@ class Memory(NamedTuple):
 
     ``x``, ``v`` [m, m/s] of the state are observed, ``bias`` [m/s²] is what the model's
     ``acceleration`` lacks; ``metered`` and ``set_point`` [Pa] are of the off-side control,
-    ``raised`` [Pa] is how far its goal stands above the low pressure, see `make_room`,
-    ``rested`` [s] for how long no motion is desired and hardly any left, ``slow_wanted``
-    [m/s] the oil that is wanted, as a speed, behind a low-pass. ``evidence``, ``information`` and
-    ``scatter`` are means of what the mechanism's equation says of the ``payload`` [kg], ``half``
-    [kg] its interval's, see `weigh`; ``eased`` is how far the bandwidths went down at most, as a
-    share of them, and ``heaviest`` [kg] the payload then, see `ease`; ``calm_load``
-    [N], ``supply_swing`` and ``slow_drop`` [Pa] are what valves are opened by, see `opened_by`;
-    ``turns`` counts how often the ``way`` of the oil that is wanted changed while no motion was
-    desired; ``maps`` is what is learnt of the flow maps, ``oil``, a record of type OIL, of the oil,
-    ``gains`` are those in force, see `ease`."""
+    ``raised`` [Pa] is how far its goal stands above the low pressure, see `provide_headroom`,
+    ``standstill`` [s] for how long no motion is desired and hardly any remains,
+    ``slow_required`` [m/s] the required oil, as a speed, behind a low-pass. ``evidence``,
+    ``information`` and ``scatter`` are means of what the mechanism's equation says of the
+    ``payload`` [kg], ``half`` [kg] its interval's, see `estimate_payload`; ``eased`` is how far the
+    bandwidths went down at most, as a share of them, and ``heaviest`` [kg] the payload then, see
+    `ease`; ``calm_load`` [N], ``supply_swing`` and ``slow_drop`` [Pa] are what valves are opened
+    by, see `opened_by`; ``turns`` counts how often the required oil changed its ``way`` while no
+    motion was desired; ``maps`` is what is learnt of the flow maps, ``oil``, a record of type OIL,
+    of the oil, ``gains`` are those in force, see `ease`."""
 
     state: np.record
     rates: np.ndarray
@@ -213,15 +223,15 @@ class StrokeLaw(NamedTuple):
 
 
 class ForceLaw(NamedTuple):
-    """Step 2: the load force [N] as ``measured``, as ``wanted``, and the error ``z3`` between.
+    """Step 2: the load force [N] as ``measured``, as ``required``, and the error ``z3`` between.
 
     ``pushed`` [m/s²] and ``need`` [N] are its parts, ``k2`` [1/s] with its robust share, ``turn``
     [1] the sign of friction, ``slope`` [N·s/m] its change with speed. ``acceleration`` [m/s²] is
-    the model's, by the regressors ``phi_1..3`` of the estimates, and ``unsure`` [m/s²] what their
-    bounds leave open."""
+    the model's, by the regressors ``phi_1..3`` of the estimates, and ``uncertainty`` [m/s²] what
+    their bounds leave open."""
 
     measured: float
-    wanted: float
+    required: float
     z3: float
     pushed: float
     need: float
@@ -232,7 +242,7 @@ class ForceLaw(NamedTuple):
     phi_1: float
     phi_2: float
     phi_3: float
-    unsure: float
+    uncertainty: float
 
 
 class Oil(NamedTuple):
@@ -250,15 +260,15 @@ class Oil(NamedTuple):
 
 class Choice(NamedTuple):
     """What the task level decided: working function, its status, the slow load force [N] behind it,
-    whether the reference rests and the load has been brought to rest, the speed [m/s] at which an
-    error is led back then, and whether one spool opens both chambers.
+    whether the reference rests and the load stands, the speed [m/s] at which an error is corrected
+    then, and whether one spool opens both chambers.
     """
 
     function: int
     status: int
     load: float
     resting: bool
-    led: float
+    return_speed: float
     spool: bool
 
 
@@ -292,10 +302,10 @@ def flow_along(path, drop, opening, circuit):
 
 @kernel
 def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
-    """`Flows` of the one opening at which a spool gives ``head_gain·Q1 + rod_gain·Q2 = wanted``.
+    """`Flows` of the one opening at which a spool gives ``head_gain·Q1 + rod_gain·Q2 = required``.
 
-    False position with Illinois weights over the opening, in which both flows grow. What even the
-    widest opening does not give is asked for in proportion, so that the valve level flags it."""
+    False position with Illinois weights over the opening, in which both flows grow. Flow beyond the
+    widest opening is required in proportion, so that the valve level flags it."""
     way = DIRECTION[function]
     head_path = SUPPLY_HEAD if way > 0 else HEAD_TANK
     rod_path = ROD_TANK if way > 0 else SUPPLY_ROD
@@ -311,9 +321,9 @@ def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
     at_low, at_high, flow_one, flow_two = -goal, 0.0, 0.0, 0.0
     side = 0
     for turn in range(19):
-        at = high if turn == 0 else high - at_high * (high - low) / (at_high - at_low)
-        flow_one = flow_along(head_path, drop_one, at, circuit)
-        flow_two = flow_along(rod_path, drop_two, at, circuit)
+        opening = high if turn == 0 else high - at_high * (high - low) / (at_high - at_low)
+        flow_one = flow_along(head_path, drop_one, opening, circuit)
+        flow_two = flow_along(rod_path, drop_two, opening, circuit)
         given = head_gain * flow_one + rod_gain * flow_two
         if turn == 0:
             at_high = given - goal
@@ -324,12 +334,12 @@ def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
         if abs(given - goal) <= 1e-9 * goal:
             break
         if given > goal:
-            high, at_high = at, given - goal
+            high, at_high = opening, given - goal
             if side == 1:
                 at_low *= 0.5
             side = 1
         else:
-            low, at_low = at, given - goal
+            low, at_low = opening, given - goal
             if side == -1:
                 at_high *= 0.5
             side = -1
@@ -337,7 +347,7 @@ def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
 
 
 @kernel
-def stand_by(axis, share, trim, command):
+def bias_valves(axis, share, trim, command):
     """Raise the cylinder's shut cartridges to ``share`` of the command at which they begin to pass
     oil, as far as it is known (``trim``).
     """
@@ -354,7 +364,7 @@ def stand_by(axis, share, trim, command):
 
 @kernel
 def clip(value, lower, upper):
-    """``value`` held within [lower, upper]; NaN stays NaN."""
+    """``value`` within [lower, upper]; NaN stays NaN."""
     return lower if value < lower else (upper if value > upper else value)
 
 
@@ -371,24 +381,24 @@ def place_joints(sample, axis, angles):
 
 
 @kernel
-def loads_along(reference, q, v, own, axis, memory):
-    """(`Load` now, `Load` AHEAD on the same motion), after `inertias`, of which ``own`` is; where
+def loads_along(reference, q, v, inertia, axis, memory):
+    """(`Load` now, `Load` a step ahead on the same motion), after `inertias`; where
     the other joints move as well, both with what these add to it.
     """
     angles, work = memory.angles, memory.work
     if reference.shape[0] >= 2 * ORDERS:
-        return loads_among(reference, q, v, AHEAD, axis, angles, memory.mass, work)
-    load = load_at(axis, q, own, work)
-    return load, load_at(axis, q + AHEAD * v / load.lever, own, work)
+        return loads_among(reference, q, v, ARC.ahead, axis, angles, memory.mass, work)
+    load = load_at(axis, q, inertia, work)
+    return load, load_at(axis, q + ARC.ahead * v / load.lever, inertia, work)
 
 
 @kernel
-def start(x, v, p, load_force, state):
+def begin_state(x, v, p, load_force, state):
     """Write the state of the first tick but for its estimates: at rest, the chamber that carries
     the load metered.
     """
     state.started, state.function, state.slow_load = 1, HOLD, load_force
-    state.x, state.v, state.rested = x, v, math.inf
+    state.x, state.v, state.standstill = x, v, math.inf
     wait(load_force, p, state)
 
 
@@ -402,7 +412,7 @@ def wait(load_force, p, state):
 
 
 @kernel
-def start_estimates(load_force, load, own, tip, gains, state):
+def begin_estimates(load_force, load, inertia, tip, gains, state):
     """Write the first estimates, and the payload: the design model's or, with adaptation, those
     that the pressures tell at rest.
 
@@ -419,12 +429,12 @@ def start_estimates(load_force, load, own, tip, gains, state):
         part /= part + gains.rate[DISTURBANCE]
         payload = clip(part * beyond / load.pull, lower[PAYLOAD_SHARE], upper[PAYLOAD_SHARE])
         estimates[INVERSE_INERTIA] = clip(
-            own / (own + tip * payload), lower[INVERSE_INERTIA], upper[INVERSE_INERTIA]
+            inertia / (inertia + tip * payload), lower[INVERSE_INERTIA], upper[INVERSE_INERTIA]
         )
         estimates[PAYLOAD_SHARE] = estimates[INVERSE_INERTIA] * payload
         state.payload = payload
-    left = estimates[INVERSE_INERTIA] * beyond - estimates[PAYLOAD_SHARE] * load.pull
-    estimates[DISTURBANCE] = clip(left, lower[DISTURBANCE], upper[DISTURBANCE])
+    residual = estimates[INVERSE_INERTIA] * beyond - estimates[PAYLOAD_SHARE] * load.pull
+    estimates[DISTURBANCE] = clip(residual, lower[DISTURBANCE], upper[DISTURBANCE])
 
 
 @kernel
@@ -475,7 +485,7 @@ def observe(x, v, gains, state):
         a = state.acceleration + state.bias
         seen = state.x + tick * (state.v + 0.5 * tick * a)
         miss = x - seen
-        if abs(miss) > LOST:
+        if abs(miss) > ARC.jump:
             state.x, state.v, state.bias = x, v, -state.acceleration
             return x, v
         x = seen + (1.0 - z * z * z) * miss
@@ -498,11 +508,11 @@ def track_stroke(reference, x, v, gains):
 
 
 @kernel
-def robust(gain, unsure, tolerance, limit):
-    """``gain`` [1/s] and what holds an error within ``tolerance`` against ``unsure``, at most
+def robust(gain, uncertainty, tolerance, limit):
+    """``gain`` [1/s] and what keeps an error within ``tolerance`` under ``uncertainty``, at most
     ``limit`` [1] of it.
     """
-    return gain + min(unsure * unsure / (4.0 * gain * tolerance**2), limit * gain)
+    return gain + min(uncertainty * uncertainty / (4.0 * gain * tolerance**2), limit * gain)
 
 
 @kernel
@@ -519,9 +529,9 @@ def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
         + cylinder.friction_coulomb * turn
     )
     phi1, phi2, phi3 = (load_force - force) / load.mass, -load.pull / load.mass, -1.0 / load.mass
-    unsure = abs(phi1) * (upper[0] - lower[0])
-    unsure += abs(phi2) * (upper[1] - lower[1]) + abs(phi3) * (upper[2] - lower[2])
-    k2 = robust(gains.speed_bandwidth, unsure, gains.speed_tolerance, gains.robust_limit)
+    uncertainty = abs(phi1) * (upper[0] - lower[0])
+    uncertainty += abs(phi2) * (upper[1] - lower[1]) + abs(phi3) * (upper[2] - lower[2])
+    k2 = robust(gains.speed_bandwidth, uncertainty, gains.speed_tolerance, gains.robust_limit)
     pushed = stroke.a_eq - kappa - k2 * stroke.z2
     need = load.mass * pushed + share * load.pull + offset
     required = force + need / inverse
@@ -540,7 +550,7 @@ def track_force(reference, v, load_force, load, stroke, axis, gains, estimates):
         phi1,
         phi2,
         phi3,
-        unsure,
+        uncertainty,
     )
 
 
@@ -588,8 +598,8 @@ def adapt_mechanics(learning, mixed, force, gains, memory):
 
 @kernel
 def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
-    """(rate [N/s] of the wanted load force: with speed, along the stroke (``ahead`` is the `Load`
-    there), with time, by what is learnt; what of it the reference alone asks for).
+    """(rate [N/s] of the required load force: with speed, along the stroke (``ahead`` is the `Load`
+    there), with time, by what is learnt; what of it the reference alone takes).
     """
     estimates, rates, cylinder = memory.state.estimates, memory.rates, axis.cylinder
     inverse, share = estimates[INVERSE_INERTIA], estimates[PAYLOAD_SHARE]
@@ -600,7 +610,7 @@ def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
     )
     along = (
         ahead.gravity - load.gravity + (ahead.damping - load.damping) * v + moved / inverse
-    ) / AHEAD
+    ) / ARC.ahead
     turned = (
         cylinder.friction_coulomb * (1.0 - force.turn * force.turn) * reference.a / COULOMB_SPEED
     )
@@ -615,8 +625,8 @@ def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
 
 @kernel
 def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
-    """Step 3: what the wanted load force's ``rates`` [N/s], of `load_rate`, and the errors ask of
-    the oil [1/s], as a relative change of volume; writes the rate of the inverse bulk modulus.
+    """Step 3: what the required load force's ``rates`` [N/s], of `load_rate`, and the errors take
+    of the oil [1/s], as a relative change of volume; writes the rate of the inverse bulk modulus.
 
     The feedback goes by the design's bulk modulus: it would teach that of the oil no more than that
     it is not zero. What pressures tell of the oil counts for the reference's part alone, so that
@@ -624,8 +634,8 @@ def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
     rate, planned = rates
     softness = memory.state.estimates[INVERSE_BULK]
     lower, upper = gains.lower[INVERSE_BULK], gains.upper[INVERSE_BULK]
-    unsure = abs(force.slope) * force.unsure + (upper - lower) / lower * abs(rate)
-    k3 = robust(gains.force_bandwidth, unsure, gains.force_tolerance, gains.robust_limit)
+    uncertainty = abs(force.slope) * force.uncertainty + (upper - lower) / lower * abs(rate)
+    k3 = robust(gains.force_bandwidth, uncertainty, gains.force_tolerance, gains.robust_limit)
     memory.rates[INVERSE_BULK] = project(
         softness,
         -gains.rate[INVERSE_BULK] * weight * force.z3 * rate if learning == FREE else 0.0,
@@ -637,21 +647,21 @@ def track_flow(rates, learning, weight, stroke, force, oil, gains, memory):
 
 
 @kernel
-def asked_speed(reference, result, gains):
-    """The speed [m/s] that valves are asked for so that they give the desired one: ahead by their
-    lag, and by what is ``found`` of flows, that they are later or less than known.
+def required_speed(reference, oil, gains):
+    """The speed [m/s] required of valves so that they give the desired one: ahead by their lag, and
+    by how much later or smaller than known flows are, by the record ``oil`` of what is learnt.
 
-    That counts for the desired motion alone, so that the loop's gain is not theirs."""
-    soon = reference.v + (gains.valve_lead + result.later) * reference.a
-    return soon * (1.0 + result.more[0 if reference.v >= 0.0 else 1])
+    Only the desired motion is corrected, so that the gain of the loop stays."""
+    soon = reference.v + (gains.valve_lead + oil.later) * reference.a
+    return soon * (1.0 + oil.more[0 if reference.v >= 0.0 else 1])
 
 
 @kernel
-def feed_forward(requested, v, oil, circuit):
-    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``; ``asked`` [m/s] is what
-    the desired speed is asked for by beyond itself.
+def feed_forward(lead, v, oil, circuit):
+    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``; ``lead`` [m/s] is what
+    `required_speed` adds to the desired one.
     """
-    speed = v + requested
+    speed = v + lead
     return oil.head * (circuit.area_head * speed + oil.lost_head) + oil.rod * (
         circuit.area_rod * speed + oil.lost_rod
     )
@@ -659,8 +669,8 @@ def feed_forward(requested, v, oil, circuit):
 
 @kernel
 def keep_on(toward, function, rules):
-    """A desired speed [m/s], where it asks for nothing what keeps the function at work: it makes up
-    for leakage, where holding and moving in turn would be to hunt.
+    """A desired speed [m/s], and where it is none one that keeps the function at work: it makes up
+    for leakage, and holding and moving in turn would hunt.
     """
     if abs(toward) <= rules.speed_start:
         return 2.0 * rules.speed_start * DIRECTION[function]
@@ -672,14 +682,13 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
 
-    An error that the sensor cannot tell from none asks for no motion. At a stop the direction is
-    that of the oil that is wanted: a load that swings back is met with oil and not with a shut
-    valve. A spool passes its centre without switching, so it just follows ``spool_speed`` [m/s],
-    what is wanted, at rest as well until hardly any is."""
+    An error below the sensor's resolution moves nothing. At a stop the direction is that of the
+    required oil: a load that swings back meets oil and not a shut valve. A spool passes its centre
+    without switching, so it follows the required ``spool_speed`` [m/s], at standstill as well until
+    it is small."""
     tick, k1, speed_start = gains.tick, gains.position_bandwidth, gains.rules.speed_start
     state.slow_load -= math.expm1(-gains.load_corner * tick) * (load_force - state.slow_load)
-    # where the reference rests, what swings is left to calm down, and the error is led back at
-    # little more than the speed that it alone asks for
+    # at standstill swings calm down by themselves, and the error goes back slowly
     spool = axis.spool[state.function] == 1
     state.slow_reference = steady = steady_reference(
         reference.v, state.slow_reference, tick, gains.rules
@@ -687,31 +696,38 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     still = abs(steady) <= speed_start
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
-    state.rested = state.rested + tick if quiet else 0.0
+    state.standstill = state.standstill + tick if quiet else 0.0
     if not still:
         state.way = state.turns = 0
-    resting = still if spool else state.rested > SETTLED / k1 or state.turns >= TURNS
+    resting = still if spool else state.standstill > ARC.settled / k1 or state.turns >= ARC.turns
     calm = math.exp(-2.0 * k1 * tick) if resting else 0.0
     state.slow_error = z1 + calm * (state.slow_error - z1)
     resolution = gains.stroke_resolution
     blind = max(resolution - speed_start / k1, 0.3 * resolution)
     error = state.slow_error - clip(state.slow_error, -blind, blind)
     toward = steady - clip(k1 * error, -gains.speed_correction, gains.speed_correction)
-    led = 2.0 * abs(toward) + gains.speed_nudge
-    state.slow_wanted -= math.expm1(-gains.force_bandwidth * tick) * (
-        spool_speed - state.slow_wanted
+    return_speed = 2.0 * abs(toward) + gains.speed_nudge
+    state.slow_required -= math.expm1(-gains.force_bandwidth * tick) * (
+        spool_speed - state.slow_required
     )
-    if still and abs(state.slow_wanted) > BACK * near and state.way * state.slow_wanted <= 0.0:
-        state.way, state.turns = 1 if state.slow_wanted > 0.0 else -1, state.turns + 1
+    if (
+        still
+        and abs(state.slow_required) > ARC.reversal * near
+        and state.way * state.slow_required <= 0.0
+    ):
+        state.way, state.turns = 1 if state.slow_required > 0.0 else -1, state.turns + 1
     if spool:
-        # shut at rest only where hardly any oil is wanted, and none against the error: by its sign
-        # alone it would be shut against the oil that calms the load, then open for a blow
-        small = abs(z1) <= ONE_COUNT * resolution or z1 * state.slow_wanted > 0.0
-        shut = still and small and abs(state.slow_wanted) <= near
+        # shut at standstill only where little oil is required, and none against the error: shutting
+        # by the sign alone would stop the oil that damps the load
+        small = abs(z1) <= ARC.counts * resolution or z1 * state.slow_required > 0.0
+        shut = still and small and abs(state.slow_required) <= near
         toward = 0.0 if shut else spool_speed
     elif not resting and abs(steady) <= abs(k1 * z1) + near:
-        if toward * state.slow_wanted < 0.0 and abs(state.slow_wanted) > abs(toward) + BACK * near:
-            toward = state.slow_wanted
+        if (
+            toward * state.slow_required < 0.0
+            and abs(state.slow_required) > abs(toward) + ARC.reversal * near
+        ):
+            toward = state.slow_required
     if still and not spool:
         toward = keep_on(toward, state.function, gains.rules)
     function, status = select(
@@ -722,7 +738,7 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     state.age += tick
     state.function = function
     coupled = axis.spool[function] == 1
-    return Choice(function, status, state.slow_load, resting, led, coupled)
+    return Choice(function, status, state.slow_load, resting, return_speed, coupled)
 
 
 @kernel
@@ -732,14 +748,14 @@ def carried(path, drop, circuit):
 
 
 @kernel
-def make_room(choice, soon, p, circuit, gains, memory):
+def provide_headroom(choice, soon, p, circuit, gains, memory):
     """Write by how much [Pa] the off-side's goal is raised, so that the supply's edge will carry
     what is desired.
 
     An edge that keeps its flow against the drop passes a little more at a smaller one, that is
     where the chamber which it fills stands higher. Where it passes less so, or the pump would have
     to follow, nothing is raised. ``soon`` are the (least, largest) desired speeds [m/s] of the next
-    PREVIEW."""
+    preview."""
     state, path, way = memory.state, METERING[choice.function], DIRECTION[choice.function]
     state.raised, regenerates = 0.0, choice.function == EXTEND_RESISTIVE_REGENERATION
     if choice.spool or regenerates or (path != SUPPLY_HEAD and path != SUPPLY_ROD):
@@ -751,7 +767,7 @@ def make_room(choice, soon, p, circuit, gains, memory):
     required = (1.0 + gains.flow_reserve) * area * fastest / (1.0 - lacking(way, memory.oil))
     filled = ((p.tank + gains.low_pressure) * other + way * choice.load) / area
     supply = supply_pressure(filled, p, circuit)
-    less = min(SMALLER * p.supply, 0.5 * (supply - filled))
+    less = min(ARC.smaller * p.supply, 0.5 * (supply - filled))
     follows = circuit.supply[0].margin > 0.0 or supply_pressure(filled + less, p, circuit) != supply
     if gains.flow_reserve == 0.0 or less <= 0.0 or follows:
         return
@@ -763,11 +779,11 @@ def make_room(choice, soon, p, circuit, gains, memory):
 
 @kernel
 def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
-    """What the off-side chamber's pressure asks for beyond ``A v_d``, as a speed of its piston face
+    """What the off-side chamber's pressure takes beyond ``A v_d``, as a speed of its piston face
     [m/s].
 
     Its set-point goes from where the pressure was when the chamber became the off-side to
-    ``low_pressure`` above tank, ``raised`` by `make_room`, or, in the seventh function, to
+    ``low_pressure`` above tank, ``raised`` by `provide_headroom`, or, in the seventh function, to
     ``(P_L + Δp3 A1)/(A1 − A2)``. ``head_rate``, ``rod_rate`` [Pa/m] are β A/V of the chambers."""
     metered = METERED[choice.function]
     if state.metered != metered:
@@ -795,7 +811,7 @@ def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
 
 @kernel
 def share_flows(choice, reference, required, oil, p, opened, axis, memory):
-    """Valve level: the `Flows` whose ``head·Q1 + rod·Q2`` is what is ``wanted`` [1/s].
+    """Valve level: the `Flows` whose ``head·Q1 + rod·Q2`` is ``required`` [1/s].
 
     The off-side chamber's flow follows its pressure, the rest is the metered chamber's; a spool
     opens both, by the pressures of `opened_by`."""
@@ -812,15 +828,15 @@ def share_flows(choice, reference, required, oil, p, opened, axis, memory):
     )
     piston = reference.v + gains.valve_lead * reference.a + extra
     if (METERED[function] == HEAD) == (DIRECTION[function] < 0):
-        piston = asked_speed(reference, memory.oil, gains) + extra  # or it would run empty
+        piston = required_speed(reference, memory.oil, gains) + extra  # or it would run empty
     way = DIRECTION[function]
     if METERED[function] == HEAD:
         off = forward(way, circuit.area_rod * piston + oil.lost_rod)
         metered = (required - oil.rod * off) / oil.head
-        return Flows(led_back(metered, circuit.area_head, way, choice), off)
+        return Flows(limit_return(metered, circuit.area_head, way, choice), off)
     off = forward(way, circuit.area_head * piston + oil.lost_head)
     metered = (required - oil.head * off) / oil.rod
-    return Flows(off, led_back(metered, circuit.area_rod, way, choice))
+    return Flows(off, limit_return(metered, circuit.area_rod, way, choice))
 
 
 @kernel
@@ -836,7 +852,7 @@ def opened_by(starting, p, planned, choice, oil, circuit, gains, state):
     measured = load_force(p, circuit.area_head, circuit.area_rod)
     part = 1.0
     if gains.drop_corner > 0.0 and not starting:
-        part = -math.expm1(-(gains.drop_corner + FRESH / state.age) * gains.tick)
+        part = -math.expm1(-(gains.drop_corner + ARC.fresh / state.age) * gains.tick)
         state.calm_load += planned * gains.tick
     state.calm_load += part * (measured - state.calm_load)
     if part == 1.0:
@@ -871,7 +887,7 @@ def calm_supply(choice, part, head, rod, p, circuit, gains, state):
     if METERING[function] != fed and not choice.spool:
         state.supply_swing = 0.0
         return state.slow_drop + chamber - swing
-    if drop < FELT * supply.margin and p.supply < supply.pressure:
+    if drop < ARC.follows * supply.margin and p.supply < supply.pressure:
         felt = swing
     state.supply_swing += gains.tick / (gains.tick + supply.lag) * (felt - state.supply_swing)
     return p.supply - state.supply_swing
@@ -884,10 +900,10 @@ def forward(way, flow):
 
 
 @kernel
-def led_back(flow, area, way, choice):
-    """A metered chamber's flow [m³/s], where the reference rests at most that of leading back."""
-    if choice.resting and way * flow > area * choice.led:
-        return way * area * choice.led
+def limit_return(flow, area, way, choice):
+    """A metered chamber's flow [m³/s], at standstill at most that of the return speed."""
+    if choice.resting and way * flow > area * choice.return_speed:
+        return way * area * choice.return_speed
     return flow
 
 
@@ -895,8 +911,8 @@ def led_back(flow, area, way, choice):
 def learns_next(choice, limits, edge_limits, circuit):
     """How the estimates learn at the next tick.
 
-    A valve at its end, or a metered path that cannot follow, must not teach; where no motion is
-    desired, the load is weighed."""
+    A saturated valve, or a metered path that cannot follow, must not teach; at standstill the
+    payload is estimated."""
     if choice.resting:
         return WEIGHED
     if choice.function == HOLD or limits & SATURATED != 0:
@@ -907,7 +923,7 @@ def learns_next(choice, limits, edge_limits, circuit):
 
 @kernel
 def learn(learning, starting, force, gains, memory):
-    """Move the estimates; what they learn is no news to the observer."""
+    """Move the estimates, and the observer's bias by what they learn."""
     state, estimates = memory.state, memory.state.estimates
     inverse, share, offset = estimates[0], estimates[1], estimates[2]
     if learning != FROZEN:
@@ -922,13 +938,13 @@ def learn(learning, starting, force, gains, memory):
 
 
 @kernel
-def weigh(starting, force, load, ratio, v, axis, gains, state):
+def estimate_payload(starting, force, load, ratio, v, axis, gains, state):
     """Write the payload by least squares over pressures and mechanism, and the half of an interval
     that holds it as far as friction is the design's, give or take its Coulomb part.
 
     ``P_L − F_0 − m_0 (a − κ) = m_p (G + m_0 ρ (a − κ))``, both sides behind a low-pass at k1, which
-    tells the acceleration as well; what is old is forgotten over FORGETS/k1, as fast as there is
-    news. ``ratio`` ρ [1/kg] is what 1 kg adds to the inertia."""
+    gives the acceleration as well; old values fade over ``payload_memory``/k1, as fast as new ones
+    come. ``ratio`` ρ [1/kg] is what 1 kg adds to the inertia."""
     beyond, corner = force.phi_1 * load.mass, gains.position_bandwidth
     slow = gains.tick * corner
     slow /= 1.0 + slow
@@ -941,27 +957,25 @@ def weigh(starting, force, load, ratio, v, axis, gains, state):
     per = state.slow_pull + load.mass * ratio * acceleration
     result = state.slow_force - load.mass * acceleration
     if starting:
-        state.information = per * per + NOTHING
+        state.information = per * per + ARC.no_information
         state.evidence = (
             state.estimates[PAYLOAD_SHARE] / state.estimates[INVERSE_INERTIA] * state.information
         )
-    news = slow / FORGETS * per * per / (per * per + FAINTLY)
+    news = slow / ARC.payload_memory * per * per / (per * per + ARC.weak_pull)
     state.evidence += news * (per * result - state.evidence)
     state.information += news * (per * per - state.information)
     state.payload = state.evidence / state.information
-    left = result - per * state.payload
-    state.scatter += news * (left * left - state.scatter)
-    doubt = max(2.0 * math.sqrt(state.scatter), abs(left)) + axis.cylinder.friction_coulomb
-    doubt += OFFSET * gains.upper[DISTURBANCE]
-    doubt += DAMPED * abs(v) * (load.damping + axis.cylinder.friction_viscous)
+    residual = result - per * state.payload
+    state.scatter += news * (residual * residual - state.scatter)
+    doubt = max(2.0 * math.sqrt(state.scatter), abs(residual)) + axis.cylinder.friction_coulomb
+    doubt += ARC.offset * gains.upper[DISTURBANCE]
+    doubt += ARC.damping * abs(v) * (load.damping + axis.cylinder.friction_viscous)
     state.half = min(doubt / math.sqrt(state.information), gains.upper[PAYLOAD_SHARE])
 
 
 @kernel
-def feel_oil(choice, flows, limits, load_force, v, oil, axis, memory):
-    """Let the oil's softness be learnt from the flows [m³/s] that the valves pass, where that is
-    wanted.
-    """
+def estimate_bulk_modulus(choice, flows, limits, load_force, v, oil, axis, memory):
+    """Learn the oil's softness from the flows [m³/s] that the valves pass, with ``adapt_oil``."""
     gains, circuit = memory.gains[0], axis.circuit
     if gains.adapt_oil == 0.0 or gains.adapt == 0.0:
         return
@@ -974,26 +988,26 @@ def feel_oil(choice, flows, limits, load_force, v, oil, axis, memory):
     maximum = per_speed * gains.speed_correction
     bound = gains.upper[PAYLOAD_SHARE]
     if memory.state.half < 0.5 * bound:
-        other = memory.state.half + ANOTHER * bound
-        weigh_anew(memory.state.payload, other, memory.oil)
+        other = memory.state.half + ARC.other_payload * bound
+        restart_for(memory.state.payload, other, memory.oil)
     learn_oil(quiet, given, moved, maximum, load_force, gains, memory.oil)
 
 
 @kernel
-def mend_maps(choice, seen, command, axis, gains, memory, telemetry):
-    """Let the flow maps be corrected, where that is wanted, in a motion whose function stays."""
+def adapt_maps(choice, seen, command, axis, gains, memory, telemetry):
+    """Correct the flow maps in a motion whose function stays, with ``adapt_maps``."""
     if gains.adapt_maps > 0.0:
         moving = choice.function != HOLD and not choice.resting
         quiet = moving and memory.state.age > 1.5 * gains.tick
         learn_maps(
             quiet, choice.resting, seen, telemetry[COLUMNS:], command, axis, gains, memory.maps
         )
-        oil, message = seen.oil, memory.maps.told
-        told_already(oil.bulk * (oil.head * message[0] - oil.rod * message[1]), memory.oil)
+        oil, added = seen.oil, memory.maps.added
+        credit_maps(oil.bulk * (oil.head * added[0] - oil.rod * added[1]), memory.oil)
 
 
 @kernel
-def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
+def write_telemetry(reference, stroke, force, choice, flows, limits, memory, telemetry):
     """Write the law's own columns of telemetry, and behind those of every law the corrections of
     its edges.
     """
@@ -1013,7 +1027,7 @@ def tell(reference, stroke, force, choice, flows, limits, memory, telemetry):
             stroke.z1,
             stroke.v_error,
             force.measured,
-            force.wanted,
+            force.required,
             state.v,
             flows.head,
             flows.rod,
@@ -1054,17 +1068,18 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]
     measured = load_force(p, circuit.area_head, circuit.area_rod)
     place_joints(sample, axis, memory.angles)
-    own, tip = inertias(axis, memory.angles, memory.work)
+    inertia, tip = inertias(axis, memory.angles, memory.work)
     starting = state.started == 0
     if starting:
-        start(x, v, p, measured, state)
-        start_estimates(measured, load_at(axis, q, own, memory.work), own, tip, design, state)
+        begin_state(x, v, p, measured, state)
+        load = load_at(axis, q, inertia, memory.work)
+        begin_estimates(measured, load, inertia, tip, design, state)
         begin(p, axis.onset, design, memory.maps)
         begin_oil(measured, axis.cylinder.bulk_modulus, memory.oil)
-    gains = ease(design, tip / own, state, memory.gains)[0]
+    gains = ease(design, tip / inertia, state, memory.gains)[0]
     if not starting:
         x, v = observe(x, v, gains, state)
-    load, ahead = loads_along(reference, q, v, own, axis, memory)
+    load, ahead = loads_along(reference, q, v, inertia, axis, memory)
 
     stroke = track_stroke(desired, x, v, gains)
     force = track_force(desired, v, measured, load, stroke, axis, gains, state.estimates)
@@ -1074,12 +1089,12 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    required = feed_forward(asked_speed(desired, memory.oil, gains) - desired.v, v, oil, circuit)
+    required = feed_forward(required_speed(desired, memory.oil, gains) - desired.v, v, oil, circuit)
     required += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = required / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
     choice = choose(desired, stroke.z1, measured, spool_speed, p, axis, gains, state)
-    make_room(choice, speeds_soon(reference), p, circuit, gains, memory)
+    provide_headroom(choice, speeds_soon(reference), p, circuit, gains, memory)
     opened = opened_by(starting, p, rates[1], choice, oil, circuit, gains, state)
     flows = share_flows(choice, desired, required, oil, p, opened, axis, memory)
     edges = COLUMNS + circuit.count
@@ -1088,13 +1103,13 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
         choice.function, flows, opened, gains.drop_floor, circuit, command, edge_flows, edge_limits
     )
     if gains.standby > 0.0:
-        stand_by(axis, gains.standby, memory.maps.trim, command)
+        bias_valves(axis, gains.standby, memory.maps.trim, command)
     state.learning = learns_next(choice, limits, edge_limits, circuit)
     learn(learning, starting, force, gains, memory)
-    weigh(starting, force, load, tip / own, v, axis, gains, state)
-    feel_oil(choice, flows, limits, measured, v, oil, axis, memory)
-    tell(desired, stroke, force, choice, flows, limits, memory, telemetry)
-    mend_maps(choice, Seen(v, p, oil), command, axis, gains, memory, telemetry)
+    estimate_payload(starting, force, load, tip / inertia, v, axis, gains, state)
+    estimate_bulk_modulus(choice, flows, limits, measured, v, oil, axis, memory)
+    write_telemetry(desired, stroke, force, choice, flows, limits, memory, telemetry)
+    adapt_maps(choice, Seen(v, p, oil), command, axis, gains, memory, telemetry)
 
 
 def memory_of(axis: Axis) -> Memory:
@@ -1113,9 +1128,8 @@ def memory_of(axis: Axis) -> Memory:
 
 
 def eased_gains(used: Mapping[str, Any], law: Controller) -> dict[str, Any]:
-    """How far a payload took the bandwidths of a run down at most, ``eased``, and the gains that
-    were in force then where they are not the design's, ``gains_under_load``, by name [SI]; nothing
-    where it took none down.
+    """How far a payload reduced the bandwidths of a run at most, ``eased``, and the gains that were
+    in force then where they are not the design's, ``gains_under_load``, by name [SI].
     """
     state = law.memory.state
     if state.eased == 0.0:
@@ -1151,8 +1165,8 @@ LAW = Law(
     telemetry=Telemetry._fields,
     edge_telemetry=("map_gain", "map_shift"),
     bounds=("payload", "bulk_modulus"),
-    ahead=AHEAD,
-    preview=PREVIEW,
+    ahead=ARC.ahead,
+    preview=ARC.preview,
     after=eased_gains,
     warns_saturated=True,
 )

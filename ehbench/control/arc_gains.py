@@ -13,13 +13,16 @@ import numpy as np
 
 from ehbench.control.axis import Axis, Load, hydraulic_frequency, reference_load
 from ehbench.control.functions import RULES
-from ehbench.control.law import Packed, Site
+from ehbench.control.law import DesignPoint, Packed
+from ehbench.control.pressure_feedback import DEFAULTS
 from ehbench.control.records import blank, numbers, reals
 from ehbench.parts.cylinder import joint_of
 from ehbench.runtime.compiled import record
 from ehbench.vocabulary.codes import ESTIMATES, INVERSE_BULK, INVERSE_INERTIA
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
 
 GAIN_NAMES = (
     "tick",
@@ -89,22 +92,44 @@ VOCABULARY_OF_GAINS = {
     "payload": VOCABULARY["mass"],
     "bulk_modulus": VOCABULARY["bulk_modulus"],
 }
-# share of each estimate's bounds that scales its adaptation: inertia and disturbance shall not take
-# what the payload explains
-SHARES = np.array([0.3, 1.0, 0.2])
-SPARE = 1.15  # of the heaviest payload that a rig file names may be on board
-BUDGET = 0.42  # [rad] that the valves' lag and a tick may take at that sum
-RESERVE = 7.0e-3  # [s]: sensors of 2 ms, and 5 ms more, with which nothing shall swing
-OWN = 2.0  # of a load's own damping may be taken: no more than a part of the sum acts on it
-LEAST = 0.26  # of the budget is left to a load without damping of its own
-FASTER = 3.9  # than the loaded rig swings on its oil, where that is softest: the sum at most
-PARTS = (0.20, 0.18, 0.62)  # of the sum of the bandwidths that are k1, k2, k3
-OVERLAP = 0.03  # of its largest command, that a valve may have
-LEARNS = 0.2  # of k1: the rate of adaptation
-MAPS_LEARN = 0.12  # of k1: the rate at which flow maps are corrected, slow against the loop
-OBSERVER, FASTEST_OBSERVER = 6.0, 500.0  # of that sum; [rad/s]
-DROPS = 0.15  # of that frequency: load forces that count as the swing's, where drops are small
-STROKES = (0.1, 0.3, 0.5, 0.7, 0.9)  # at which adaptation is looked at
+
+
+@dataclass(frozen=True)
+class ArcGainSettings:
+    """Numbers of the default gains; "sum" is k1 + k2 + k3."""
+
+    shares: tuple = setting((0.3, 1.0, 0.2), "", "bounds that scale adaptation", "payload first")
+    spare: float = setting(1.15, "", "largest payload, of the rig file's heaviest", "chosen")
+    link: float = setting(1.5, "", "largest payload, of the last link's mass", "chosen")
+    inertia: float = setting(0.1, "", "margin of the inertia's bounds", "chosen")
+    disturbance: float = setting(0.03, "", "disturbance, of supply pressure on the head", "seals")
+    bulk: float = setting(1.4, "", "factor of the bulk modulus to its bounds", "air in the oil")
+    budget: float = setting(0.42, "rad", "phase of valves and a tick at the sum", "docs arc.md")
+    reserve: float = setting(7.0e-3, "s", "sensor lag that must not swing", "2 ms lag, 5 ms delay")
+    damping: float = setting(2.0, "", "share of a load's damping to take", "docs arc.md")
+    undamped: float = setting(0.26, "", "budget of a load without damping", "docs arc.md")
+    faster: float = setting(3.9, "", "largest sum over the loaded frequency", "docs arc.md")
+    parts: tuple = setting((0.20, 0.18, 0.62), "", "k1, k2, k3 of the sum", "docs arc.md")
+    overlap: float = setting(0.03, "", "unknown overlap, of the largest command", "data sheets")
+    onset: float = setting(0.25, "", "error of a known deadband", "chosen")
+    adaptation: float = setting(0.2, "k1", "rate of adaptation", "docs arc.md")
+    adaptation_bulk: float = setting(0.02, "", "the same of the bulk modulus, of it", "slow")
+    maps: float = setting(0.12, "k1", "rate of the map corrections", "slow against the loop")
+    observer: float = setting(6.0, "sum", "bandwidth of the observer", "fast against the loop")
+    fastest_observer: float = setting(500.0, "rad/s", "its largest bandwidth", "noise at 1 kHz")
+    pressure: float = setting(0.6, "sum", "bandwidth of the off-side pressure", "chosen")
+    pressure_rate: float = setting(3.0, "1/s", "set-point's rate over supply pressure", "chosen")
+    nudge: float = setting(0.01, "", "speed at standstill, of the largest", "chosen")
+    resolution: float = setting(2.5e-5, "m", "resolution of the stroke", "usual encoder")
+    standby: float = setting(0.8, "", "share of the deadband while shut", "tolerance of a deadband")
+    flow_reserve: float = setting(0.06, "", "flow to spare at the supply's edge", "docs arc.md")
+    robust: float = setting(0.05, "", "robust share of k2 and k3", "docs arc.md")
+    map_error: float = setting(0.25, "", "error of a flow map", "data sheets")
+    corner: float = setting(0.15, "", "corner of a swing over its frequency", "docs arc.md")
+    strokes: tuple = setting((0.1, 0.3, 0.5, 0.7, 0.9), "", "strokes that are checked", "its range")
+
+
+ARC_GAINS = ArcGainSettings()
 
 
 @dataclass(frozen=True)
@@ -113,10 +138,12 @@ class Adaptation:
 
     Args:
         adapt: False for the same law with its estimates left at the design model.
-        lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3; BUDGET by default, and
+        lag_budget: phase [rad] that the loop's lag may take at k1 + k2 + k3; ``budget`` by default,
+            and
             less on a load that swings fast (`_total`).
         payload: bounds of the payload at the end of the last link [kg]; 0 to 1.5 times that link's
-            mass by default, or to SPARE times the rig file's heaviest payload where that is more.
+            mass by default, or to ``spare`` times the rig file's heaviest payload where that is
+            more.
         disturbance: bound ± of the unknown force [N]; 3 % of supply pressure on the head end by
             default.
         bulk_modulus: its bounds [Pa]; the design's through and times 1.4 by default.
@@ -145,8 +172,8 @@ class _Bounds:
     span: float
 
     @property
-    def hold(self) -> bool:
-        """Whether they hold the design model."""
+    def contain_design(self) -> bool:
+        """Whether the design model lies within."""
         return bool(
             self.start[1] >= 0.0
             and np.isfinite([self.lower, self.upper]).all()
@@ -155,7 +182,7 @@ class _Bounds:
 
 
 def pack_arc(
-    site: Site,
+    point: DesignPoint,
     rules: np.record,
     adaptation: Adaptation | None = None,
     gains: Mapping[str, float] | None = None,
@@ -164,11 +191,11 @@ def pack_arc(
     valves and the supply allow.
 
     The valves are asked for phase up to the sum of the bandwidths k1 + k2 + k3 [rad/s]. By default
-    that sum times the loop's lag is ``lag_budget``, shared out by PARTS: the margins that these
+    that sum times the loop's lag is ``lag_budget``, shared out by ``parts``: the margins that these
     defaults keep are in ``docs/explanation/arc.md``, with where the others come from.
 
     Args:
-        site: what it is designed for.
+        point: what it is designed for.
         rules: of function selection, `ehbench.control.functions.pack_rules`.
         adaptation: what is not known.
         gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``,
@@ -196,34 +223,37 @@ def pack_arc(
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
             model.
     """
-    return pack_with_rates(site, rules, adaptation or Adaptation(), gains or {})[0]
+    return pack_with_rates(point, rules, adaptation or Adaptation(), gains or {})[0]
 
 
 def pack_with_rates(
-    site: Site, rules: np.record, unsure: Adaptation, given: Mapping[str, float]
+    point: DesignPoint, rules: np.record, unsure: Adaptation, given: Mapping[str, float]
 ) -> tuple[np.record, np.ndarray]:
     """(`pack_arc`, the rates of adaptation that a bandwidth of 1 rad/s makes).
 
     Raises:
         InputError: as `pack_arc`.
     """
-    _check(given, site.tick, BUDGET if unsure.lag_budget is None else unsure.lag_budget)
-    places = _places(site.axis)
-    bounds, total = _bounds(site, unsure, places[0]), _total(site, unsure, places)
+    _check(given, point.tick, unsure.lag_budget)
+    places = _places(point.axis)
+    bounds, total = _bounds(point, unsure, places[0]), _total(point, unsure, places)
     chosen = {
         name: given.get(name, total * part)
-        for name, part in zip(GAIN_NAMES[2:5], PARTS, strict=True)
+        for name, part in zip(GAIN_NAMES[2:5], ARC_GAINS.parts, strict=True)
     }
-    learning = _learning(site, unsure, bounds, chosen, (given, places))
-    chosen |= _defaults(site, places[0].load, chosen, total, learning) | dict(given)
-    chosen |= {"tick": given.get("tick", site.tick), "adapt": given.get("adapt", unsure.adapt)}
+    learning = _learning(point, unsure, bounds, chosen, (given, places))
+    chosen |= _defaults(point, places[0].load, chosen, total, learning) | dict(given)
+    chosen |= {"tick": given.get("tick", point.tick), "adapt": given.get("adapt", unsure.adapt)}
     chosen["adapt_oil"] = given.get("adapt_oil", 1.0)
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
-    chosen["drop_corner"] = given.get("drop_corner", _drop_corner(site, places))
+    chosen["drop_corner"] = given.get("drop_corner", _drop_corner(point, places))
     if unsure.lag_budget is None and not set(GAIN_NAMES[2:5]) & set(given):
-        softest = FASTER * min(place.swing for place in places)
+        softest = ARC_GAINS.faster * min(place.swing for place in places)
         chosen["bandwidth_limit"] = given.get("bandwidth_limit", softest)
-    _check_whole(chosen, bounds, learning.rate)
+    if chosen["standby"] >= 1.0:
+        raise InputError(message("control.standby_range", value=chosen["standby"]))
+    if not bounds.contain_design or not (learning.rate >= 0.0).all():
+        raise InputError(message("control.bounds_miss_design"))
     packed = blank(GAINS)
     for name in GAIN_NAMES:
         packed[name] = chosen[name]
@@ -233,34 +263,15 @@ def pack_with_rates(
     return packed, learning.per_bandwidth
 
 
-def _check(given: Mapping[str, float], tick: float, lag_budget: float) -> None:
+def _check(given: Mapping[str, float], tick: float, lag_budget: float | None) -> None:
+    lag_budget = ARC_GAINS.budget if lag_budget is None else lag_budget
     for name in given:
         if name not in GAIN_NAMES:
-            raise InputError(
-                f"the adaptive robust controller has no gain '{name}'",
-                hint="it has " + ", ".join(GAIN_NAMES),
-            )
+            known = ", ".join(GAIN_NAMES)
+            raise InputError(message("control.unknown_arc_gain", name=name, known=known))
     for name, value in {"tick": tick, "lag_budget": lag_budget, **given}.items():
         if not math.isfinite(value) or value < 0.0 or (value == 0.0 and name not in MAY_BE_ZERO):
-            raise InputError(
-                f"gain '{name}' of the adaptive robust controller is {value:g}",
-                hint="it must be a number above 0",
-            )
-
-
-def _check_whole(chosen: Mapping[str, float], bounds: _Bounds, rate: np.ndarray) -> None:
-    if chosen["standby"] >= 1.0:
-        raise InputError(
-            f"gain 'standby' is {chosen['standby']:g}",
-            hint="a share below 1, or shut valves would leak",
-        )
-    if not bounds.hold or not (rate >= 0.0).all():
-        raise InputError(
-            "the bounds of the estimates do not hold the design model, or a rate of adaptation is "
-            "negative",
-            hint="payload 0 kg or more, lower bound first; disturbance 0 N or more; bulk_modulus "
-            "around the design's",
-        )
+            raise InputError(message("control.arc_gain_range", name=name, value=value))
 
 
 class _Place(NamedTuple):
@@ -286,37 +297,38 @@ def _places(axis: Axis) -> list[_Place]:
     return results
 
 
-def _bounds(site: Site, unsure: Adaptation, place: _Place) -> _Bounds:
+def _bounds(point: DesignPoint, unsure: Adaptation, place: _Place) -> _Bounds:
     """Bounds of the estimates; a payload's are those of inertia and gravity that it makes."""
-    axis, ratio = site.axis, place.ratio
+    axis, ratio = point.axis, place.ratio
     beta = axis.cylinder.bulk_modulus
     last = float(axis.mechanism.links[-1].mass)
-    low, high = unsure.payload or (0.0, max(1.5 * last, SPARE * site.payload))
+    low, high = unsure.payload or (0.0, max(ARC_GAINS.link * last, ARC_GAINS.spare * point.payload))
     worst = unsure.disturbance
     if worst is None:
-        worst = 0.03 * site.supply_pressure * axis.circuit.area_head
-    softest, hardest = unsure.bulk_modulus or (beta / 1.4, 1.4 * beta)
+        worst = ARC_GAINS.disturbance * point.supply_pressure * axis.circuit.area_head
+    softest, hardest = unsure.bulk_modulus or (beta / ARC_GAINS.bulk, ARC_GAINS.bulk * beta)
     return _Bounds(
-        np.array([0.9 / (1.0 + high * ratio), low, -worst, beta / hardest]),
-        np.array([1.1 / (1.0 + low * ratio), high, worst, beta / softest]),
+        np.array([(1.0 - ARC_GAINS.inertia) / (1.0 + high * ratio), low, -worst, beta / hardest]),
+        np.array([(1.0 + ARC_GAINS.inertia) / (1.0 + low * ratio), high, worst, beta / softest]),
         np.array([1.0, low, 0.0, 1.0]),
         high - low,
     )
 
 
-def _total(site: Site, unsure: Adaptation, places: Sequence[_Place]) -> float:
+def _total(point: DesignPoint, unsure: Adaptation, places: Sequence[_Place]) -> float:
     """k1 + k2 + k3 [rad/s] by default.
 
-    Where a load swings so fast that lag and RESERVE turn the feedback by more than a quarter of a
-    turn, it takes damping away; there it may take OWN of what the load has by itself."""
-    lag = site.valve_lag + site.tick
+    Where a load swings so fast that lag and ``reserve`` turn the feedback by more than a quarter
+    of a turn, it takes damping away: at most ``damping`` of what the load has by itself."""
+    lag = point.valve_lag + point.tick
     if unsure.lag_budget is not None:
         return unsure.lag_budget / lag
-    total = maximum = BUDGET / lag
+    total = maximum = ARC_GAINS.budget / lag
     for place in places:
-        taken = -math.cos(min(place.swing * (lag + RESERVE), math.pi))
+        taken = -math.cos(min(place.swing * (lag + ARC_GAINS.reserve), math.pi))
         if taken > 0.0:
-            total = min(total, max(OWN * place.damping / taken, LEAST * maximum))
+            damped = ARC_GAINS.damping * place.damping / taken
+            total = min(total, max(damped, ARC_GAINS.undamped * maximum))
     return total
 
 
@@ -333,7 +345,7 @@ class _Learning(NamedTuple):
 
 
 def _learning(
-    site: Site,
+    point: DesignPoint,
     unsure: Adaptation,
     bounds: _Bounds,
     bandwidths: Mapping[str, float],
@@ -345,15 +357,19 @@ def _learning(
     each = [_sensitivity(place, bounds.span, bandwidths, coupling) for place in places]
     middle = each[0]
     width = (bounds.upper - bounds.lower)[:3]
-    variance = (width * SHARES) ** 2
-    # where along the stroke an error shows most, so that nowhere they learn faster than is said
+    variance = (width * np.array(ARC_GAINS.shares)) ** 2
+    # where along the stroke an error shows most, so that nowhere they learn faster than stated
     shown = max(item.answer * float(item.phi**2 @ variance) for item in each)
-    late = site.valve_lag + site.tick + RESERVE
+    late = point.valve_lag + point.tick + ARC_GAINS.reserve
     turned = late * max(place.swing for place in places)
-    gamma = LEARNS * k1 * min(1.0, 0.5 * math.pi / turned)
+    gamma = ARC_GAINS.adaptation * k1 * min(1.0, 0.5 * math.pi / turned)
     gamma = gamma if unsure.adaptation is None else unsure.adaptation
-    # 10 m/s³ times the reference mass stands for the force rates that tell the bulk modulus
-    slow = 0.02 * gamma if unsure.adaptation_bulk is None else unsure.adaptation_bulk
+    # 10 m/s³ times the reference mass stands for the force rates that show the bulk modulus
+    slow = (
+        ARC_GAINS.adaptation_bulk * gamma
+        if unsure.adaptation_bulk is None
+        else unsure.adaptation_bulk
+    )
     rate, per = (
         np.array([*(item * variance / shown), bulk * k3 * (middle.omega / 10.0) ** 2])
         for item, bulk in ((gamma, slow), (1.0, 1.0))
@@ -399,111 +415,113 @@ def _sensitivity(
 def _along(axis: Axis) -> Iterator[Axis]:
     """The axis in postures along its stroke, the other joints as they are."""
     cylinder = axis.cylinder
-    for share in STROKES:
+    for share in ARC_GAINS.strokes:
         posture = axis.mechanism.posture.copy()
         posture[int(cylinder.joint)] = joint_of(cylinder, share * float(cylinder.stroke))
         yield axis._replace(mechanism=axis.mechanism._replace(posture=posture))
 
 
-def _drop_corner(site: Site, places: Sequence[_Place]) -> float:
+def _drop_corner(point: DesignPoint, places: Sequence[_Place]) -> float:
     """Corner [rad/s] between the load force that valves are opened by and its swing: well below the
     frequency at which the load swings where drops are small, on a load-sensing pump and on two
     rails, else none.
     """
-    supply = site.axis.circuit.supply[0]
+    supply = point.axis.circuit.supply[0]
     if float(supply.margin) == 0.0 and float(supply.rail) == 0.0:
         return 0.0
-    return DROPS * min(place.swing for place in places)
+    return ARC_GAINS.corner * min(place.swing for place in places)
 
 
-def _deadband_error(site: Site) -> float:
+def _deadband_error(point: DesignPoint) -> float:
     """What a deadband may be wrong by [V]: a share of the largest that is known, or of the command
     where a spool has an overlap that its rig file lacks.
     """
-    circuit = site.axis.circuit
+    circuit = point.axis.circuit
     valves = np.unique(circuit.edges.valve[circuit.first : circuit.first + circuit.count])
     widest = np.maximum(np.abs(circuit.lowest[valves]), np.abs(circuit.highest[valves])).max()
-    return float(max(0.25 * np.abs(site.axis.onset).max(initial=0.0), OVERLAP * widest))
+    onset = np.abs(point.axis.onset).max(initial=0.0)
+    return float(max(ARC_GAINS.onset * onset, ARC_GAINS.overlap * widest))
 
 
 def _defaults(
-    site: Site, load: Load, bandwidths: Mapping[str, float], total: float, learning: _Learning
+    point: DesignPoint,
+    load: Load,
+    bandwidths: Mapping[str, float],
+    total: float,
+    learning: _Learning,
 ) -> dict[str, float]:
     """Defaults of all gains but the bandwidths k1, k2, k3, whose sum by default is ``total``."""
     unknown = learning.unknown
     k1, k2, k3 = bandwidths.values()
-    area, mass = site.axis.circuit.area_head, load.mass
+    area, mass = point.axis.circuit.area_head, load.mass
     return {
         "bandwidth_limit": 0.0,
         "coupling_frequency": 0.0,
         "speed_tolerance": unknown / (1.1 * k2),
         "force_tolerance": mass * (k1 + k2) * unknown / (1.1 * k3),
-        "robust_limit": 0.05,
-        "pressure_bandwidth": 0.6 * total,
-        "low_pressure": site.low_pressure,
-        "pressure_rate": 3.0 * site.supply_pressure,
-        "observer_bandwidth": min(OBSERVER * total, FASTEST_OBSERVER),
-        "speed_correction": site.flow_limit / area,
-        "speed_nudge": 0.01 * site.flow_limit / area,
-        "stroke_resolution": 2.5e-5,
-        "load_corner": 2.0 * math.pi,
-        "standby": 0.8,
-        "flow_reserve": 0.06,
-        "valve_lead": site.valve_lag + 0.5 * site.tick,
-        "drop_floor": 2.0e4,
+        "robust_limit": ARC_GAINS.robust,
+        "pressure_bandwidth": ARC_GAINS.pressure * total,
+        "low_pressure": point.low_pressure,
+        "pressure_rate": ARC_GAINS.pressure_rate * point.supply_pressure,
+        "observer_bandwidth": min(ARC_GAINS.observer * total, ARC_GAINS.fastest_observer),
+        "speed_correction": point.flow_limit / area,
+        "speed_nudge": ARC_GAINS.nudge * point.flow_limit / area,
+        "stroke_resolution": ARC_GAINS.resolution,
+        "load_corner": DEFAULTS.load_corner,
+        "standby": ARC_GAINS.standby,
+        "flow_reserve": ARC_GAINS.flow_reserve,
+        "valve_lead": point.valve_lag + 0.5 * point.tick,
+        "drop_floor": DEFAULTS.drop_floor,
         "weighing_time": learning.answer,
         "reference_mass": mass,
-        "map_bandwidth": MAPS_LEARN * k1,
-        "map_error": 0.25,
-        "deadband_error": _deadband_error(site),
+        "map_bandwidth": ARC_GAINS.maps * k1,
+        "map_error": ARC_GAINS.map_error,
+        "deadband_error": _deadband_error(point),
     }
 
 
 def check_modelled(unmodelled: Sequence[str], **where: Any) -> None:
-    """Refuse an axis with a part that the law's model of a cylinder lacks; ``where`` a file asks
-    for the law.
+    """Refuse an axis with a part that the law's model of a cylinder lacks; ``where`` a file names
+    the law.
 
     Raises:
-        InputError: it has one, which is named.
+        InputError: names the part.
     """
     if unmodelled:
-        raise InputError(
-            f"controller 'arc' knows no {unmodelled[0]}, and its model of the "
-            "cylinder would be wrong by it",
-            **where,
-            hint="take another controller",
-        )
+        raise InputError(message("control.arc_lacks_part", part=unmodelled[0]), **where)
 
 
-def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
+def pack(
+    point: DesignPoint, gains: Mapping[str, Any], rules: np.record, shaping: np.record
+) -> Packed:
     """The gains on a site, and what is known of them: see `named_gains`.
 
     Raises:
         InputError: the rig has a part that the law's model of the cylinder lacks.
     """
-    check_modelled(site.unmodelled)
+    check_modelled(point.unmodelled)
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
     unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
-    packed, per_bandwidth = pack_with_rates(site, rules, Adaptation(**unsure), known)
-    named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(site, packed)}
+    packed, per_bandwidth = pack_with_rates(point, rules, Adaptation(**unsure), known)
+    named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(point, packed)}
     return Packed(packed, named)
 
 
-def guaranteed(site: Site, packed: np.record) -> dict[str, float]:
+def guaranteed(point: DesignPoint, packed: np.record) -> dict[str, float]:
     """What the law guarantees of its errors in the axis's posture, whatever the estimates do inside
     of their bounds: ``acceleration`` h_2 [m/s²] that they leave open, and the ends of ``speed`` z_2
     [m/s] and ``stroke`` z_1 [m] after the transient.
 
     ``V̇_z ≤ −K V_z + h_2²/(2 K_2) + w h_3²/(2 K_3)`` with K_i = k_i and their robust shares, K the
     lesser (docs/explanation/arc.md)."""
-    load, _ = reference_load(site.axis)
+    load, _ = reference_load(point.axis)
     width = (packed.upper - packed.lower)[:3]
     span = float(packed.upper[1] - packed.lower[1])
     k1, k2, k3 = (float(packed[name]) for name in GAIN_NAMES[2:5])
     phi = _regressors(load, span)
     unsure = float(np.abs(phi) @ width)
     force = load.mass * (k1 + k2) * unsure
-    omega = float(packed.coupling_frequency) or hydraulic_frequency(site.axis, load)
+    omega = float(packed.coupling_frequency) or hydraulic_frequency(point.axis, load)
     whole = []
     for gain, left, tolerance in (
         (k2, unsure, float(packed.speed_tolerance)),

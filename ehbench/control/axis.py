@@ -23,6 +23,7 @@ from ehbench.physics.arm import (
 from ehbench.runtime.compiled import kernel, table
 from ehbench.vocabulary.codes import FUNCTIONS, HOLD
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 # what must be known of the cylinder
 NEEDED = (
@@ -50,10 +51,9 @@ class Axis(NamedTuple):
 
     ``tip`` are the links of the mechanism without mass, but 1 kg at the end of the last link.
     ``cylinder`` is its row of `ehbench.parts.cylinder.CYLINDER`. ``spool`` [8] is 1 for each
-    working function
-    whose two edges hang on one command, and for hold if there is such a one. ``onset`` [V] of each
-    of the cylinder's edges: where it begins to pass oil, 0 where its valve has other edges as
-    well."""
+    working function whose two edges hang on one command, and for hold if there is such a function.
+    ``onset`` [V] of each of the cylinder's edges: where it begins to pass oil, 0 where its valve
+    has other edges as well."""
 
     circuit: Circuit
     mechanism: Mechanism
@@ -67,8 +67,8 @@ class Load(NamedTuple):
     """What a cylinder moves, seen at its rod, of the rig without payload.
 
     Equivalent mass ``m0 = D_jj/l²`` [kg], ``gravity`` force c/l [N], joint ``damping`` b/l²
-    [N·s/m], ``curve`` κ/v² [1/m] of the linkage's own acceleration ``κ = l′ q̇²``, ``pull`` G [N/kg]
-    of 1 kg at the tip, ``lever`` l [m/rad]."""
+    [N·s/m], ``curve`` κ/v² [1/m] of the linkage's own acceleration ``κ = l′ q̇²``, ``pull`` G
+    [N/kg] of 1 kg at the tip, ``lever`` l [m/rad]."""
 
     mass: float
     gravity: float
@@ -85,14 +85,14 @@ def inertias(axis, angles, work):
     """
     j, mechanism = axis.cylinder.joint, axis.mechanism
     turn(mechanism.links, angles, work)
-    own = inertia_turned(mechanism.kind, mechanism.links, j, work)
-    return own, inertia_turned(mechanism.kind, axis.tip, j, work)
+    inertia = inertia_turned(mechanism.kind, mechanism.links, j, work)
+    return inertia, inertia_turned(mechanism.kind, axis.tip, j, work)
 
 
 @kernel
-def load_at(axis, q, own, work):
-    """The `Load` at joint coordinate q, after `inertias`, of which ``own`` is and which turned the
-    other joints.
+def load_at(axis, q, inertia, work):
+    """The `Load` at joint coordinate q, after `inertias`, which gives D_jj and turned the other
+    joints.
     """
     j, mechanism = axis.cylinder.joint, axis.mechanism
     _, lever, curve = linkage_of(axis.cylinder, q)
@@ -104,7 +104,7 @@ def load_at(axis, q, own, work):
     fixed = torque[j] * per
     weigh_turned(mechanism.kind, axis.tip, mechanism.gravity, j, torque, work)
     return Load(
-        own * per * per,
+        inertia * per * per,
         fixed,
         mechanism.links[j].damping * per * per,
         curve * per * per,
@@ -132,17 +132,15 @@ def axis_of(circuit: Circuit, mechanism: Mechanism, cylinder: np.record) -> Axis
         np.ascontiguousarray(mechanism.posture, float),
     )
     if mechanism.posture.shape != mechanism.links.shape:
-        raise InputError(
-            "the parts of an axis do not fit each other", hint="posture: one coordinate a joint"
-        )
+        raise InputError(message("control.posture_mismatch"))
     spool = np.array([coupled(circuit, f) for f in range(len(FUNCTIONS))], dtype=np.int64)
     spool[HOLD] = spool.max()
     parts = (mechanism.gravity, mechanism.links.view(float), mechanism.posture)
-    own = [cylinder[name] for name in NEEDED]
-    if not all(np.isfinite(part).all() for part in (*parts, own)) or not (
+    needed = [cylinder[name] for name in NEEDED]
+    if not all(np.isfinite(part).all() for part in (*parts, needed)) or not (
         min(cylinder.volume_head, cylinder.volume_rod, cylinder.bulk_modulus) > 0.0
     ):
-        raise InputError("an axis needs finite numbers, and volumes and bulk modulus above 0")
+        raise InputError(message("control.axis_not_finite"))
     tip = _tip(mechanism.kind, mechanism.links)
     return Axis(circuit, mechanism, tip, cylinder, spool, _onsets(circuit))
 
@@ -179,13 +177,11 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
     """
     n = axis.mechanism.links.shape[0]
     angles, work = axis.mechanism.posture.copy(), np.zeros(work_size(n) + n)
-    own, tip = inertias(axis, angles, work)
-    load = load_at(axis, float(angles[axis.cylinder.joint]), own, work)
+    inertia, tip = inertias(axis, angles, work)
+    load = load_at(axis, float(angles[axis.cylinder.joint]), inertia, work)
     if abs(load.lever) < 1e-6 or not math.isfinite(load.mass):
-        raise InputError(
-            "the cylinder has no lever in the posture for which the controller is designed"
-        )
-    return load, tip / own
+        raise InputError(message("control.no_lever"))
+    return load, tip / inertia
 
 
 def hydraulic_frequency(axis: Axis, load: Load | None = None) -> float:

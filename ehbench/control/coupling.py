@@ -27,7 +27,7 @@ class Joints(NamedTuple):
 
 
 @kernel
-def _moved(axis, links, joints, mass, work):
+def _terms(axis, links, joints, mass, work):
     """(D_jj, c_j + h_j + Σ_{k≠j} D_jk q̈_k) of some links about the axis's joint j, after
     `turn`.
     """
@@ -49,10 +49,10 @@ def _load_among(axis, joints, mass, work):
     _, lever, curve = linkage_of(axis.cylinder, joints.angles[j])
     per = 1.0 / lever
     turn(mechanism.links, joints.angles, work)
-    own, fixed = _moved(axis, mechanism.links, joints, mass, work)
-    _, pull = _moved(axis, axis.tip, joints, mass, work)
+    inertia, fixed = _terms(axis, mechanism.links, joints, mass, work)
+    _, pull = _terms(axis, axis.tip, joints, mass, work)
     return Load(
-        own * per * per,
+        inertia * per * per,
         fixed * per,
         mechanism.links[j].damping * per * per,
         curve * per * per,

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ehbench.control.measured import Pressures
-from ehbench.control.records import blank, numbers, reals, rows_of
+from ehbench.control.records import blank, constants, numbers, reals, rows_of
 from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.parts.edge.preload import preload
 from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, offered
@@ -31,6 +32,8 @@ from ehbench.vocabulary.codes import (
     UNABLE,
 )
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
 PATHS = ("supply_head", "head_tank", "supply_rod", "rod_tank", "head_rod", "rod_head")
 SUPPLY_HEAD, HEAD_TANK, SUPPLY_ROD, ROD_TANK, HEAD_ROD, ROD_HEAD = range(6)
@@ -83,6 +86,30 @@ ALL_RULES = (*RULE_NAMES, "low_pressure", "choice", "allow_seventh")
 RULES = record(*reals(ALL_RULES))  # the rules of selection, see `pack_rules`
 
 
+@dataclass(frozen=True)
+class FunctionSettings:
+    """Defaults of the rules of function selection, and its fixed numbers."""
+
+    pressures: float = setting(20.0, "", "supply pressure over drops and margins", "thesis 3.2")
+    speed_start: float = setting(
+        2.0e-4, "m/s", "desired speed that begins a motion", "sensor noise"
+    )
+    speed_stop: float = setting(1.0e-4, "m/s", "desired speed that ends a motion", "half of that")
+    sure: float = setting(5.0, "", "speed without low-pass, in speed_start", "chosen")
+    corner: float = setting(20.0, "rad/s", "low-pass of small desired speeds", "chosen")
+    reserve: float = setting(0.2, "", "flow to spare where a function begins", "chosen")
+    dwell: float = setting(0.1, "s", "time between two changes of function", "chosen")
+    power_band: float = setting(0.05, "", "saving that changes the function", "chosen")
+    filled: float = setting(0.5, "", "pressure of a full chamber, of low_pressure", "above tank")
+    filled_active: float = setting(0.25, "", "the same where the function is at work", "half of it")
+    probe_drop: float = setting(
+        1.0e6, "Pa", "drop at which edges of one path compare", "usual drop"
+    )
+
+
+FUNCTION = constants(FunctionSettings())
+
+
 class Circuit(NamedTuple):
     """One cylinder's metering edges as controllers take them: plain numbers and arrays, made by
     `circuit`.
@@ -91,8 +118,8 @@ class Circuit(NamedTuple):
     every valve's command; ``first, count`` where this cylinder's edges stand in ``edges``.
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
     where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
-    the circuit can do. ``hull``, ``hull_at`` [edges, 2]: the measured range of each map, see
-    `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of each edge's
+    the circuit can do. ``domain``, ``domain_at`` [edges, 2]: the validity domain of each map,
+    see `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of each edge's
     hysteresis as its map has it, 0 where that is not known. ``supply`` [1] is the plant's line,
     which says at what pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape
     (count, 2): gain [1] and shift of the deadband [V] by which each edge differs from its law; a
@@ -110,8 +137,8 @@ class Circuit(NamedTuple):
     paths: np.ndarray
     along: np.ndarray
     able: np.ndarray
-    hull: np.ndarray
-    hull_at: np.ndarray
+    domain: np.ndarray
+    domain_at: np.ndarray
     play: np.ndarray
     supply: np.recarray
     trim: np.ndarray
@@ -192,7 +219,7 @@ def supply_draw(function, circuit):
 @kernel
 def feasible(function, active, v_d, load_force, p, circuit, rules):
     """True where a function can move the load at the present pressures; a function that is
-    ``active`` is held more easily.
+    ``active`` stays more easily.
 
     In each, oil must be able to flow through the path that sets the motion. Meter-in: the supply
     carries the load. Regeneration: the drop across the ends is enough and the cross-port edge at
@@ -206,11 +233,11 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
         return OVERRUNNING[function] == 1 or abs(load_force) < metered * maximum
     if function == EXTEND_RESISTIVE_REGENERATION:
         return seventh_feasible(active, v_d, load_force, maximum, circuit, rules)
-    room = 1.0 if active else 1.0 + rules.reserve
+    headroom = 1.0 if active else 1.0 + rules.reserve
     drop = path_drop(cross, p, circuit)
     return drop > (rules.drop_stop if active else rules.drop_start) and capacity(
         circuit, cross, drop
-    ) >= room * circuit.area_rod * abs(v_d)
+    ) >= headroom * circuit.area_rod * abs(v_d)
 
 
 @kernel
@@ -220,17 +247,17 @@ def seventh_feasible(active, v_d, load_force, p_supply, circuit, rules):
 
     ``p_head = (F + Δp3 A2)/(A1 − A2) < Ps − margin`` (SPEC 4), and both edges carry their flows
     there."""
-    room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
+    headroom, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
     difference = circuit.area_head - circuit.area_rod
     if difference <= 0.0:
         return False
     needed = (load_force + rules.cross_drop * circuit.area_rod) / difference
-    left = p_supply - needed
+    margin = p_supply - needed
     cross = CROSS[EXTEND_RESISTIVE_REGENERATION]
     return (
-        left > rules.supply_margin + (0.0 if active else rules.supply_band)
-        and capacity(circuit, cross, rules.cross_drop) >= room * circuit.area_rod * speed
-        and capacity(circuit, SUPPLY_HEAD, left) >= room * difference * speed
+        margin > rules.supply_margin + (0.0 if active else rules.supply_band)
+        and capacity(circuit, cross, rules.cross_drop) >= headroom * circuit.area_rod * speed
+        and capacity(circuit, SUPPLY_HEAD, margin) >= headroom * difference * speed
     )
 
 
@@ -264,12 +291,13 @@ def planned(function, load_force, p, circuit, rules):
 @kernel
 def carries(function, active, v_d, plan, circuit, rules):
     """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no chamber runs
-    empty, ``supply_margin`` is left for metering, and every path passes its share; a function that
-    is ``active`` is held more easily.
+    empty, ``supply_margin`` remains for metering, and every path passes its share; a function that
+    is ``active`` stays more easily.
     """
-    room, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
-    minimum = plan.tank + (0.25 if active else 0.5) * rules.low_pressure
-    left = rules.supply_margin + (0.0 if active else rules.supply_band)
+    headroom, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
+    filled = FUNCTION.filled_active if active else FUNCTION.filled
+    minimum = plan.tank + filled * rules.low_pressure
+    margin = rules.supply_margin + (0.0 if active else rules.supply_band)
     if not (plan.head >= minimum and plan.rod >= minimum):
         return False
     for path in range(len(PATHS)):
@@ -278,9 +306,9 @@ def carries(function, active, v_d, plan, circuit, rules):
         if share == 0.0:
             continue
         drop = path_drop(path, plan, circuit)
-        if drop < left and (path == SUPPLY_HEAD or path == SUPPLY_ROD):
+        if drop < margin and (path == SUPPLY_HEAD or path == SUPPLY_ROD):
             return False
-        if capacity(circuit, path, drop) < room * abs(share) * speed:
+        if capacity(circuit, path, drop) < headroom * abs(share) * speed:
             return False
     return True
 
@@ -347,8 +375,8 @@ def ranked(now, way, v_d, load_force, p, circuit, rules):
 def steady_reference(v_d, slow, tick, rules):
     """The desired speed [m/s] by which motions begin, turn and end, after ``slow`` a tick ago.
 
-    Above ``speed_sure``, and where no speed at all is desired, it is ``v_d`` itself; between, what
-    a low-pass of ``desired_corner`` leaves, so that noise about the dead zone moves nothing."""
+    Above ``speed_sure``, and where no speed at all is desired, it is ``v_d`` itself; between, that
+    behind a low-pass of ``desired_corner``, so that noise about the dead zone moves nothing."""
     if v_d == 0.0 or abs(v_d) > rules.speed_sure:
         return v_d
     slow = min(max(slow, -rules.speed_sure), rules.speed_sure)
@@ -402,6 +430,11 @@ def select(now, age, v_d, load_force, p, circuit, rules):
     return best, status
 
 
+def default_pressure(supply_pressure: float) -> float:
+    """Drop, margin or set-point [Pa] by default: a share of the supply pressure."""
+    return supply_pressure / FUNCTION.pressures
+
+
 def pack_rules(
     area_rod: float,
     supply_pressure: float,
@@ -439,21 +472,21 @@ def pack_rules(
     known = (*RULE_NAMES, "choice", "allow_seventh")
     for name in given:
         if name not in known:
-            raise InputError(
-                f"function selection has no rule '{name}'", hint="it has " + ", ".join(known)
-            )
+            raise InputError(message("control.unknown_rule", name=name, known=", ".join(known)))
     if choice not in CHOICES:
-        raise InputError(
-            f"a rule of function selection is wrong: choice = {choice!r}",
-            hint="there are " + ", ".join(CHOICES),
-        )
-    low = supply_pressure / 20.0 if low_pressure is None else low_pressure
-    defaults = _default_rules(area_rod, supply_pressure / 20.0, low, given)
+        known = ", ".join(CHOICES)
+        raise InputError(message("control.unknown_choice", choice=choice, known=known))
+    part = default_pressure(supply_pressure)
+    low = part if low_pressure is None else low_pressure
+    defaults = _default_rules(area_rod, part, low, given)
     defaults["choice"] = CHOICES.index(choice)
     rules = blank(RULES)
     for name, value in (defaults | given).items():
         rules[name] = value
-    _check_rules(rules)
+    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
+        raise InputError(message("control.negative_rule"))
+    if rules.speed_stop > rules.speed_start or rules.drop_stop > rules.drop_start:
+        raise InputError(message("control.stop_above_start"))
     return rules
 
 
@@ -465,35 +498,22 @@ def _default_rules(
     """
     margin = given.get("supply_margin", part)
     return {
-        "speed_start": 2.0e-4,
-        "speed_stop": 1.0e-4,
+        "speed_start": FUNCTION.speed_start,
+        "speed_stop": FUNCTION.speed_stop,
         "force_band": 0.5 * low * area_rod,
         "drop_start": part,
         "drop_stop": 0.5 * given.get("drop_start", part),
-        "reserve": 0.2,
+        "reserve": FUNCTION.reserve,
         "supply_margin": margin,
         "supply_band": margin,
         "cross_drop": part,
-        "dwell": 0.1,
-        "speed_sure": 5.0 * given.get("speed_start", 2.0e-4),
-        "desired_corner": 20.0,
-        "power_band": 0.05,
+        "dwell": FUNCTION.dwell,
+        "speed_sure": FUNCTION.sure * given.get("speed_start", FUNCTION.speed_start),
+        "desired_corner": FUNCTION.corner,
+        "power_band": FUNCTION.power_band,
         "low_pressure": low,
         "allow_seventh": 0.0,
     }
-
-
-def _check_rules(rules: np.record) -> None:
-    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
-        raise InputError(
-            "a rule of function selection is negative or not finite",
-            hint="all of them are 0 or more",
-        )
-    if rules.speed_stop > rules.speed_start or rules.drop_stop > rules.drop_start:
-        raise InputError(
-            "a rule of function selection ends a state above where it begins",
-            hint="stop is at most start",
-        )
 
 
 def circuit(
@@ -508,9 +528,9 @@ def circuit(
 ) -> Circuit:
     """The circuit of one cylinder, from the plant's arrays.
 
-    Of several edges on one path the one that carries most at 1 MPa serves it. A function is able
-    where every path has an edge and its valves open no other edge of any cylinder and are asked for
-    one sign only: four edges on one spool are able of the four without regeneration.
+    Of several edges on one path the one that carries most at ``probe_drop`` serves it. A function
+    is able where every path has an edge and its valves open no other edge of any cylinder and are
+    asked for one sign only: four edges on one spool are able of the four without regeneration.
 
     Args:
         cylinder: its number; its head end is node 2 + 2·cylinder, its rod end the next one.
@@ -523,21 +543,20 @@ def circuit(
         InputError: no edge touches the cylinder, a pump does, or an edge lacks its map.
     """
     if edges.dtype != EDGE:
-        hint = "records of ehbench.parts.edge.EDGE"
-        raise InputError("edges are not those of a plant", hint=hint)
+        raise InputError(message("control.foreign_edges"))
     ranges = np.asarray(ranges, float)
     lowest, highest = np.ascontiguousarray(ranges.T)
     head, rod = 2 + 2 * cylinder, 3 + 2 * cylinder
-    own = _edges_at(edges, cylinder, (head, rod))
-    hull, hull_at = _hulls(edges, measured)
+    touching = _edges_at(edges, cylinder, (head, rod))
+    domain, domain_at = _domains(edges, measured)
     paths, along = np.full(len(PATHS), -1, np.int64), np.ones(len(PATHS))
     able = np.zeros(len(FUNCTIONS), np.int64)
     whole = Circuit(
         int(cylinder),
         float(area_head),
         float(area_rod),
-        int(own[0]),
-        int(own[-1] - own[0] + 1),
+        int(touching[0]),
+        int(touching[-1] - touching[0] + 1),
         edges,
         np.ascontiguousarray(maps, float),
         lowest,
@@ -545,15 +564,15 @@ def circuit(
         paths,
         along,
         able,
-        hull,
-        hull_at,
-        _plays(own, measured),
+        domain,
+        domain_at,
+        _plays(touching, measured),
         rows_of(SUPPLY, supply),
-        np.tile([1.0, 0.0], (int(own[-1] - own[0] + 1), 1)),
+        np.tile([1.0, 0.0], (int(touching[-1] - touching[0] + 1), 1)),
     )
     ends = ((0, head), (head, 1), (0, rod), (rod, 1), (head, rod), (rod, head))
     for path, between in enumerate(ends):
-        paths[path], along[path] = _serving(whole, own, between)
+        paths[path], along[path] = _serving(whole, touching, between)
     able[:] = _able(paths, edges)
     return whole
 
@@ -564,30 +583,28 @@ def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.n
     Raises:
         InputError: none does, or one is a pump.
     """
-    own = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
-    if not own.size:
-        raise InputError(f"no metering edge leads to cylinder {cylinder}")
-    if (edges.law[own] == PUMP).any():
-        raise InputError(
-            "a pump moves this cylinder, and the built-in controllers meter oil through valves",
-            hint="give it commands without a controller: [[command]]",
-        )
-    return own
+    touching = np.flatnonzero(np.isin(edges.from_node, nodes) | np.isin(edges.to_node, nodes))
+    if not touching.size:
+        raise InputError(message("control.no_edge", cylinder=cylinder))
+    if (edges.law[touching] == PUMP).any():
+        raise InputError(message("control.pump_edge"))
+    return touching
 
 
-def _serving(circuit: Circuit, own: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
-    """(edge that carries most from one node to another, 1 MPa beyond what cracks it, its
-    direction); −1 for none.
+def _serving(circuit: Circuit, touching: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
+    """(edge that carries most from one node to another, ``probe_drop`` beyond what cracks it,
+    its direction); −1 for none.
     """
     serving, along, maximum = -1, 1.0, 0.0
     edges = circuit.edges
     ends = list(zip(edges.from_node.tolist(), edges.to_node.tolist(), strict=True))
-    for edge in own.tolist():
+    for edge in touching.tolist():
         forward = ends[edge] == between
         if not forward and (ends[edge] != between[::-1] or edges.blocked[edge] == 1):
             continue
         way = 1.0 if forward else -1.0
-        drop = 1.0e6 + preload(edges[edge]) if forward else -1.0e6
+        drop = FUNCTION.probe_drop
+        drop = drop + preload(edges[edge]) if forward else -drop
         opening = widest(circuit, edge, drop)
         flow = way * edge_flow(drop, opening, edges[edge], circuit.maps)
         if flow > maximum:
@@ -614,9 +631,9 @@ def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
     return able
 
 
-def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
-    """(all hulls back to back: count, commands, lowest drops, highest drops; where each edge's two
-    start, −1 for none).
+def _domains(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
+    """(all validity domains back to back: count, commands, lowest drops, highest drops; where each
+    edge's two start, −1 for none).
     """
     parts, at, size = [np.zeros(1)], np.full((edges.shape[0], 2), -1, np.int64), 1
     for edge, row in enumerate(edges):
@@ -624,10 +641,7 @@ def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np
         if row.law != MAP:
             continue
         if pair is None:
-            raise InputError(
-                f"edge {edge} follows a flow map whose measured range is not given",
-                hint="pass its maps in `measured`",
-            )
+            raise InputError(message("control.no_domain", edge=edge))
         for side, item in enumerate((pair.forward, pair.reverse)):
             if item is not None:
                 part = np.concatenate(
@@ -639,12 +653,12 @@ def _hulls(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np
     return np.concatenate(parts), at
 
 
-def _plays(own: np.ndarray, measured: Sequence | None) -> np.ndarray:
+def _plays(touching: np.ndarray, measured: Sequence | None) -> np.ndarray:
     """Widths [V] of the hysteresis of a cylinder's edges, by the wider of an edge's two maps."""
-    count = int(own[-1] - own[0] + 1)
+    count = int(touching[-1] - touching[0] + 1)
     play = np.zeros(count)
     for i in range(count):
-        pair = None if measured is None else measured[own[0] + i]
+        pair = None if measured is None else measured[touching[0] + i]
         for item in () if pair is None else (pair.forward, pair.reverse):
             play[i] = max(play[i], 0.0 if item is None else item.hysteresis)
     return play

@@ -1,4 +1,4 @@
-"""What a built-in controller says of itself, and what it is designed for."""
+"""What a built-in controller is: its gains, step and telemetry, and what it is designed for."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.control.axis import Axis
+from ehbench.control.functions import default_pressure
+from ehbench.vocabulary.messages import Message
 from ehbench.vocabulary.quantities import Quantity
 
 
 @dataclass(frozen=True)
-class Site:
+class DesignPoint:
     """What a controller is designed for, by the design model: the rig without payload.
 
     ``axis`` of its cylinder, ``tick`` between samples [s], ``supply_pressure`` [Pa] and
@@ -33,16 +35,15 @@ class Site:
 
     @property
     def low_pressure(self) -> float:
-        """Set-point of the off-side chamber above tank [Pa] where no gain says otherwise: Ps/20."""
-        return self.supply_pressure / 20.0
+        """Set-point of the off-side chamber above tank [Pa] without a gain for it."""
+        return default_pressure(self.supply_pressure)
 
 
 class Required(NamedTuple):
-    """A gain that has no default, and what is said where it is not given."""
+    """A gain that has no default, and the message where it is not given."""
 
     gain: str
-    message: str
-    hint: str
+    message: Message
 
 
 class Packed(NamedTuple):
@@ -78,29 +79,29 @@ class Law:
             the sample [SI] (NaN where it may not look) and the row x_d, v_d, a_d, j_d of the
             reference, writes volts of its cylinder's valves and a row of telemetry.
         gains: what a recipe's ``gains`` may say, with its row of the vocabulary; None is yes or no.
-        pack: (site, gains [SI], rules, shaping) → `Packed`.
+        pack: (design point, gains [SI], rules, shaping) → `Packed`.
         memory: state of the controller before the first tick, for an axis.
         observed: (axis, channels of the sample) → mask of the channels that it is given.
-        telemetry: its own columns of the row, as words of the vocabulary; behind them stand the
-            desired flow and the limits of each of the cylinder's edges.
-        edge_telemetry: what it tells of each edge beside.
+        telemetry: its columns of the row, as words of the vocabulary; after them come the desired
+            flow and the limits of each of the cylinder's edges.
+        edge_telemetry: further columns of each edge.
         bounds: gains that are a list of two.
         required: the gain without a default.
         ahead: a time [s] if its step takes, where several cylinders move, the desired motion of all
-            joints behind the reference's own columns, now and so far on; else 0.
-        preview: for how long [s] ahead its step takes the least and the largest desired speed, at
+            joints after the reference's own columns, now and so far on; else 0.
+        preview: for how long [s] ahead its step takes the smallest and the largest desired speed,
+            at
             the end of the reference (`ehbench.control.trajectory.with_preview`); else 0.
         shaped: whether it shapes steps of speed, so that a recipe may have ``shaping``.
-        after: (what it ran with, of `Packed`, the controller after a run) → what a run tells beside
-            for ``measures``.
-        warns_saturated: whether a trial warns of the time that its valves were at their end.
+        after: (what it ran with, of `Packed`, the controller after a run) → further ``measures``.
+        warns_saturated: whether a trial warns of saturated valves.
     """
 
     name: str
     record: np.dtype
     step: Callable[..., None]
     gains: Mapping[str, Quantity | None]
-    pack: Callable[[Site, Mapping[str, Any], np.record, np.record], Packed]
+    pack: Callable[[DesignPoint, Mapping[str, Any], np.record, np.record], Packed]
     memory: Callable[[Axis], Any]
     observed: Callable[[Axis, int], np.ndarray]
     telemetry: tuple[str, ...]
@@ -115,7 +116,7 @@ class Law:
 
     def channels(self, cylinder: str, edges: tuple[str, ...]) -> tuple[str, ...]:
         """Channel names of a row of telemetry: ``<cylinder>.<name>``, then ``<edge>.flow_desired``
-        and ``<edge>.limits`` of each edge, then what the law tells of each beside.
+        and ``<edge>.limits`` of each edge, then its further columns of each.
 
         Args:
             cylinder: its name.

@@ -1,11 +1,12 @@
 """What a controller learns of its flow maps while it moves: a gain and a shift of the deadband for
-each edge, within bounds; derivation in docs/arc.md.
+each edge, within bounds; derivation in docs/explanation/arc.md.
 
-A map says ``Q(Δp, u)``; the valve is taken to pass ``gain·Q(Δp, u − shift)``. Both chambers tell
+A map says ``Q(Δp, u)``; the valve is taken to pass ``gain·Q(Δp, u − shift)``. Both chambers show
 what really passed, by their pressure and the piston's speed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,35 +21,46 @@ from ehbench.control.functions import (
     Circuit,
 )
 from ehbench.control.measured import Pressures
+from ehbench.control.records import constants
 from ehbench.runtime.compiled import kernel
 from ehbench.vocabulary.codes import AGAINST, FAINT, REVERSED, SATURATED
+from ehbench.vocabulary.settings import setting
 
 GAIN, SHIFT = 0, 1
 # columns of an edge: (co)variances of its gain and shift, flow [m³/s] and slope [m³/(s·V)] behind
 # the valve's lag, then behind the low-pass as well; opening [V] behind its hysteresis; gain and
 # shift [V] as they are estimated
 VAR_GAIN, COVARIANCE, VAR_SHIFT, LATE_FLOW, LATE_SLOPE, SLOW_FLOW, SLOW_SLOPE, SPOOL = range(8)
-BEST_GAIN, BEST_SHIFT, COLUMNS = 8, 9, 10
+BEST_GAIN, BEST_SHIFT, EDGE_COLUMNS = 8, 9, 10
 FLOW, PRESSURE = 0, 1  # columns of a chamber: what passes [m³/s] and its pressure, low-passed
-CORNER = 2.0  # of k1: the low-pass behind which flows are compared
-QUIET = 2.0  # over that corner: how long after a change of function nothing is learnt
-SCATTER = 0.003  # of the largest speed: what a comparison may be wrong by
-LEAST = 0.015  # of the largest speed: edges that pass less tell nothing
-SQUEEZED = 0.1  # share of the oil's compression that may be wrong: its bulk modulus
-UNSTEADY = 0.05  # share of what the low-pass holds back, for lags that are not known
-APART = 0.05  # of the largest speed: flows so far from each other are wrong each for itself
-STEADY = 0.04  # share of that corner at which a steady flow still tells something new
-NARROW = 0.15  # [V] beyond the deadband below which a slope is not told
-FIRST = 0.4  # of their bounds: standard errors at the start
-SURE = 1.0e-30  # a variance of nothing, where a bound is 0
-KNOWN = 0.1  # the same of a deadband that the map has: in flow somewhat less than a gain's
+
+
+@dataclass(frozen=True)
+class MapLearningSettings:
+    """Numbers of the estimator of flow maps; "largest" is the flow at the largest speed."""
+
+    corner: float = setting(2.0, "k1", "low-pass behind which flows are compared", "chosen")
+    quiet: float = setting(2.0, "1/corner", "time after a change of function", "low-pass settles")
+    scatter: float = setting(0.003, "", "error of a comparison, of the largest", "chosen")
+    least: float = setting(0.015, "", "flow that is compared, of the largest", "five times scatter")
+    squeezed: float = setting(0.1, "", "error of the oil's compression", "its bulk modulus")
+    unsteady: float = setting(0.05, "", "error of what the low-pass delays", "unknown lags")
+    apart: float = setting(0.05, "", "flows with independent errors, of the largest", "chosen")
+    steady: float = setting(0.04, "corner", "weight of a steady flow", "docs arc.md")
+    narrow: float = setting(0.15, "V", "opening from which a slope is known", "chosen")
+    first: float = setting(0.4, "", "standard errors at the start, of the bounds", "chosen")
+    known: float = setting(0.1, "", "the same of a deadband of the map", "below a gain's, in flow")
+    zero: float = setting(1.0e-30, "", "variance that stands for none", "above 0")
+
+
+MAP_LEARNING = constants(MapLearningSettings())
 
 
 class MapMemory(NamedTuple):
     """``trim``, (gain, shift [V]) of each edge, shape (edges, 2), on its way to what is estimated;
     ``edges`` and ``chambers``, what is learnt from, columns above; ``into``, +1 where an edge's
     flow enters the head or the rod end, −1 where it leaves, shape (edges, 2); ``clock``, shape
-    (1,), for how long [s] flows were quiet; ``told``, shape (2,), what the last correction adds to
+    (1,), for how long [s] flows were quiet; ``added``, shape (2,), what the last correction adds to
     the flow into the head and the rod end at the same commands [m³/s].
     """
 
@@ -57,7 +69,7 @@ class MapMemory(NamedTuple):
     chambers: np.ndarray
     into: np.ndarray
     clock: np.ndarray
-    told: np.ndarray
+    added: np.ndarray
 
 
 def map_memory(circuit: Circuit) -> MapMemory:
@@ -74,7 +86,7 @@ def map_memory(circuit: Circuit) -> MapMemory:
     for path, ends in enters.items():
         if circuit.paths[path] >= 0:
             into[circuit.paths[path] - circuit.first] = circuit.along[path] * np.array(ends)
-    edges = np.zeros((circuit.count, COLUMNS))
+    edges = np.zeros((circuit.count, EDGE_COLUMNS))
     return MapMemory(circuit.trim, edges, np.zeros((2, 2)), into, np.zeros(1), np.zeros(2))
 
 
@@ -94,8 +106,8 @@ def begin(p, onset, gains, maps):
     for i in range(maps.edges.shape[0]):
         maps.trim[i, GAIN], maps.trim[i, SHIFT] = 1.0, 0.0
         maps.edges[i, BEST_GAIN], maps.edges[i, BEST_SHIFT] = 1.0, 0.0
-        maps.edges[i, VAR_GAIN] = (FIRST * gains.map_error) ** 2
-        first = KNOWN if onset[i] != 0.0 else FIRST
+        maps.edges[i, VAR_GAIN] = (MAP_LEARNING.first * gains.map_error) ** 2
+        first = MAP_LEARNING.known if onset[i] != 0.0 else MAP_LEARNING.first
         maps.edges[i, VAR_SHIFT] = (first * gains.deadband_error) ** 2
 
 
@@ -108,7 +120,7 @@ def follow(quiet, allocated, command, axis, gains, maps):
     """
     circuit, tick = axis.circuit, gains.tick
     late = tick / (tick + gains.valve_lead)
-    slow = tick * CORNER * gains.position_bandwidth
+    slow = tick * MAP_LEARNING.corner * gains.position_bandwidth
     slow /= 1.0 + slow
     for i in range(circuit.count):
         edge, flow, slope = circuit.edges[circuit.first + i], allocated[i], 0.0
@@ -122,51 +134,50 @@ def follow(quiet, allocated, command, axis, gains, maps):
         row[SPOOL] = min(max(row[SPOOL], reach - half), reach + half)
         if flow != 0.0:
             wide = edge.sign * (command[edge.valve] - axis.onset[i]) - maps.trim[i, SHIFT]
-            slope = flow / max(wide, NARROW)
+            slope = flow / max(wide, MAP_LEARNING.narrow)
             flow -= slope * (reach - row[SPOOL])
         row[LATE_FLOW] += late * (flow - row[LATE_FLOW])
         row[LATE_SLOPE] += late * (slope - row[LATE_SLOPE])
         row[SLOW_FLOW] += slow * (row[LATE_FLOW] - row[SLOW_FLOW])
         row[SLOW_SLOPE] += slow * (row[LATE_SLOPE] - row[SLOW_SLOPE])
     maps.clock[0] = maps.clock[0] + tick if quiet else 0.0
-    return maps.clock[0] > QUIET / (CORNER * gains.position_bandwidth)
+    return maps.clock[0] > MAP_LEARNING.quiet / (MAP_LEARNING.corner * gains.position_bandwidth)
 
 
 @kernel
 def learn_maps(quiet, resting, seen, allocated, command, axis, gains, maps):
-    """Estimate corrections by what both chambers say has passed, and move those in force towards
+    """Estimate corrections by what has passed both chambers, and move those in force towards
     them; ``allocated`` as in `follow`.
 
     Least squares in which a comparison counts by how far the flow has gone since the last, not by
-    the time that it took: what is wrong at one opening stays wrong while it stays, and where
-    speeding up counts like slowing down, what is late in both, a hysteresis for one, cancels. In
-    motion no correction goes faster than ``map_bandwidth``, at rest, where no valve moves the load,
-    they are taken over by k1."""
+    the time that it took: an error at one opening stays while the opening stays, and where speeding
+    up counts like slowing down, what is late in both, such as hysteresis, cancels. In motion
+    corrections go at ``map_bandwidth`` at most, at standstill, where no valve moves the load, at
+    k1."""
     ready = follow(quiet, allocated, command, axis, gains, maps)
-    maps.told[0] = maps.told[1] = 0.0
+    maps.added[0] = maps.added[1] = 0.0
     v, p, oil = seen.v, seen.p, seen.oil
-    corner = CORNER * gains.position_bandwidth
+    corner = MAP_LEARNING.corner * gains.position_bandwidth
     slow = gains.tick * corner
     slow /= 1.0 + slow
     circuit = axis.circuit
     for side in range(2):
-        fixed = maps.chambers[side]
+        chamber = maps.chambers[side]
         area = circuit.area_head if side == 0 else circuit.area_rod
         rate = oil.bulk * (oil.head if side == 0 else oil.rod)
         passed = area * v + oil.lost_head if side == 0 else -(area * v + oil.lost_rod)
         pressure = p.head if side == 0 else p.rod
-        fixed[FLOW] += slow * (passed - fixed[FLOW])
-        fixed[PRESSURE] += slow * (pressure - fixed[PRESSURE])
-        pressed = area / rate * corner * (pressure - fixed[PRESSURE])
+        chamber[FLOW] += slow * (passed - chamber[FLOW])
+        chamber[PRESSURE] += slow * (pressure - chamber[PRESSURE])
+        pressed = area / rate * corner * (pressure - chamber[PRESSURE])
         if not ready:
             continue
         maximum = area * gains.speed_correction
-        doubt = (SCATTER * maximum) ** 2 + (SQUEEZED * pressed) ** 2
-        doubt += (UNSTEADY * (passed - fixed[FLOW])) ** 2
-        doubt /= (
-            corner * gains.tick * min(STEADY + abs(changed(side, maps)) / (APART * maximum), 1.0)
-        )
-        correct(side, fixed[FLOW] + pressed, doubt, LEAST * maximum, maps)
+        variance = (MAP_LEARNING.scatter * maximum) ** 2 + (MAP_LEARNING.squeezed * pressed) ** 2
+        variance += (MAP_LEARNING.unsteady * (passed - chamber[FLOW])) ** 2
+        weight = MAP_LEARNING.steady + abs(changed(side, maps)) / (MAP_LEARNING.apart * maximum)
+        variance /= corner * gains.tick * min(weight, 1.0)
+        correct(side, chamber[FLOW] + pressed, variance, MAP_LEARNING.least * maximum, maps)
     approach(ready, gains.position_bandwidth if resting else gains.map_bandwidth, gains, maps)
 
 
@@ -189,9 +200,9 @@ def by_correction(row, trim):
 
 
 @kernel
-def correct(side, passed, doubt, least, maps):
+def correct(side, passed, variance, minimum, maps):
     """Correct the estimates of the edges at a chamber by the flow [m³/s] that ``passed`` into it;
-    ``doubt`` its variance, ``least`` what an edge must pass to be corrected.
+    ``minimum`` is what an edge must pass to be corrected.
     """
     error, spread = passed, 0.0
     for i in range(maps.edges.shape[0]):
@@ -200,13 +211,13 @@ def correct(side, passed, doubt, least, maps):
         more = per_gain * (row[BEST_GAIN] - maps.trim[i, GAIN])
         more += per_shift * (row[BEST_SHIFT] - maps.trim[i, SHIFT])
         error -= way * (row[SLOW_FLOW] + more)
-        if way != 0.0 and abs(row[SLOW_FLOW]) > least:
+        if way != 0.0 and abs(row[SLOW_FLOW]) > minimum:
             spread += row[VAR_GAIN] * per_gain * per_gain + row[VAR_SHIFT] * per_shift * per_shift
             spread += 2.0 * row[COVARIANCE] * per_gain * per_shift
-    whole = doubt + spread
+    whole = variance + spread
     for i in range(maps.edges.shape[0]):
         row, way = maps.edges[i], maps.into[i, side]
-        if way == 0.0 or abs(row[SLOW_FLOW]) <= least:
+        if way == 0.0 or abs(row[SLOW_FLOW]) <= minimum:
             continue
         per_gain, per_shift = by_correction(row, maps.trim[i])
         by_gain = row[VAR_GAIN] * per_gain + row[COVARIANCE] * per_shift
@@ -220,23 +231,22 @@ def correct(side, passed, doubt, least, maps):
 
 @kernel
 def within(row, gains):
-    """(gain, shift [V]) of an edge as estimated, in the bounds ``map_error`` and
-    ``deadband_error``: what one of them may not take the other does, as far as they show only
-    together.
+    """(gain, shift [V]) of an edge as estimated, within ``map_error`` and ``deadband_error``: what
+    one of them may not take the other does, as far as they correlate.
     """
     widest, maximum = 1.0 + gains.map_error, gains.deadband_error
     gain = min(max(row[BEST_GAIN], 1.0 / widest), widest)
     shift = row[BEST_SHIFT]
-    shift += row[COVARIANCE] / max(row[VAR_GAIN], SURE) * (gain - row[BEST_GAIN])
-    fixed = min(max(shift, -maximum), maximum)
-    gain += row[COVARIANCE] / max(row[VAR_SHIFT], SURE) * (fixed - shift)
-    return min(max(gain, 1.0 / widest), widest), fixed
+    shift += row[COVARIANCE] / max(row[VAR_GAIN], MAP_LEARNING.zero) * (gain - row[BEST_GAIN])
+    bounded = min(max(shift, -maximum), maximum)
+    gain += row[COVARIANCE] / max(row[VAR_SHIFT], MAP_LEARNING.zero) * (bounded - shift)
+    return min(max(gain, 1.0 / widest), widest), bounded
 
 
 @kernel
 def approach(ready, rate, gains, maps):
-    """Let the corrections in force go to the estimates at a ``rate`` [rad/s]. What they add to the
-    flow is told where flows are compared, elsewhere hardly any passes.
+    """Let the corrections in force go to the estimates at a ``rate`` [rad/s]. What they ``added``
+    to the flow counts where flows are compared, elsewhere hardly any passes.
     """
     share = min(rate * gains.tick, 1.0)
     for i in range(maps.edges.shape[0]):
@@ -245,7 +255,7 @@ def approach(ready, rate, gains, maps):
         gain, shift = share * (gain - trim[GAIN]), share * (shift - trim[SHIFT])
         per_gain, per_shift = by_correction(row, trim)
         added = gain * per_gain + shift * per_shift if ready else 0.0
-        maps.told[0] += maps.into[i, 0] * added
-        maps.told[1] += maps.into[i, 1] * added
+        maps.added[0] += maps.into[i, 0] * added
+        maps.added[1] += maps.into[i, 1] * added
         trim[GAIN] += gain
         trim[SHIFT] += shift

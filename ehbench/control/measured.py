@@ -32,9 +32,9 @@ def pressures(sample, cylinder):
 def pressure_entries(cylinder: int, channels: int) -> list[int]:
     """Where the `Pressures` of a cylinder stand in a sample of so many channels."""
     cylinders = cylinders_in(channels)
-    own = [entry(cylinder, channel) for channel in (OF.p_head, OF.p_rod)]
+    chambers = [entry(cylinder, channel) for channel in (OF.p_head, OF.p_rod)]
     lines = (LINE.p_supply, LINE.p_tank)
-    return [*own, *(line_entry(cylinders, channel) for channel in lines)]
+    return [*chambers, *(line_entry(cylinders, channel) for channel in lines)]
 
 
 @kernel

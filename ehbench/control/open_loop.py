@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 
 from ehbench.control import pressure_feedback
-from ehbench.control.law import Packed, Site
+from ehbench.control.law import DesignPoint, Packed
 
-OFF = {"feedback_gain": 0.0, "off_gain": 0.0, "washout": 0.0, "ramp_washout": 0.0}
+NO_FEEDBACK = {"feedback_gain": 0.0, "off_gain": 0.0, "washout": 0.0, "ramp_washout": 0.0}
 
 
-def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
-    """As pressure feedback, whose own gains are left aside, so that both can name one tune run."""
-    return pressure_feedback.pack(site, {**gains, **OFF}, rules, shaping)
+def pack(
+    point: DesignPoint, gains: Mapping[str, Any], rules: np.record, shaping: np.record
+) -> Packed:
+    """As pressure feedback without its feedback gains, so that both can name one tune run."""
+    return pressure_feedback.pack(point, {**gains, **NO_FEEDBACK}, rules, shaping)
 
 
 LAW = replace(pressure_feedback.LAW, name="open_loop", pack=pack, required=None)

@@ -1,40 +1,51 @@
-"""Position control as machine builders use it: the desired speed, led back by the stroke error.
+"""Position control as machine builders use it: the desired speed, corrected by the stroke error.
 
 ``v_c = v_d − k_1 z − k_1 ω_i ∫ z dt`` with ``z = x − x_d``, within ±``speed_correction`` of v_d,
 through the working functions and inverse valve maps, and if it is given a gain the damping, of
-pressure feedback. It reads the cylinder's stroke beside what pressure feedback reads."""
+pressure feedback. It reads the cylinder's stroke and what pressure feedback reads."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehbench.control import pressure_feedback
 from ehbench.control.axis import Axis, hydraulic_frequency, reference_load
-from ehbench.control.law import Law, Packed, Site
+from ehbench.control.law import DesignPoint, Law, Packed
 from ehbench.control.measured import pressures, write
 from ehbench.control.pressure_feedback import move
-from ehbench.control.records import blank, numbers, reals
+from ehbench.control.records import blank, constants, numbers, reals
 from ehbench.control.trajectory import reference_of
 from ehbench.parts.sample import OF, entry
 from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.codes import HOLD, SATURATED
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
 
-LAG_BUDGET = 0.2  # [rad]: what the lag of valves and sampling may take of the loop's phase at k_1
-LEAST_DAMPING = 0.02  # damping ratio of a cylinder on its oil that seals and valves always make
-OWN = ("position_bandwidth", "integral_bandwidth", "speed_correction")
-GAINS = record(*reals(OWN), ("flow", pressure_feedback.GAINS))
+
+@dataclass(frozen=True)
+class PositionSettings:
+    """Numbers of the default gains."""
+
+    lag_budget: float = setting(0.2, "rad", "phase of valves and sampling at k_1", "chosen")
+    damping_ratio: float = setting(0.02, "", "smallest damping of a cylinder on oil", "its seals")
+
+
+POSITION = constants(PositionSettings())
+OWN_GAINS = ("position_bandwidth", "integral_bandwidth", "speed_correction")
+GAINS = record(*reals(OWN_GAINS), ("flow", pressure_feedback.GAINS))
 # the integral's part of the speed [m/s], whether it stands still, and the memory of `move`
 MEMORY = record(("integral", "f8"), ("frozen", "i8"), ("flow", pressure_feedback.MEMORY))
 
 
-class Asked(NamedTuple):
-    """Stroke error z [m], and the speeds [m/s]: the integral's part, and what is asked in all."""
+class Correction(NamedTuple):
+    """Stroke error z [m], and the speeds [m/s]: the integral's part, and the required one."""
 
     x_error: float
     v_integral: float
@@ -43,18 +54,18 @@ class Asked(NamedTuple):
 
 TELEMETRY = (
     *("x_desired", "v_desired", "a_desired", "j_desired"),
-    *Asked._fields,
+    *Correction._fields,
     *pressure_feedback.Moved._fields,
 )
 COLUMNS = len(TELEMETRY)
 
 
 @kernel
-def lead_back(x, desired, gains, memory):
-    """The speed `Asked` for at stroke x; moves the integral one tick.
+def correct(x, desired, gains, memory):
+    """The `Correction` at stroke x; moves the integral one tick.
 
-    The integral stands still while it is frozen, or where the correction is at its end and z would
-    drive it farther."""
+    The integral stands while it is frozen, or where the correction is at its limit and z would
+    increase it."""
     z = x - desired.x
     maximum, k = gains.speed_correction, gains.position_bandwidth
     growth = -k * gains.integral_bandwidth * gains.flow.tick * z
@@ -64,12 +75,12 @@ def lead_back(x, desired, gains, memory):
     correction = memory.integral - k * z
     if abs(correction) > maximum:
         correction = math.copysign(maximum, correction)
-    return Asked(z, memory.integral, desired.v + correction)
+    return Correction(z, memory.integral, desired.v + correction)
 
 
 @kernel
 def step(t, sample, reference, axis, gains, memory, command, telemetry):
-    """One tick: lead the stroke back, write commands and telemetry.
+    """One tick: correct the stroke error, write commands and telemetry.
 
     Args:
         t: time [s], unused.
@@ -83,63 +94,61 @@ def step(t, sample, reference, axis, gains, memory, command, telemetry):
     """
     circuit, desired = axis.circuit, reference_of(reference)
     x, p = sample[entry(circuit.cylinder, OF.x)], pressures(sample, circuit.cylinder)
-    requested = lead_back(x, desired, gains, memory)
+    required = correct(x, desired, gains, memory)
     moved = move(
-        requested.v_asked, p, circuit, gains.flow, memory.flow, command, telemetry[COLUMNS:]
+        required.v_asked, p, circuit, gains.flow, memory.flow, command, telemetry[COLUMNS:]
     )
     memory.frozen = 1 if moved.function == HOLD or int(moved.limits) & SATURATED != 0 else 0
     write(desired, telemetry)
-    write(requested, telemetry[len(desired) :])
-    write(moved, telemetry[len(desired) + len(requested) :])
+    write(required, telemetry[len(desired) :])
+    write(moved, telemetry[len(desired) + len(required) :])
 
 
-def default_bandwidth(site: Site) -> float:
+def default_bandwidth(point: DesignPoint) -> float:
     """k_1 [rad/s] by default: what the oil's spring and the lag of valves and sampling allow.
 
     An integrator and an oscillator in a loop are stable below ``2 ζ_h ω_h`` (Merritt, Hydraulic
     Control Systems, 6-5); half of that, for the bare rig in its posture, is a gain margin of 2."""
-    load, _ = reference_load(site.axis)
-    frequency = hydraulic_frequency(site.axis)
-    decay = 0.5 * (load.damping + site.axis.cylinder.friction_viscous) / load.mass
-    return min(max(decay, LEAST_DAMPING * frequency), LAG_BUDGET / (site.valve_lag + site.tick))
+    load, _ = reference_load(point.axis)
+    frequency = hydraulic_frequency(point.axis)
+    decay = 0.5 * (load.damping + point.axis.cylinder.friction_viscous) / load.mass
+    lag = point.valve_lag + point.tick
+    return min(max(decay, POSITION.damping_ratio * frequency), POSITION.lag_budget / lag)
 
 
-def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
-    """The gains on a site.
+def pack(
+    point: DesignPoint, gains: Mapping[str, Any], rules: np.record, shaping: np.record
+) -> Packed:
+    """The gains at a design point.
 
-    By default k_1 is `default_bandwidth`, there is no integral, and a stroke error asks for at
-    most the speed that the supply can make.
+    By default k_1 is `default_bandwidth`, there is no integral, and a stroke error is
+    corrected at most with the speed that the supply can make.
 
     Raises:
         InputError: a gain that is negative, not finite or 0 where it must act, or an integral whose
             corner lies above k_1.
     """
     chosen = {
-        "position_bandwidth": gains.get("position_bandwidth", default_bandwidth(site)),
+        "position_bandwidth": gains.get("position_bandwidth", default_bandwidth(point)),
         "integral_bandwidth": gains.get("integral_bandwidth", 0.0),
         "speed_correction": gains.get(
-            "speed_correction", site.flow_limit / site.axis.circuit.area_head
+            "speed_correction", point.flow_limit / point.axis.circuit.area_head
         ),
     }
     bandwidth, corner, _ = chosen.values()
     if not all(0.0 <= value < math.inf for value in chosen.values()) or bandwidth == 0.0:
-        raise InputError(
-            "a gain of the position controller is negative or not finite",
-            hint="position_bandwidth is above 0, the rest 0 or more",
-        )
+        raise InputError(message("control.position_gain_range"))
     if corner > bandwidth:
         raise InputError(
-            f"integral_bandwidth, {corner:.4g} rad/s, lies above position_bandwidth, "
-            f"{bandwidth:.4g} rad/s",
-            hint="the loop would swing; a quarter of it is usual",
+            message("control.integral_above_bandwidth", corner=corner, bandwidth=bandwidth)
         )
-    other = {name: value for name, value in gains.items() if name not in OWN}
-    flow = pressure_feedback.pack(site, other, rules, shaping)
+    other = {name: value for name, value in gains.items() if name not in OWN_GAINS}
+    flow = pressure_feedback.pack(point, other, rules, shaping)
     packed = blank(GAINS)
     for name, value in chosen.items():
         packed[name] = value
     packed.flow = flow.gains
-    return Packed(packed, {"gains": numbers(packed, OWN) | flow.used["gains"]})
+    return Packed(packed, {"gains": numbers(packed, OWN_GAINS) | flow.used["gains"]})
 
 
 def observed(axis: Axis, channels: int) -> np.ndarray:
@@ -157,7 +166,7 @@ LAW = Law(
     name="position",
     record=GAINS,
     step=step,
-    gains={name: VOCABULARY[name] for name in OWN} | dict(pressure_feedback.LAW.gains),
+    gains={name: VOCABULARY[name] for name in OWN_GAINS} | dict(pressure_feedback.LAW.gains),
     pack=pack,
     memory=_memory,
     observed=observed,

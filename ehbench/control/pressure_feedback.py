@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ehbench.control.axis import Axis
 from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select, steady_reference
-from ehbench.control.law import Law, Packed, Required, Site
+from ehbench.control.law import DesignPoint, Law, Packed, Required
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
-from ehbench.control.records import blank, numbers, reals
+from ehbench.control.records import blank, constants, numbers, reals
 from ehbench.control.trajectory import (
     SHAPED,
     SHAPING,
@@ -26,14 +27,26 @@ from ehbench.control.trajectory import (
     reference_of,
     shape_speed,
 )
-from ehbench.control.valve_level import Flows, allocate, rest
+from ehbench.control.valve_level import Flows, allocate, shut
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS, HOLD
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
 
-OFF_RATE = 10.0  # [rad/s]: how fast the off-side pressure follows where no gain is given
+
+@dataclass(frozen=True)
+class PressureFeedbackSettings:
+    """Defaults of the gains."""
+
+    off_rate: float = setting(10.0, "rad/s", "bandwidth of the off-side pressure", "chosen")
+    drop_floor: float = setting(2.0e4, "Pa", "smallest drop of the inverse maps", "sensor noise")
+    load_corner: float = setting(2.0 * math.pi, "rad/s", "low-pass of the load force", "1 Hz")
+
+
+DEFAULTS = constants(PressureFeedbackSettings())
 SCALARS = (
     "tick",
     "off_gain",
@@ -174,7 +187,7 @@ def move(v_d, p, circuit, gains, memory, command, edge_row):
     limits = 0
     if function == HOLD:
         flows = Flows(0.0, 0.0)
-        rest(circuit, command, edge_flows, edge_limits)
+        shut(circuit, command, edge_flows, edge_limits)
     else:
         limits = allocate(
             function, flows, p, gains.drop_floor, circuit, command, edge_flows, edge_limits
@@ -241,15 +254,12 @@ def pack_pressure_feedback(
     scalars = {
         "washout": 0.0,
         "ramp_washout": 0.0,
-        "drop_floor": 2.0e4,
-        "load_corner": 2.0 * math.pi,
+        "drop_floor": DEFAULTS.drop_floor,
+        "load_corner": DEFAULTS.load_corner,
     } | gains
     if set(scalars) != set(SCALARS):
-        raise InputError(
-            "pressure feedback lacks a gain or is given one that it has not: "
-            + ", ".join(sorted(set(scalars) ^ set(SCALARS))),
-            hint="it has " + ", ".join(SCALARS),
-        )
+        names, known = ", ".join(sorted(set(scalars) ^ set(SCALARS))), ", ".join(SCALARS)
+        raise InputError(message("control.feedback_gain_names", names=names, known=known))
     for name, value in scalars.items():
         packed[name] = value
     packed.feedback_gain[:] = _by_function(feedback_gain)
@@ -261,10 +271,7 @@ def pack_pressure_feedback(
         and packed.tick > 0.0
         and packed.drop_floor > 0.0
     ):
-        raise InputError(
-            "a gain of the pressure feedback is negative or not finite",
-            hint="tick and drop_floor are above 0, the rest 0 or more",
-        )
+        raise InputError(message("control.feedback_gain_range"))
     return packed
 
 
@@ -275,27 +282,28 @@ def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
     result = np.zeros(len(FUNCTIONS))
     for name, value in gain.items():
         if name not in FUNCTIONS[1:]:
-            raise InputError(
-                f"no working function '{name}'", hint="there are " + ", ".join(FUNCTIONS[1:])
-            )
+            known = ", ".join(FUNCTIONS[1:])
+            raise InputError(message("control.unknown_function", name=name, known=known))
         result[FUNCTIONS.index(name)] = value
     return result
 
 
-def pack(site: Site, gains: Mapping[str, Any], rules: np.record, shaping: np.record) -> Packed:
-    """The gains on a site; by default the off-side pressure follows with OFF_RATE in the larger
-    chamber.
+def pack(
+    point: DesignPoint, gains: Mapping[str, Any], rules: np.record, shaping: np.record
+) -> Packed:
+    """The gains at a design point; by default the off-side pressure follows with ``off_rate`` in
+    the larger chamber.
     """
-    cylinder = site.axis.cylinder
-    volume = max(chamber_oil(cylinder, side, site.stroke) for side in range(2))
+    cylinder = point.axis.cylinder
+    volume = max(chamber_oil(cylinder, side, point.stroke) for side in range(2))
     defaults = {
-        "off_gain": OFF_RATE * volume / cylinder.bulk_modulus,
-        "low_pressure": site.low_pressure,
+        "off_gain": DEFAULTS.off_rate * volume / cylinder.bulk_modulus,
+        "low_pressure": point.low_pressure,
     }
     packed = pack_pressure_feedback(
-        tick=site.tick, rules=rules, shaping=shaping, **{**defaults, **gains}
+        tick=point.tick, rules=rules, shaping=shaping, **{**defaults, **gains}
     )
-    return Packed(packed, {"gains": named_gains(packed, site.axis.circuit)})
+    return Packed(packed, {"gains": named_gains(packed, point.axis.circuit)})
 
 
 def named_gains(packed: np.record, circuit: Circuit) -> dict[str, float]:
@@ -339,11 +347,6 @@ LAW = Law(
     memory=_memory,
     observed=lambda axis, channels: observed(axis.circuit, channels),
     telemetry=TELEMETRY,
-    required=Required(
-        "feedback_gain",
-        "pressure feedback needs its gain",
-        'write gains = { feedback_gain = "…", washout = "…" }, or gains = "<a tune recipe or its '
-        'run>"',
-    ),
+    required=Required("feedback_gain", message("control.feedback_gain_missing")),
     shaped=True,
 )

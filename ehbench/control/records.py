@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -30,3 +33,10 @@ def rows_of(layout: np.dtype, row: np.record | None) -> np.recarray:
 def numbers(row: np.record, names: Sequence[str]) -> dict[str, float]:
     """Some fields of a record by name, as plain numbers."""
     return {name: float(row[name]) for name in names}
+
+
+def constants(settings: Any) -> Any:
+    """The numbers of a method's settings as kernels read them: a named tuple is a constant
+    there."""
+    names = [field.name for field in fields(settings)]
+    return namedtuple(type(settings).__name__, names)(*(getattr(settings, n) for n in names))

@@ -16,6 +16,7 @@ from ehbench.control.records import blank, reals
 from ehbench.runtime.compiled import kernel, record
 from ehbench.runtime.memory import rows_of
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 
 class Reference(NamedTuple):
@@ -133,15 +134,18 @@ def point_to_point(
     Raises:
         InputError: a limit, tick or hold that is none, fewer than one waypoint.
     """
-    _check_limits(speed=speed, acceleration=acceleration, jerk=jerk, tick=tick)
+    limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk, "tick": tick}
+    for name, value in limits.items():
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(message("control.limit_range", name=name, value=value))
     points = np.asarray(waypoints, float)
     holds = np.full(points.size, hold, float) if np.ndim(hold) == 0 else np.asarray(hold, float)
     if points.ndim != 1 or not points.size or not np.isfinite(points).all():
-        raise InputError("a trajectory needs waypoints, each a finite stroke")
+        raise InputError(message("control.no_waypoints"))
     if holds.shape != points.shape or not np.isfinite(holds).all() or (holds < 0).any():
-        raise InputError("hold is one time, or one for each waypoint, 0 s or more")
+        raise InputError(message("control.wrong_hold"))
     if profile not in ("ramp", "seventh"):
-        raise InputError(f"no profile '{profile}'", hint="ramp or seventh")
+        raise InputError(message("control.unknown_profile", profile=profile))
     moves = [
         _Move(abs(d), speed, acceleration, jerk, profile) if d else None for d in np.diff(points)
     ]
@@ -165,14 +169,6 @@ def point_to_point(
         part[:, X] += points[index]
         table[during] = part
     return table
-
-
-def _check_limits(**limits: float) -> None:
-    for name, value in limits.items():
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(
-                f"{name} of a trajectory is {value:g}", hint="it must be a positive number"
-            )
 
 
 def velocity_steps(
@@ -214,10 +210,7 @@ def velocity_steps(
         and np.isfinite(speeds).all()
         and np.isfinite(times).all()
     ):
-        raise InputError(
-            "velocity steps need levels, a tick, a duration above 0 for all or for each, and a "
-            "rest of 0 s or more"
-        )
+        raise InputError(message("control.wrong_steps"))
     rows_of(float(times.sum()) + rest * (times.size + 1), 1.0 / tick)
     idle = np.zeros(round(rest / tick))
     parts = [idle]
@@ -245,7 +238,7 @@ def reference_of(row):
 
 
 def with_preview(table: np.ndarray, speed: np.ndarray, ahead: float, tick: float) -> np.ndarray:
-    """A table of references with PREVIEWED columns more at its end: the least and the largest
+    """A table of references with PREVIEWED columns more at its end: the smallest and the largest
     desired speed [m/s] from each row on for a time.
 
     Args:
@@ -266,7 +259,7 @@ def with_preview(table: np.ndarray, speed: np.ndarray, ahead: float, tick: float
 
 @kernel
 def speeds_soon(row):
-    """(least, largest) desired speed [m/s] of the time to come that a row knows of, see
+    """(smallest, largest) desired speed [m/s] of the time to come that a row knows of, see
     `with_preview`; of a row without it the present one.
     """
     columns = row.shape[0]
@@ -354,10 +347,7 @@ def pack_shaping(
     given = (acceleration_max, jerk_max, natural_frequency, damping_ratio)
     for name, value in zip(SHAPING_NAMES, given, strict=True):
         if value is not None and not (math.isfinite(value) and value > 0):
-            raise InputError(
-                f"{name} of the trajectory modification is {value:g}",
-                hint="it must be a positive number",
-            )
+            raise InputError(message("control.shaping_range", name=name, value=value))
     limited = acceleration_max is not None
     filtered = natural_frequency is not None
     if (
@@ -365,11 +355,7 @@ def pack_shaping(
         or (jerk_max is not None and not limited)
         or (limited and filtered)
     ):
-        raise InputError(
-            "the trajectory modification is incomplete or double",
-            hint="give acceleration_max with or without jerk_max, or natural_frequency and "
-            "damping_ratio, or none",
-        )
+        raise InputError(message("control.shaping_incomplete"))
     shaping = blank(SHAPING)
     for name, value in zip(SHAPING_NAMES, given, strict=True):
         shaping[name] = 0.0 if value is None else value

@@ -36,7 +36,7 @@ class Flows(NamedTuple):
 
 
 @kernel
-def _at(x, data, grid, values, count):
+def _interpolated(x, data, grid, values, count):
     """Linear interpolation of ``data[values:]`` over ``data[grid:]`` at x inside the grid."""
     i = 0
     while i + 2 < count and x >= data[grid + i + 1]:
@@ -54,16 +54,16 @@ def inside(circuit, edge, drop, command):
     """
     if circuit.edges[edge].law != MAP:
         return True
-    at = circuit.hull_at[edge, 0 if drop >= 0.0 else 1]
-    if at < 0:
+    first = circuit.domain_at[edge, 0 if drop >= 0.0 else 1]
+    if first < 0:
         return False
-    count = int(circuit.hull[at])
-    grid = at + 1
+    count = int(circuit.domain[first])
+    grid = first + 1
     reach, size = circuit.edges[edge].sign * command, abs(drop)
-    if not (circuit.hull[grid] <= reach <= circuit.hull[grid + count - 1]):
+    if not (circuit.domain[grid] <= reach <= circuit.domain[grid + count - 1]):
         return False
-    low = _at(reach, circuit.hull, grid, grid + count, count)
-    return low <= size <= _at(reach, circuit.hull, grid, grid + 2 * count, count)
+    low = _interpolated(reach, circuit.domain, grid, grid + count, count)
+    return low <= size <= _interpolated(reach, circuit.domain, grid, grid + 2 * count, count)
 
 
 @kernel
@@ -102,7 +102,7 @@ def edge_order(circuit, path, flow, drop, floor):
 
 
 @kernel
-def rest(circuit, command, flows, limits):
+def shut(circuit, command, flows, limits):
     """Shut the cylinder's valves: write the commands nearest to 0 V into ``command`` and zeros into
     ``flows, limits``.
     """
@@ -117,21 +117,21 @@ def allocate(function, required, p, floor, circuit, command, flows, limits):
     """Write the commands that give a working function its chamber flows; return all limits met,
     or'ed.
 
-    Each path of the function is asked for its share of the chamber flows. Where several paths hang
+    Each path of the function carries its share of the chamber flows. Where several paths hang
     on one command, the path that sets the motion decides it and the others follow; among followers
     the widest.
 
     Args:
         function: index into FUNCTIONS; hold shuts all.
-        wanted: `Flows` of the chambers.
+        required: `Flows` of the chambers.
         p: `Pressures`, measured [Pa].
-        floor: least drop [Pa] at which the inverse is taken.
+        floor: smallest drop [Pa] at which the inverse is taken.
         circuit: of the cylinder.
         command: out, [V], one per valve of the rig; only this cylinder's are written.
         flows: out, desired flow [m³/s] along each of the cylinder's edges, shape (count,).
         limits: out, sum of limit bits of each of the cylinder's edges, shape (count,).
     """
-    rest(circuit, command, flows, limits)
+    shut(circuit, command, flows, limits)
     met, decided = 0, -1
     first = METERING[function]
     for turn in range(len(PATHS) + 1):

@@ -102,7 +102,7 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
 def measure_types() -> dict[str, Any]:
     """The measures of a trial with what they hold."""
     from ehbench.trial.measures import StepMeasures
-    from ehbench.trial.swing import LimitCycle
+    from ehbench.trial.limit_cycle import LimitCycle
     from ehbench.vocabulary.codes import LIMITS
 
     return {

@@ -114,7 +114,7 @@ class ArcTuningStage(_AnyTuningStage[ArcTuneRecipe]):
 
     def prepare(self, recipe: ArcTuneRecipe, inputs: Inputs) -> PreparedTuning[ArcTuneRecipe]:
         from ehbench.control.arc_gains import check_modelled
-        from ehbench.plant.site import unmodelled_of
+        from ehbench.plant.design_point import unmodelled_of
 
         prepared = self._prepared(recipe, inputs)
         rig = prepared.state.rig

@@ -20,15 +20,15 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.recipe.trial import Controller as ChosenController
 from ehbench.config.rig import Rig
 from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, pack_rules
-from ehbench.control.law import Controller, Law, Site
+from ehbench.control.law import Controller, DesignPoint, Law
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import sample_size
+from ehbench.plant.design_point import design_point_of
 from ehbench.plant.model import Model
-from ehbench.plant.site import site_of
 from ehbench.runs.rundir import read_json
 from ehbench.trial.imports import files_of, source_of
 from ehbench.vocabulary.errors import InputError
@@ -324,10 +324,10 @@ def compiled(
     )
 
 
-def _site(recipe: TrialRecipe, design: Design, tick: float) -> Site:
+def _site(recipe: TrialRecipe, design: Design, tick: float) -> DesignPoint:
     """What a controller of the design is designed for."""
     still = [design.valves.index(name) for name in controller_of(recipe).unused]
-    return site_of(design.model, design.circuit, design.q, tick, still)
+    return design_point_of(design.model, design.circuit, design.q, tick, still)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:

@@ -18,6 +18,7 @@ from ehbench.data.record import Record, payloads_of, payloads_text
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.learnt import learnt_maps
+from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import (
     function_measures,
     short_measures,
@@ -26,7 +27,6 @@ from ehbench.trial.measures import (
 )
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
-from ehbench.trial.swing import limit_cycle
 from ehbench.trial.together import Driven
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS

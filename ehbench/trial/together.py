@@ -14,9 +14,9 @@ import numpy as np
 from ehbench.config.recipe import TrialRecipe
 from ehbench.control.axis import Mechanism, axis_of
 from ehbench.control.coupling import among_others, joint_motion
-from ehbench.control.demand import Moving, drawn, torques
 from ehbench.control.measured import Pressures
 from ehbench.control.registry import LAWS
+from ehbench.control.required_flow import Motion, required_flow, torques
 from ehbench.control.trajectory import ORDERS, V, X, with_preview
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of
@@ -181,8 +181,8 @@ def planned(
             axis_of(item.design.circuit, mechanism, item.design.row),
             int(item.design.row.joint),
         )
-        motion = Moving(item.references.table[:, V], torque[:, joint], q[:, joint])
-        demand += drawn(axis, motion, line, tick, rule)
+        motion = Motion(item.references.table[:, V], torque[:, joint], q[:, joint])
+        demand += required_flow(axis, motion, line, tick, rule)
     limit = float(plant.supply.flow_limit)
     pace = None
     if share and math.isfinite(limit):

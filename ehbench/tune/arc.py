@@ -13,16 +13,16 @@ import numpy as np
 
 from ehbench.config.recipe import ArcTuneRecipe
 from ehbench.control.arc_gains import (
-    BUDGET,
+    ARC_GAINS,
     Adaptation,
     named_gains,
     pack_arc,
     pack_with_rates,
 )
 from ehbench.control.functions import pack_rules
-from ehbench.control.law import Site
+from ehbench.control.law import DesignPoint
+from ehbench.plant.design_point import design_point_of
 from ehbench.plant.model import Model
-from ehbench.plant.site import site_of
 from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Sensing
 from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
@@ -120,9 +120,9 @@ class Search:
         design = Model.of(study.rig, study.maps)
         circuit = circuit_of(design, design.layout.cylinders.index(study.cylinder), study.maps)
         posture = design.posture(recipe.posture)
-        self.site: Site = site_of(design, circuit, posture, 1.0 / float(recipe.rate))
+        self.site: DesignPoint = design_point_of(design, circuit, posture, 1.0 / float(recipe.rate))
         self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
-        usual = self.gains(BUDGET)
+        usual = self.gains(ARC_GAINS.budget)
         result = (
             SampledPlant.of(site.model, site.point, self.site.tick)
             for site in study.sites

@@ -18,7 +18,7 @@ import numpy as np
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at
 from ehbench.control.functions import METERED, SUPPLY_HEAD, SUPPLY_ROD
-from ehbench.control.law import Controller, Site
+from ehbench.control.law import Controller, DesignPoint
 from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import perfect_sample, sample_channels, sample_size
@@ -238,7 +238,7 @@ class SampledPlant:
         valves = tuple(sorted({path.valve for path in point.paths}))
         return cls(model, point, _plant_map(model, at, valves, tick), valves, sample)
 
-    def stays(self, site: Site, gains: np.record) -> bool:
+    def stays(self, site: DesignPoint, gains: np.record) -> bool:
         """Whether the controller stays in the point's working function there: where it takes
         another, the point is no steady motion of the loop.
         """
@@ -246,7 +246,7 @@ class SampledPlant:
         tick.after(np.zeros(tick.sizes.size), np.zeros(tick.reads.size))
         return FUNCTIONS[int(tick.memory.state.function)] == self.point.function
 
-    def loop(self, site: Site, gains: np.record) -> ArcLoop:
+    def loop(self, site: DesignPoint, gains: np.record) -> ArcLoop:
         """The loop of the controller about it.
 
         Args:
@@ -313,7 +313,7 @@ class _LawTick:
     ``sizes`` are the steps for differences of its memory, ``inputs`` those of what it ``reads`` of
     a sample; ``memory`` is that after the tick."""
 
-    def __init__(self, at: SampledPlant, site: Site, gains: np.record) -> None:
+    def __init__(self, at: SampledPlant, site: DesignPoint, gains: np.record) -> None:
         self.at, self.site, self.gains = at, site, gains
         self.start = steady_memory(at.model, at.point, site, gains)
         self.memory = arc.memory_of(site.axis)
@@ -344,7 +344,7 @@ class _LawTick:
         return np.array([*moved, *state.estimates, *command[list(at.valves)]])
 
 
-def _law_map(at: SampledPlant, site: Site, gains: np.record) -> Sampled:
+def _law_map(at: SampledPlant, site: DesignPoint, gains: np.record) -> Sampled:
     """The controller over one tick, from samples to the commands of the valves at work."""
     tick = _LawTick(at, site, gains)
     count, seen = tick.sizes.size, tick.inputs.size
@@ -356,7 +356,9 @@ def _law_map(at: SampledPlant, site: Site, gains: np.record) -> Sampled:
     return Sampled(by_memory[:count], by_sample[:count], by_memory[count:], by_sample[count:])
 
 
-def steady_memory(model: Model, point: OperatingPoint, site: Site, gains: np.record) -> np.record:
+def steady_memory(
+    model: Model, point: OperatingPoint, site: DesignPoint, gains: np.record
+) -> np.record:
     """The controller's memory, a record of type `arc.STATE`, in a steady motion in which it knows
     its load.
     """

@@ -14,7 +14,7 @@ from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.axis import Axis, Mechanism
 from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
-from ehbench.control.law import Site
+from ehbench.control.law import DesignPoint
 from ehbench.machines.simulated import model_tick
 from ehbench.machines.virtual.laws import bench_tick
 from ehbench.parts.sample import perfect_sample, sample_size
@@ -161,7 +161,7 @@ def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
         "valve_lag": valve_lag(model, ax.circuit.cylinder),
     }
     site |= {name: options.pop(name) for name in site if name in options}
-    return pack_arc(Site(ax, **site), packed, Adaptation(**options), gains)
+    return pack_arc(DesignPoint(ax, **site), packed, Adaptation(**options), gains)
 
 
 def _arrays(model, ax, gains, mask, memory, ticks, channels):

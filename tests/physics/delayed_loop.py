@@ -19,8 +19,8 @@ from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
 from ehbench.parts.valve.delay import line_of
+from ehbench.plant.design_point import design_point_of
 from ehbench.plant.model import Model
-from ehbench.plant.site import site_of
 from ehbench.runtime.compiled import allocating_kernel
 from ehbench.tune.arc_loop import SampledPlant, steady_memory
 from ehbench.tune.operating_point import circuit_of, state_of
@@ -90,7 +90,7 @@ class Bench:
         self.design = Model.of(rig)
         index = self.design.layout.cylinders.index(cylinder)
         circuit = circuit_of(self.design, index)
-        self.site = site_of(self.design, circuit, self.design.posture({}), TICK)
+        self.site = design_point_of(self.design, circuit, self.design.posture({}), TICK)
         self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
         usual = self.gains()
         self.points = [

@@ -370,21 +370,22 @@ def test_head_and_rod_mirror():
     ],
 )
 def test_rules_that_make_no_sense_are_refused(wrong):
-    with pytest.raises(InputError, match="rule of function selection"):
+    keys = ("control.negative_rule", "control.stop_above_start")
+    with pytest.raises(InputError, check=lambda error: error.key in keys):
         fn.pack_rules(A2, PS, **wrong)
 
 
 def test_circuits_that_are_none_are_refused():
     c = circuit(FIVE)
     ranges = np.tile([0.0, 10.0], (5, 1))
-    with pytest.raises(InputError, match="no metering edge leads to cylinder 1"):
+    with pytest.raises(InputError, check=lambda error: error.key == "control.no_edge"):
         fn.circuit(1, A1, A2, c.edges, c.maps, ranges)
-    with pytest.raises(InputError, match="not those of a plant"):
+    with pytest.raises(InputError, check=lambda error: error.key == "control.foreign_edges"):
         fn.circuit(0, A1, A2, np.zeros((3, 4)), c.maps, ranges)
 
 
 def test_an_unknown_rule_is_refused():
-    with pytest.raises(InputError, match="no rule 'dwel'.*dwell"):
+    with pytest.raises(InputError, check=lambda error: error.fields["name"] == "dwel"):
         fn.pack_rules(A2, PS, dwel=0.2)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import TrialRecipe, load_rig
-from ehbench.control.arc import PREVIEW, SMALLER, Choice, carried, make_room
+from ehbench.control.arc import ARC, Choice, carried, provide_headroom
 from ehbench.control.functions import METERING, SUPPLY_HEAD
 from ehbench.control.measured import Pressures
 from ehbench.control.oil_learning import BACK, MORE
@@ -107,7 +107,7 @@ def test_where_nothing_lacks_the_law_is_the_plain_one(payload):
 
 
 class Still:
-    """A steady motion under a load [N] by a working function, as `make_room` sees it."""
+    """A steady motion under a load [N] by a working function, as `provide_headroom` sees it."""
 
     def __init__(self, trial, function, load):
         self.law = trial.loop.laws.afresh().parts[0].controller
@@ -131,10 +131,10 @@ class Still:
         return low + smaller * area / other, carried(path, drop, circuit) / area
 
     def raised(self, least, largest, lacks=0.0):
-        """What `make_room` writes [Pa] where a share of the flow lacks."""
+        """What `provide_headroom` writes [Pa] where a share of the flow lacks."""
         memory = self.law.memory
-        memory.oil.found[MORE] = memory.oil.found[BACK] = lacks
-        make_room(self.choice, (least, largest), self.p, self.circuit, self.law.gains, memory)
+        memory.oil.estimates[MORE] = memory.oil.estimates[BACK] = lacks
+        provide_headroom(self.choice, (least, largest), self.p, self.circuit, self.law.gains, memory)
         return float(memory.state.raised)
 
 
@@ -148,7 +148,7 @@ def test_what_is_raised(function, load, way):
     def raised(speed, lacks=0.0):
         return still.raised(min(way * speed, 0.0), max(way * speed, 0.0), lacks)
 
-    (low, plain), (high, wide) = still.plan(), still.plan(SMALLER * still.p.supply)
+    (low, plain), (high, wide) = still.plan(), still.plan(ARC.smaller * still.p.supply)
     more, most = 1.0 + float(still.law.gains.flow_reserve), high - low
     assert wide > 1.02 * plain
     assert raised(0.999 * plain / more) == 0.0
@@ -178,7 +178,7 @@ def test_who_gets_nothing_raised():
 def test_a_preview_tells_the_least_and_the_largest_speed_to_come():
     rng = np.random.default_rng(5)
     table, tick = rng.standard_normal((400, 4)), 1e-3
-    for ahead in (0.0, 3e-3, PREVIEW, 5.0):
+    for ahead in (0.0, 3e-3, ARC.preview, 5.0):
         wide, span = with_preview(table, table[:, V], ahead, tick), round(ahead / tick) + 1
         assert np.array_equal(wide[:, :4], table)
         for i in (0, 7, 120, 398, 399):
@@ -187,5 +187,5 @@ def test_a_preview_tells_the_least_and_the_largest_speed_to_come():
     assert speeds_soon(table[3]) == (table[3, V], table[3, V])
     joints = np.hstack([table, rng.standard_normal((400, 12))])
     assert speeds_soon(joints[3]) == (table[3, V], table[3, V])
-    wide = with_preview(joints, table[:, V], PREVIEW, tick)
+    wide = with_preview(joints, table[:, V], ARC.preview, tick)
     assert speeds_soon(wide[3]) == (table[3:154, V].min(), table[3:154, V].max())

@@ -1,5 +1,5 @@
-"""Whether a controlled cylinder swings by itself: a limit cycle, told from ringing that dies out
-and from what the reference asks for.
+"""Whether a controlled cylinder swings by itself: a limit cycle, as opposed to ringing that decays
+and to a swing of the reference.
 """
 
 from __future__ import annotations
@@ -11,15 +11,25 @@ from typing import NamedTuple
 import numpy as np
 
 from ehbench.runtime.compiled import kernel
+from ehbench.vocabulary.settings import setting
 
-CYCLES = 5  # in a row, of like period and like amplitude, make a limit cycle
-PERIODS_ALIKE = 0.35  # share by which periods in a row may differ from their median
-LASTING = 0.75  # of the amplitude of the first half of the cycles is left in the second
-SMALLEST = 5.0e-4  # of the stroke: what is less is no swing
-SIZES = (1.0, 3.0, 10.0)  # of that, of the turns that are looked at
-COUNTS = 4.0  # of the stroke's sensor, likewise
-ASKED = 0.5  # share of the swing that the reference may have at its frequency
-HARMONICS = 8  # a swing so many times as fast as the reference turns round is one of its own
+
+@dataclass(frozen=True)
+class LimitCycleSettings:
+    """What makes a swing a limit cycle."""
+
+    cycles: int = setting(5, "", "cycles in a row that are alike", "a decay leaves fewer")
+    periods: float = setting(0.35, "", "difference of a period from the median", "chosen")
+    lasting: float = setting(0.75, "", "amplitude of the second half over the first", "chosen")
+    smallest: float = setting(5.0e-4, "", "smallest swing, of the stroke", "chosen")
+    sizes: tuple = setting((1.0, 3.0, 10.0), "", "turns to look at, of that", "nested swings")
+    counts: float = setting(4.0, "", "smallest swing, in counts of the sensor", "quantisation")
+    coarse: float = setting(0.02, "", "largest limit by counts, of the stroke", "coarse sensors")
+    reference: float = setting(0.5, "", "share of the swing in the reference", "chosen")
+    harmonics: float = setting(8.0, "", "frequency of a swing over the reference's", "chosen")
+
+
+LIMIT_CYCLE = LimitCycleSettings()
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ def limit_cycle(
     """The largest lasting swing of a stroke about the desired one, None where there is none.
 
     Turning points of the error that lie further apart than a sensor's counts make half swings;
-    `CYCLES` periods of like length and height in a row are a limit cycle, unless the reference
+    ``cycles`` periods of like length and height in a row are a limit cycle, unless the reference
     itself swings like that.
 
     Args:
@@ -60,14 +70,17 @@ def limit_cycle(
     """
     steps = np.abs(np.diff(x))
     count = float(steps[steps > 0.0].min(initial=np.inf)) if (steps > 0.0).any() else 0.0
-    minimum = max(SMALLEST * stroke, min(COUNTS * count, 0.02 * stroke))
+    minimum = max(
+        LIMIT_CYCLE.smallest * stroke,
+        min(LIMIT_CYCLE.counts * count, LIMIT_CYCLE.coarse * stroke),
+    )
     error = x - x_desired
     best: LimitCycle | None = None
-    for size in SIZES:  # small turns within a large swing are none of its own
+    for size in LIMIT_CYCLE.sizes:  # small turns within a large swing are none of its own
         for result, span in _lasting(t, _turning_points(error, size * minimum)):
             larger = best is None or result.amplitude > best.amplitude
             acts = np.ptp(commands[span], axis=0).any()
-            if larger and acts and not _asked(t[span], x_desired[span], result):
+            if larger and acts and not _follows_reference(t[span], x_desired[span], result):
                 best = result
     return best
 
@@ -75,9 +88,9 @@ def limit_cycle(
 def _lasting(t: np.ndarray, turns: _Swings) -> Iterator[tuple[LimitCycle, slice]]:
     """Each stretch of swings that are alike, and its rows."""
     rows, heights = turns.rows, np.abs(np.diff(turns.values)) / 2.0
-    first = 0
-    while first + 2 * CYCLES < rows.size:
-        last = _alike(t[rows], heights, first, 2 * CYCLES)
+    first, halves = 0, 2 * LIMIT_CYCLE.cycles
+    while first + halves < rows.size:
+        last = _alike(t[rows], heights, first, halves)
         if last is None:
             first += 1
             continue
@@ -93,12 +106,12 @@ def _lasting(t: np.ndarray, turns: _Swings) -> Iterator[tuple[LimitCycle, slice]
         first = last
 
 
-def _turning_points(error: np.ndarray, least: float) -> _Swings:
+def _turning_points(error: np.ndarray, height: float) -> _Swings:
     """Where the error turns, by a zigzag: a turn counts once the error has come back from it by
-    twice ``least``.
+    twice the ``height``.
     """
     rows = np.empty(error.size, np.int64)
-    rows = rows[: _zigzag(np.ascontiguousarray(error, float), 2.0 * least, rows)]
+    rows = rows[: _zigzag(np.ascontiguousarray(error, float), 2.0 * height, rows)]
     return _Swings(rows, error[rows])
 
 
@@ -126,12 +139,12 @@ def _alike(t: np.ndarray, heights: np.ndarray, first: int, halves: int) -> int |
     def same(last: int) -> bool:
         whole = t[first + 2 : last + 1] - t[first : last - 1]
         typical = float(np.median(whole))
-        if np.abs(whole - typical).max() > PERIODS_ALIKE * typical:
+        if np.abs(whole - typical).max() > LIMIT_CYCLE.periods * typical:
             return False
-        own = heights[first:last]
-        middle = own.size // 2
-        early, late = float(own[:middle].mean()), float(own[middle:].mean())
-        return late >= LASTING * early
+        among = heights[first:last]
+        middle = among.size // 2
+        early, late = float(among[:middle].mean()), float(among[middle:].mean())
+        return late >= LIMIT_CYCLE.lasting * early
 
     last = first + halves
     if not same(last):
@@ -141,14 +154,14 @@ def _alike(t: np.ndarray, heights: np.ndarray, first: int, halves: int) -> int |
     return last
 
 
-def _asked(t: np.ndarray, x_desired: np.ndarray, result: LimitCycle) -> bool:
+def _follows_reference(t: np.ndarray, x_desired: np.ndarray, result: LimitCycle) -> bool:
     """Whether the reference swings like that, or turns round so often that it makes the error."""
     ways = np.sign(np.diff(x_desired))
     ways = ways[ways != 0.0]
     turns = int(np.count_nonzero(np.diff(ways)))
-    if turns >= 3 and HARMONICS * turns >= 2.0 * result.duration / result.period:
+    if turns >= 3 and LIMIT_CYCLE.harmonics * turns >= 2.0 * result.duration / result.period:
         return True
-    return _amplitude(t, x_desired, result.period) >= ASKED * result.amplitude
+    return _amplitude(t, x_desired, result.period) >= LIMIT_CYCLE.reference * result.amplitude
 
 
 def _amplitude(t: np.ndarray, y: np.ndarray, period: float) -> float:

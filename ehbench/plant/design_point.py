@@ -10,17 +10,17 @@ import numpy as np
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.control.axis import Axis, Mechanism, axis_of, inertias
 from ehbench.control.functions import Circuit
-from ehbench.control.law import Site
+from ehbench.control.law import DesignPoint
 from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.valve import valve_lag
 from ehbench.physics.arm import work_size
 from ehbench.plant.model import Model
 
 
-def site_of(
+def design_point_of(
     model: Model, circuit: Circuit, q: np.ndarray, tick: float, still: Sequence[int] = ()
-) -> Site:
-    """The `Site` of one cylinder.
+) -> DesignPoint:
+    """The `DesignPoint` of one cylinder.
 
     Args:
         model: without payload.
@@ -34,7 +34,7 @@ def site_of(
     axis = axis_of(circuit, mechanism, row)
     own = slice(circuit.first, circuit.first + circuit.count)
     shut = np.isin(plant.edges.valve[own], still)
-    axis = axis._replace(onset=np.where(shut, 0.0, axis.onset))  # no standing by for them
+    axis = axis._replace(onset=np.where(shut, 0.0, axis.onset))  # they stay shut
     limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
         limit = 0.5 * circuit.area_head  # half a metre a second
@@ -45,7 +45,9 @@ def site_of(
     heaviest = max(
         (_at_the_end(axis, model.links(name)) for name in model.rig.payload), default=0.0
     )
-    return Site(axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled, heaviest)
+    return DesignPoint(
+        axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled, heaviest
+    )
 
 
 def _at_the_end(axis: Axis, links: np.recarray) -> float:

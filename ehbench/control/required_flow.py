@@ -1,4 +1,4 @@
-"""What a motion that is desired will draw from the supply: the load by the equations of motion, the
+"""The flow that a desired motion requires of the supply: the load by the equations of motion, the
 working functions that carry it, their oil.
 """
 
@@ -46,7 +46,7 @@ def torques(mechanism: Mechanism, q: np.ndarray, joints: np.ndarray) -> np.ndarr
 
 
 @kernel
-def _drawn(v, load, line, tick, circuit, rules, out):
+def _flows(v, load, line, tick, circuit, rules, out):
     now, age = HOLD, math.inf
     for i in range(v.shape[0]):
         head = rod = line.head
@@ -61,7 +61,7 @@ def _drawn(v, load, line, tick, circuit, rules, out):
         out[i] = supply_draw(function, circuit) * abs(v[i])
 
 
-class Moving(NamedTuple):
+class Motion(NamedTuple):
     """A cylinder's motion, shape (samples,): its speed ``v`` [m/s], the ``torque`` of its joint
     [N·m], see `torques`, and the joint's coordinate ``q`` [rad or m].
     """
@@ -71,13 +71,15 @@ class Moving(NamedTuple):
     q: np.ndarray
 
 
-def drawn(axis: Axis, motion: Moving, line: Pressures, tick: float, rules: np.record) -> np.ndarray:
+def required_flow(
+    axis: Axis, motion: Motion, line: Pressures, tick: float, rules: np.record
+) -> np.ndarray:
     """Flow [m³/s] that a cylinder's motion draws from the supply, shape (samples,), by the working
     functions that `ehbench.control.functions.select` chooses along it.
 
     Args:
         axis: of the cylinder.
-        motion: what it makes.
+        motion: of the cylinder.
         line: supply and tank pressure, and as ``head`` and ``rod`` that of a chamber which carries
             nothing [Pa].
         tick: between samples [s].
@@ -88,5 +90,5 @@ def drawn(axis: Axis, motion: Moving, line: Pressures, tick: float, rules: np.re
     load = motion.torque / lever + cylinder.friction_viscous * v
     load += cylinder.friction_coulomb * np.sign(v)
     out = np.empty(v.shape)
-    _drawn(v, load, line, tick, axis.circuit, rules, out)
+    _flows(v, load, line, tick, axis.circuit, rules, out)
     return out

@@ -9,8 +9,8 @@ import pytest
 
 from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import run_trial
+from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import short_measures
-from ehbench.trial.swing import limit_cycle
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 T = np.arange(8000) / 1000.0
