@@ -74,7 +74,7 @@ def warm(machine: str) -> str:
     from ehbench.plant.model import Model
     from ehbench.plant.paced import AUTO
     from ehbench.trial import run
-    from ehbench.trial.accounts import account
+    from ehbench.trial.cases import account
 
     rig = started()
     for keys in recipes(rig, machine):

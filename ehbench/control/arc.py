@@ -695,6 +695,7 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     )
     still = abs(steady) <= speed_start
     near = max(gains.speed_nudge, 4.0 * k1 * gains.stroke_resolution)
+    reversal = ARC.reversal * near
     quiet = still and min(abs(k1 * z1), abs(state.v)) <= near
     state.standstill = state.standstill + tick if quiet else 0.0
     if not still:
@@ -710,11 +711,7 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     state.slow_required -= math.expm1(-gains.force_bandwidth * tick) * (
         spool_speed - state.slow_required
     )
-    if (
-        still
-        and abs(state.slow_required) > ARC.reversal * near
-        and state.way * state.slow_required <= 0.0
-    ):
+    if still and abs(state.slow_required) > reversal and state.way * state.slow_required <= 0.0:
         state.way, state.turns = 1 if state.slow_required > 0.0 else -1, state.turns + 1
     if spool:
         # shut at standstill only where little oil is required, and none against the error: shutting
@@ -723,10 +720,8 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
         shut = still and small and abs(state.slow_required) <= near
         toward = 0.0 if shut else spool_speed
     elif not resting and abs(steady) <= abs(k1 * z1) + near:
-        if (
-            toward * state.slow_required < 0.0
-            and abs(state.slow_required) > abs(toward) + ARC.reversal * near
-        ):
+        fast = abs(state.slow_required) > abs(toward) + reversal
+        if fast and toward * state.slow_required < 0.0:
             toward = state.slow_required
     if still and not spool:
         toward = keep_on(toward, state.function, gains.rules)
@@ -1080,7 +1075,6 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     if not starting:
         x, v = observe(x, v, gains, state)
     load, ahead = loads_along(reference, q, v, inertia, axis, memory)
-
     stroke = track_stroke(desired, x, v, gains)
     force = track_force(desired, v, measured, load, stroke, axis, gains, state.estimates)
     oil = oil_at(x, p, load, axis, gains, state.estimates)

@@ -121,9 +121,8 @@ def point_to_point(
     """Moves from rest to rest through waypoints, as fast as the limits allow; returns the table,
     shape (samples, 4).
 
-    Position, speed, acceleration and jerk are continuous. ``ramp``: quintic ramps of speed around a
-    constant speed, the faster of the two on long moves. ``seventh``: one polynomial ``35τ⁴ − 84τ⁵ +
-    70τ⁶ − 20τ⁷`` a move, the smoother.
+    All columns are continuous. ``ramp``: quintic ramps of speed around a constant speed, faster on
+    long moves. ``seventh``: one polynomial ``35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷`` a move, smoother.
 
     Args:
         waypoints: strokes [m], the start first.

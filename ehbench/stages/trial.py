@@ -101,8 +101,8 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
 @cache
 def measure_types() -> dict[str, Any]:
     """The measures of a trial with what they hold."""
-    from ehbench.trial.measures import StepMeasures
     from ehbench.trial.limit_cycle import LimitCycle
+    from ehbench.trial.measures import StepMeasures
     from ehbench.vocabulary.codes import LIMITS
 
     return {

@@ -105,7 +105,7 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
         (folder / "table.csv").write_text(trial.table_csv(rows, rig), encoding="utf-8")
         stopped = [f"{name}: {item.facts.stopped}" for name, item in named if item.facts.stopped]
         warnings = [f"{name}: {text}" for name, item in named for text in item.facts.warnings]
-        warnings += [f"{name}: {text}" for name, item in named for text in item.doubts]
+        warnings += [f"{name}: {text}" for name, item in named for text in item.notes]
         about = {
             "rig": rig.name,
             "on": prepared.recipe.on,

@@ -4,16 +4,19 @@ when a limit is reached.
 
 from __future__ import annotations
 
-from ehbench.trial.accounts import Account, account
-from ehbench.trial.cases import Case, CaseResult, file_names, run_cases, table_csv, table_rows
-from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import (
-    code_file,
-    code_files,
-    gains_file,
-    refuse_code,
-    refuse_unknown,
+from ehbench.trial.cases import (
+    Account,
+    Case,
+    CaseResult,
+    account,
+    file_names,
+    run_cases,
+    table_csv,
+    table_rows,
 )
+from ehbench.trial.code import code_file, code_files, refuse_code
+from ehbench.trial.commands import command_table
+from ehbench.trial.controllers import gains_file, refuse_unknown
 from ehbench.trial.preparation import RUN_OUT, Prepared, Stop, prepare
 from ehbench.trial.running import Facts, Result, log_channels, run, run_trial
 from ehbench.trial.session import Session

@@ -1,29 +1,142 @@
-"""Many trials side by side, and one table over them."""
+"""Trials with their energies, many of them side by side, and one table over them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
+from ehbench.ledger import Accuracy, Ledger, bounds, ledger_of_log, ledger_of_model
 from ehbench.runtime.cores import cores
-from ehbench.trial.accounts import Account, account
 from ehbench.trial.preparation import Prepared, prepare
-from ehbench.trial.running import SELDOM, run
-from ehbench.trial.spread import middle_of, over_runs
-from ehbench.vocabulary.errors import SimulationError
+from ehbench.trial.running import SELDOM, Facts, Result, run
+from ehbench.vocabulary.errors import EhbenchError, InsufficientData, SimulationError
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.text import quoted
 from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
+
+
+MODEL = "edge flows of the model"
+LOG = "estimated: measured pressures and commands through the design model's maps"
+
+
+class Account(NamedTuple):
+    """A trial's facts with its energies, its ledger with its bounds as plain values, and why there
+    is none.
+    """
+
+    facts: Facts
+    ledger: dict[str, Any] | None
+    notes: tuple[Message, ...] = ()
+
+
+def account(prepared: Prepared, result: Result, intervals: bool = True) -> Account:
+    """The account of a trial: exact where the machine gives its states, else as measured.
+
+    ``intervals`` adds those of what was measured, which take longer than the trial."""
+    recipe, record, facts = prepared.recipe, result.record, result.facts
+    if (cycle := facts.measures.get("cycle")) is not None:  # the last of several
+        record = record.between(cycle["start"], cycle["stop"])
+    try:
+        if result.model is not None:
+            ledger = ledger_of_model(result.model, record)
+        else:
+            accuracy = Accuracy() if intervals else None
+            ledger = ledger_of_log(
+                prepared.rig, prepared.maps, record, payload=recipe.payload, accuracy=accuracy
+            )
+    except EhbenchError as error:
+        return Account(facts, None, (message("trial.no_ledger", problem=error.message),))
+    limits = []
+    if facts.cylinder:
+        facts = facts.with_energy(
+            {
+                name: _energy(ledger, name) | {"supply": prepared.rig.supply.kind}
+                for name in facts.cylinders
+            }
+        )
+        with suppress(InsufficientData):  # it did not move, or its supply has not one pressure
+            limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
+    return Account(facts, ledger.as_json() | {"bounds": limits})
+
+
+def _energy(ledger: Ledger, cylinder: str) -> dict[str, Any]:
+    """Energies [J] of a trial under a controller, and the oil [m³] that all valves drew."""
+    return {
+        "pump": ledger.pump,
+        **({} if ledger.low_rail is None else {"low_rail": ledger.low_rail}),
+        "cylinder_work": ledger[f"{cylinder}.work"].energy,
+        "oil_drawn": ledger.oil_drawn,
+        "source": MODEL if ledger.source == "model" else LOG,
+    }
+
+
+# measures that noise moves; the others are what the controller was made of
+_MOVED = ("steps", "tracking", "tracking_true", "tip", "speed_rms_error", "energy", "limits")
+
+
+def middle_of(runs: Sequence[Facts]) -> int:
+    """The first run that a limit stopped; else that of the median largest error, the lower one of
+    two.
+    """
+    for index, facts in enumerate(runs):
+        if facts.stopped:
+            return index
+    errors = [facts.measures["tracking"]["max_error"] for facts in runs]
+    return int(np.argsort(errors, kind="stable")[(len(runs) - 1) // 2])
+
+
+def over_runs(runs: Sequence[Facts], middle: int) -> Facts:
+    """The facts of the ``middle`` run, with the measures of all that came to their end.
+
+    A number is the median of the runs that have it, None where most have not; ``range`` has the
+    least and the largest of each, ``seeds`` says how many runs there are. ``limit_cycle`` is the
+    worst of all, and what is warned of it. A run that a limit stopped stands for itself."""
+    retained = runs[middle]
+    if retained.stopped:
+        count = sum(1 for run in runs if run.stopped)
+        stopped = message("trial.stopped_runs", count=count, runs=len(runs))
+        return replace(retained, warnings=(*retained.warnings, stopped))
+    results = [facts.measures for facts in runs]
+    moved = [{name: item[name] for name in _MOVED if name in item} for item in results]
+    of_all = _joined(moved, middle, lambda values: float(np.median(values)))
+    worst = max(runs, key=lambda entry: (entry.measures["limit_cycle"] or {}).get("amplitude", 0.0))
+    measures = retained.measures | of_all | {"limit_cycle": worst.measures["limit_cycle"]}
+    measures |= {
+        "range": _joined(moved, middle, lambda values: [min(values), max(values)]),
+        "seeds": len(runs),
+    }
+    return replace(retained, measures=measures, warnings=worst.warnings or retained.warnings)
+
+
+def _joined(trees: Sequence[Any], middle: int, fold: Callable[[list[float]], Any]) -> Any:
+    """One tree of as many, each number the ``fold`` of theirs; texts and lists of unequal length
+    are those of the middle one.
+    """
+    chosen = trees[middle]
+    if isinstance(chosen, dict):
+        return {name: _joined([tree.get(name) for tree in trees], middle, fold) for name in chosen}
+    if isinstance(chosen, list):
+        same = [tree for tree in trees if len(tree) == len(chosen)]
+        index = next(i for i, item in enumerate(same) if item is chosen)
+        return [_joined([item[i] for item in same], index, fold) for i in range(len(chosen))]
+    known = [float(tree) for tree in trees if isinstance(tree, int | float)]
+    if isinstance(chosen, str) or not known:
+        return chosen
+    return fold(known) if 2 * len(known) > len(trees) else None
 
 
 class CaseResult(NamedTuple):
@@ -61,17 +174,20 @@ class Case:
         if self.seeds == 1:
             return self._once(prepared, log)
         runs = [prepared.seeded(self.recipe.seed + more) for more in range(self.seeds)]
-        facts = [self._once(item, sure=False).account.facts for item in runs]
+        facts = [self._once(item, intervals=False).account.facts for item in runs]
         middle = middle_of(facts)
         record, retained = self._once(runs[middle], log)
         return CaseResult(record, retained._replace(facts=over_runs(facts, middle)))
 
-    def _once(self, prepared: Prepared, log: Path | None = None, sure: bool = True) -> CaseResult:
+    def _once(
+        self, prepared: Prepared, log: Path | None = None, intervals: bool = True
+    ) -> CaseResult:
         try:
             result = run(prepared, log=log)
         except SimulationError as error:
-            raise SimulationError(f"{self.name}: {error.message}", hint=error.hint) from None
-        return CaseResult(result.record, account(prepared, result, sure))
+            problem = message("trial.case_failed", case=self.name, problem=error.message)
+            raise SimulationError(problem, hint=error.hint) from None
+        return CaseResult(result.record, account(prepared, result, intervals))
 
     @property
     def motion(self) -> str:
@@ -106,14 +222,14 @@ def run_cases(
 
     names = file_names(cases)
 
-    def one(index: int) -> CaseResult:
+    def run_case(index: int) -> CaseResult:
         log = None if logs is None else logs / f"{names[index]}.mcap"
         case = cases[index]
         ready = prepared[index] if prepared else case.prepare(allow_code=allow_code)
         return case.run(ready, log)
 
     with ThreadPoolExecutor(workers or cores()) as pool:
-        jobs = [pool.submit(one, index) for index in range(len(cases))]
+        jobs = [pool.submit(run_case, index) for index in range(len(cases))]
 
         def tell(name: str) -> None:
             if progress is not None:

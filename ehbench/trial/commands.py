@@ -12,6 +12,7 @@ from ehbench.config.rig import Rig, Valve
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
 
 
 def _si(value: Value | None) -> float:
@@ -85,23 +86,24 @@ def command_table(
 
 
 def _check_entry(recipe: TrialRecipe, index: int, rig: Rig, taken: Collection[str]) -> None:
-    entry, where = recipe.command[index], f"command {index + 1}"
+    entry, number = recipe.command[index], index + 1
     names = [f"{c.name}.{v.name}" for c, v in rig.valves()]
     if entry.valve not in names:
+        known = ", ".join(names)
         raise InputError(
-            f"{where}: rig '{rig.name}' has no valve '{entry.valve}'",
+            message(
+                "trial.unknown_valve", number=number, rig=rig.name, valve=entry.valve, known=known
+            ),
             **recipe.at("command", index, "valve"),
-            hint="it has " + ", ".join(names),
         )
     if entry.valve in taken:
         raise InputError(
-            f"{where}: '{entry.valve}' is the controller's",
+            message("trial.controlled_valve", number=number, valve=entry.valve),
             **recipe.at("command", index, "valve"),
-            hint="open-loop commands go to the valves of other cylinders",
         )
     if entry.stop is not None and float(entry.stop) <= float(entry.start):
         raise InputError(
-            f"{where} to '{entry.valve}' stops before it starts",
+            message("trial.empty_window", number=number, valve=entry.valve),
             **recipe.at("command", index, "stop"),
         )
 
@@ -113,11 +115,10 @@ def _played(recipe: TrialRecipe, entry: Command) -> Record:
     assert entry.file is not None
     path = recipe.file(entry.file)
     record = read(path)
-    if f"{entry.valve}.command" not in record:
-        there = ", ".join(record.channels)
-        raise InputError(
-            f"has no channel '{entry.valve}.command' to play", file=path, hint=f"it has {there}"
-        )
+    channel = f"{entry.valve}.command"
+    if channel not in record:
+        known = ", ".join(record.channels)
+        raise InputError(message("trial.no_channel", channel=channel, known=known), file=path)
     return record
 
 
@@ -129,16 +130,16 @@ def _check_range(
     values: np.ndarray,
     entry: int | None,
 ) -> None:
-    """Refuse commands [V] that a valve's driver does not take; ``entry`` is the last one for it."""
+    """Refuse commands [V] outside the range of a valve's driver; ``entry`` is the last one for
+    it."""
     low, high = float(valve.command_min), float(valve.command_max)
     if low <= values.min() and values.max() <= high:
         return
     bad = np.flatnonzero((values < low - 1e-9) | (values > high + 1e-9) | ~np.isfinite(values))
     if bad.size:
         where = recipe.at("command", entry) if entry is not None else {}
+        value, time = float(values[bad[0]]), float(t[bad[0]])
         raise InputError(
-            f"the command of '{name}' is {values[bad[0]]:.4g} V at t = {t[bad[0]]:.4g} s, which "
-            "its driver does not take",
+            message("trial.command_range", name=name, value=value, t=time, low=low, high=high),
             **where,
-            hint=f"its range is {low:g} to {high:g} V",
         )

@@ -19,7 +19,14 @@ import numpy as np
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.recipe.trial import Controller as ChosenController
 from ehbench.config.rig import Rig
-from ehbench.control.functions import ALL_RULES, RULE_NAMES, Circuit, circuit, pack_rules
+from ehbench.control.functions import (
+    ALL_RULES,
+    RULE_NAMES,
+    Circuit,
+    circuit,
+    default_pressure,
+    pack_rules,
+)
 from ehbench.control.law import Controller, DesignPoint, Law
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
@@ -30,17 +37,16 @@ from ehbench.parts.sample import sample_size
 from ehbench.plant.design_point import design_point_of
 from ehbench.plant.model import Model
 from ehbench.runs.rundir import read_json
-from ehbench.trial.imports import files_of, source_of
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
-from ehbench.vocabulary.text import shortened
 from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
 
-FILED = 1.0e-7  # share of a number by which files of rigs may round it
+ROUNDING = 1.0e-7  # share of a number by which files of rigs may round it
 
 
 @dataclass(frozen=True)
@@ -152,18 +158,15 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
     controller, motion = controller_of(recipe), recipe.motion
     motion_at = motion.where if motion is not None else ()
     names = [c.name for c in rig.cylinder]
+    known = ", ".join(names)
     name = motion.cylinder if motion is not None else None
     if name is None and len(names) > 1:
-        raise InputError(
-            "which cylinder is controlled?",
-            **recipe.at(*(motion_at or ("controller",))),
-            hint='write cylinder = "…" in [motion]: ' + ", ".join(names),
-        )
+        where = recipe.at(*(motion_at or ("controller",)))
+        raise InputError(message("trial.several_cylinders", known=known), **where)
     if name is not None and name not in names:
         raise InputError(
-            f"rig '{rig.name}' has no cylinder '{name}'",
+            message("trial.unknown_cylinder", rig=rig.name, cylinder=name, known=known),
             **recipe.at(*motion_at, "cylinder"),
-            hint="it has " + ", ".join(names),
         )
     index = names.index(name) if name is not None else 0
     model = Model.of(rig, maps) if model is None else model
@@ -175,9 +178,8 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
     for valve in controller.unused:
         if valve not in layout.valves:
             raise InputError(
-                f"no valve '{valve}'",
+                message("trial.unused_valve", valve=valve, known=", ".join(layout.valves)),
                 **recipe.at(*controller.where, "unused"),
-                hint="there are " + ", ".join(layout.valves),
             )
         # an edge from supply to supply is on no path
         off = edges.valve == layout.valves.index(valve)
@@ -200,21 +202,6 @@ def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
     """
     points = recipe.motion.waypoints if recipe.motion is not None else ()
     return ({cylinder: f"{float(points[0])!r} m"} if points else {}) | recipe.posture
-
-
-def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
-    """Refuse a controller of the user's own unless it is allowed.
-
-    Raises:
-        InputError: says why and how.
-    """
-    if recipe.controller is not None and recipe.controller.code is not None and not allowed:
-        raise InputError(
-            f"the controller '{recipe.controller.code}' is Python code, and a recipe may not run "
-            "code by itself",
-            **recipe.at(*recipe.controller.where, "class"),
-            hint="if you trust it, add --allow-code",
-        )
 
 
 def refuse_unknown(recipe: TrialRecipe) -> None:
@@ -242,43 +229,6 @@ def gains_file(recipe: TrialRecipe) -> str | None:
     return recipe.controller.gains_from if recipe.controller is not None else None
 
 
-def code_file(recipe: TrialRecipe) -> Path | None:
-    """The Python file behind the recipe's ``class``: beside the recipe, else that of an importable
-    module; None without class.
-
-    Raises:
-        InputError: there is none.
-    """
-    if recipe.controller is None or recipe.controller.code is None:
-        return None
-    text, where = recipe.controller.code, recipe.at(*recipe.controller.where, "class")
-    module, _, name = text.partition(":")
-    words = module.split(".")
-    if not (name.isidentifier() and all(word.isidentifier() for word in words) and len(text) < 300):
-        raise InputError(
-            f"class = {shortened(text, 100)} is no class of a module",
-            **where,
-            hint='write it like "my_module:MyController"',
-        )
-    additional = recipe.path.parent / (module.replace(".", "/") + ".py")
-    if additional.is_file():
-        return additional.resolve()
-    result = source_of(module)
-    if result is None:
-        raise InputError(
-            f"no module '{module}'",
-            **where,
-            hint=f"looked for {additional.name} beside the recipe, and among the installed modules",
-        )
-    return result
-
-
-def code_files(recipe: TrialRecipe) -> tuple[Path, ...]:
-    """The code file of a recipe, then those that it imports and that are not installed."""
-    code = code_file(recipe)
-    return () if code is None else files_of(code)
-
-
 def compiled(
     recipe: TrialRecipe,
     design: Design,
@@ -293,24 +243,24 @@ def compiled(
     """
     chosen = controller_of(recipe)
     assert chosen.kind is not None  # it is no class of the user's
-    law, site = LAWS[chosen.kind], _site(recipe, design, 1.0 / rate)
+    law, point = LAWS[chosen.kind], _design_point(recipe, design, 1.0 / rate)
     gains, given_rules, given_shaping = _taken(recipe, law, tuning, design.cylinder)
-    low = gains.get("low_pressure", site.low_pressure)
+    low = gains.get("low_pressure", point.low_pressure)
     with located(recipe, *chosen.where, "rules"):
         rules = pack_rules(
-            design.circuit.area_rod, site.supply_pressure, low_pressure=low, **given_rules
+            design.circuit.area_rod, point.supply_pressure, low_pressure=low, **given_rules
         )
     with located(recipe, *chosen.where, "shaping"):
         shaping = pack_shaping(**given_shaping)
     _refuse_without(recipe, law, gains)
     with located(recipe, *chosen.where, "gains"):
-        packed = law.pack(site, gains, rules, shaping)
+        packed = law.pack(point, gains, rules, shaping)
     channels = sample_size(len(design.model.layout.cylinders))
     controller = Controller(
-        site.axis,
+        point.axis,
         packed.gains,
-        law.memory(site.axis),
-        law.observed(site.axis, channels),
+        law.memory(point.axis),
+        law.observed(point.axis, channels),
         np.zeros(channels),
     )
     names = law.channels(design.cylinder, design.edges)
@@ -324,7 +274,7 @@ def compiled(
     )
 
 
-def _site(recipe: TrialRecipe, design: Design, tick: float) -> DesignPoint:
+def _design_point(recipe: TrialRecipe, design: Design, tick: float) -> DesignPoint:
     """What a controller of the design is designed for."""
     still = [design.valves.index(name) for name in controller_of(recipe).unused]
     return design_point_of(design.model, design.circuit, design.q, tick, still)
@@ -339,7 +289,7 @@ def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None
         return quantities(
             recipe, "gains", {"low_pressure": given}, {"low_pressure": VOCABULARY["low_pressure"]}
         )["low_pressure"]
-    return float((tuning or {}).get("low_pressure") or float(rig.supply.pressure) / 20.0)
+    return float((tuning or {}).get("low_pressure") or default_pressure(float(rig.supply.pressure)))
 
 
 def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | None:
@@ -356,54 +306,45 @@ def read_tuning(recipe: TrialRecipe, folder: Path | None) -> dict[str, Any] | No
     if path.is_dir():
         path = path / "tuning.json"
     if path.suffix != ".json":
-        raise InputError(
-            f"gains come from '{name}', which is a recipe",
-            **recipe.at(*controller_of(recipe).where, "gains"),
-            hint="name its run folder",
-        )
+        where = recipe.at(*controller_of(recipe).where, "gains")
+        raise InputError(message("trial.gains_of_recipe", name=name), **where)
     return read_json(path)
 
 
-def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """A sentence where gains were tuned on another supply than the trial's."""
-    tuned, own = (tuning or {}).get("supply"), rig.supply.facts()
-    if tuned is None or not _moves(tuned, own):
+def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[Message, ...]:
+    """A note where gains were tuned on another supply than the trial's."""
+    tuned, here = (tuning or {}).get("supply"), rig.supply.facts()
+    if tuned is None:
         return ()
-    if tuned["kind"] != own["kind"]:
-        other = f"{tuned['kind']}, and this trial runs on {own['kind']}"
+    if tuned.keys() == here.keys() and not any(_differ(tuned[name], here[name]) for name in here):
+        return ()
+    if tuned["kind"] != here["kind"]:
+        supply = message("trial.other_kind", tuned=tuned["kind"], kind=here["kind"])
     else:
-        other = ", ".join(_moved(rig, name, tuned[name], own[name]) for name in own)
-    return (
-        "what the tuning promises is of another supply than this trial's, and does not hold here: "
-        f"it was tuned on {other}",
-    )
-
-
-def _moves(tuned: Mapping[str, Any], own: Mapping[str, Any]) -> bool:
-    """Whether two supplies differ by more than files round numbers by."""
-    return tuned.keys() != own.keys() or any(_differ(tuned[name], own[name]) for name in own)
+        supply = ", ".join(_change(rig, name, tuned[name], here[name]) for name in here)
+    return (message("trial.other_supply", supply=supply),)
 
 
 def _differ(item: Any, other: Any) -> bool:
     if isinstance(item, str) or isinstance(other, str):
         return item != other
-    return not math.isclose(item, other, rel_tol=FILED)
+    return not math.isclose(item, other, rel_tol=ROUNDING)
 
 
-def _moved(rig: Rig, name: str, tuned: Any, own: Any) -> str:
+def _change(rig: Rig, name: str, tuned: Any, here: Any) -> str:
     """A value [SI] of the supply as it was tuned on and as it is; the kind by itself."""
     if name == "kind":
-        return own
+        return here
     unit, row = rig.unit_of(name), VOCABULARY[name]
-    before, now = (f"{from_si(item, unit, row):.4g}" for item in (tuned, own))
-    return f"{name} {before} {unit}" + (f" (here {now})" if _differ(tuned, own) else "")
+    before, now = (f"{from_si(item, unit, row):.4g}" for item in (tuned, here))
+    return f"{name} {before} {unit}" + (f" (here {now})" if _differ(tuned, here) else "")
 
 
 def _refuse_without(recipe: TrialRecipe, law: Law, gains: Mapping[str, Any]) -> None:
     """Refuse gains that lack what the law cannot do without."""
-    need = law.required
-    if need is not None and need.gain not in gains:
-        raise InputError(need.message, **recipe.at(*controller_of(recipe).where), hint=need.hint)
+    required = law.required
+    if required is not None and required.gain not in gains:
+        raise InputError(required.message, **recipe.at(*controller_of(recipe).where))
 
 
 def _taken(
@@ -416,7 +357,7 @@ def _taken(
     if tuning is not None:
         if tuning.get("cylinder") != cylinder:
             raise InputError(
-                f"the gains are tuned for cylinder '{tuning.get('cylinder')}', not '{cylinder}'",
+                message("trial.other_cylinder", tuned=tuning.get("cylinder"), cylinder=cylinder),
                 **recipe.at(*controller_of(recipe).where, "gains"),
             )
         gains = {name: tuning[name] for name in law.gains if name in tuning} | gains
@@ -457,16 +398,23 @@ def quantities(
         where = recipe.at(*controller.where, table, name)
         if name not in rows:
             near = get_close_matches(name, rows, 1)
-            hint = f"did you mean '{near[0]}'?" if near else "it has " + ", ".join(rows)
             raise InputError(
-                f"controller '{controller.label}' has no {table} '{name}'",
+                message(
+                    "trial.unknown_key",
+                    controller=controller.label,
+                    table=table,
+                    name=name,
+                    suggestion=f"did you mean '{near[0]}'?"
+                    if near
+                    else "it has " + ", ".join(rows),
+                ),
                 **where,
-                hint=hint,
             )
         try:
             values[name] = _number(name, raw, rows[name], name in bounds)
         except InputError as error:
-            raise InputError(f"{name}: {error.message}", **where, hint=error.hint) from None
+            problem = message("trial.wrong_value", name=name, problem=error.message)
+            raise InputError(problem, **where, hint=error.hint) from None
     return values
 
 
@@ -478,7 +426,7 @@ def _number(name: str, raw: Any, row: Quantity | None, pair: bool) -> Any:
         if name == "choice":
             return raw
         if not isinstance(raw, bool):
-            raise InputError(f"{name} = {raw!r}", hint="it is true or false")
+            raise InputError(message("trial.not_a_switch", name=name, value=raw))
         return raw
     if name == "feedback_gain" and isinstance(raw, Mapping):
         return {function: float(read_value(value, row)) for function, value in raw.items()}

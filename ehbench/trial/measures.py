@@ -1,21 +1,39 @@
-"""How well a trial did: pure functions of arrays in SI."""
+"""How well a trial did, from arrays in SI, and what a law learnt of its flow maps."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ehbench.data.record import Record
+from ehbench.machines.protocol import Machine, static_flow_of
+from ehbench.parts.edge import edge_flows, edge_onset
 from ehbench.signals.series import ringing, rms
+from ehbench.trial.controllers import Design
 from ehbench.vocabulary.codes import STALLED, UNABLE
+from ehbench.vocabulary.settings import setting
 
-BAND = 0.05  # a step has settled once it stays this near to its steady speed
-STEADY = 1.0 / 3.0  # the steady speed is the windowed mean over this last part of a step
-LASTS = 0.1  # [s] at its end, what is shorter is a correction's, not the motion's
-LESS = 2.0e-3  # of the desired speed: what is less short is noise
-FINAL = 0.1  # [s] at the end of a trial over which the final error is averaged
+
+@dataclass(frozen=True)
+class MeasureSettings:
+    """Numbers of the measures of a trial."""
+
+    band: float = setting(0.05, "", "band of a settled speed, of the rise", "usual definition")
+    steady: float = setting(1.0 / 3.0, "", "last part of a step that is steady", "swings decay")
+    unsettled: float = setting(0.9, "", "time by which a step settles, of it", "chosen")
+    lasts: float = setting(0.1, "s", "shortest shortfall of speed", "corrections are shorter")
+    less: float = setting(2.0e-3, "", "smallest shortfall, of the desired speed", "noise")
+    final: float = setting(0.1, "s", "end over which the final error is averaged", "noise")
+    used: float = setting(0.05, "", "flow of a used edge, of its largest", "chosen")
+    openings: tuple = setting((0.15, 1.0, 12), "", "openings that are compared", "chosen")
+    shifts: tuple = setting((-1.0, 1.0, 401), "V", "deadbands that are compared", "chosen")
+
+
+MEASURES = MeasureSettings()
 
 
 @dataclass(frozen=True)
@@ -61,19 +79,19 @@ def step_measures(
         others: more channels that ring with it, such as the chamber pressures.
         share: of the full speed, handed on.
     """
-    last = v[-max(1, round(STEADY * v.size)) :]
+    last = v[-max(1, round(MEASURES.steady * v.size)) :]
     # what still rings cancels under a window that fades in and out, and a drift counts as by the
     # plain mean
     steady = float(np.average(last, weights=np.hanning(last.size + 2)[1:-1]))
     way = math.copysign(1.0, speed - before)
     rise = steady - before
     overshoot = settling = None
-    if way * rise > BAND * abs(speed - before):
+    if way * rise > MEASURES.band * abs(speed - before):
         overshoot = max(0.0, float(np.max(way * (v - steady)))) / abs(rise)
-        off = np.flatnonzero(np.abs(v - steady) > BAND * abs(rise))
+        off = np.flatnonzero(np.abs(v - steady) > MEASURES.band * abs(rise))
         # a speed that was off a tenth before the end has not settled
         inside = int(off[-1]) + 1 if off.size else 0
-        settling = float(t[inside] - t[0]) if inside < 0.9 * v.size else None
+        settling = float(t[inside] - t[0]) if inside < MEASURES.unsettled * v.size else None
     swing = ringing(t, np.column_stack([v, *others]))
     fitted = swing.damping_ratio if swing.ok else swing.fitted_damping
     return StepMeasures(
@@ -101,7 +119,7 @@ def tracking_measures(t: np.ndarray, x: np.ndarray, x_desired: np.ndarray) -> di
     return {
         "max_error": float(np.abs(e).max()),
         "rms_error": rms(e),
-        "final_error": float(np.mean(e[t >= t[-1] - FINAL])),
+        "final_error": float(np.mean(e[t >= t[-1] - MEASURES.final])),
     }
 
 
@@ -128,8 +146,8 @@ def function_measures(
 def short_measures(
     t: np.ndarray, v: np.ndarray, v_desired: np.ndarray, saturated: np.ndarray
 ) -> dict[str, float] | None:
-    """The longest stretch of at least LASTS in which valves were at their end and the cylinder went
-    slower than desired on the whole; None where there is none.
+    """The longest stretch of at least ``lasts`` in which valves were at their end and the cylinder
+    went slower than desired on the whole; None where there is none.
 
     ``start`` and ``duration`` [s], the mean speeds ``desired`` and ``reached`` [m/s], positive in
     the desired direction.
@@ -147,8 +165,87 @@ def short_measures(
         desired = float(np.mean(np.abs(v_desired[start:end])))
         reached = float(np.mean(v[start:end] * np.sign(v_desired[start:end])))
         lasted = tick * (end - start)
-        longest = LASTS if results is None else results["duration"]
-        if lasted > longest and reached < (1.0 - LESS) * desired:
+        longest = MEASURES.lasts if results is None else results["duration"]
+        if lasted > longest and reached < (1.0 - MEASURES.less) * desired:
             results = {"start": float(t[start]), "duration": lasted}
             results |= {"desired": desired, "reached": reached}
     return results
+
+
+class _Use(NamedTuple):
+    """How an edge was used: ``commands`` [V] from near its onset up to the largest, and the median
+    ``drop`` [Pa] along it.
+    """
+
+    commands: np.ndarray
+    drop: float
+
+
+def learnt_maps(design: Design, machine: Machine, record: Record, rows: int) -> dict[str, Any]:
+    """Of each edge that passed oil the correction at the end, and where the machine can tell, the
+    true one.
+
+    ``gain`` [1] and ``shift`` of the deadband [V]; ``true_gain``, ``true_shift`` fit the machine's
+    own flow at the openings that were used; ``error_before`` and ``error_after`` [1] are the
+    largest errors of the map there, of its largest flow, without and with the correction."""
+    results: dict[str, Any] = {}
+    for number, edge in enumerate(design.edges):
+        name = f"{edge}.map_gain"
+        if name not in record:
+            continue
+        use = _use(design, number, record, rows)
+        if use is None:
+            continue
+        gain, shift = (float(record[f"{edge}.map_{word}"][rows - 1]) for word in ("gain", "shift"))
+        results[edge] = {"gain": gain, "shift": shift}
+        flow = static_flow_of(machine)
+        if flow is not None:
+            true = np.asarray(flow(edge, use.commands, np.full(use.commands.size, use.drop)))
+            results[edge] |= _true_correction(design, number, use, true, (gain, shift))
+    return results
+
+
+def _use(design: Design, number: int, record: Record, rows: int) -> _Use | None:
+    edge, row = design.edges[number], design.circuit.edges[design.circuit.first + number]
+    flow = np.abs(record[f"{edge}.flow_desired"][:rows])
+    used = flow > MEASURES.used * flow.max(initial=0.0)
+    command = row.sign * record[f"{design.valves[row.valve]}.command"][:rows]
+    onset = abs(float(edge_onset(row, design.circuit.maps)))
+    used &= command > onset
+    if not used.any():
+        return None
+    nodes = {"supply": "p_supply", "tank": "p_tank"} | {
+        end: f"{design.cylinder}.p_{end}" for end in ("head", "rod")
+    }
+    item = design.rig.all_edges()[edge]
+    pressures = [record[nodes[end]][:rows][used] for end in (item.from_, item.to)]
+    drop = float(np.median(pressures[0] - pressures[1]))
+    maximum, openings = float(command[used].max()), np.linspace(*MEASURES.openings)
+    return None if drop == 0.0 else _Use(row.sign * (onset + openings * (maximum - onset)), drop)
+
+
+def _true_correction(
+    design: Design, number: int, use: _Use, true: np.ndarray, learnt: tuple[float, float]
+) -> dict[str, float]:
+    row, maps = design.circuit.edges[design.circuit.first + number], design.circuit.maps
+
+    def mapped(shift: float) -> np.ndarray:
+        moved = use.commands - row.sign * shift
+        flows = np.empty(moved.size)
+        edge_flows(np.full(moved.size, use.drop), moved, row, maps, flows)
+        return flows
+
+    tried = []
+    for shift in np.linspace(*MEASURES.shifts).tolist():
+        flow = mapped(shift)
+        gain = float(flow @ true) / max(float(flow @ flow), 1e-300)
+        tried.append((float(np.sum((gain * flow - true) ** 2)), gain, shift))
+    _, gain, shift = min(tried)
+    largest = float(np.abs(true).max()) or 1.0
+    before, after = mapped(0.0) - true, learnt[0] * mapped(learnt[1]) - true
+    return {
+        "true_gain": gain,
+        "true_shift": shift,
+        "error_before": float(np.abs(before).max()) / largest,
+        "error_after": float(np.abs(after).max()) / largest,
+    }

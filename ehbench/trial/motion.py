@@ -30,10 +30,20 @@ from ehbench.trial.controllers import Design, located
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
+from ehbench.vocabulary.settings import setting
 
-REST = 0.5  # [s] before the first step of speed and after each
-SPEED_UP = 0.2  # [s] in which a move without stated limits reaches its speed
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Defaults of a motion."""
+
+    rest: float = setting(0.5, "s", "rest before and after each step", "a swing decays")
+    speed_up: float = setting(0.2, "s", "time to full speed without stated limits", "usual")
+
+
+MOTION = MotionSettings()
 _SHARE = Quantity(
     "share", "r", "dimensionless", "%", "share of the full speed, negative retracts", -2, 2
 )
@@ -102,11 +112,14 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
     if out.size:
         where = recipe.at(*motion.where) if motion is not None else {}
         raise InputError(
-            f"the desired motion of '{design.cylinder}' leaves the stroke at t = "
-            f"{out[0] / rate:.4g} s",
+            message(
+                "trial.leaves_stroke",
+                cylinder=design.cylinder,
+                t=float(out[0] / rate),
+                stroke=design.rig.shown("x", stroke),
+                start=design.rig.shown("x", design.x),
+            ),
             **where,
-            hint=f"the stroke is {design.rig.shown('x', stroke)} and it starts at "
-            f"{design.rig.shown('x', design.x)}",
         )
     levels = tuple(
         Level(level.first, min(level.stop, len(table)), level.speed, level.share)
@@ -144,7 +157,7 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
     ]
     if not fits:
         word = "extend" if way > 0 else "retract"
-        raise InputError(f"the valves of '{design.cylinder}' cannot {word} it at this load")
+        raise InputError(message("trial.no_function", cylinder=design.cylinder, direction=word))
     function = fits[0]
     if coupled(circuit, function):
         speed = _spool_speed(circuit, way, force, p_supply, p_tank)
@@ -195,11 +208,7 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
         else:
             speed = float(read_value(text, VOCABULARY["v"]))
         if speed == 0.0:
-            raise InputError(
-                f"level {index + 1} is no speed",
-                **where,
-                hint='like "30 %" of the full speed, or "-80 mm/s"',
-            )
+            raise InputError(message("trial.zero_level", number=index + 1), **where)
         speeds.append(speed)
         shares.append(share)
         if duration is None:
@@ -207,13 +216,13 @@ def _steps(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: fl
             times.append(float(travel) / abs(speed))
         else:
             times.append(float(duration))
-    rest = REST if motion.rest is None else float(motion.rest)
+    rest = MOTION.rest if motion.rest is None else float(motion.rest)
     table = velocity_steps(speeds, duration=times, tick=tick, rest=rest, x=design.x)
-    at, levels = round(rest / tick), []
+    row, levels = round(rest / tick), []
     for speed, share, time in zip(speeds, shares, times, strict=True):
         rows = max(1, round(time / tick))
-        levels.append(Level(at, at + rows, speed, share))
-        at += rows + round(rest / tick)
+        levels.append(Level(row, row + rows, speed, share))
+        row += rows + round(rest / tick)
     return References(table, tuple(levels))
 
 
@@ -226,14 +235,14 @@ def limits_of(recipe: TrialRecipe, motion: CylinderMotion, points: int) -> dict[
     """
     assert motion.speed is not None  # the recipe's model sees to it
     speed = float(motion.speed)
-    acceleration = speed / SPEED_UP if motion.acceleration is None else float(motion.acceleration)
-    jerk = 4.0 * acceleration / SPEED_UP if motion.jerk is None else float(motion.jerk)
-    holds = [float(h) for h in motion.hold] or [REST]
+    acceleration = (
+        speed / MOTION.speed_up if motion.acceleration is None else float(motion.acceleration)
+    )
+    jerk = 4.0 * acceleration / MOTION.speed_up if motion.jerk is None else float(motion.jerk)
+    holds = [float(h) for h in motion.hold] or [MOTION.rest]
     if len(holds) not in (1, points):
-        raise InputError(
-            f"hold has {len(holds)} times for {points} waypoints",
-            **recipe.at(*motion.where, "hold"),
-        )
+        problem = message("trial.hold_count", count=len(holds), points=points)
+        raise InputError(problem, **recipe.at(*motion.where, "hold"))
     hold = holds[0] if len(holds) == 1 else holds
     limits = {"speed": speed, "acceleration": acceleration, "jerk": jerk}
     return limits | {"hold": hold, "profile": motion.profile}
@@ -244,14 +253,14 @@ def _points(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: f
     limits = limits_of(recipe, motion, len(points))
     holds = np.broadcast_to(limits["hold"], len(points)).tolist()
 
-    def made(cycles: int) -> np.ndarray:
+    def cycled(cycles: int) -> np.ndarray:
         way = limits | {"hold": holds[:1] + cycles * holds[1:]}
         return point_to_point(
             points[:1] + cycles * points[1:], tick=1.0 / float(recipe.rate), **way
         )
 
-    before = len(made(motion.cycles - 1)) - 1 if motion.cycles > 1 else 0
-    return References(made(motion.cycles), last_cycle=before)
+    before = len(cycled(motion.cycles - 1)) - 1 if motion.cycles > 1 else 0
+    return References(cycled(motion.cycles), last_cycle=before)
 
 
 def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: float) -> References:
@@ -265,22 +274,21 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
     assert motion.file is not None  # the recipe's model sees to it
     path = recipe.file(motion.file)
     record = read(path)
-    own = [f"{design.cylinder}.{name}_desired" for name in "xvaj"]
-    if own[X] not in record:
-        raise InputError(
-            f"has no channel '{own[X]}'", file=path, hint="it has " + ", ".join(record.channels)
-        )
+    names = [f"{design.cylinder}.{name}_desired" for name in "xvaj"]
+    if names[X] not in record:
+        known = ", ".join(record.channels)
+        raise InputError(message("trial.no_channel", channel=names[X], known=known), file=path)
     if record.t.size < 6:
-        raise InputError(f"has {record.t.size} samples of a motion", file=path, hint="6 at least")
+        raise InputError(message("trial.short_motion_file", count=record.t.size), file=path)
     t = record.t - record.t[0]
     tick = 1.0 / float(recipe.rate)
-    at = np.arange(rows_of(float(t[-1]), float(recipe.rate)) + 1) * tick
-    table = np.zeros((at.size, ORDERS))
-    inside = np.minimum(at, t[-1])
-    curve = make_interp_spline(t, record[own[X]], k=5)
+    times = np.arange(rows_of(float(t[-1]), float(recipe.rate)) + 1) * tick
+    table = np.zeros((times.size, ORDERS))
+    inside = np.minimum(times, t[-1])
+    curve = make_interp_spline(t, record[names[X]], k=5)
     for column in (X, V, A, J):
-        if column > X and own[column] in record:
-            curve = make_interp_spline(t, record[own[column]], k=5)
+        if column > X and names[column] in record:
+            curve = make_interp_spline(t, record[names[column]], k=5)
         elif column > X:
             curve = curve.derivative()
         table[:, column] = curve(inside)

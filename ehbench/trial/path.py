@@ -20,18 +20,28 @@ from ehbench.physics.tip import FOUND, Chain, Found, polish, reach, tip_of
 from ehbench.plant.model import Model
 from ehbench.trial.motion import limits_of
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-STEP = 0.01  # [m] between two postures along a line, at the most
-LEAST = 16  # postures along a line
-COARSE = 9  # of them that are looked for one after the other
-OFF = 1.0e-5  # [m] by which the tip may leave its line between two postures
-FINER = 4  # times that postures are doubled until it does not
-TRIES = 64  # postures from which a first point is looked for
+
+@dataclass(frozen=True)
+class PathSettings:
+    """How finely a path of the tip becomes postures."""
+
+    spacing: float = setting(0.01, "m", "largest distance between postures", "chosen")
+    postures: int = setting(16, "", "smallest number of postures of a line", "chosen")
+    coarse: int = setting(9, "", "postures that follow one another", "they stay near")
+    error: float = setting(1.0e-5, "m", "largest distance of the tip to its line", "chosen")
+    doublings: int = setting(4, "", "doublings of the postures", "ends near singular ones")
+    tries: int = setting(64, "", "postures to try for a first point", "six joints, two each")
+
+
+PATH = PathSettings()
 
 
 @dataclass(frozen=True)
@@ -62,10 +72,10 @@ class Mover:
         plant, names = model.plant, model.layout.cylinders
         for index, name in enumerate(motion.cylinders):
             if name not in names:
+                rig, known = model.rig.name, ", ".join(names)
                 raise InputError(
-                    f"rig '{model.rig.name}' has no cylinder '{name}'",
+                    message("trial.unknown_cylinder", rig=rig, cylinder=name, known=known),
                     **recipe.at(*motion.where, "cylinders", index),
-                    hint="it has " + ", ".join(names),
                 )
         moved = {name: names.index(name) for name in motion.cylinders or names}
         low, high = np.full((2, len(model.layout.joints)), np.nan)
@@ -96,7 +106,7 @@ class Mover:
         choices = [(0.2, 0.8) if free else (0.5,) for free in self.free]
         span = self.chain.high - self.chain.low
         tried = [result]
-        for share in list(product(*choices))[:TRIES]:
+        for share in list(product(*choices))[: PATH.tries]:
             tried.append(reach(self.chain, point, self.chain.low + share * span, self.free))
         there = [item for item in tried if item.there]
         if there:
@@ -120,18 +130,18 @@ class Mover:
                 out = (way > 0) == (extended > retracted)
                 end = float(row.stroke) if out else 0.0
                 ends.append(f"'{name}' at its {rig.shown('x', end)} end")
-        stopped = f": {' and '.join(ends)}" if ends else ""
-        hint = None
-        if not ends:
-            count = len(self.moved)
-            hint = "the tip moves " + {
-                1: "on one line: one cylinder moves it",
-                2: "on one surface: two cylinders move it",
-            }.get(count, "no farther in that direction: the links are stretched or folded")
+        reason = message(
+            {1: "trial.one_line", 2: "trial.one_surface"}.get(len(self.moved), "trial.stretched")
+        )
         raise InputError(
-            f"{what} is out of reach by {rig.shown('x', result.miss)}{stopped}",
+            message(
+                "trial.out_of_reach",
+                place=what,
+                distance=rig.shown("x", result.miss),
+                stopped=f": {' and '.join(ends)}" if ends else "",
+                reason="" if ends else reason,
+            ),
             **self.recipe.at(*self.motion.where, "points", index),
-            hint=hint,
         )
 
     def at(self, point: np.ndarray) -> str:
@@ -172,7 +182,7 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
     points = [np.array(point.value, float) for point in motion.points]
     results = [mover.first(point) for point in points]
     for index, (item, point) in enumerate(zip(results, points, strict=True)):
-        mover.refuse(item, f"point {index + 1}, {mover.at(point)},", index)
+        mover.refuse(item, message("trial.point", number=index + 1, point=mover.at(point)), index)
     q, legs = results[0].q, []
     start = mover.strokes(q[None])[0]
     for index, (item, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
@@ -200,13 +210,13 @@ def _leg(
     length = float(np.linalg.norm(other - item))
     where = mover.recipe.at(*mover.motion.where, "points", index)
     if length <= FOUND:
-        raise InputError(f"point {index + 1} of the path is where point {index} is", **where)
-    coarse = np.linspace(0.0, 1.0, COARSE)
+        raise InputError(message("trial.same_point", number=index + 1, before=index), **where)
+    coarse = np.linspace(0.0, 1.0, PATH.coarse)
     begun = _follow(mover, item + coarse[:, None] * (other - item), q, index)
     near = make_interp_spline(coarse, begun, k=3)
-    count = max(LEAST, int(np.ceil(length / STEP)))
+    count = max(PATH.postures, int(np.ceil(length / PATH.spacing)))
     off = 0.0
-    for _ in range(FINER):
+    for _ in range(PATH.doublings):
         share = np.linspace(0.0, 1.0, 2 * count + 1)  # every other one to see how far it is off
         line = item + share[:, None] * (other - item)
         postures = _polished(mover, line, near(share), index)
@@ -214,15 +224,12 @@ def _leg(
         curve = make_interp_spline(length * share[::2], built[::2], k=5)
         apart = np.abs(curve(length * share[1::2]) - built[1::2])
         off = float((apart * _tip_slope(mover, postures[1::2])).sum(axis=1).max())
-        if off <= OFF:
+        if off <= PATH.error:
             return Leg(length, curve), postures[-1]
         count *= 2
-    left = mover.model.rig.shown("x", off)
+    distance = mover.model.rig.shown("x", off)
     raise InputError(
-        f"between points {index} and {index + 1} the path is too near to a posture from which the "
-        f"tip cannot go on along it: the strokes would leave it by {left}",
-        **where,
-        hint="keep away from stretched and folded links, or take other points",
+        message("trial.near_singular", before=index, number=index + 1, distance=distance), **where
     )
 
 
@@ -251,13 +258,13 @@ def _polished(mover: Mover, line: np.ndarray, starts: np.ndarray, index: int) ->
     out = ((q < chain.low - slack) | (q > chain.high + slack))[:, free].any(axis=1)
     for i in np.flatnonzero(out | (miss > FOUND)):
         result = reach(chain, line[i], starts[i], free)
-        mover.refuse(result, _between(index, mover.at(line[i])), index)
+        mover.refuse(
+            result,
+            message("trial.between", before=index, number=index + 1, point=mover.at(line[i])),
+            index,
+        )
         q[i] = result.q
     return q
-
-
-def _between(index: int, point: str) -> str:
-    return f"the path between points {index} and {index + 1}, at {point},"
 
 
 def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.ndarray:
@@ -269,7 +276,11 @@ def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.nda
     free, postures = mover.free, []
     for point in line:
         result = reach(mover.chain, point, q, free)
-        mover.refuse(result, _between(index, mover.at(point)), index)
+        mover.refuse(
+            result,
+            message("trial.between", before=index, number=index + 1, point=mover.at(point)),
+            index,
+        )
         q = result.q
         postures.append(q)
     return np.array(postures)

@@ -21,13 +21,15 @@ from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, vi
 from ehbench.plant.model import Model
 from ehbench.runtime.memory import MOST_STEPS, refuse_beyond, rows_of
 from ehbench.trial import controllers
+from ehbench.trial.code import refuse_code
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design, Laws
+from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.motion import References, lasting, references
 from ehbench.trial.path import along_path, route
-from ehbench.trial.together import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
 
@@ -51,7 +53,7 @@ class Stop:
     value: float
     bound: float
     t: float
-    sentence: str
+    sentence: Message
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Aftermath:
     seconds: float
     still: bool
     beyond: tuple[Excess, ...]
-    sentence: str
+    sentence: Message
 
 
 @dataclass(frozen=True)
@@ -136,15 +138,15 @@ class Prepared:
 
     def shut_at_once(self, stop: Stop, command: np.ndarray) -> np.ndarray:
         """True for the valves that go to rest without a ramp when a limit stopped the trial under a
-        command [V]: those that only bring oil, behind which no load is caught, and those that
-        bring it to the chamber whose pressure is too high.
+        command [V]: those that only bring oil, so that no load is caught, and those that bring it
+        to the chamber whose pressure is too high.
         """
         full = stop.channel if stop.limit == "pressure_max" else ""
         shut = []
         for (cylinder, valve), volts in zip(self.rig.valves(), command.tolist(), strict=True):
-            own = [(edge.sign * volts > 0.0, {edge.from_, edge.to}) for edge in valve.edge]
-            fed = set().union(*(ends for is_open, ends in own if is_open and "supply" in ends))
-            drains = any("tank" in ends for _, ends in own)
+            edges = [(edge.sign * volts > 0.0, {edge.from_, edge.to}) for edge in valve.edge]
+            fed = set().union(*(ends for is_open, ends in edges if is_open and "supply" in ends))
+            drains = any("tank" in ends for _, ends in edges)
             into = full.removeprefix(f"{cylinder.name}.p_")
             shut.append(bool(fed) and not drains or into in fed)
         return np.array(shut)
@@ -201,11 +203,8 @@ class Prepared:
         )
         if violated(rows, 0):
             reached = self.reached(machine, rows, 0)
-            raise InputError(
-                "the trial cannot start: " + reached.sentence,
-                **recipe.at("limits", reached.limit),
-                hint="change the posture or the limit",
-            )
+            problem = message("trial.start_limit", stop=reached.sentence)
+            raise InputError(problem, **recipe.at("limits", reached.limit))
         for channel, error in recipe.first_pressure_error.items():
             sample[machine.channels.index(channel)] += float(error)
         return rows
@@ -219,14 +218,19 @@ class Prepared:
             value = float(rows.commands[row, index])
         else:
             channel, value = machine.channels[entry], float(rows.sample[entry])
-        if which == MARGIN and value >= bound:  # then it is the far end that came too near
+        if which == MARGIN and value >= bound:  # it is the far end that is too near
             bound = float(rows.strokes[index]) - bound
         word = channel.rsplit(".", 1)[-1]
         unit = self.rig.unit_of(word)
         shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
-        sentence = (
-            f"{channel} = {shown:.4g} {unit} passed {LIMITS[which]}, which sets in at {edge:.4g} "
-            f"{unit}, at t = {t:.4g} s"
+        sentence = message(
+            "trial.limit_passed",
+            channel=channel,
+            value=shown,
+            unit=unit,
+            limit=LIMITS[which],
+            bound=edge,
+            t=t,
         )
         return Stop(LIMITS[which], channel, value, bound, t, sentence)
 
@@ -257,18 +261,21 @@ class Prepared:
         sentence = self._after(ramp, seconds, still, beyond)
         return Aftermath(ramp, seconds, still, tuple(beyond), sentence)
 
-    def _after(self, ramp: float, seconds: float, still: bool, beyond: list[Excess]) -> str:
-        shut = f"within {ramp:.3g} s" if ramp else "at once"
-        stood = "it stood still" if still else "it still moved"
-        message = f"the valves went to rest {shut}, {seconds:.3g} s later {stood}"
+    def _after(self, ramp: float, seconds: float, still: bool, beyond: list[Excess]) -> Message:
+        sentences = ""
         for item in beyond:
             word = item.channel.rsplit(".", 1)[-1]
             unit = self.rig.unit_of(word)
             value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (item.value, item.bound))
-            message += (
-                f"; {item.channel} went to {value:.4g} {unit}, beyond {item.limit} ({bound:.4g})"
-            )
-        return message
+            fields = {"channel": item.channel, "value": value, "unit": unit, "limit": item.limit}
+            sentences += message("trial.beyond_limit", bound=bound, **fields)
+        return message(
+            "trial.after_stop",
+            shut=f"within {ramp:.3g} s" if ramp else "at once",
+            seconds=seconds,
+            stood="it stood still" if still else "it still moved",
+            beyond=sentences,
+        )
 
 
 def _cylinder_of(machine: Machine, channel: str) -> int:
@@ -285,7 +292,7 @@ def prepare(
     allow_code: bool = False,
     standing: bool = False,
 ) -> Prepared:
-    """Take in what a trial needs, without a tick and without code of the user's own.
+    """Take in what a trial needs, without a tick and without a user's code.
 
     Args:
         recipe: what to do.
@@ -293,7 +300,7 @@ def prepare(
         maps: measured flow maps of the rig, for the model and for the controller.
         gains: the run folder of the tune run that the recipe takes gains from, or what it says; by
             default where the recipe points.
-        allow_code: lets a controller of the user's own run.
+        allow_code: allows a user's controller to run.
         standing: leave the desired motion out, where its speeds cannot be known.
 
     Raises:
@@ -306,7 +313,7 @@ def prepare(
     loop, posture = None, recipe.posture
     rig = _with_dynamics(recipe, rig)
     if recipe.controller is not None:
-        controllers.refuse_code(recipe, allow_code)
+        refuse_code(recipe, allow_code)
         loop = _loop(recipe, rig, maps, gains, standing)
         posture = controllers.posture_of(loop.driven[0].recipe, loop.design.cylinder)
     rate = float(recipe.rate)
@@ -317,15 +324,11 @@ def prepare(
         with controllers.located(recipe, "duration"):
             count = rows_of(float(recipe.duration), rate) + 1
     if count < 2:
-        raise InputError(
-            "the trial is shorter than one sample",
-            **recipe.at("duration"),
-            hint="raise duration or rate",
-        )
+        raise InputError(message("trial.too_short"), **recipe.at("duration"))
     with controllers.located(recipe, "duration"):
         _refuse_endless(recipe, rig, count)
     t = np.arange(count) / rate
-    table = command_table(recipe, rig, t, () if loop is None else _taken(loop))
+    table = command_table(recipe, rig, t, () if loop is None else _controlled_valves(loop))
     machine = open_machine(recipe, rig, maps)
     limits = limit_array(recipe.limits)
     _refuse_unknown_pressures(recipe, machine)
@@ -340,7 +343,7 @@ def prepare(
 
 
 def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
-    """Refuse a wrong first pressure of a sensor that the machine has not.
+    """Refuse a first pressure of a sensor that the machine lacks.
 
     Raises:
         InputError: names those that there are.
@@ -349,9 +352,8 @@ def _refuse_unknown_pressures(recipe: TrialRecipe, machine: Machine) -> None:
     for name in recipe.first_pressure_error:
         if name not in known:
             raise InputError(
-                f"the machine has no pressure '{name}'",
+                message("trial.unknown_pressure", name=name, known=", ".join(known)),
                 **recipe.at("first_pressure_error", name),
-                hint="it has " + ", ".join(known),
             )
 
 
@@ -365,16 +367,11 @@ def _payloads(recipe: TrialRecipe, machine: Machine, t: np.ndarray) -> dict[int,
     for i, change in enumerate(recipe.payload_change):
         carry, row = carry_of(machine), int(np.searchsorted(t, float(change.at) - 1e-9))
         if row >= t.size:
-            raise InputError(
-                f"the trial ends at {t[-1]:.4g} s, before its payload changes",
-                **recipe.at("payload_change", i, "at"),
-            )
+            problem = message("trial.late_payload", end=float(t[-1]))
+            raise InputError(problem, **recipe.at("payload_change", i, "at"))
         if carry is None:
-            raise InputError(
-                f"the payload of {machine.name} is changed by hand",
-                **recipe.at("payload_change"),
-                hint="leave payload_change out",
-            )
+            problem = message("trial.payload_by_hand", machine=machine.name)
+            raise InputError(problem, **recipe.at("payload_change"))
         results[row] = None if change.payload == "none" else change.payload
         with controllers.located(recipe, "payload_change", i, "payload"):
             carry(results[row])
@@ -387,8 +384,8 @@ def _with_dynamics(recipe: TrialRecipe, rig: Rig) -> Rig:
     Raises:
         InputError: no such valve or dynamics, with the line.
     """
-    own = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
-    where = recipe.controller.where if recipe.controller is not None and own else ()
+    chosen = getattr(recipe.controller, "dynamics", None)  # of a controller of a set
+    where = recipe.controller.where if recipe.controller is not None and chosen else ()
     with controllers.located(recipe, *where, "dynamics"):
         return rig.with_dynamics(recipe.dynamics)
 
@@ -413,8 +410,7 @@ def _refuse_endless(recipe: TrialRecipe, rig: Rig, count: int) -> None:
     steps = count * tick / step
     if steps > MOST_STEPS:
         raise InputError(
-            f"the trial would take {steps:.3g} steps of {step:g} s",
-            hint=f"up to {MOST_STEPS:g} are taken: make it shorter, or the step larger",
+            message("trial.too_many_steps", steps=steps, step=step, maximum=MOST_STEPS)
         )
 
 
@@ -470,26 +466,18 @@ def _refuse_misfit(
     names = [single.motion.cylinder for single in singles if single.motion is not None]
     if chosen is None or len(singles) == 1 and not chosen.cylinders:
         return
-    moved = "moved are " + ", ".join(name for name in names if name)
+    moved = ", ".join(name for name in names if name)
     if chosen.code is not None:
-        raise InputError(
-            f"'{chosen.code}' moves one cylinder, and the motion is of {len(singles)}",
-            **recipe.at(*chosen.where, "class"),
-            hint="name one in 'cylinders' of the motion, or take a built-in law",
-        )
+        problem = message("trial.class_moves_one", code=chosen.code, count=len(singles))
+        raise InputError(problem, **recipe.at(*chosen.where, "class"))
     for name in chosen.cylinders:
         if name not in names:
-            raise InputError(
-                f"a law of its own for '{name}', which does not move",
-                **recipe.at(*chosen.where, "cylinders", name),
-                hint=moved,
-            )
+            problem = message("trial.law_without_motion", cylinder=name, moved=moved)
+            raise InputError(problem, **recipe.at(*chosen.where, "cylinders", name))
     if tuning is not None and tuning.get("cylinder") not in names:
-        raise InputError(
-            f"the gains are tuned for cylinder '{tuning.get('cylinder')}', which does not move",
-            **recipe.at(*chosen.where, "gains"),
-            hint=moved,
-        )
+        tuned = tuning.get("cylinder")
+        problem = message("trial.gains_without_motion", cylinder=tuned, moved=moved)
+        raise InputError(problem, **recipe.at(*chosen.where, "gains"))
 
 
 def _rest(design: Design) -> References:
@@ -505,7 +493,8 @@ def _laws(
         return None
     built = []
     for item in driven:
-        known = _gains_for(item, tuning, len(driven))
+        tuned_for = None if tuning is None else tuning.get("cylinder")
+        known = tuning if len(driven) == 1 or tuned_for == item.cylinder else None
         table, rate = item.references.table, float(recipe.rate)
         built.append(controllers.compiled(item.recipe, item.design, known, table, rate))
     return Laws(tuple(built))
@@ -542,19 +531,8 @@ def _rules(item: Driven, part: Compiled | None) -> np.record:
     return rules
 
 
-def _gains_for(
-    item: Driven, tuning: Mapping[str, Any] | None, count: int
-) -> Mapping[str, Any] | None:
-    """What was tuned, for a cylinder: of several only that which it was tuned for takes it."""
-    if tuning is None or count == 1 or tuning.get("cylinder") == item.cylinder:
-        return tuning
-    return None
-
-
-def _taken(loop: Loop) -> tuple[str, ...]:
-    """Valves that controllers command by themselves; a user's class may leave any of them to the
-    recipe.
-    """
+def _controlled_valves(loop: Loop) -> tuple[str, ...]:
+    """Valves that built-in controllers command; a user's class may leave any to the recipe."""
     if loop.laws is None:
         return ()
     taken = []

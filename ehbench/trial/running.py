@@ -1,4 +1,4 @@
-"""Run one prepared trial on its machine, and say what is to be said of it."""
+"""Run one prepared trial on its machine, and state the facts about it."""
 
 from __future__ import annotations
 
@@ -17,30 +17,29 @@ from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
 from ehbench.machines.protocol import Machine, truth_of
 from ehbench.trial.controllers import Compiled, Laws
-from ehbench.trial.learnt import learnt_maps
+from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import (
     function_measures,
+    learnt_maps,
     short_measures,
     step_measures,
     tracking_measures,
 )
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session
-from ehbench.trial.together import Driven
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS
-from ehbench.vocabulary.codes import SATURATED, STATUS_MEANS
+from ehbench.vocabulary.codes import SATURATED
 from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
-from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
     from ehbench.plant.model import Model
 
-SELDOM = ("payload_change", "first_pressure_error")  # said only of trials that have them
+SELDOM = ("payload_change", "first_pressure_error")  # facts only of trials that have them
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Facts:
     ``stopped`` is empty, or says which limit stopped it and what came of it; ``stop`` and ``after``
     have the same as numbers. ``measures`` says how well a controlled cylinder did and with which
     gains (docs/reference), SI; empty without a controller. Its energies are the ledger's: see
-    `ehbench.trial.accounts`. ``payload_change``: (time [s], payload from then on);
+    `ehbench.trial.cases`. ``payload_change``: (time [s], payload from then on);
     ``first_pressure_error`` [Pa] by channel."""
 
     on: str
@@ -222,9 +221,7 @@ def _attachments(prepared: Prepared) -> dict[str, bytes]:
 
 def _record(session: Session, meta: dict[str, str]) -> Record:
     if not np.isfinite(session.rows.commands[: session.end]).all():
-        raise SimulationError(
-            "the controller asked for no number", hint="a gain, or a channel that it was not given"
-        )
+        raise SimulationError(message("trial.no_number"))
     if session.stop is not None:
         meta = meta | {"stopped": session.stop.sentence}
     whole = slice(0, session.end)
@@ -232,10 +229,7 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
     try:
         check_record(record)
     except InputError as error:
-        raise SimulationError(
-            f"the trial ran away: {error.message}",
-            hint="take a smaller step, or set [limits]",
-        ) from None
+        raise SimulationError(message("trial.diverged", problem=error.message)) from None
     return record
 
 
@@ -244,10 +238,8 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     warnings = [] if prepared.loop is None else list(prepared.loop.notes)
     measures = {}
     if isinstance(law, UserCode) and law.beyond:
-        warnings.append(
-            f"{law.label} asked for more than a driver takes in {law.beyond} of {session.end} "
-            "ticks, and got the end of its range"
-        )
+        counts = {"count": law.beyond, "ticks": session.end}
+        warnings.append(message("trial.beyond_driver", label=law.label, **counts))
     if law is not None and prepared.loop is not None:
         rows = session.end if stop is None else round(stop.t * rate) + 1
         parts = law.parts if isinstance(law, Laws) else (law,)
@@ -262,10 +254,13 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             if part.used.get("gains", {}).get("adapt_maps"):
                 own["maps"] = learnt_maps(item.design, session.machine, record, rows)
             if isinstance(part, Compiled) and part.law.warns_saturated:
-                own["short"] = _short(record, item.cylinder, rows)
-                warnings += _saturated(own, prepared.rig, item.cylinder)
-            warnings += _swinging(own["limit_cycle"], prepared.rig, item.cylinder)
-            warnings += _stuck(own, item.cylinder)
+                v, desired, met = (
+                    record[f"{item.cylinder}.{name}"][:rows]
+                    for name in ("v", "v_desired", "limits")
+                )
+                saturated = met.astype(int) & SATURATED > 0
+                own["short"] = short_measures(record.t[:rows], v, desired, saturated)
+            warnings += _warnings(own, prepared.rig, item.cylinder)
         measures = results.pop(prepared.loop.design.cylinder)
         if prepared.loop.plan is not None:
             measures |= prepared.loop.plan.measures(record, rows)
@@ -304,59 +299,26 @@ def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
     return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
-def _short(record: Record, cylinder: str, rows: int) -> dict[str, float] | None:
-    """Where valves at their end let a cylinder fall behind the desired speed, see
-    `short_measures`.
-    """
-    v, desired, met = (record[f"{cylinder}.{name}"][:rows] for name in ("v", "v_desired", "limits"))
-    return short_measures(record.t[:rows], v, desired, met.astype(int) & SATURATED > 0)
-
-
-def _saturated(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[str]:
-    """A sentence where the valves were at their end in a share of the ticks, and how far that kept
-    the cylinder behind the motion.
-    """
-    share, short = measures["limits"]["saturated"], measures["short"]
-    if share == 0.0:
-        return []
-    sentence = (
-        f"the valves of '{cylinder}' were at their end in {100.0 * share:.2g} % of the ticks "
-        "and gave less than the controller asked for"
-    )
-    if short is None:
-        return [sentence]
-    unit = rig.unit_of("v")
-    reached, desired = (
-        f"{from_si(short[name], unit, VOCABULARY['v']):.4g} {unit}"
-        for name in ("reached", "desired")
-    )
-    return [
-        f"{sentence}; for {short['duration']:.2g} s from t = {short['start']:.3g} s on it went "
-        f"{reached} where {desired} were desired: the motion asks for more than this machine has"
-    ]
-
-
-def _stuck(measures: Mapping[str, Any], cylinder: str) -> list[str]:
-    """A sentence where the choice of working functions stalled, or found none, in a share of the
-    ticks.
-    """
+def _warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[Message]:
+    """Warnings of saturated valves, limit cycles and missing working functions."""
+    warnings, known = [], {"cylinder": cylinder}
+    short, cycle = measures.get("short"), measures["limit_cycle"]
+    share = measures["limits"]["saturated"] if "short" in measures else 0.0
+    if short is not None and share > 0.0:
+        speeds = {name: rig.shown("v", short[name]) for name in ("reached", "desired")}
+        since = {name: short[name] for name in ("duration", "start")}
+        warnings.append(message("trial.saturated_short", share=share, **since, **speeds, **known))
+    elif share > 0.0:
+        warnings.append(message("trial.saturated", share=share, **known))
+    if cycle is not None:
+        since = {name: cycle[name] for name in ("period", "start", "duration")}
+        amplitude = rig.shown("x", cycle["amplitude"], 3)
+        warnings.append(message("trial.swings", amplitude=amplitude, **since, **known))
     shares = measures.get("functions", {})
-    return [
-        f"'{cylinder}' was {word} in {100.0 * shares[word]:.2g} % of the ticks: {meaning}"
-        for word, meaning in STATUS_MEANS.items()
-        if shares.get(word, 0.0) > 0.0
-    ]
-
-
-def _swinging(cycle: Mapping[str, float] | None, rig: Rig, cylinder: str) -> list[str]:
-    """A sentence where a cylinder swung by itself."""
-    if cycle is None:
-        return []
-    unit = rig.unit_of("x")
-    amplitude = from_si(cycle["amplitude"], unit, VOCABULARY["x"])
-    return [
-        f"'{cylinder}' swings by itself: a limit cycle of ± {amplitude:.3g} {unit}, period "
-        f"{cycle['period']:.3g} s, from t = {cycle['start']:.3g} s for {cycle['duration']:.3g} s"
+    return warnings + [
+        message({"stalled": "trial.stalled", "unable": "trial.unable"}[word], share=share, **known)
+        for word in ("stalled", "unable")
+        if (share := shares.get(word, 0.0)) > 0.0
     ]
 
 

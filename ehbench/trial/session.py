@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,17 +23,27 @@ from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import HOLD
 from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
     from ehbench.data.logs import LogWriter
 
-LOOK = 0.1  # [s] a machine that was so long below STILL stands
-STILL = 5e-3  # [m/s]
-PATIENCE = 20.0  # [s] of wall time after which a class's pace is judged
-LONGEST_TRIAL = 36e3  # [s] of wall time that a class may make of a trial
-CHUNK = 1000  # ticks between two reports of progress
-WAIT = 0.2  # [s] of wall time after which rows go to the log, however few
-SYNC = 0.7  # [s] of wall time between two syncs of the log: with WAIT, less than a second is lost
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """Numbers of the loop of a trial."""
+
+    look: float = setting(0.1, "s", "standstill that ends a stopped trial", "the ramp is over")
+    still: float = setting(5e-3, "m/s", "speed below which a machine stands", "sensor noise")
+    patience: float = setting(20.0, "s", "wall time before a class's pace counts", "it may compile")
+    longest: float = setting(36e3, "s", "wall time of a trial with a class", "ten hours")
+    chunk: int = setting(1000, "ticks", "between progress reports", "a second at 1 kHz")
+    wait: float = setting(0.2, "s", "wall time after which rows are logged", "with sync below 1 s")
+    sync: float = setting(0.7, "s", "wall time between syncs of the log", "with wait below 1 s")
+
+
+SESSION = SessionSettings()
 # telemetry that is 0 after a stop, beside the edges' flows
 DEMANDS = (
     *("v_desired", "a_desired", "j_desired", "v_shaped"),
@@ -73,7 +84,7 @@ class Session:
         self.after: Aftermath | None = None
         self.end = prepared.t.size
         self._halted, self._next_look = 0, sys.maxsize
-        self._stretch = max(1, round(LOOK * machine.rate))
+        self._stretch = max(1, round(SESSION.look * machine.rate))
 
     def run(
         self,
@@ -101,13 +112,10 @@ class Session:
         begun = time.monotonic()
         while first < self.end:
             self._carry(first)
-            until = min(first + CHUNK, self._next_look, self.end, self._next_payload(first))
+            until = min(first + SESSION.chunk, self._next_look, self.end, self._next_payload(first))
             stopped_at, upto = self._through(first, until)
             if not np.isfinite(self.rows.sample).all():
-                raise SimulationError(
-                    f"the trial left finite numbers before t = {upto / rate:.4g} s",
-                    hint="take a smaller step",
-                )
+                raise SimulationError(message("trial.not_finite", t=upto / rate))
             if stopped_at >= 0:
                 self._halt(stopped_at)
             if log is not None:
@@ -115,9 +123,9 @@ class Session:
             first = upto
             if first == self._next_look:
                 self._look(first)
-            message = self._pace(first, time.monotonic() - begun)
+            slow = self._pace(first, time.monotonic() - begun)
             if progress is not None:
-                progress(message, first / self.end)
+                progress(slow, first / self.end)
 
     def _carry(self, row: int) -> None:
         """Let the machine take up what the recipe wants it to carry from a row on."""
@@ -133,29 +141,26 @@ class Session:
         """Words on a class that is slow to answer; refuses one that would take for ever.
 
         Raises:
-            InputError: the trial would take longer than LONGEST_TRIAL.
+            InputError: the trial would take longer than the settings allow.
         """
-        if not isinstance(self.law, UserCode) or seconds < PATIENCE or done >= self.end:
+        if not isinstance(self.law, UserCode) or seconds < SESSION.patience or done >= self.end:
             return ""
-        left = (self.end - done) * seconds / done
-        message = f"{self.law.label} takes {seconds / done:.3g} s a tick, {left / 3600:.2g} h to go"
-        if left > LONGEST_TRIAL:
-            raise InputError(
-                message,
-                file=self.law.code.file,
-                hint="make its step faster, or the trial shorter",
-            )
-        return message if left > 60.0 else ""
+        remaining = (self.end - done) * seconds / done
+        pace = {"label": self.law.label, "tick": seconds / done, "hours": remaining / 3600}
+        slow = message("trial.slow_class", **pace)
+        if remaining > SESSION.longest:
+            raise InputError(slow, file=self.law.code.file)
+        return slow if remaining > 60.0 else ""
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
         """Run rows from ``first`` on: the row at a limit, or −1, and the row up to which there are
-        rows now: ``stop``, or sooner when WAIT is over.
+        rows now: ``stop``, or sooner when ``wait`` is over.
         """
         if self._advance is not None and self._step is None:
             row = self._advance(first, stop)
             return row, stop if row < 0 else row
         rows, advance, step, packed = self.rows, self._advance, self._step, self._packed
-        now, until = time.monotonic, time.monotonic() + WAIT
+        now, until = time.monotonic, time.monotonic() + SESSION.wait
         for i, t in enumerate(rows.t[first:stop].tolist(), first):
             if step is not None:
                 step(i, t, rows.sample, rows.commands[i])
@@ -203,7 +208,7 @@ class Session:
         """Whether the machine stood all the time since the look before: then the trial ends."""
         stretch = self.rows.samples[row - self._stretch : row]
         speeds = [i for i, name in enumerate(self.machine.channels) if name.endswith(".v")]
-        still = bool((np.abs(stretch[:, speeds]) < STILL).all())
+        still = bool((np.abs(stretch[:, speeds]) < SESSION.still).all())
         if still:
             self.end = row
         self._next_look = min(row + self._stretch, self.end)
@@ -256,7 +261,7 @@ class LiveLog:
         from ehbench.data.logs import LogWriter
 
         self.path, self.meta, self.attachments = path, meta, attachments
-        self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SYNC)
+        self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SESSION.sync)
 
     def add(self, t: np.ndarray, channels: dict[str, np.ndarray]) -> None:
         """Append rows."""

@@ -1,16 +1,21 @@
-"""A controller of the user's own: loads the class, asks it tick by tick, and says where it went
-wrong; the protocol is in docs/howto/run_trials.md.
+"""A user's controller: loads the class, calls it tick by tick, and reports where it went wrong; the
+protocol is in docs/howto/run_trials.md.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import re
+import signal
 import sys
+import threading
+import time
 import traceback
 import types
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
@@ -22,15 +27,92 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.control.trajectory import Reference
 from ehbench.machines.rows import within
 from ehbench.runtime.compiled import bound
-from ehbench.trial.controllers import Design, code_file, controller_of, quantities
-from ehbench.trial.guard import LONGEST, Exit, Guard, Overdue, is_users
+from ehbench.runtime.interrupts import Terminated
+from ehbench.trial.code import code_file
+from ehbench.trial.controllers import Design, controller_of, quantities
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity, quantity
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.text import shortened
 
 NOTE = "note."  # what the channel of a note begins with: no machine measures such a one
 _NOTE_NAME = re.compile(r"(?:\w[\w-]{0,99}\.){0,9}\w{1,99}")
-_MOST_NAMES = 1000
+
+
+@dataclass(frozen=True)
+class CodeSettings:
+    """What a user's code may take."""
+
+    step: float = setting(60.0, "s", "wall time of one step", "a loop that never ends")
+    start: float = setting(600.0, "s", "wall time of loading and starting", "it may compile")
+    look: float = setting(1.0, "s", "time between looks at the clock", "cheap")
+    names: int = setting(1000, "", "names that an attribute may list", "an endless list")
+
+
+CODE = CodeSettings()
+
+
+class Overdue(BaseException):
+    """Raised inside a call that has taken too long, where it stands."""
+
+
+class Exit(BaseException):
+    """Raised in place of an end of the process that code asked of the system."""
+
+
+class Guard:
+    """Runs calls of code that may do anything; ``longest`` [s] is what one may take.
+
+    Only the main thread can be woken: elsewhere a call may take as long as it likes."""
+
+    def __init__(self) -> None:
+        self.longest = CODE.start
+        self._since = 0.0
+
+    def __call__(self, function: Callable[..., Any], *given: Any, **named: Any) -> Any:
+        """What the function gives.
+
+        Raises:
+            Overdue, Exit: it took too long, or asked for the process's end.
+            Terminated, KeyboardInterrupt: the user ended the process.
+            BaseException: whatever the code raised.
+        """
+        leave, os._exit = os._exit, _no_exit
+        self._since = time.monotonic()
+        try:
+            return function(*given, **named)
+        finally:
+            self._since = 0.0
+            os._exit = leave
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Within the block a call that takes too long is ended."""
+        main = threading.current_thread() is threading.main_thread()
+        if not main or not hasattr(signal, "setitimer") or signal.getitimer(signal.ITIMER_REAL)[0]:
+            yield
+            return
+        before = signal.signal(signal.SIGALRM, self._look)
+        signal.setitimer(signal.ITIMER_REAL, CODE.look, CODE.look)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+
+    def _look(self, *_: object) -> None:
+        if self._since and time.monotonic() - self._since > self.longest:
+            raise Overdue
+
+
+def _no_exit(status: int = 0) -> None:
+    raise Exit(status)
+
+
+def is_users(error: BaseException) -> bool:
+    """Whether an error is the doing of who runs the program, and not the code's own."""
+    return isinstance(error, (Terminated, KeyboardInterrupt))
 
 
 class UserCode:
@@ -66,7 +148,13 @@ class UserCode:
         self.code = _Code(file, chosen.class_name)
         _refuse_foreign(recipe)
         gains = {name: _gain(recipe, name, raw) for name, raw in chosen.written_gains.items()}
-        self.used = {"gains": {name: float(v) for name, v in gains.items() if _is_number(v)}}
+        self.used = {
+            "gains": {
+                name: float(v)
+                for name, v in gains.items()
+                if isinstance(v, int | float) and math.isfinite(v)
+            }
+        }
         with self.code.guard.watched():
             self.object = self.code.make(gains)
             observed = self._observed(self.code.names_of(self.object, "channels"))
@@ -104,7 +192,7 @@ class UserCode:
         self.code.call(
             ".start", self.object.start, self.design, 1.0 / self.rate, self._seen(sample)
         )
-        self.code.guard.longest = LONGEST
+        self.code.guard.longest = CODE.step
 
     def step(self, row: int, t: float, sample: np.ndarray, command: np.ndarray) -> None:
         """One tick: write what the class asks for into ``command``, where it asks, and its notes
@@ -126,24 +214,29 @@ class UserCode:
         try:
             unknown = self.code.guard(self._write, answer, command)
         except (TypeError, ValueError):
-            hint = f"a dict of volts by valve, or {len(self.design.valves)} numbers: " + ", ".join(
-                self.design.valves
-            )
             raise self.code.error(
-                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is no set of commands",
-                hint=hint,
+                message(
+                    "trial.no_commands",
+                    label=self.label,
+                    answer=shortened(answer, 80),
+                    t=t,
+                    count=len(self.design.valves),
+                    valves=", ".join(self.design.valves),
+                )
             ) from None
         except BaseException as error:
             if is_users(error):
                 raise
             raise self.code.raised("'s answer", error, t) from error
         for name in unknown:
-            which = "which is no valve"
-            if name in self.design.valves:
-                which = "which the recipe leaves unused"
             raise self.code.error(
-                f".step names {shortened(name, 60)}, {which}",
-                hint="valves are " + ", ".join(self._commanded),
+                message(
+                    "trial.unknown_command",
+                    label=self.label,
+                    name=shortened(name, 60),
+                    what="unused by the recipe" if name in self.design.valves else "no valve",
+                    valves=", ".join(self._commanded),
+                )
             )
 
     def _write(self, answer: Any, command: np.ndarray) -> tuple[Any, ...]:
@@ -162,9 +255,9 @@ class UserCode:
 
     def _bring_in_range(self, answer: Any, t: float, command: np.ndarray) -> None:
         if not np.isfinite(command).all():
+            given = shortened(answer, 80)
             raise self.code.error(
-                f".step gave {shortened(answer, 80)} at t = {t:.4g} s, which is not finite",
-                hint="channels that it does not name in `channels` are nan",
+                message("trial.command_not_finite", label=self.label, answer=given, t=t)
             )
         self.beyond += 1
         np.clip(command, self.low, self.high, out=command)
@@ -174,7 +267,7 @@ class UserCode:
             row[:] = self.code.guard(lambda: np.asarray(self.object.note, float).reshape(row.shape))
         except (AttributeError, TypeError, ValueError):
             raise self.code.error(
-                f".note does not hold {row.size} numbers", hint="one for each name in `notes`"
+                message("trial.note_count", label=self.label, count=row.size)
             ) from None
         except BaseException as error:
             if is_users(error):
@@ -182,10 +275,17 @@ class UserCode:
             raise self.code.raised(".note", error, t) from error
         for (name, quantity_row), value in zip(self.noted, row.tolist(), strict=True):
             if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
-                lower, upper = quantity_row.lower, quantity_row.upper
                 raise self.code.error(
-                    f".note has {name} = {value:g} at t = {t:.4g} s, which no log holds",
-                    hint=f"a note is a finite number [{quantity_row.unit}], {lower:g} to {upper:g}",
+                    message(
+                        "trial.note_range",
+                        label=self.label,
+                        name=name,
+                        value=value,
+                        t=t,
+                        unit=quantity_row.unit,
+                        lower=quantity_row.lower,
+                        upper=quantity_row.upper,
+                    )
                 )
 
     def _seen(self, sample: np.ndarray) -> dict[str, float]:
@@ -196,31 +296,30 @@ class UserCode:
 
     def _observed(self, patterns: tuple[str, ...] | None) -> list[bool]:
         """True for the channels of the sample that the class is given."""
+        known = ", ".join(self.names)
         if not patterns:
-            hint = (
-                'like channels = ["boom.p_head", "p_supply"]; boom.* are all of a cylinder; there '
-                "are " + ", ".join(self.names)
-            )
-            raise self.code.error("does not say which channels it is given", hint=hint)
+            raise self.code.error(message("trial.no_observed", label=self.label, known=known))
         for pattern in patterns:
             if not any(fnmatchcase(name, pattern) for name in self.names):
                 raise self.code.error(
-                    f"asks for channel '{pattern}', which the machine does not measure",
-                    hint="it has " + ", ".join(self.names),
+                    message("trial.unmeasured", label=self.label, pattern=pattern, known=known)
                 )
         return [any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names]
 
     def _note_row(self, name: str, notes: Sequence[str]) -> tuple[str, Quantity]:
         """A note's name with its row of the vocabulary."""
-        hint = "a note has a name of the vocabulary, like boom.load_force"
         if not _NOTE_NAME.fullmatch(name):
-            raise self.code.error(f"notes {shortened(name, 60)}: no name of a channel", hint=hint)
+            short = shortened(name, 60)
+            raise self.code.error(message("trial.note_name", label=self.label, name=short))
         if notes.count(name) > 1:
-            raise self.code.error(f"notes '{name}' twice", hint="each note has a name of its own")
+            raise self.code.error(message("trial.note_twice", label=self.label, name=name))
         try:
             return name, quantity(name)
         except KeyError as error:
-            raise self.code.error(f"notes '{name}': {error.args[0]}", hint=hint) from None
+            problem = error.args[0]
+            raise self.code.error(
+                message("trial.note_quantity", label=self.label, name=name, problem=problem)
+            ) from None
 
 
 class _Code:
@@ -234,10 +333,7 @@ class _Code:
         controller = self.call("()", self._load(), **gains)
         for method in ("start", "step"):
             if not callable(self.call(f".{method}", getattr, controller, method, None)):
-                raise self.error(
-                    f"has no method '{method}'",
-                    hint="docs/howto/run_trials.md has the protocol of a controller",
-                )
+                raise self.error(message("trial.no_method", label=self.label, method=method))
         return controller
 
     def names_of(self, controller: Any, attribute: str) -> tuple[str, ...] | None:
@@ -247,13 +343,14 @@ class _Code:
             given = getattr(controller, attribute, None)
             if isinstance(given, str) or not isinstance(given, Sequence):
                 return None
-            return tuple(islice(given, _MOST_NAMES))
+            return tuple(islice(given, CODE.names))
 
         names = self.call(f".{attribute}", listed)
         for name in names or ():
             if type(name) is not str:
+                value = shortened(name, 60)
                 raise self.error(
-                    f".{attribute} holds {shortened(name, 60)}", hint="it is a list of texts"
+                    message("trial.not_text", label=self.label, attribute=attribute, value=value)
                 )
         return names
 
@@ -264,10 +361,12 @@ class _Code:
         try:
             code = self.guard(compile, self.file.read_bytes(), str(self.file), "exec")
         except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror}", file=self.file) from None
+            problem = message("trial.code_unreadable", problem=error.strerror)
+            raise InputError(problem, file=self.file) from None
         except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
             reason, line = getattr(error, "msg", str(error)), getattr(error, "lineno", None)
-            raise InputError(f"not Python: {reason}", file=self.file, line=line) from None
+            problem = message("trial.not_python", problem=reason)
+            raise InputError(problem, file=self.file, line=line) from None
         self.call("", exec, code, module.__dict__)
         controller = getattr(module, self.label, None)
         if not isinstance(controller, type):
@@ -276,11 +375,9 @@ class _Code:
                 for name, item in vars(module).items()
                 if isinstance(item, type) and item.__module__ == module.__name__
             ]
-            raise InputError(
-                f"has no class '{self.label}'",
-                file=self.file,
-                hint="it has " + (", ".join(there) or "none"),
-            )
+            known = ", ".join(there) or "none"
+            problem = message("trial.no_class", label=self.label, known=known)
+            raise InputError(problem, file=self.file)
         return controller
 
     def call(
@@ -302,55 +399,44 @@ class _Code:
         frames = [
             f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(self.file)
         ]
-        line, text = (frames[-1].lineno, f": {frames[-1].line}") if frames else (None, "")
-        at = "" if t is None else f" at t = {t:.4g} s"
-        did = f"raised {type(error).__name__}{at}: {_said(error)}"
+        line, text = (
+            (frames[-1].lineno, f"in the line: {frames[-1].line}") if frames else (None, "")
+        )
+        where = {
+            "label": self.label,
+            "place": what,
+            "time": "" if t is None else f" at t = {t:.4g} s",
+            "line": text,
+        }
         if isinstance(error, Exit):
-            did = f"asked the system to end the process{at}"
+            problem = message("trial.code_exits", **where)
         elif isinstance(error, Overdue):
-            did = f"did not come back within {self.guard.longest:g} s{at}"
-        return InputError(
-            f"{self.label}{what} {did}",
-            file=self.file,
-            line=line,
-            hint=f"in the line{text}" if text else None,
-        )
+            problem = message("trial.code_overdue", longest=self.guard.longest, **where)
+        else:
+            try:
+                text = str(error)[:300]
+            except Exception:
+                text = "no text"
+            name = type(error).__name__
+            problem = message("trial.code_raised", error=name, problem=text, **where)
+        return InputError(problem, file=self.file, line=line)
 
-    def error(self, message: str, hint: str) -> InputError:
-        return InputError(
-            f"{self.label}{'' if message[0] == '.' else ' '}{message}", file=self.file, hint=hint
-        )
-
-
-def _said(error: BaseException) -> str:
-    """What an error says, where it can."""
-    try:
-        return str(error)[:300]
-    except Exception:
-        return "without words"
+    def error(self, problem: Message) -> InputError:
+        return InputError(problem, file=self.file)
 
 
 def _refuse_foreign(recipe: TrialRecipe) -> None:
     """Refuse rules and tuned gains, which are for the built-in controllers."""
     chosen = controller_of(recipe)
-    foreign = {
-        "rules": ("rules of function selection", bool(chosen.rules)),
-        "gains": ("gains of a tune run", chosen.gains_from is not None),
-    }
-    for table, (what, given) in foreign.items():
-        if given:
-            raise InputError(
-                f"a controller of your own is given no {what}",
-                **recipe.at(*chosen.where, table),
-                hint="it chooses for itself; give it numbers by gains = { name = value }",
-            )
+    if chosen.rules:
+        where = recipe.at(*chosen.where, "rules")
+        raise InputError(message("trial.code_given_rules"), **where)
+    if chosen.gains_from is not None:
+        where = recipe.at(*chosen.where, "gains")
+        raise InputError(message("trial.code_given_tuning"), **where)
 
 
 def _gain(recipe: TrialRecipe, name: str, raw: Any) -> Any:
     if isinstance(raw, str) and name in VOCABULARY:
         return quantities(recipe, "gains", {name: raw}, {name: VOCABULARY[name]})[name]
     return raw
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)

@@ -9,7 +9,7 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.trial.imports import files_of, source_of
+from ehbench.trial.code import files_of, source_of
 
 ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"

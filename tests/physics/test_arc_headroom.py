@@ -134,7 +134,9 @@ class Still:
         """What `provide_headroom` writes [Pa] where a share of the flow lacks."""
         memory = self.law.memory
         memory.oil.estimates[MORE] = memory.oil.estimates[BACK] = lacks
-        provide_headroom(self.choice, (least, largest), self.p, self.circuit, self.law.gains, memory)
+        provide_headroom(
+            self.choice, (least, largest), self.p, self.circuit, self.law.gains, memory
+        )
         return float(memory.state.raised)
 
 

@@ -344,10 +344,7 @@ def test_what_a_weak_pump_cannot_give_saturates_is_said_and_leaves_no_wind_up(on
         record["boom.x"] - record["boom.x_desired"],
     )
     share = facts.measures["limits"]["saturated"]
-    assert (
-        0.1 < share == saturated.mean()
-        and f"at their end in {100 * share:.2g} %" in facts.warnings[0]
-    )
+    assert 0.1 < share == saturated.mean() == facts.warnings[0].fields["share"]
     assert record["p_supply"].min() < 0.25 * float(weak.supply.pressure) and error.min() < -0.02
     last = int(np.flatnonzero(saturated)[-1])
     short = saturated & (record["boom.v_desired"] > facts.measures["rules"]["speed_start"])
@@ -451,7 +448,7 @@ def test_a_users_class_does_what_the_compiled_law_does(tmp_path, on):
     (tmp_path / "mine.py").write_text(CODE)
     gains = {"feedback_gain": "8e-11 m^3/(s*Pa)", "washout": "1 Hz", "off_gain": "2e-11 m^3/(s*Pa)"}
     given = {"on": on, "path": tmp_path / "trial.toml", "payload": "50 lb", "duration": "2 s"}
-    with pytest.raises(InputError, match="may not run code by itself.*--allow-code"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.code_not_allowed"):
         run_trial(ARM, recipe({"class": "mine:Mine", "gains": gains}, **given))
     mine, facts = run_trial(
         ARM, recipe({"class": "mine:Mine", "gains": gains}, **given), allow_code=True
@@ -471,36 +468,28 @@ def test_a_channel_not_named_is_nan(tmp_path):
         "    def step(self, t, sample, desired):\n"
         "        return {'boom.hepc': 3.0 + 0.0 * sample['boom.x']}\n"
     )
-    with pytest.raises(
-        InputError,
-        match=r"Peek\.step gave .*nan.* at t = 0 s, which is not finite "
-        r".channels that it does not name",
-    ):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.command_not_finite"):
         run_trial(
             ARM, recipe({"class": "peek:Peek"}, path=tmp_path / "trial.toml"), allow_code=True
         )
 
 
 @pytest.mark.parametrize(
-    ("answer", "says"),
+    ("answer", "key"),
     [
-        (
-            "[1.0]",
-            r"gave \[1.0\] at t = 0 s, which is no set of commands .a dict of volts by valve, or "
-            r"7 numbers",
-        ),
-        ("3.0", "gave 3.0 at t = 0 s, which is no set"),
-        ("{'boom.hepc': None}", "gave {'boom.hepc': None} at t = 0 s, which is not finite"),
-        ("{'boom.regen': 1.0}", "names 'boom.regen', which the recipe leaves unused"),
+        ("[1.0]", "no_commands"),
+        ("3.0", "no_commands"),
+        ("{'boom.hepc': None}", "command_not_finite"),
+        ("{'boom.regen': 1.0}", "unknown_command"),
     ],
 )
-def test_an_answer_is_volts_for_every_valve_or_by_name(tmp_path, answer, says):
+def test_an_answer_is_volts_for_every_valve_or_by_name(tmp_path, answer, key):
     """One number is not spread over seven valves."""
     (tmp_path / "odd.py").write_text(
         "class Odd:\n    channels = ['boom.x']\n    def start(self, rig, tick, sample): pass\n"
         f"    def step(self, t, sample, desired): return {answer}\n"
     )
-    with pytest.raises(InputError, match=r"Odd\.step " + says):
+    with pytest.raises(InputError, check=lambda error: error.key == f"trial.{key}"):
         run_trial(
             ARM,
             recipe({"class": "odd:Odd", "unused": ["boom.regen"]}, path=tmp_path / "trial.toml"),
@@ -625,7 +614,7 @@ def test_other_cylinders_take_commands_meanwhile_and_the_own_valves_do_not():
         record["stick.x"]
     ) > 10 * np.ptp(still["stick.x"])
     assert facts.measures["tracking"]["max_error"] < 2e-3
-    with pytest.raises(InputError, match="'boom.hepc' is the controller's"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.controlled_valve"):
         run_trial(ARM, recipe(ARC, command=[shake | {"valve": "boom.hepc"}]))
 
 
@@ -634,7 +623,7 @@ def test_an_unused_valve_stays_at_rest():
     assert not record["boom.regen.command"].any() and facts.measures["tracking"]["max_error"] < 1e-3
     assert not {3, 6, 7} & set(record["boom.function"].astype(int))
     assert run_trial(ARM, recipe(ARC))[0]["boom.regen.command"].any()
-    with pytest.raises(InputError, match="no valve 'boom.regenn'"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.unused_valve"):
         run_trial(ARM, recipe(ARC | {"unused": ["boom.regenn"]}))
 
 
@@ -727,7 +716,7 @@ def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
 
 def test_a_case_that_fails_stops_the_set():
     bad = recipe({"kind": "open_loop"}, UP_DOWN | {"waypoints": ["60 mm", "300 mm"]})
-    with pytest.raises(InputError, match="leaves the stroke"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.leaves_stroke"):
         run_cases(
             [Case("good", recipe(FEEDBACK), ARM, None), Case("bad", bad, ARM, None)], workers=2
         )

@@ -83,10 +83,10 @@ def _trial(**gains):
 def test_a_trial_that_swings_says_so_and_a_sound_one_does_not():
     sound, swinging = _trial(), _trial(lag_budget="2.5 rad", robust_limit=0.3)
     assert sound.measures["limit_cycle"] is None
-    assert not any("swings by itself" in text for text in sound.warnings)
+    assert not any(text.key == "trial.swings" for text in sound.warnings)
     cycle = swinging.measures["limit_cycle"]
     assert cycle["amplitude"] > 5.0e-4 and 0.01 < cycle["period"] < 0.3
-    assert any("'boom' swings by itself: a limit cycle of ± " in w for w in swinging.warnings)
+    assert any(w.key == "trial.swings" for w in swinging.warnings)
 
 
 def test_how_far_valves_at_their_end_let_a_cylinder_fall_behind():

@@ -218,12 +218,16 @@ def test_wrong_steps_and_shapings_are_refused():
     for wrong in ({"levels": []}, {"duration": 0.0}, {"duration": [1.0, 1.0]}, {"rest": -1.0}):
         with pytest.raises(InputError, check=lambda error: error.key == "control.wrong_steps"):
             tr.velocity_steps(**({"levels": [0.1], "duration": 1.0, "tick": TICK} | wrong))
-    with pytest.raises(InputError, check=lambda error: error.fields == {"name": "jerk_max", "value": -1.0}):
+    with pytest.raises(
+        InputError, check=lambda error: error.fields == {"name": "jerk_max", "value": -1.0}
+    ):
         tr.pack_shaping(acceleration_max=1.0, jerk_max=-1.0)
     for wrong in (
         {"jerk_max": 1.0},
         {"natural_frequency": 1.0},
         {"acceleration_max": 1.0, "natural_frequency": 1.0, "damping_ratio": 1.0},
     ):
-        with pytest.raises(InputError, check=lambda error: error.key == "control.shaping_incomplete"):
+        with pytest.raises(
+            InputError, check=lambda error: error.key == "control.shaping_incomplete"
+        ):
             tr.pack_shaping(**wrong)

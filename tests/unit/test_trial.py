@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,11 @@ from ehbench.trial import (
     run,
     run_trial,
 )
+from ehbench.trial.cases import middle_of, over_runs
 from ehbench.trial.measures import step_measures, tracking_measures
 from ehbench.trial.motion import references
 from ehbench.trial.preparation import Stop
 from ehbench.trial.running import Facts
-from ehbench.trial.spread import middle_of, over_runs
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 
@@ -40,6 +41,15 @@ STEP = {
     "start": "0.1 s",
     "stop": "0.6 s",
 }
+
+
+def refused(says):
+    """An error of the catalogue's key, or whose text matches."""
+
+    def fits(error):
+        return says == error.key or re.search(says, str(error)) is not None
+
+    return pytest.raises(InputError, check=fits)
 
 
 @pytest.fixture(scope="module")
@@ -150,23 +160,23 @@ def test_a_file_is_played_as_it_was_recorded(rig, tmp_path):
     write_log(tmp_path / "other.mcap", Record(t, {"press.x": np.zeros(6)}))
     other = recipe({"valve": "press.servo", "kind": "file", "file": "other.mcap"})
     other = other.model_copy(update={"path": tmp_path / "trial.toml"})
-    with pytest.raises(InputError, match=r"no channel 'press.servo.command'"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.no_channel"):
         command_table(other, rig, np.arange(3.0))
 
 
 @pytest.mark.parametrize(
     ("command", "says", "hint"),
     [
-        ({**STEP, "amplitude": "11 V"}, "11 V at t = 0.1 s", "-10 to 10 V"),
-        ({**STEP, "valve": "press.servos"}, "no valve 'press.servos'", "press.servo"),
-        ({**STEP, "stop": "0.05 s"}, "stops before it starts", None),
+        ({**STEP, "amplitude": "11 V"}, "trial.command_range", "-10 to 10 V"),
+        ({**STEP, "valve": "press.servos"}, "trial.unknown_valve", "press.servo"),
+        ({**STEP, "stop": "0.05 s"}, "trial.empty_window", None),
     ],
 )
 def test_a_command_that_cannot_be_is_refused_with_its_line(rig, tmp_path, command, says, hint):
     lines = ['stage = "trial"', 'rig = "x.toml"', 'duration = "1 s"', "[[command]]"]
     lines += [f'{k} = "{v}"' for k, v in command.items()]
     (tmp_path / "trial.toml").write_text("\n".join(lines) + "\n")
-    with pytest.raises(InputError, match=says) as error:
+    with refused(says) as error:
         run_trial(rig, load_recipe(tmp_path / "trial.toml"))
     assert error.value.file.endswith("trial.toml") and error.value.line >= 4
     assert hint is None or hint in error.value.hint
@@ -272,10 +282,8 @@ def test_what_came_of_a_stop_is_said(rig):
     assert (
         fastest.channel == "press.v" and fastest.value >= facts.stop.value > fastest.bound == 0.25
     )
-    said = (
-        f"; the valves went to rest within 0.05 s, {facts.after.seconds:.3g} s later it stood still"
-    )
-    assert said in facts.stopped and "press.v went to" in facts.stopped
+    after = facts.after.sentence.fields
+    assert after["seconds"] == facts.after.seconds and "press.v went to" in after["beyond"]
     assert facts.as_json()["after"]["beyond"][0]["limit"] in beyond
 
 
@@ -298,7 +306,7 @@ def test_valves_that_feed_the_full_chamber_shut_at_once(rig):
 
 
 def test_a_limit_reached_before_the_start_is_refused(rig):
-    with pytest.raises(InputError, match="cannot start: press.x = 10 mm passed stroke_margin"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.start_limit"):
         run_trial(rig, recipe(STEP, limits={"stroke_margin": "20 mm"}, posture={"press": "10 mm"}))
 
 
@@ -399,8 +407,13 @@ def closed(tmp_path, controller, motion=TOML):
         ("", 7, "give 'kind' or 'class'", None),
         ('kind = "arc"\nclass = "m:C"', 7, "not both", None),
         ('kind = "arc"\n[controller.shaping]\njerk_max = "1 m/s^3"', 7, "shaping", None),
-        ('kind = "pressure_feedback"', 7, "needs its gain", "tune recipe"),
-        ('kind = "open_loop"\n[controller.gains]\nwash = "1 Hz"', 10, "no gains 'wash'", "washout"),
+        ('kind = "pressure_feedback"', 7, "control.feedback_gain_missing", "tune recipe"),
+        (
+            'kind = "open_loop"\n[controller.gains]\nwash = "1 Hz"',
+            10,
+            "trial.unknown_key",
+            "washout",
+        ),
         (
             'kind = "open_loop"\n[controller.gains]\nwashout = "1 bar"',
             10,
@@ -408,50 +421,55 @@ def closed(tmp_path, controller, motion=TOML):
             None,
         ),
         ('kind = "arc"\n[controller.gains]\npayload = "20 kg"', 10, "payload", None),
-        ('kind = "arc"\n[controller.gains]\nadapt = 1', 10, "adapt = 1", "true or false"),
-        ('kind = "arc"\n[controller.gains]\npayload = ["10 kg", "2 kg"]', 9, "bounds", None),
+        ('kind = "arc"\n[controller.gains]\nadapt = 1', 10, "trial.wrong_value", "true or false"),
+        (
+            'kind = "arc"\n[controller.gains]\npayload = ["10 kg", "2 kg"]',
+            9,
+            "control.bounds_miss_design",
+            None,
+        ),
         (
             'kind = "arc"\n[controller.gains]\nstandbye = 0.5',
             10,
-            "no gains 'standbye'",
+            "trial.unknown_key",
             "did you mean 'standby'?",
         ),
-        ('kind = "arc"\n[controller.gains]\nstandby = 1.0', 9, "gain 'standby' is 1", "below 1"),
+        ('kind = "arc"\n[controller.gains]\nstandby = 1.0', 9, "control.standby_range", None),
         (
             'kind = "pressure_feedback"\ngains = { feedback_gain = { up = "1 mL/s/bar" } }',
             9,
-            "no working function 'up'",
+            "control.unknown_function",
             None,
         ),
         (
             'kind = "arc"\n[controller.rules]\nallow_eighth = true',
             10,
-            "no rules 'allow_eighth'",
+            "trial.unknown_key",
             "allow_seventh",
         ),
         ('kind = "arc"\n[controller.rules]\ndwell = "-1 s"', 10, "dwell", None),
         (
             'kind = "arc"\n[controller.rules]\nspeed_stop = "1 m/s"',
             9,
-            "ends a state above where it begins",
+            "control.stop_above_start",
             None,
         ),
         (
             'kind = "open_loop"\n[controller.shaping]\nnatural_frequency = "2 Hz"',
             9,
-            "incomplete",
+            "control.shaping_incomplete",
             "damping_ratio",
         ),
-        ('kind = "arc"\nunused = ["press.spool"]', 9, "no valve 'press.spool'", "press.servo"),
-        ('kind = "arc"\nunused = ["press.servo"]', 9, "no metering edge", None),
-        ('class = "nowhere:C"', 8, "no module 'nowhere'", "nowhere.py"),
-        ('class = "nowhere"', 8, "no class of a module", "my_module:MyController"),
+        ('kind = "arc"\nunused = ["press.spool"]', 9, "trial.unused_valve", "press.servo"),
+        ('kind = "arc"\nunused = ["press.servo"]', 9, "control.no_edge", None),
+        ('class = "nowhere:C"', 8, "trial.no_module", "nowhere.py"),
+        ('class = "nowhere"', 8, "trial.no_class_name", "my_module:MyController"),
     ],
 )
 def test_a_controller_that_cannot_be_is_refused_with_its_line(
     rig, tmp_path, controller, line, says, hint
 ):
-    with pytest.raises(InputError, match=says.replace("(", r"\(")) as error:
+    with refused(says) as error:
         run_trial(rig, closed(tmp_path, controller), allow_code=True)
     assert error.value.file.endswith("trial.toml") and error.value.line == line
     assert hint is None or hint in error.value.hint
@@ -462,7 +480,7 @@ def test_a_controller_that_cannot_be_is_refused_with_its_line(
     [
         (
             'kind = "point_to_point"\nwaypoints = ["100 mm", "900 mm"]\nspeed = "100 mm/s"',
-            "leaves the stroke at t =",
+            "trial.leaves_stroke",
         ),
         (
             'kind = "point_to_point"\nwaypoints = ["900 mm", "100 mm"]\nspeed = "100 mm/s"',
@@ -476,22 +494,22 @@ def test_a_controller_that_cannot_be_is_refused_with_its_line(
         (
             'kind = "point_to_point"\nwaypoints = ["100 mm", "200 mm"]\nspeed = "1 m/s"\n'
             'hold = ["1 s", "1 s", "1 s"]',
-            "3 times for 2",
+            "trial.hold_count",
         ),
         ('kind = "velocity_steps"\nlevels = ["30 %"]', "'duration' or 'travel'"),
-        ('kind = "velocity_steps"\nlevels = ["0 %"]\nduration = "1 s"', "level 1 is no speed"),
+        ('kind = "velocity_steps"\nlevels = ["0 %"]\nduration = "1 s"', "trial.zero_level"),
         ('kind = "velocity_steps"\nlevels = ["30"]\nduration = "1 s"', "no unit"),
-        ('kind = "velocity_steps"\nlevels = ["100 %"]\nduration = "60 s"', "leaves the stroke"),
+        ('kind = "velocity_steps"\nlevels = ["100 %"]\nduration = "60 s"', "trial.leaves_stroke"),
         ('kind = "file"', "needs 'file'"),
         (
             'kind = "point_to_point"\ncylinder = "boom"\nwaypoints = ["1 mm", "2 mm"]\n'
             'speed = "1 m/s"',
-            "no cylinder 'boom'",
+            "trial.unknown_cylinder",
         ),
     ],
 )
 def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
-    with pytest.raises(InputError, match=says):
+    with refused(says):
         run_trial(
             rig,
             closed(
@@ -518,7 +536,7 @@ def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_a_machine_that_cannot_be_is_refused_with_its_line(rig, tmp_path, line, says, rest, on):
     text = f'stage = "trial"\nrig = "x.toml"\non = "{on}"\n{line}\n{rest}'
-    with pytest.raises(InputError, match=says) as error:
+    with refused(says) as error:
         run_trial(rig, closed(tmp_path, "", text))
     assert error.value.file.endswith("trial.toml") and error.value.line == 4
 
@@ -575,7 +593,7 @@ def test_a_controller_needs_a_motion_and_a_trial_a_duration(tmp_path):
         ('stage = "trial"\nrig = "x"\n', "'duration' is missing"),
     ):
         (tmp_path / "t.toml").write_text(text)
-        with pytest.raises(InputError, match=says):
+        with refused(says):
             load_recipe(tmp_path / "t.toml")
 
 
@@ -683,7 +701,7 @@ def test_a_motion_from_a_file_is_the_curve_through_its_samples(rig, tmp_path):
         < 1e-6
     )
     write_log(tmp_path / "m.mcap", Record(t, {"press.x": t}))
-    with pytest.raises(InputError, match=r"no channel 'press.x_desired'"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.no_channel"):
         table_of(rig, closed(tmp_path, 'kind = "open_loop"', text))
 
 
@@ -722,7 +740,7 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
     loose = packed('kind = "open_loop"\ngains = "run"')
     assert (loose.washout, loose.off_gain) == (0.0, 0.0) and not loose.feedback_gain.any()
     (tmp_path / "run" / "tuning.json").write_text(json.dumps(tuned | {"cylinder": "boom"}))
-    with pytest.raises(InputError, match="tuned for cylinder 'boom', not 'press'"):
+    with pytest.raises(InputError, check=lambda error: error.key == "trial.other_cylinder"):
         packed('kind = "pressure_feedback"\ngains = "run"')
 
 
@@ -739,27 +757,27 @@ START, STEPS = (
 @pytest.mark.parametrize(
     ("code", "says", "line"),
     [
-        ("class C(:\n", "not Python", 1),
+        ("class C(:\n", "trial.not_python", 1),
         ("import json\n1/0\n", "raised ZeroDivisionError: division by zero .in the line: 1/0", 2),
-        ("class D: pass\n", r"has no class 'C' \(it has D\)", None),
-        (HEAD + STEPS, "has no method 'start'", None),
-        ("class C:\n" + START + STEPS, "does not say which channels", None),
+        ("class D: pass\n", "trial.no_class", None),
+        (HEAD + STEPS, "trial.no_method", None),
+        ("class C:\n" + START + STEPS, "trial.no_observed", None),
         (
             "class C:\n    channels = ['boom.x']\n" + START + STEPS,
-            "asks for channel 'boom.x'",
+            "trial.unmeasured",
             None,
         ),
         (
             HEAD + "    notes = ['press.wow']\n" + START + STEPS,
-            "notes 'press.wow': no quantity 'wow'",
+            "trial.note_quantity",
             None,
         ),
         (
             HEAD + "    notes = ['press.force']\n" + START + STEPS,
-            "note does not hold 1 numbers",
+            "trial.note_count",
             None,
         ),
-        (HEAD + "    def __init__(self, gain): pass\n" + START + STEPS, "raised TypeError", None),
+        (HEAD + "    def __init__(self, gain): pass\n" + START + STEPS, "trial.code_raised", None),
         (
             HEAD + "    def start(self, rig, tick, sample):\n        rig.nothing\n" + STEPS,
             "C.start raised AttributeError",
@@ -774,12 +792,12 @@ START, STEPS = (
         ),
         (
             HEAD + START + "    def step(self, t, sample, desired): return {'press.valve': 1.0}\n",
-            "'press.valve', which is no valve",
+            "trial.unknown_command",
             None,
         ),
         (
             HEAD + START + "    def step(self, t, sample, desired): return [1.0, 2.0]\n",
-            r"gave \[1.0, 2.0\] at t = 0 s",
+            "trial.no_commands",
             None,
         ),
         (
@@ -790,19 +808,19 @@ START, STEPS = (
         ("raise SystemExit\n", "raised SystemExit", 1),
         (
             HEAD + START + "    def step(self, t, sample, desired): return [float('nan')]\n",
-            "nan.* at t = 0 s, which is not fin",
+            "trial.command_not_finite",
             None,
         ),
         (
             HEAD + START + "    def step(self, t, sample, desired): return None\n",
-            "gave None at t = 0 s, which is no set",
+            "trial.no_commands",
             None,
         ),
     ],
 )
 def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
     (tmp_path / "mine.py").write_text(code)
-    with pytest.raises(InputError, match=says) as error:
+    with refused(says) as error:
         run_trial(rig, closed(tmp_path, 'class = "mine:C"'), allow_code=True)
     assert error.value.file.endswith("mine.py") and error.value.line == line
     assert [p.name for p in sorted(tmp_path.iterdir())] == ["mine.py", "trial.toml"], (
@@ -813,16 +831,16 @@ def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
 @pytest.mark.parametrize(
     ("more", "line", "says"),
     [
-        ('rules = { dwell = "1 s" }', 9, "is given no rules of function selection"),
-        ('gains = { from = "run" }', 9, "is given no gains of a tune run"),
-        ('gains = "run"', 9, "is given no gains of a tune run"),
+        ('rules = { dwell = "1 s" }', 9, "trial.code_given_rules"),
+        ('gains = { from = "run" }', 9, "trial.code_given_tuning"),
+        ('gains = "run"', 9, "trial.code_given_tuning"),
     ],
 )
 def test_what_a_class_would_not_see_is_refused(rig, tmp_path, more, line, says):
     (tmp_path / "mine.py").write_text(HEAD + START + STEPS)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "tuning.json").write_text('{"cylinder": "press"}')
-    with pytest.raises(InputError, match=says) as error:
+    with refused(says) as error:
         run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{more}\n'), allow_code=True)
     assert error.value.file.endswith("trial.toml") and error.value.line == line
 
@@ -830,7 +848,9 @@ def test_what_a_class_would_not_see_is_refused(rig, tmp_path, more, line, says):
 def test_code_runs_only_when_allowed(rig, tmp_path):
     (tmp_path / "mine.py").write_text("open('touched', 'w')\n")
     recipe = closed(tmp_path, 'class = "mine:C"')
-    with pytest.raises(InputError, match="may not run code by itself") as error:
+    with pytest.raises(
+        InputError, check=lambda error: error.key == "trial.code_not_allowed"
+    ) as error:
         run_trial(rig, recipe)
     assert (
         error.value.line == 8
@@ -858,10 +878,8 @@ def test_a_class_gets_its_gains_and_is_held_to_the_drivers_range(rig, tmp_path):
         record["press.servo.command"].max() == 10.0
         and (record["press.servo.command"] == 10.0).sum() == 100
     )
-    assert facts.warnings == (
-        f"C asked for more than a driver takes in 100 of {facts.samples} ticks, and got the end "
-        "of its range",
-    )
+    (warning,) = facts.warnings
+    assert warning.fields == {"label": "C", "count": 100, "ticks": facts.samples}
     assert facts.measures["gains"] == {"low_pressure": 2e5}, "numbers, SI"
     assert np.array_equal(record["note.press.force"], record.t) and np.array_equal(
         record["note.press.pressure_drop"], record["press.v_desired"]
@@ -923,12 +941,12 @@ def facts(
         "limit_cycle": {"amplitude": swing} if swing else None,
         "limits": {"saturated": 0.0},
     }
-    told = (f"swings by {swing:g}",) if swing else ()
+    warnings = (f"swings by {swing:g}",) if swing else ()
     about = ("bench", "rig", "none", {}, 0, 1.0, 1001, 1000.0)
-    return Facts(*about, stop=stop, warnings=told, measures=measures)
+    return Facts(*about, stop=stop, warnings=warnings, measures=measures)
 
 
-def test_several_runs_are_told_by_their_medians_and_ranges():
+def test_several_runs_give_medians_and_ranges():
     runs = [facts(3.0, 0.2), facts(1.0, None), facts(2.0, 0.4, swing=0.7), facts(5.0, 0.3)]
     assert middle_of(runs) == 2
     found = over_runs(runs, 2)
@@ -938,16 +956,15 @@ def test_several_runs_are_told_by_their_medians_and_ranges():
     assert step == {"speed": 0.1, "overshoot": pytest.approx(0.3), "ringing": "2"}
     assert ends["overshoot"] == [0.2, 0.4] and found.measures["seeds"] == 4
     assert found.measures["gains"] == {"tick": 1e-3} and "gains" not in found.measures["range"]
-    # the worst swing is told, whichever run had it
+    # the worst swing counts, whichever run had it
     assert over_runs(runs, 0).measures["limit_cycle"] == {"amplitude": 0.7}
     assert over_runs(runs, 0).warnings == ("swings by 0.7",)
     few = over_runs([facts(1.0, None), facts(2.0, None), facts(3.0, 0.1)], 1)
     assert few.measures["steps"][0]["overshoot"] is None, "most runs have none"
     halted = [facts(1.0, 0.1), facts(9.0, 0.1, stopped=True), facts(2.0, 0.1)]
     assert middle_of(halted) == 1 and "range" not in over_runs(halted, 1).measures
-    assert over_runs(halted, 1).warnings == (
-        "a limit stopped 1 of 3 runs; the numbers are of the first of them",
-    )
+    (warning,) = over_runs(halted, 1).warnings
+    assert warning.fields == {"count": 1, "runs": 3}
 
 
 def test_a_set_runs_each_case_with_several_seeds(rig):

@@ -1,4 +1,4 @@
-"""Where a user's code lies and which files it imports, found without running any of it."""
+"""Where a user's code lies and which files it imports, without running any of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,52 @@ from collections.abc import Iterator
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 
+from ehbench.config.recipe import TrialRecipe
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.text import shortened
+
 _PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def refuse_code(recipe: TrialRecipe, allowed: bool) -> None:
+    """Refuse a user's controller unless it is allowed.
+
+    Raises:
+        InputError: it is not allowed.
+    """
+    if recipe.controller is not None and recipe.controller.code is not None and not allowed:
+        where = recipe.at(*recipe.controller.where, "class")
+        raise InputError(message("trial.code_not_allowed", code=recipe.controller.code), **where)
+
+
+def code_file(recipe: TrialRecipe) -> Path | None:
+    """The Python file of the recipe's ``class``: next to the recipe, else that of an importable
+    module; None without class.
+
+    Raises:
+        InputError: there is none.
+    """
+    if recipe.controller is None or recipe.controller.code is None:
+        return None
+    text, where = recipe.controller.code, recipe.at(*recipe.controller.where, "class")
+    module, _, name = text.partition(":")
+    words = module.split(".")
+    if not (name.isidentifier() and all(word.isidentifier() for word in words) and len(text) < 300):
+        raise InputError(message("trial.no_class_name", text=shortened(text, 100)), **where)
+    additional = recipe.path.parent / (module.replace(".", "/") + ".py")
+    if additional.is_file():
+        return additional.resolve()
+    result = source_of(module)
+    if result is None:
+        raise InputError(message("trial.no_module", module=module, file=additional.name), **where)
+    return result
+
+
+def code_files(recipe: TrialRecipe) -> tuple[Path, ...]:
+    """The code file of a recipe, then those that it imports and that are not installed."""
+    code = code_file(recipe)
+    return () if code is None else files_of(code)
 
 
 def source_of(module: str) -> Path | None:

@@ -1,5 +1,5 @@
 """Several cylinders at once: the motion of each, as long as the longest and no faster than the
-pump allows, and what each law is told of the others'.
+pump allows, and the others' motions for laws that use them.
 """
 
 from __future__ import annotations
@@ -24,12 +24,82 @@ from ehbench.physics.arm import SLIDE
 from ehbench.physics.tip import Chain, tip_of
 from ehbench.signals.series import rms
 from ehbench.trial.controllers import Design, controller_of
-from ehbench.trial.measures import FINAL
+from ehbench.trial.measures import MEASURES
 from ehbench.trial.motion import References
-from ehbench.trial.sharing import RESERVE, Pace, pace_of
+from ehbench.vocabulary.settings import setting
 
-SLOWED = 0.999  # pace below which a motion counts as slowed down
-STANDS = 1.0e-4  # [m/s] below which the tip counts as standing
+
+@dataclass(frozen=True)
+class CoordinationSettings:
+    """Numbers of several cylinders on one pump."""
+
+    reserve: float = setting(0.1, "", "pump flow kept for corrections", "chosen")
+    smooth: float = setting(0.15, "s", "desired time over which the pace changes", "chosen")
+    slowed: float = setting(0.999, "", "pace that counts as slowed down", "rounding")
+    still: float = setting(1.0e-4, "m/s", "speed of a standing tip", "rounding")
+
+
+COORDINATION = CoordinationSettings()
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast time runs along a desired motion, one row a tick of real time.
+
+    ``at`` [s] of the desired motion; ``pace`` σ = d(at)/dt, 1 where nothing is cut, and its
+    derivatives ``rate`` [1/s] and ``bend`` [1/s²] in real time."""
+
+    at: np.ndarray
+    pace: np.ndarray
+    rate: np.ndarray
+    bend: np.ndarray
+
+    def of(self, values: np.ndarray, tick: float) -> np.ndarray:
+        """Values of the desired motion, a row a tick, as they come in real time."""
+        rows = np.arange(len(values)) * tick
+        flat = values.reshape(len(values), -1)
+        taken = np.column_stack([np.interp(self.at, rows, column) for column in flat.T])
+        return taken.reshape((self.at.size, *values.shape[1:]))
+
+    def table(self, desired: np.ndarray, tick: float) -> np.ndarray:
+        """A table of x, v, a, j in real time: ``v = v̂ σ``, ``a = â σ² + v̂ σ̇``,
+        ``j = ĵ σ³ + 3 â σ σ̇ + v̂ σ̈``.
+        """
+        x, v, a, j = self.of(desired, tick).T
+        s, rate, bend = self.pace, self.rate, self.bend
+        columns = [x, v * s, a * s**2 + v * rate, j * s**3 + 3.0 * a * s * rate + v * bend]
+        return np.ascontiguousarray(np.column_stack(columns))
+
+
+def pace_of(flow: np.ndarray, limit: float, tick: float) -> Pace | None:
+    """The pace at which a motion draws no more than a limit; None where it never would.
+
+    The least share that the flow allows within ``smooth`` on either side, smoothed over as much by
+    a bell that ends there: so it is nowhere above what the flow allows, and its second derivative
+    is continuous.
+
+    Args:
+        flow: that the desired motion draws [m³/s], a row a tick.
+        limit: [m³/s], > 0.
+        tick: [s].
+    """
+    from scipy.ndimage import minimum_filter1d
+
+    share = np.minimum(1.0, limit / np.maximum(flow, 1e-3 * limit))
+    if (share == 1.0).all():
+        return None
+    half = max(1, round(COORDINATION.smooth / tick))
+    bell = (1.0 - (np.arange(-half, half + 1) / (half + 1.0)) ** 2) ** 3
+    minimum = minimum_filter1d(share, 2 * half + 1, mode="nearest")
+    pace = np.convolve(np.pad(minimum, half, mode="edge"), bell / bell.sum(), mode="valid")
+    slope = np.gradient(pace, tick)
+    curve = np.gradient(slope, tick)
+    # real time at each row of the desired motion, then the other way round
+    real = np.concatenate([[0.0], np.cumsum(0.5 * tick * (1.0 / pace[1:] + 1.0 / pace[:-1]))])
+    rows = np.arange(flow.size) * tick
+    at = np.interp(np.arange(int(np.ceil(real[-1] / tick - 1e-9)) + 1) * tick, real, rows)
+    sigma, first, second = (np.interp(at, rows, item) for item in (pace, slope, curve))
+    return Pace(at, sigma, first * sigma, second * sigma**2 + first**2 * sigma)
 
 
 @dataclass(frozen=True)
@@ -66,7 +136,7 @@ class Plan:
     """What several cylinders shall do together, a row a tick.
 
     ``tip`` is where that brings the tip [m], shape (samples, 3), ``way`` its way as a unit vector;
-    ``demand`` the flow that the motion draws from the supply as it is desired [m³/s], ``pace`` at
+    ``required`` the flow that the desired motion draws from the supply [m³/s], ``pace`` at
     which it runs, ``limit`` the pump's [m³/s], ``longer`` [s] what the trial lasts longer for it.
     """
 
@@ -75,7 +145,7 @@ class Plan:
     posture: np.ndarray
     tip: np.ndarray
     way: np.ndarray
-    demand: np.ndarray
+    required: np.ndarray
     pace: np.ndarray
     limit: float
     longer: float
@@ -94,24 +164,24 @@ class Plan:
         error = tip - desired
         along = np.einsum("ij,ij->i", error, self.way[at])
         across = error - along[:, None] * self.way[at]
-        built = {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")}
-        built |= {f"tip_{axis}_desired": desired[:, i] for i, axis in enumerate("xyz")}
-        built["tip_error"] = np.linalg.norm(error, axis=1)
-        built["tip_across"] = np.linalg.norm(across, axis=1)
-        built["flow_demand"] = np.where(beyond, 0.0, self.demand[at])
-        built["flow_planned"] = built["flow_demand"] * self.pace[at]
-        built["pace"] = self.pace[at]
-        return built
+        channels = {f"tip_{axis}": tip[:, i] for i, axis in enumerate("xyz")}
+        channels |= {f"tip_{axis}_desired": desired[:, i] for i, axis in enumerate("xyz")}
+        channels["tip_error"] = np.linalg.norm(error, axis=1)
+        channels["tip_across"] = np.linalg.norm(across, axis=1)
+        channels["flow_demand"] = np.where(beyond, 0.0, self.required[at])
+        channels["flow_planned"] = channels["flow_demand"] * self.pace[at]
+        channels["pace"] = self.pace[at]
+        return channels
 
     def measures(self, record: Record, rows: int) -> dict[str, Any]:
         """``tip`` errors [m] of a trial up to a row, and ``sharing`` of the pump's flow."""
         error, across = (record[name][:rows] for name in ("tip_error", "tip_across"))
-        slow = self.pace < SLOWED
+        slow = self.pace < COORDINATION.slowed
         tick = float(record.t[1] - record.t[0]) if record.t.size > 1 else 0.0
         sharing = {
             "flow_limit": self.limit if math.isfinite(self.limit) else None,
-            "flow_demand": float(self.demand.max()),
-            "flow_planned": float((self.demand * self.pace).max()),
+            "flow_demand": float(self.required.max()),
+            "flow_planned": float((self.required * self.pace).max()),
             "slowed": float(np.count_nonzero(slow)) * tick,
             "pace": float(self.pace.min()),
             "longer": self.longer,
@@ -119,7 +189,9 @@ class Plan:
         tip = {
             "max_error": float(error.max()),
             "rms_error": rms(error),
-            "final_error": float(np.mean(error[record.t[:rows] >= record.t[rows - 1] - FINAL])),
+            "final_error": float(
+                np.mean(error[record.t[:rows] >= record.t[rows - 1] - MEASURES.final])
+            ),
             "max_across": float(across.max()),
         }
         return {"tip": tip, "sharing": sharing}
@@ -139,8 +211,8 @@ def joints_of(driven: Sequence[Driven]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
-    """The table that each law runs over: its own motion, for a law that counts on the others' that
-    of all joints behind it, and for one that looks ahead what speeds are to come.
+    """The table that each law runs over: its cylinder's motion, for a law that uses the others'
+    that of all joints after it, and for one that looks ahead the speeds to come.
     """
     joints = joints_of(driven)[1] if len(driven) > 1 else None
     widened = []
@@ -175,24 +247,24 @@ def planned(
     q, joints = joints_of(driven)
     torque = torques(mechanism, q, joints)
     line = Pressures(low, low, float(plant.supply.pressure), float(plant.tank_pressure))
-    demand = np.zeros(len(q))
+    required = np.zeros(len(q))
     for item, rule in zip(driven, rules, strict=True):
         axis, joint = (
             axis_of(item.design.circuit, mechanism, item.design.row),
             int(item.design.row.joint),
         )
         motion = Motion(item.references.table[:, V], torque[:, joint], q[:, joint])
-        demand += required_flow(axis, motion, line, tick, rule)
+        required += required_flow(axis, motion, line, tick, rule)
     limit = float(plant.supply.flow_limit)
     pace = None
     if share and math.isfinite(limit):
-        pace = pace_of(demand, (1.0 - RESERVE) * limit, tick)
-    before, built = len(q), np.ones(len(q))
+        pace = pace_of(required, (1.0 - COORDINATION.reserve) * limit, tick)
+    before, run_pace = len(q), np.ones(len(q))
     if pace is not None:
         driven = tuple(
             replace(item, references=slower(item.references, pace, tick)) for item in driven
         )
-        q, demand, built = pace.of(q, tick), pace.of(demand, tick), pace.pace
+        q, required, run_pace = pace.of(q, tick), pace.of(required, tick), pace.pace
     none = np.full(design.q.size, np.nan)
     chain = Chain(plant.kind, plant.links, plant.gravity, none, none)
     tip = tip_of(chain, q)
@@ -204,9 +276,9 @@ def planned(
         tuple(by_joint.get(joint, "") for joint in range(design.q.size)),
         design.q,
         tip,
-        _way(tip, tick),
-        demand,
-        built,
+        _direction(tip, tick),
+        required,
+        run_pace,
         limit,
         (len(q) - before) * tick,
     )
@@ -227,13 +299,13 @@ def slower(motion: References, pace: Pace, tick: float) -> References:
     return replace(motion, table=table, levels=levels)
 
 
-def _way(tip: np.ndarray, tick: float) -> np.ndarray:
+def _direction(tip: np.ndarray, tick: float) -> np.ndarray:
     """Unit vectors of the tip's way, shape (samples, 3); where it stands that on which it came, or
     first goes; 0 if it never moves.
     """
     speed = np.gradient(tip, tick, axis=0)
     size = np.linalg.norm(speed, axis=1)
-    moves = np.flatnonzero(size > STANDS)
+    moves = np.flatnonzero(size > COORDINATION.still)
     if not moves.size:
         return np.zeros_like(speed)
     last = moves[np.maximum(np.searchsorted(moves, np.arange(len(tip)), side="right") - 1, 0)]
