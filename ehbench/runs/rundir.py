@@ -81,7 +81,9 @@ def plain(value: Any) -> Any:
     """``value`` as JSON can hold it: arrays as lists, numpy numbers as Python's, NaN and infinities
     as null.
     """
-    if isinstance(value, Message) and value.key:
+    if isinstance(value, Message):
+        if not value.key:
+            return str(value)
         return {"key": value.key, "text": str(value), "fields": plain(value.fields)}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -56,7 +56,7 @@ def rigs(case: str) -> tuple[Rig, Rig]:
         }
         machine = machine.with_values(own)
     if case == "load":
-        slope = type(machine.mechanism.incline)(SLOPE)
+        slope = type(getattr(machine.mechanism, "incline"))(SLOPE)
         body = machine.mechanism.model_copy(update={"incline": slope})
         machine = machine.model_copy(update={"mechanism": body})
     return known, machine

@@ -135,7 +135,7 @@ def late(y: np.ndarray) -> np.ndarray:
     from scipy.signal import lfilter
 
     pole = float(np.exp(-0.1))
-    return lfilter([1.0 - pole], [1.0, -pole], y)
+    return np.asarray(lfilter([1.0 - pole], [1.0, -pole], y))
 
 
 def told(result: Structure) -> str:
