@@ -25,6 +25,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.integrate import run
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED
+from ehbench.vocabulary.fields import Value
 from tests.virtual_logs import RIGS
 
 MINUTES = 1e-6 / 60.0 / 1e5  # mL/min/bar [m^3/(s·Pa)]
@@ -56,7 +57,7 @@ def rigs(case: str) -> tuple[Rig, Rig]:
         }
         machine = machine.with_values(own)
     if case == "load":
-        slope = type(getattr(machine.mechanism, "incline"))(SLOPE)
+        slope = Value(SLOPE)
         body = machine.mechanism.model_copy(update={"incline": slope})
         machine = machine.model_copy(update={"mechanism": body})
     return known, machine
