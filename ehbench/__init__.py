@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ehbench.app.inspection import Inspection
     from ehbench.config.recipe import load_rig as load_rig
-    from ehbench.data.logs import read_log as read_log
+    from ehbench.data import read_log as read_log
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
     from ehbench.plant.model import simulate as simulate
     from ehbench.vocabulary.progress import Progress

@@ -79,9 +79,12 @@ class Session(Host):
         if recipe.path in self.under_way:
             raise CircularRecipes.of(list(self.under_way), recipe.path)
         session = replace(self, out=None, under_way=(*self.under_way, recipe.path))
-        allowed = {"allow_code": self.allow_code, "unvalidated": self.unvalidated}
         return Inputs(
-            recipe, Notes(recipe), lambda path: session.outcome_of(path).folder, **allowed
+            recipe,
+            Notes(recipe),
+            lambda path: session.outcome_of(path).folder,
+            allow_code=self.allow_code,
+            unvalidated=self.unvalidated,
         )
 
     def outcome_of(self, path: Path) -> Outcome:

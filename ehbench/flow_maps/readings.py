@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -176,9 +177,17 @@ def readings_table(
     u, drop, q = (np.asarray(a, float) for a in (command, pressure_drop, flow))
     if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
         raise ValueError(message("flow_maps.shapes"))
-    default = {"valve": "", "direction": "forward", "method": "flowmeter", "trial": 0, "file": ""}
+    default: dict[str, Any] = {
+        "valve": "",
+        "direction": "forward",
+        "method": "flowmeter",
+        "trial": 0,
+        "file": "",
+    }
     default |= {"temperature": np.nan, "line": np.arange(1, u.size + 1)}
-    rest = {name: np.broadcast_to(value, u.shape) for name, value in (default | columns).items()}
+    rest: dict[str, Any] = {
+        name: np.broadcast_to(value, u.shape) for name, value in (default | columns).items()
+    }
     return FlowmeterData(command=u, pressure_drop=drop, flow=q, **rest)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -434,7 +434,7 @@ def soften(
     beyond, soft = np.flatnonzero(rise[:best] > edge), float(grid[0])
     if beyond.size:
         ends = float(grid[beyond[-1]]), float(grid[beyond[-1] + 1])
-        soft = brentq(lambda u: rises(u) - edge, *ends, xtol=1e-5)
+        soft = cast(float, brentq(lambda u: rises(u) - edge, *ends, xtol=1e-5))
     lower, upper = result.interval
     return replace(result, interval=(round(min(lower, soft), 4), upper))
 

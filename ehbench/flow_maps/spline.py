@@ -230,10 +230,10 @@ class Spline:
         Raises:
             LinAlgError: the penalised normal matrix is not positive definite.
         """
-        from scipy.linalg import lapack
+        from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
 
         whole = self.penalised(band, smoothing)
-        factor, result, info = lapack.dpbsv(whole, right, lower=1, overwrite_ab=1)
+        factor, result, info = dpbsv(whole, right, lower=1, overwrite_ab=1)
         if info:
             raise np.linalg.LinAlgError(message("flow_maps.not_definite"))
         along_u, along_s = self.along_u, self.along_s
@@ -291,7 +291,7 @@ class Spline:
         """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which some do not grow along u: each of
         these is that of the opening before, or zero.
         """
-        from scipy.linalg import lapack
+        from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
 
         unknown = np.where(zero, -1, np.cumsum(~zero) - 1)
         index = np.where(zero, -1, np.arange(self.size)).reshape(self.columns, self.rows)
@@ -309,7 +309,7 @@ class Spline:
         place = np.minimum(low, high) * height + apart
         small = np.bincount(place, values, count * height).reshape(count, height).T
         pull = np.bincount(unknown + 1, right, count + 1)[1:]
-        _, solved, info = lapack.dpbsv(small, pull, lower=1, overwrite_ab=1)
+        _, solved, info = dpbsv(small, pull, lower=1, overwrite_ab=1)
         if info:
             raise np.linalg.LinAlgError(message("flow_maps.not_definite"))
         return np.append(solved, 0.0)[unknown]
@@ -406,9 +406,9 @@ def full(band: np.ndarray) -> np.ndarray:
 
 def times(band: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Product of a symmetric matrix, of which the band is given, with a vector."""
-    from scipy.linalg import blas
+    from scipy.linalg.blas import dsbmv  # pyright: ignore[reportAttributeAccessIssue]
 
-    return blas.dsbmv(len(band) - 1, 1.0, band, values, lower=1)
+    return dsbmv(len(band) - 1, 1.0, band, values, lower=1)
 
 
 def pivoted(

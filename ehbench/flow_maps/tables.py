@@ -73,7 +73,7 @@ class EdgeReadings:
     side: str
     sign: int
     rows: FlowmeterData
-    notes: tuple[Message, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

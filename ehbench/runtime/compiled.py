@@ -23,7 +23,7 @@ from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.sources import sources
 
 PACKAGE = Path(__file__).resolve().parents[1]
-_SETTINGS: Any = numba.config
+_SETTINGS: Any = numba.config  # pyright: ignore[reportPrivateImportUsage]
 _SETTING = Lock()
 _MARKS = (
     b"@kernel",
@@ -154,7 +154,7 @@ def _name_apart(dispatcher: Any) -> None:
     numba counts from 1. Of two processes that compile at once for different types, one could load
     the other's code.
     """
-    files = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    files: Any = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
     name = getattr(files, "_data_name_pattern", "")
     if "{number" in name:
         files._data_name = lambda _: name.format(number=randbits(48))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -76,8 +77,9 @@ def fit(
             result.append((-shift - inverse[part].T @ (slope.T @ rest)).ravel())
         return np.stack(result, axis=-1)
 
+    jacobian: Any = slopes
     result = least_squares(
-        residuals, start, slopes, bounds, x_scale=_SCALE[: start.size], ftol=1e-11, xtol=1e-9
+        residuals, start, jacobian, bounds, x_scale=_SCALE[: start.size], ftol=1e-11, xtol=1e-9
     )
     return result.x, float(result.cost)
 

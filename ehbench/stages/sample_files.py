@@ -59,8 +59,8 @@ def _run(plan: Plan, path: Path, out: Path, runs: dict[Path, Path]) -> Outcome:
 
     recipe = load_recipe(path)
     stage = cast(Stage, stage_of(recipe))  # a study is of such only
-    allowed = {"allow_code": plan.allow_code, "unvalidated": True}
-    prepared = stage.prepare(recipe, Inputs(recipe, Notes(recipe), run_of, **allowed))
+    inputs = Inputs(recipe, Notes(recipe), run_of, allow_code=plan.allow_code, unvalidated=True)
+    prepared = stage.prepare(recipe, inputs)
     outcome = stage.run(prepared, Host(root=out.parent, out=out))
     (out / "volatile.json").unlink()
     return outcome
@@ -123,7 +123,7 @@ class _Writer:
         sample changes is written there.
         """
         path = recipe.file(name) if name else None
-        if path in self.files.base.upstream.values() and self.files.is_changed(path):
+        if path and path in self.files.base.upstream.values() and self.files.is_changed(path):
             if path not in self.written:
                 self.written[path] = path.name
                 self.write(RecipeFile.of(path), self.folder / path.name)

@@ -59,11 +59,11 @@ class Sensor(FileModel):
 
     @field_validator("pressure")
     @classmethod
-    def _of_a_pressure(cls, message: str, info: ValidationInfo) -> str:
+    def _of_a_pressure(cls, kind: str, info: ValidationInfo) -> str:
         channel = info.data.get("channel", "p_head")
-        if message == "absolute" and quantity(channel).unit != "Pa":
+        if kind == "absolute" and quantity(channel).unit != "Pa":
             raise ValueError(message("config.not_a_pressure", channel=channel))
-        return message
+        return kind
 
     @field_validator(*WORDS)
     @classmethod

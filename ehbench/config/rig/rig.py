@@ -482,7 +482,8 @@ def _with_part(model: Any, place: tuple[str | int, ...], part: Any) -> Any:
     """
     if not place:
         return part
-    key, rest = place[0], place[1:]
+    key: Any = place[0]
+    rest = place[1:]
     if isinstance(model, tuple):
         inner = _with_part(model[key], rest, part)
         return (*model[:key], inner, *model[key + 1 :])  # type: ignore[operator]
