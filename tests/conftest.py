@@ -158,7 +158,7 @@ def unlocused(monkeypatch) -> None:
     at gains: python-control takes a third of a tuning for them.
     """
     module = importlib.import_module("ehbench.tune.gains")  # the package has a function `tune`
-    monkeypatch.setattr(module, "_drawn", lambda *_: ((), ()))
+    monkeypatch.setattr(module, "_curves", lambda *_: ((), ()))
 
 
 @pytest.fixture

@@ -55,7 +55,7 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
         if isinstance(recipe, TuneRecipe):
             does = message("stages.does_tuning", draws=recipe.draws, **fields)
         try:
-            study = prepare_tuning(state, recipe)
+            study = prepare_tuning(state.rig, state.flow_maps, recipe)
         except InsufficientData:
             if not state.without_maps:
                 raise
@@ -91,13 +91,13 @@ class TuningStage(_AnyTuningStage[TuneRecipe]):
     def work(
         self, prepared: PreparedTuning[TuneRecipe], folder: Path, progress: Progress | None
     ) -> Work:
-        from ehbench.tune.gains import tune_prepared
+        from ehbench.tune.gains import tune_pressure_feedback
 
         assert prepared.study is not None  # a run without operating points is refused
         if progress is not None:
             progress("operating points", 0.0)
         correlation = _correlation(prepared.state)
-        tuning = tune_prepared(prepared.study, correlation=correlation, progress=progress)
+        tuning = tune_pressure_feedback(prepared.study, correlation, progress)
         return self._written(prepared, folder, tuning)
 
 

@@ -23,14 +23,24 @@ from ehbench.control.functions import pack_rules
 from ehbench.control.law import DesignPoint
 from ehbench.plant.design_point import design_point_of
 from ehbench.plant.model import Model
-from ehbench.tune.arc_loop import SAFETY, ArcLoop, LoopMargins, SampledPlant, Sensing
+from ehbench.tune.arc_loop import ARC_LOOP, ArcLoop, LoopMargins, SampledPlant, Sensing
 from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.study import Study, rail_notes
 from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.settings import setting
 
-BUDGETS = tuple(np.geomspace(0.08, 1.2, 12).tolist())  # [rad] over the valves' lag and a tick
-HALVINGS = 3  # between the largest that keeps the margins and the next
+
+@dataclass(frozen=True)
+class ArcSearchSettings:
+    """Numbers of the search for bandwidths; a budget is a phase over the loop's lag."""
+
+    budgets: tuple = setting((0.08, 1.2, 12), "rad", "smallest, largest and count", "a decade")
+    refinements: int = setting(3, "", "bisections of the best budget", "an eighth of a step")
+
+
+ARC_SEARCH = ArcSearchSettings()
 # gains that a trial takes from a tuning
 CHOSEN = (
     *("position_bandwidth", "speed_bandwidth", "force_bandwidth", "observer_bandwidth"),
@@ -93,7 +103,7 @@ class ArcTuning:
     points: tuple[ArcPoint, ...]
     worst: str
     locus: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Message, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers, texts and lists; the gains stand at the top, where trials look for
@@ -120,35 +130,33 @@ class Search:
         design = Model.of(study.rig, study.maps)
         circuit = circuit_of(design, design.layout.cylinders.index(study.cylinder), study.maps)
         posture = design.posture(recipe.posture)
-        self.site: DesignPoint = design_point_of(design, circuit, posture, 1.0 / float(recipe.rate))
-        self.rules = pack_rules(circuit.area_rod, self.site.supply_pressure)
+        self.design_point: DesignPoint = design_point_of(
+            design, circuit, posture, 1.0 / float(recipe.rate)
+        )
+        self.rules = pack_rules(circuit.area_rod, self.design_point.supply_pressure)
         usual = self.gains(ARC_GAINS.budget)
         result = (
-            SampledPlant.of(site.model, site.point, self.site.tick)
-            for site in study.sites
-            if site.counts
+            SampledPlant.of(motion.model, motion.point, self.design_point.tick)
+            for motion in study.motions
+            if motion.counts
         )
-        self.plants = [item for item in result if item.stays(self.site, usual)]
+        self.plants = [item for item in result if item.stays(self.design_point, usual)]
         if not self.plants:
-            raise InsufficientData(
-                f"at no operating point of cylinder '{study.cylinder}' the controller stays in the "
-                "working function asked for: it takes one that draws less",
-                hint="leave functions out, or choose other payloads or postures",
-            )
+            raise InsufficientData(message("tune.other_function", cylinder=study.cylinder))
 
     @property
     def lag(self) -> float:
         """What a budget is over [s]: the slowest valve's lag and a tick."""
-        return self.site.valve_lag + self.site.tick
+        return self.design_point.valve_lag + self.design_point.tick
 
     def gains(self, budget: float) -> np.record:
         """The gains for a phase budget [rad]."""
-        return pack_arc(self.site, self.rules, Adaptation(lag_budget=budget))
+        return pack_arc(self.design_point, self.rules, Adaptation(lag_budget=budget))
 
     def loops(self, budget: float) -> list[ArcLoop]:
         """The loop at every operating point."""
         gains = self.gains(budget)
-        return [plant.loop(self.site, gains) for plant in self.plants]
+        return [plant.loop(self.design_point, gains) for plant in self.plants]
 
     def candidate(self, budget: float) -> ArcCandidate:
         """The margins at the worst points."""
@@ -174,30 +182,32 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
 
     Args:
         study: of `ehbench.tune.study.prepare_tuning`.
-        progress: told what is at work and the share done.
+        progress: called with the step at work and the share done.
 
     Raises:
         InsufficientData: no operating point in whose working function the controller stays.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     search = Search(study)
     tried: dict[float, ArcCandidate] = {}
-    for i, budget in enumerate(BUDGETS):
-        tell("margins", i / (len(BUDGETS) + HALVINGS + 1))
+    budgets = np.geomspace(*ARC_SEARCH.budgets).tolist()
+    steps = len(budgets) + ARC_SEARCH.refinements + 1
+    for i, budget in enumerate(budgets):
+        report("margins", i / steps)
         tried[budget] = search.candidate(budget)
     budget = _largest(search, tried)
-    tell("margins at the choice", 1.0 - 1.0 / (len(BUDGETS) + HALVINGS + 1))
+    report("margins chosen", 1.0 - 1.0 / steps)
     return _result(study, search, budget, tried)
 
 
 def _largest(search: Search, tried: dict[float, ArcCandidate]) -> float:
-    """The largest budget that keeps the demands, to 1/2^HALVINGS of the grid's step."""
-    retained = [budget for budget, item in tried.items() if item.met]
-    if not retained:
+    """The largest budget that keeps the demands, refined from the grid."""
+    passing = [budget for budget, item in tried.items() if item.met]
+    if not passing:
         return max(tried, key=lambda budget: tried[budget].delay_margin)
-    best = max(retained)
+    best = max(passing)
     beyond = min((budget for budget in tried if budget > best), default=best)
-    for _ in range(HALVINGS if beyond > best else 0):
+    for _ in range(ARC_SEARCH.refinements if beyond > best else 0):
         middle = math.sqrt(best * beyond)
         tried[middle] = search.candidate(middle)
         best, beyond = (middle, beyond) if tried[middle].met else (best, middle)
@@ -210,17 +220,14 @@ def _result(
     loops, gains = search.loops(budget), search.gains(budget)
     results = [loop.margins(search.sensing) for loop in loops]
     worst = min(range(len(results)), key=lambda i: results[i].delay)
-    _, rates = pack_with_rates(search.site, search.rules, Adaptation(lag_budget=budget), {})
+    _, rates = pack_with_rates(search.design_point, search.rules, Adaptation(lag_budget=budget), {})
     named = named_gains(gains, rates)["gains"]
     chosen, points = search.judged(budget, results), [plant.point for plant in search.plants]
     warnings = rail_notes(study.rig, points)
     if not chosen.met:
         missed = [k for k, demand in search.demands.items() if getattr(chosen, k) < demand]
-        words = " and ".join(name.replace("_", " ") for name in missed)
-        warnings.append(
-            f"no bandwidths keep the demanded {words} at every operating point; those with the "
-            f"largest delay margin are taken: {points[worst].name}"
-        )
+        words, point = " and ".join(name.replace("_", " ") for name in missed), points[worst].name
+        warnings.append(message("tune.missed_margins", margins=words, point=point))
     _, loci = loops[worst].loci(search.sensing)
     return ArcTuning(
         rig=study.rig.name,
@@ -229,7 +236,7 @@ def _result(
         gains={name: float(named[name]) for name in CHOSEN},
         delay=search.sensing.delay,
         pressure_lag=search.sensing.lag,
-        safety=SAFETY,
+        safety=ARC_LOOP.safety,
         constraints=search.demands,
         gain_margin=chosen.gain_margin,
         phase_margin=chosen.phase_margin,

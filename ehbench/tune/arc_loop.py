@@ -27,20 +27,31 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model
 from ehbench.tune.operating_point import OperatingPoint, state_of
 from ehbench.vocabulary.codes import DISTURBANCE, FREE, FUNCTIONS, INVERSE_INERTIA, PAYLOAD_SHARE
+from ehbench.vocabulary.settings import setting
 
-# what of the controller's memory is a state in motion, and its steps for differences; those of the
-# estimates are a share of their bounds
-MEMORY = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
-MEMORY |= {"slow_load": 1.0, "calm_load": 1.0, "supply_swing": 300.0, "slow_drop": 300.0}
-ESTIMATE = 1e-4
-INSIDE = 1e-3  # share of their bounds that estimates keep from the ends, where projection is a kink
-SLOWEST = 3.0  # [rad/s]: what is slower is the motion itself, no swing
-POINTS = 500  # of the frequency response
-# and about each mode that rings, in half-widths of its peak: evenly along the circle that it draws
-ABOUT = np.tan(np.linspace(-1.45, 1.45, 41))
-RINGS = 0.3  # damping ratio below which a mode is one
-SAFETY = 1.5  # over which a computed delay margin is stated: a machine is no model
-GROWTH = 0.05  # [1/s] below which a pole counts as standing: drifts of the motion itself
+# states of the controller's memory in motion, and their steps for differences
+MEMORY_STEPS = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
+MEMORY_STEPS |= {"slow_load": 1.0, "calm_load": 1.0, "supply_swing": 300.0, "slow_drop": 300.0}
+
+
+@dataclass(frozen=True)
+class ArcLoopSettings:
+    """Numbers of the margins of a sampled loop."""
+
+    estimate: float = setting(1e-4, "", "step of estimates, of their bounds", "differences")
+    inside: float = setting(
+        1e-3, "", "distance of estimates to their bounds", "projection is a kink"
+    )
+    slowest: float = setting(3.0, "rad/s", "slowest swing", "slower is the motion itself")
+    points: int = setting(500, "", "frequencies of the response", "smooth loci")
+    rings: float = setting(0.3, "", "damping ratio of a mode that rings", "has a peak")
+    peak: float = setting(1.45, "rad", "part of a peak's circle to look at", "half a turn is 1.57")
+    peak_points: int = setting(41, "", "points on that circle", "smooth loci")
+    safety: float = setting(1.5, "", "computed delay margin over the stated one", "model error")
+    growth: float = setting(0.05, "1/s", "growth of a pole that stands", "drifts of the motion")
+
+
+ARC_LOOP = ArcLoopSettings()
 
 
 class Sensing(NamedTuple):
@@ -65,8 +76,8 @@ class LoopMargins(NamedTuple):
 
     @property
     def stated(self) -> float:
-        """The delay margin [s] to count on: the computed one over SAFETY."""
-        return self.delay / SAFETY
+        """The delay margin [s] to count on: the computed one over ``safety``."""
+        return self.delay / ARC_LOOP.safety
 
 
 class Sampled(NamedTuple):
@@ -143,7 +154,7 @@ class ArcLoop:
     def growth(self, sensing: Sensing) -> float:
         """Growth [1/s] of what swings, the fastest; negative where all dies out."""
         poles = self.poles(sensing)
-        return float(np.real(poles[np.abs(np.imag(poles)) > SLOWEST]).max())
+        return float(np.real(poles[np.abs(np.imag(poles)) > ARC_LOOP.slowest]).max())
 
     def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
@@ -165,16 +176,18 @@ class ArcLoop:
         highest = 0.98 * math.pi / self.tick
         modes = np.linalg.eigvals(self.plant.a)
         modes = np.log(modes[np.abs(modes) > 1e-6].astype(complex)) / self.tick
-        ringing = modes[-np.real(modes) < RINGS * np.imag(modes)]
-        near = np.imag(ringing)[:, None] + np.abs(np.real(ringing))[:, None] * ABOUT
-        omega = np.append(np.geomspace(SLOWEST, highest, POINTS), near.ravel())
-        return np.unique(omega[(omega >= SLOWEST) & (omega <= highest)])
+        ringing = modes[-np.real(modes) < ARC_LOOP.rings * np.imag(modes)]
+        # in half-widths of each peak, evenly along the circle that it draws
+        about = np.tan(np.linspace(-ARC_LOOP.peak, ARC_LOOP.peak, ARC_LOOP.peak_points))
+        near = np.imag(ringing)[:, None] + np.abs(np.real(ringing))[:, None] * about
+        omega = np.append(np.geomspace(ARC_LOOP.slowest, highest, ARC_LOOP.points), near.ravel())
+        return np.unique(omega[(omega >= ARC_LOOP.slowest) & (omega <= highest)])
 
     def margins(self, sensing: Sensing) -> LoopMargins:
         """Margins of all commands together: they are exact, as a common gain, angle or delay turns
         every characteristic locus alike.
         """
-        if self.growth(sensing) > GROWTH:
+        if self.growth(sensing) > ARC_LOOP.growth:
             return LoopMargins(0.0, 0.0, 0.0, 0.0)
         omega, loci = self.loci(sensing)
         gain = phase = delay = math.inf
@@ -203,10 +216,10 @@ def _branches(omega: np.ndarray, loci: np.ndarray) -> list[tuple[np.ndarray, np.
     """Each locus by itself: at every step the eigenvalues that went on from the last."""
     sorted_loci = loci.copy()
     for i in range(1, len(loci)):
-        left = list(loci[i])
+        remaining = list(loci[i])
         for j, last in enumerate(sorted_loci[i - 1]):
-            nearest = min(range(len(left)), key=lambda m, last=last: abs(left[m] - last))
-            sorted_loci[i, j] = left.pop(nearest)
+            nearest = min(range(len(remaining)), key=lambda m, last=last: abs(remaining[m] - last))
+            sorted_loci[i, j] = remaining.pop(nearest)
     return [(omega, sorted_loci[:, j]) for j in range(loci.shape[1])]
 
 
@@ -238,23 +251,23 @@ class SampledPlant:
         valves = tuple(sorted({path.valve for path in point.paths}))
         return cls(model, point, _plant_map(model, at, valves, tick), valves, sample)
 
-    def stays(self, site: DesignPoint, gains: np.record) -> bool:
+    def stays(self, design_point: DesignPoint, gains: np.record) -> bool:
         """Whether the controller stays in the point's working function there: where it takes
         another, the point is no steady motion of the loop.
         """
-        tick = _LawTick(self, site, gains)
+        tick = _LawTick(self, design_point, gains)
         tick.after(np.zeros(tick.sizes.size), np.zeros(tick.reads.size))
         return FUNCTIONS[int(tick.memory.state.function)] == self.point.function
 
-    def loop(self, site: DesignPoint, gains: np.record) -> ArcLoop:
+    def loop(self, design_point: DesignPoint, gains: np.record) -> ArcLoop:
         """The loop of the controller about it.
 
         Args:
-            site: what the controller is designed for.
+            design_point: what the controller is designed for.
             gains: of `ehbench.control.arc_gains.pack_arc`.
         """
         lagged = np.array([name.startswith("p_") for name in _words(self.model)])
-        return ArcLoop(self.plant, _law_map(self, site, gains), site.tick, lagged)
+        return ArcLoop(self.plant, _law_map(self, design_point, gains), design_point.tick, lagged)
 
 
 def _words(model: Model) -> list[str]:
@@ -313,40 +326,40 @@ class _LawTick:
     ``sizes`` are the steps for differences of its memory, ``inputs`` those of what it ``reads`` of
     a sample; ``memory`` is that after the tick."""
 
-    def __init__(self, at: SampledPlant, site: DesignPoint, gains: np.record) -> None:
-        self.at, self.site, self.gains = at, site, gains
-        self.start = steady_memory(at.model, at.point, site, gains)
-        self.memory = arc.memory_of(site.axis)
-        self.observed = arc.observed(site.axis, at.sample.size)
-        self.telemetry = np.zeros(arc.COLUMNS + 4 * site.axis.circuit.count)
+    def __init__(self, at: SampledPlant, design_point: DesignPoint, gains: np.record) -> None:
+        self.at, self.design_point, self.gains = at, design_point, gains
+        self.start = steady_memory(at.model, at.point, design_point, gains)
+        self.memory = arc.memory_of(design_point.axis)
+        self.observed = arc.observed(design_point.axis, at.sample.size)
+        self.telemetry = np.zeros(arc.COLUMNS + 4 * design_point.axis.circuit.count)
         self.reference = np.array([at.point.x, at.point.v, 0.0, 0.0])
         width = gains.upper - gains.lower
-        steps = ESTIMATE * np.where(width > 0.0, width, 1.0)
-        self.sizes = np.concatenate([list(MEMORY.values()), steps])
+        steps = ARC_LOOP.estimate * np.where(width > 0.0, width, 1.0)
+        self.sizes = np.concatenate([list(MEMORY_STEPS.values()), steps])
         self.reads = np.flatnonzero(self.observed)
         by_word, words = {"q": 1e-6, "x": 1e-6, "v": 1e-5}, _words(at.model)
         self.inputs = np.array([by_word.get(words[i], 300.0) for i in self.reads])
 
     def after(self, push: np.ndarray, seen: np.ndarray) -> np.ndarray:
         """Memory and commands of the valves at work after the tick."""
-        at, axis = self.at, self.site.axis
+        at, axis = self.at, self.design_point.axis
         self.memory = memory = arc.memory_of(axis)
         state, given, command = memory.state, at.sample.copy(), at.model.rest_commands(1)[0]
         for name in arc.STATE.names or ():
             state[name] = self.start[name]
-        for name, off in zip(MEMORY, push[: len(MEMORY)], strict=True):
+        for name, off in zip(MEMORY_STEPS, push[: len(MEMORY_STEPS)], strict=True):
             state[name] += off
-        state.estimates[:] += push[len(MEMORY) :]
+        state.estimates[:] += push[len(MEMORY_STEPS) :]
         given[self.reads] += seen
         law = Controller(axis, self.gains, memory, self.observed, np.zeros(at.sample.size))
         law_tick(0.0, given, self.reference, law, command, self.telemetry)
-        moved = [float(state[name]) for name in MEMORY]
+        moved = [float(state[name]) for name in MEMORY_STEPS]
         return np.array([*moved, *state.estimates, *command[list(at.valves)]])
 
 
-def _law_map(at: SampledPlant, site: DesignPoint, gains: np.record) -> Sampled:
+def _law_map(at: SampledPlant, design_point: DesignPoint, gains: np.record) -> Sampled:
     """The controller over one tick, from samples to the commands of the valves at work."""
-    tick = _LawTick(at, site, gains)
+    tick = _LawTick(at, design_point, gains)
     count, seen = tick.sizes.size, tick.inputs.size
     by_memory = _differences(lambda push: tick.after(push, np.zeros(seen)), tick.sizes)
     by_sample = np.zeros((count + len(at.valves), at.sample.size))
@@ -357,12 +370,12 @@ def _law_map(at: SampledPlant, site: DesignPoint, gains: np.record) -> Sampled:
 
 
 def steady_memory(
-    model: Model, point: OperatingPoint, site: DesignPoint, gains: np.record
+    model: Model, point: OperatingPoint, design_point: DesignPoint, gains: np.record
 ) -> np.record:
     """The controller's memory, a record of type `arc.STATE`, in a steady motion in which it knows
     its load.
     """
-    axis, state = site.axis, arc.memory_of(site.axis).state
+    axis, state = design_point.axis, arc.memory_of(design_point.axis).state
     state.started, state.function, state.age = 1, FUNCTIONS.index(point.function), 10.0
     state.metered = METERED[state.function]
     state.set_point = point.p_tank + gains.low_pressure
@@ -370,13 +383,13 @@ def steady_memory(
     state.calm_load = point.load_force
     fed = [at.drop for at in point.paths if at.path in (SUPPLY_HEAD, SUPPLY_ROD)]
     state.slow_drop = fed[0] if fed else 0.0
-    state.x, state.v = point.x - site.tick * point.v, point.v  # of the last tick
+    state.x, state.v = point.x - design_point.tick * point.v, point.v  # of the last tick
     memory = arc.memory_of(axis)
     memory.angles[:] = point.q
-    own, _ = inertias(axis, memory.angles, memory.work)
-    load = load_at(axis, point.q[int(axis.cylinder.joint)], own, memory.work)
-    estimates, room = state.estimates, INSIDE * (gains.upper - gains.lower)
-    low, high = gains.lower + room, gains.upper - room
+    inertia, _ = inertias(axis, memory.angles, memory.work)
+    load = load_at(axis, point.q[int(axis.cylinder.joint)], inertia, memory.work)
+    estimates, inside = state.estimates, ARC_LOOP.inside * (gains.upper - gains.lower)
+    low, high = gains.lower + inside, gains.upper - inside
     estimates[:] = np.clip(gains.start, low, high)
     estimates[INVERSE_INERTIA] = np.clip(
         load.mass / point.mass, low[INVERSE_INERTIA], high[INVERSE_INERTIA]

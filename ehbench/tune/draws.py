@@ -16,11 +16,12 @@ from ehbench.tune.linear import development_model
 from ehbench.tune.loop import Law, close
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent
 from ehbench.tune.results import PointResult, Robustness
-from ehbench.tune.study import Site, Study, model_under
+from ehbench.tune.search import SEARCH
+from ehbench.tune.study import SteadyMotion, Study, model_under
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
-WORST_POINTS = 24  # draws are judged at this many operating points, the least damped ones
 Correlation = tuple[Sequence[str], Any]  # (names, matrix) of the identified parameters
 
 
@@ -42,18 +43,18 @@ def robustness(
     law: Law,
     gains: dict[str, float],
     correlation: Correlation | None,
-    tell: Callable[[float], None],
+    progress: Callable[[float], None],
 ) -> Robustness:
     """The worst damping ratio over the least damped points for draws from the identified
     covariance.
 
     Args:
         study: what was tuned on.
-        results: of its sites, in their order.
+        results: of its motions, in their order.
         law: with its washouts and off-side gain.
         gains: by working function.
         correlation: of the parameters; those not named are drawn independently.
-        tell: told the share done.
+        progress: called with the share done.
     """
     recipe, names = study.recipe, uncertain(study.rig)
     if not names or recipe.draws == 0:
@@ -63,13 +64,13 @@ def robustness(
     order = sorted(
         (i for i, r in enumerate(results) if r.counts),
         key=lambda i: results[i].damping_ratio_closed,
-    )[:WORST_POINTS]
-    sites = [study.sites[i] for i in order]
+    )[: SEARCH.draw_points]
+    motions = [study.motions[i] for i in order]
     worst = np.ones(len(table))
     for k, row in enumerate(table):
-        tell(k / len(table))
+        progress(k / len(table))
         drawn = study.rig.with_values(dict(zip(names, map(float, row), strict=True)))
-        worst[k] = _worst_of_draw(study, drawn, sites, law, gains)
+        worst[k] = _worst_of_draw(study, drawn, motions, law, gains)
     quantiles = tuple(np.quantile(worst, (0.05, 0.5, 0.95)).tolist())
     return Robustness(
         len(table),
@@ -82,17 +83,21 @@ def robustness(
 
 
 def _worst_of_draw(
-    study: Study[TuneRecipe], drawn: Rig, sites: Sequence[Site], law: Law, gains: dict[str, float]
+    study: Study[TuneRecipe],
+    drawn: Rig,
+    motions: Sequence[SteadyMotion],
+    law: Law,
+    gains: dict[str, float],
 ) -> float:
     """Least damping ratio of a drawn rig at the operating points that it can take up."""
     recipe, worst = study.recipe, 1.0
     at: dict[str, tuple[Model, Circuit]] = {}
-    for payload in dict.fromkeys(site.point.payload for site in sites):
+    for payload in dict.fromkeys(motion.point.payload for motion in motions):
         model = model_under(drawn, study.maps, payload)
         cylinder = model.layout.cylinders.index(study.cylinder)
         at[payload] = model, circuit_of(model, cylinder, study.maps)
-    for site in sites:
-        point, (model, circuit) = site.point, at[site.point.payload]
+    for motion in motions:
+        point, (model, circuit) = motion.point, at[motion.point.payload]
         here = equivalent(model, circuit.cylinder, np.array([point.x]), recipe.posture)
         own, moved = study.steady(
             model,
@@ -105,7 +110,7 @@ def _worst_of_draw(
                 study.cross,
                 speed=abs(point.v),
                 payload=point.payload,
-                held=recipe.posture,
+                posture=recipe.posture,
             ),
         )
         if moved.possible:
@@ -137,9 +142,7 @@ def draw_parameters(
             or not np.allclose(block, block.T, atol=1e-6)
             or (np.abs(block) > 1 + 1e-6).any()
         ):
-            raise InputError(
-                "the correlation of the identified parameters is no correlation matrix"
-            )
+            raise InputError(message("tune.wrong_correlation"))
         both = [n for n in names if n in given]
         rows = [list(names).index(n) for n in both]
         matrix[np.ix_(rows, rows)] = block[

@@ -9,132 +9,131 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from ehbench.config.recipe import TuneRecipe
 from ehbench.control.functions import HEAD, METERED
-from ehbench.tune.circuits import functions_of
-from ehbench.tune.draws import Correlation, robustness, uncertain
-from ehbench.tune.loci import locus, step_response, worst_of_each
-from ehbench.tune.loop import AT_ZERO, Law, Loop, close, dominant
-from ehbench.tune.margins import gain_limit, margins, violations
+from ehbench.tune.draws import Correlation, robustness
+from ehbench.tune.loop import (
+    AT_ZERO,
+    Law,
+    Loop,
+    close,
+    dominant,
+    gain_limit,
+    margins,
+    speed_of,
+    system_of,
+    violations,
+)
 from ehbench.tune.operating_point import OperatingPoint
-from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, pairs
-from ehbench.tune.search import GAIN_POINTS, GAIN_SPAN, LawSearch, choose_gain, natural_gain
-from ehbench.tune.study import Machine, Site, Study, prepare_tuning
+from ehbench.tune.results import (
+    Locus,
+    PointResult,
+    StepResponse,
+    Tuning,
+    functions_of,
+    pairs,
+)
+from ehbench.tune.search import SEARCH, LawSearch, choose_gain
+from ehbench.tune.study import SteadyMotion, Study
 from ehbench.vocabulary.codes import FUNCTIONS
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
-
-NO_DRAWS = "no parameter of the rig is identified with a standard error, so no draws were made"
 
 
 def tune_pressure_feedback(
-    machine: Machine,
-    recipe: TuneRecipe,
-    *,
-    validated: type | None = None,
+    study: Study[TuneRecipe],
     correlation: Correlation | None = None,
     progress: Progress | None = None,
 ) -> Tuning:
-    """Choose the gains of the pressure feedback of one cylinder on a validated rig.
+    """Choose the gains of the pressure feedback of one cylinder.
 
     Args:
-        machine: the validated rig, with ``rig`` and ``flow_maps``.
-        recipe: what to look at and what to demand.
-        validated: the type that only validation makes; None where the user said that an unvalidated
-            rig will do.
-        correlation: (names, matrix) of the identified parameters; those not named are drawn
-            independently.
-        progress: told what is at work and the share done.
-
-    Raises:
-        ModelRejected: the machine is not ``validated``.
-        InputError: no such cylinder, payload, function or posture.
-        InsufficientData: no operating point at which a function can work.
+        study: of `ehbench.tune.study.prepare_tuning`.
+        correlation: (names, matrix) of the identified parameters; others are drawn independently.
+        progress: called with the step at work and the share done.
     """
-    if progress is not None:
-        progress("operating points", 0.0)
-    study = prepare_tuning(machine, recipe, validated=validated)
-    return tune_prepared(study, correlation=correlation, progress=progress)
-
-
-def tune_prepared(
-    study: Study[TuneRecipe], correlation: Correlation | None, progress: Progress | None = None
-) -> Tuning:
-    """Search the gains over what `prepare_tuning` found; as in `tune_pressure_feedback`."""
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     recipe, notes = study.recipe, list(study.notes)
-    counted = [site for site in study.sites if site.counts]
-    scale = natural_gain(counted)
-    gains = np.concatenate([[0.0], np.geomspace(scale / GAIN_SPAN, scale * GAIN_SPAN, GAIN_POINTS)])
-    tell("washout and off-side gain", 0.1)
-    search = LawSearch(counted, recipe, gains, scale)
-    law = search.law()
-    tell("gain", 0.35)
-    demands = _demands(recipe)
+    counted = [motion for motion in study.motions if motion.counts]
+    report("washout and off-side gain", 0.1)
+    search = LawSearch(counted, recipe)
+    law, gains = search.law(), search.grid
+    report("gain", 0.35)
+    demands = {key: float(getattr(recipe, key)) for key in ("gain_margin", "phase_margin")}
+    demands["bandwidth"] = 2.0 * math.pi * float(recipe.bandwidth)
     chosen = _gains_by_function(study, law, gains, demands, notes)
-    tell("margins", 0.5)
-    results = tuple(_result(site, law, chosen[site.point.function], gains) for site in study.sites)
+    report("margins", 0.5)
+    results = tuple(
+        _result(motion, law, chosen[motion.point.function], gains) for motion in study.motions
+    )
     counting = [r for r in results if r.counts]
     target = float(recipe.damping_ratio)
     damping = _least_damping(counting, target, notes)
-    tell("root loci", 0.65)
-    loci, steps = _drawn(study, results, law, chosen)
-    tell("draws", 0.75)
-    if not uncertain(study.rig):
-        notes.append(NO_DRAWS)
-    sure = robustness(
-        study, results, law, chosen, correlation, lambda share: tell("draws", 0.75 + 0.25 * share)
+    report("root loci", 0.65)
+    loci, steps = _curves(study, results, law, chosen)
+    report("draws", 0.75)
+    draws = robustness(
+        study, results, law, chosen, correlation, lambda share: report("draws", 0.75 + 0.25 * share)
     )
+    notes += [message("tune.no_draws")] if not draws.parameters else []
     return Tuning(
-        rig=study.rig.name,
-        supply=study.rig.supply.facts(),
-        cylinder=study.cylinder,
+        **_setup(study, law),
         feedback_gain=chosen,
-        washout=law.washout,
-        ramp_washout=law.ramp_washout,
-        off_gain=law.off_gain,
-        low_pressure=study.low,
-        cross_drop=study.cross,
-        tick=1.0 / float(recipe.rate),
-        delay=law.delay,
         target=target,
         damping_ratio=damping,
-        damping_ratio_open=min(r.damping_ratio_open for r in counting),
-        damping_ratio_open_most=max(r.damping_ratio_open for r in counting),
-        damping_ratio_held=min(r.damping_ratio_held for r in counting),
-        damping_ratio_held_most=max(r.damping_ratio_held for r in counting),
+        **_ranges(counting),
         met=damping >= target and not any(violations(r.margins, demands) for r in counting),
         constraints=demands,
         gains=tuple(gains.tolist()),
         worst_curve=tuple(np.min([r.curve for r in counting], axis=0).tolist()),
-        functions=functions_of(study.rig, study.sites[0].circuit),
         points=results,
-        equivalents=study.curves,
         loci=loci,
         steps=steps,
         alternatives=search.alternatives(law),
-        robustness=sure,
+        robustness=draws,
         warnings=tuple(dict.fromkeys(notes)),
     )
 
 
-def _least_damping(results: Sequence[PointResult], target: float, notes: list[str]) -> float:
+def _setup(study: Study[TuneRecipe], law: Law) -> dict[str, Any]:
+    """What was tuned, with the law's numbers."""
+    return {
+        "rig": study.rig.name,
+        "supply": study.rig.supply.facts(),
+        "cylinder": study.cylinder,
+        "washout": law.washout,
+        "ramp_washout": law.ramp_washout,
+        "off_gain": law.off_gain,
+        "low_pressure": study.low,
+        "cross_drop": study.cross,
+        "tick": 1.0 / float(study.recipe.rate),
+        "delay": law.delay,
+        "functions": functions_of(study.rig, study.motions[0].circuit),
+        "equivalents": study.curves,
+    }
+
+
+def _ranges(results: Sequence[PointResult]) -> dict[str, Any]:
+    """Ranges of the damping ratio without any feedback, and with the off-side's alone."""
+    ranges = {}
+    for name in ("damping_ratio_open", "damping_ratio_held"):
+        values = [getattr(result, name) for result in results]
+        ranges |= {name: min(values), f"{name}_most": max(values)}
+    return ranges
+
+
+def _least_damping(results: Sequence[PointResult], target: float, notes: list[Message]) -> float:
     """The least damping ratio; that it is below the target goes to ``notes``."""
     worst = min(results, key=lambda r: r.damping_ratio_closed)
     damping = worst.damping_ratio_closed
     if damping < target:
-        notes.append(
-            f"the worst damping ratio is {damping:.2f}, below the target {target:.2f}: {worst.name}"
-        )
+        fields = {"damping": damping, "target": target, "point": worst.name}
+        notes.append(message("tune.below_target", **fields))
     return damping
-
-
-def _demands(recipe: TuneRecipe) -> dict[str, float]:
-    """What every operating point has to keep, by the names of `Margins`."""
-    demands = {key: float(getattr(recipe, key)) for key in ("gain_margin", "phase_margin")}
-    return demands | {"bandwidth": 2.0 * math.pi * float(recipe.bandwidth)}
 
 
 def _gains_by_function(
@@ -142,49 +141,49 @@ def _gains_by_function(
     law: Law,
     gains: np.ndarray,
     demands: dict[str, float],
-    notes: list[str],
+    notes: list[Message],
 ) -> dict[str, float]:
     """The gain of each working function; of one that no load calls for, the least."""
-    counted = [site for site in study.sites if site.counts]
+    counted = [motion for motion in study.motions if motion.counts]
     groups = {"": counted} if study.recipe.one_gain else _by_function(counted)
     chosen = {key: choose_gain(group, law, gains, demands, notes) for key, group in groups.items()}
     minimum = min(chosen.values())
     return {
         f: chosen.get(f, chosen.get("", minimum))
-        for f in dict.fromkeys(site.point.function for site in study.sites)
+        for f in dict.fromkeys(motion.point.function for motion in study.motions)
     }
 
 
-def _drawn(
+def _curves(
     study: Study, results: Sequence[PointResult], law: Law, chosen: dict[str, float]
 ) -> tuple[tuple[Locus, ...], tuple[StepResponse, ...]]:
     """Root loci and step responses at the least damped point of each function and payload."""
     parameters = ("feedback_gain", "washout") if law.washout > 0 else ("feedback_gain",)
     loci, steps = [], []
     for i in worst_of_each(results):
-        site, result = study.sites[i], results[i]
-        gain = chosen[site.point.function]
-        loci += [locus(site, law, gain, name, result.gain_limit) for name in parameters]
-        steps.append(step_response(site, law, result, gain))
+        motion, result = study.motions[i], results[i]
+        gain = chosen[motion.point.function]
+        loci += [locus(motion, law, gain, name, result.gain_limit) for name in parameters]
+        steps.append(step_response(motion, law, result, gain))
     return tuple(loci), tuple(steps)
 
 
-def _by_function(sites: Sequence[Site]) -> dict[str, list[Site]]:
-    groups: dict[str, list[Site]] = {}
-    for site in sites:
-        groups.setdefault(site.point.function, []).append(site)
+def _by_function(motions: Sequence[SteadyMotion]) -> dict[str, list[SteadyMotion]]:
+    groups: dict[str, list[SteadyMotion]] = {}
+    for motion in motions:
+        groups.setdefault(motion.point.function, []).append(motion)
     return groups
 
 
-def _result(site: Site, law: Law, gain: float, gains: np.ndarray) -> PointResult:
-    loop, point = site.loop(law), site.point
-    bare = site.loop(law.without_feedback())
+def _result(motion: SteadyMotion, law: Law, gain: float, gains: np.ndarray) -> PointResult:
+    loop, point = motion.loop(law), motion.point
+    bare = motion.loop(law.without_feedback())
     opened, closed = np.linalg.eigvals(bare.a), np.linalg.eigvals(loop.closed(gain))
-    plain = close(site.linear, point, site.circuit, replace(law, washout=0.0, ramp_washout=0.0))
+    plain = close(motion.linear, point, motion.circuit, replace(law, washout=0.0, ramp_washout=0.0))
     return PointResult(
         point.name,
         point,
-        site.counts,
+        motion.counts,
         pairs(opened),
         pairs(closed),
         abs(dominant(opened, bare.fastest)),
@@ -208,3 +207,86 @@ def _bias(plain: Loop, point: OperatingPoint, gain: float) -> float:
     if (poles.real > -AT_ZERO * np.abs(poles).max()).any():
         return math.nan
     return float(np.linalg.solve(-plain.closed(gain), plain.b)[0] * gain * pressure)
+
+
+def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: float) -> Locus:
+    """Root locus of one operating point over the gain, or over the washout corner at the chosen
+    gain, by python-control.
+
+    Values lie densely about the choice and the stability limit. Over the corner: ``1 +
+    ω_w·S(s)/s``, S the loop without washout."""
+    import control
+
+    loop = motion.loop(law)
+    if parameter == "feedback_gain":
+        system, chosen = system_of(loop.a, loop.b, -loop.c), gain
+        crossing = limit if 0 < limit < math.inf else None
+    else:
+        system, chosen, crossing = _over_washout(motion, law, gain), law.washout, None
+    top = 10.0 * max(chosen, crossing or 0.0)
+    if parameter == "washout":
+        top = max(top, 2.0 * abs(dominant(np.linalg.eigvals(loop.a), loop.fastest)))
+    centre = [chosen] + ([crossing] if crossing else [])
+    values = np.unique(
+        np.concatenate(
+            [
+                [0.0],
+                np.geomspace(chosen / 1e3, top, SEARCH.locus_points // 2),
+                *(c * np.linspace(0.8, 1.2, SEARCH.locus_points // 4) for c in centre),
+                centre,
+            ]
+        )
+    )
+    root_locus: Any = control.root_locus_map(system, gains=values)
+    poles = np.asarray(root_locus.loci)
+    at = poles[int(np.searchsorted(values, chosen))]
+    cross = poles[int(np.searchsorted(values, crossing))] if crossing else np.zeros(0, complex)
+    # what matters: the pole pair that swings, from no gain to the choice, and the crossing
+    reach = max(
+        abs(dominant(p, loop.fastest)) for p in (poles[0], at, *([cross] if crossing else []))
+    )
+    reach = float(reach)
+    return Locus(
+        motion.point.name,
+        parameter,
+        tuple(values.tolist()),
+        tuple(map(tuple, np.real(poles).tolist())),
+        tuple(map(tuple, np.imag(poles).tolist())),
+        float(chosen),
+        pairs(at),
+        None if crossing is None else float(crossing),
+        pairs(cross),
+        (-1.6 * reach, 0.4 * reach, 1.4 * reach),
+    )
+
+
+def _over_washout(motion: SteadyMotion, law: Law, gain: float):
+    """Sensitivity ``1 + K c (s − a − K b c)⁻¹ b`` without washout, then an integrator."""
+    plain = close(motion.linear, motion.point, motion.circuit, replace(law, washout=0.0))
+    n = plain.a.shape[0]
+    a = np.zeros((n + 1, n + 1))
+    a[:n, :n] = plain.closed(gain)
+    a[n, :n] = gain * plain.c
+    return system_of(a, np.append(plain.b, 1.0), np.eye(n + 1)[n])
+
+
+def worst_of_each(results: Sequence[PointResult]) -> list[int]:
+    """The least damped operating point of each function and payload, in their order."""
+    worst: dict[tuple[str, str], int] = {}
+    for i, r in enumerate(results):
+        key = (r.point.function, r.point.payload)
+        if key not in worst or r.damping_ratio_closed < results[worst[key]].damping_ratio_closed:
+            worst[key] = i
+    return list(worst.values())
+
+
+def step_response(motion: SteadyMotion, law: Law, result: PointResult, gain: float) -> StepResponse:
+    """Speed after a step of desired speed, without any feedback and at a gain."""
+    import control
+
+    t = np.linspace(
+        0.0, 20.0 * math.pi / max(result.natural_frequency_open, 1e-3), SEARCH.step_samples
+    )
+    loops = ((motion.loop(law.without_feedback()), 0.0), (motion.loop(law), gain))
+    speeds = [np.asarray(control.step_response(speed_of(*loop), t).outputs) for loop in loops]
+    return StepResponse(result.name, *(tuple(a.tolist()) for a in (t, *speeds)))

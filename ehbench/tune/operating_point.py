@@ -44,16 +44,27 @@ from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 
 # what a path adds to the oil of (head, rod); its drop changes with their pressures by the negative
 # of this
 INTO = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (-1, 1), (1, -1)], dtype=float)
 FED = {SUPPLY_HEAD: 0, SUPPLY_ROD: 1}  # paths from the supply, by the side to which they lead
-DIFFERENCE = (
-    1.0e-5  # relative step of central differences: their error and the rounding are both near 1e-10
-)
-NEAR = 1.0e-3  # [Pa] to which an off-side pressure is found
-SPEED_HALVINGS = 12  # to find the full speed to 0.02 %
+
+
+@dataclass(frozen=True)
+class OperatingPointSettings:
+    """Numbers of the search for steady motions."""
+
+    difference: float = setting(
+        1.0e-5, "", "step of central differences", "error and rounding 1e-10"
+    )
+    pressure: float = setting(1.0e-3, "Pa", "accuracy of an off-side pressure", "rounding")
+    halvings: int = setting(12, "", "bisections of the full speed", "0.02 % of it")
+
+
+POINT = OperatingPointSettings()
 _Ports = Callable[[float], tuple[Pressures, np.ndarray]]
 
 
@@ -198,25 +209,25 @@ def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit
 
 @dataclass(frozen=True)
 class Aim:
-    """What steady motion is asked for.
+    """The steady motion that is requested.
 
     ``share``: speed as a share of the largest that the valves and the pump carry there, or
     ``speed``: the speed itself, ≥ 0 [m/s]. ``low_pressure``: set-point of the off-side chamber
     above tank [Pa]. ``cross_drop``: planned drop of the seventh function [Pa]. ``payload``: what
-    the model carries, by name. ``held``: posture of the other joints, as `Model.posture`. ``felt``:
-    the highest pressure of other cylinders that a load-sensing pump feels [Pa]."""
+    the model carries, by name. ``posture`` of the other joints, as `Model.posture`. ``sensed``: the
+    highest pressure of other cylinders that a load-sensing pump senses [Pa]."""
 
     low_pressure: float
     cross_drop: float
     share: float | None = None
     speed: float | None = None
     payload: str = "none"
-    held: Mapping[str, str | float] | None = None
-    felt: float = -math.inf
+    posture: Mapping[str, str | float] | None = None
+    sensed: float = -math.inf
 
     def __post_init__(self) -> None:
         if (self.share is None) == (self.speed is None):
-            raise InputError("an operating point takes a speed or a share of the full speed")
+            raise InputError(message("tune.speed_or_share"))
 
 
 @dataclass(frozen=True)
@@ -226,7 +237,7 @@ class _Settled:
     force: float
     p_head: float
     p_rod: float
-    note: str = ""
+    note: Message | None = None
 
 
 @dataclass(frozen=True)
@@ -261,7 +272,7 @@ class _Motion:
         steady motion.
         """
         load = self.p_tank if self.fed is None else (p_head, p_rod)[self.fed]
-        line = sensed(max(load, self.p_tank, self.aim.felt), self.model.plant.supply)
+        line = sensed(max(load, self.p_tank, self.aim.sensed), self.model.plant.supply)
         return Pressures(p_head, p_rod, line, self.p_tank)
 
     def railed(self, at: Pressures) -> bool:
@@ -330,10 +341,7 @@ class _Motion:
             off = (row.area_head * other - force) / row.area_rod
         else:
             off = (force + row.area_rod * other) / row.area_head
-        note = (
-            "the load does not suit this function: off-side raised to "
-            f"{self.model.rig.text('p_rod', off, 0)} to keep the metered chamber full"
-        )
+        note = message("tune.raised", pressure=self.model.rig.text("p_rod", off, 0))
         return _Settled(force, *self.chambers(force, off), note)
 
     def common_opening(self, v: float, force: float) -> float:
@@ -349,16 +357,16 @@ class _Motion:
         if self.railed(ports(ends[0])[0]) and not self.railed(ports(ends[1])[0]):
             ends[1:1] = self.about_rail(ports, *ends)
         for first, last in zip(ends[::2], ends[1::2], strict=True):
-            excess = _Excess(self.circuit, self.function, ports)
-            if (root := excess.root(first, last)) is not None:
+            surplus = _Surplus(self.circuit, self.function, ports)
+            if (root := surplus.root(first, last)) is not None:
                 return root
-        return low if abs(excess(ends[0])) < abs(excess(ends[-1])) else high
+        return low if abs(surplus(ends[0])) < abs(surplus(ends[-1])) else high
 
     def about_rail(self, ports: _Ports, low: float, high: float) -> tuple[float, float]:
         """Off-side pressures [Pa] about the one above which the low rail is not enough, by
         bisection.
         """
-        while high - low > NEAR:
+        while high - low > POINT.pressure:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.railed(ports(middle)[0]) else (low, middle)
         return low, high
@@ -369,10 +377,10 @@ class _Motion:
             return 0.0
         return (settled.force - friction_steady(self.row, v)) / self.row.mount_stiffness
 
-    def misfit(self, way: float, settled: _Settled) -> str:
-        """Why the working function does not fit this motion, or ''."""
+    def misfit(self, way: float, settled: _Settled) -> Message | None:
+        """Why the working function does not fit this motion."""
         if OVERRUNNING[self.function] != (-way * settled.force > 0.0) and not settled.note:
-            return "the load does not suit this function"
+            return message("tune.wrong_load")
         return settled.note
 
     def paths(self, v: float, settled: _Settled) -> tuple[Path, ...]:
@@ -390,20 +398,19 @@ class _Motion:
             ]
         return tuple(paths)
 
-    def troubles(self, v: float, settled: _Settled, paths: Sequence[Path]) -> list[str]:
+    def troubles(self, v: float, settled: _Settled, paths: Sequence[Path]) -> list[Message]:
         """What is impossible."""
-        results = [f"{p.edge} has no drop along its flow" for p in paths if not p.drop > 0.0]
-        results += [
-            f"{p.edge} cannot pass its flow" for p in paths if p.drop > 0.0 and not p.reachable
-        ]
+        results = [message("tune.no_drop", edge=p.edge) for p in paths if not p.drop > 0.0]
+        blocked = [p.edge for p in paths if p.drop > 0.0 and not p.reachable]
+        results += [message("tune.no_flow", edge=edge) for edge in blocked]
         if max(settled.p_head, settled.p_rod) > self.row.relief_pressure:
-            results.append("a relief valve would open")
+            results.append(message("tune.relief"))
         if self.short(v, settled, paths):
-            results.append("the pump cannot bring what the low rail does not")
+            results.append(message("tune.short_pump"))
         return results
 
     def short(self, v: float, settled: _Settled, paths: Sequence[Path]) -> bool:
-        """Whether the pump of the high one of two rails cannot bring what is asked of it."""
+        """Whether the pump of the high one of two rails cannot bring the required flow."""
         supply = self.model.plant.supply
         if supply.rail == 0.0 or self.railed(self.ports(v, settled.p_head, settled.p_rod)[0]):
             return False
@@ -425,7 +432,7 @@ class _Motion:
         if not self.impossible(way * top):
             return top
         low = 0.0
-        for _ in range(SPEED_HALVINGS):
+        for _ in range(POINT.halvings):
             middle = 0.5 * (low + top)
             low, top = (low, middle) if self.impossible(way * middle) else (middle, top)
         return low
@@ -444,18 +451,16 @@ def operating_point(
 
     Args:
         model: with its payload.
-        circuit: of the cylinder, able of ``function``.
+        circuit: of the cylinder, which can do ``function``.
         function: index into FUNCTIONS, not hold.
-        here: of `equivalent`, with ``aim.held``.
+        here: of `equivalent`, with ``aim.posture``.
         index: into ``here``.
-        aim: what is asked for.
+        aim: what is requested.
 
     Raises:
-        InputError: a function that the circuit is not able of, or a force played from a log.
+        InputError: a function that the circuit cannot do, or a force played from a log.
     """
-    _refuse_played(model)
-    if function < 1 or circuit.able[function] == 0:
-        raise InputError(f"the valves of the cylinder are not able of '{FUNCTIONS[function]}'")
+    _check(model, circuit, function)
     motion = _Motion(model, circuit, function, here, index, aim)
     row, way = motion.row, DIRECTION[function]
     speed = aim.share * motion.full_speed() if aim.speed is None else aim.speed  # type: ignore[operator]
@@ -463,7 +468,7 @@ def operating_point(
     settled = motion.settle(v)
     paths = motion.paths(v, settled)
     troubles, note = motion.troubles(v, settled, paths), motion.misfit(way, settled)
-    q, x = model.posture(aim.held), here.x[index] + motion.give(v, settled)
+    q, x = model.posture(aim.posture), here.x[index] + motion.give(v, settled)
     q[row.joint] = here.q[index]
     return OperatingPoint(
         cylinder=model.layout.cylinders[circuit.cylinder],
@@ -488,24 +493,24 @@ def operating_point(
         paths=paths,
         possible=not troubles,
         fits=not troubles and not note,
-        note="; ".join([note] * bool(note) + troubles),
+        note="; ".join([*([note] if note else []), *troubles]),
         where=f"x = {model.rig.text('x', here.x[index], 0)}, v = {model.rig.text('v', v, 0, '+')}",
     )
 
 
-def _refuse_played(model: Model) -> None:
-    """Refuse forces that only a log knows."""
+def _check(model: Model, circuit: Circuit, function: int) -> None:
+    """Refuse forces from a log, and functions that the circuit cannot do."""
     if model.layout.played:
-        raise InputError(
-            f"rig '{model.rig.name}' plays the force '{model.layout.played[0]}' from a log, and a "
-            "steady motion knows no log",
-            hint="give [[cylinder.force]] another kind for tuning",
-        )
+        force = model.layout.played[0]
+        raise InputError(message("tune.played_force", rig=model.rig.name, force=force))
+    if function < 1 or circuit.able[function] == 0:
+        cylinder, name = model.layout.cylinders[circuit.cylinder], FUNCTIONS[function]
+        raise InputError(message("tune.unable", cylinder=cylinder, function=name))
 
 
 def _push_slope(motion: _Motion, v: float) -> float:
     """Slope [N·s/m] of the outer forces on the rod at speed v, by central differences."""
-    around = DIFFERENCE * max(abs(v), COULOMB_SPEED)
+    around = POINT.difference * max(abs(v), COULOMB_SPEED)
     return float((motion.push(v + around) - motion.push(v - around)) / (2 * around))
 
 
@@ -537,8 +542,8 @@ def _path(
         command = _command(circuit, path, flow, drop)
     edge, dp, du = (
         int(circuit.paths[path]),
-        DIFFERENCE * max(abs(drop), 1e4),
-        DIFFERENCE * max(abs(command), 0.1),
+        POINT.difference * max(abs(drop), 1e4),
+        POINT.difference * max(abs(command), 0.1),
     )
     slope = (
         _flow(circuit, path, drop + dp, command) - _flow(circuit, path, drop - dp, command)
@@ -565,7 +570,7 @@ def _path(
 
 
 @dataclass(frozen=True)
-class _Excess:
+class _Surplus:
     """What one opening passes at the other end beyond the flow that is needed there [m³/s], over
     the off-side pressure [Pa]; ``ports`` gives what that makes of pressures and flows.
     """
@@ -588,7 +593,7 @@ class _Excess:
 
         if self(low) * self(high) > 0:
             return None
-        root: Any = brentq(self, low, high, xtol=NEAR, rtol=np.float64(1e-14))
+        root: Any = brentq(self, low, high, xtol=POINT.pressure, rtol=np.float64(1e-14))
         return float(root)
 
 
@@ -605,7 +610,7 @@ class Hose(NamedTuple):
     @property
     def slope(self) -> float:
         """Of its flow over its drop [m³/(s·Pa)]."""
-        dp = DIFFERENCE * max(abs(self.drop), 1e4)
+        dp = POINT.difference * max(abs(self.drop), 1e4)
         ahead, behind = self.drop + dp, self.drop - dp
         gained = ahead * line_conductance(ahead, self.row)
         return (gained - behind * line_conductance(behind, self.row)) / (2 * dp)
@@ -623,12 +628,12 @@ def hoses_of(model: Model, point: OperatingPoint) -> list[Hose]:
     return hoses
 
 
-def at_its_supply(model: Model, point: OperatingPoint, felt: float) -> Model:
-    """The model for a point: where a load-sensing pump follows what it feels of other cylinders,
-    ``felt`` [Pa], and not the point, its pressure is constant there.
+def at_its_supply(model: Model, point: OperatingPoint, pressure: float) -> Model:
+    """The model for a point: where a load-sensing pump follows the ``pressure`` [Pa] of other
+    cylinders and not the point, its pressure is constant there.
     """
     supply = model.plant.supply
-    if supply.margin == 0.0 or point.p_supply > sensed(felt, supply):
+    if supply.margin == 0.0 or point.p_supply > sensed(pressure, supply):
         return model
     supply = supply.copy()
     supply.pressure, supply.margin = point.p_supply, 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,87 +12,90 @@ from ehbench.config.recipe import TuneRecipe
 from ehbench.control.functions import HEAD, METERED
 from ehbench.parts.oil import bulk_of
 from ehbench.tune.linear import faster
-from ehbench.tune.loop import Law, Loop
-from ehbench.tune.margins import margins, violations
+from ehbench.tune.loop import Law, Loop, margins, violations
 from ehbench.tune.results import Alternative
-from ehbench.tune.study import Site
+from ehbench.tune.study import SteadyMotion
 from ehbench.vocabulary.codes import FUNCTIONS
-
-# gains looked at: this factor below and above the one that makes a chamber as fast as its load
-# swings
-GAIN_SPAN = 100.0
-GAIN_POINTS = 81
-# washout corners tried, of the slowest natural frequency, the fastest first
-CORNER_SHARES = tuple(np.geomspace(2.5, 0.02, 22).tolist())
-# off-side gains tried, of the gain that makes a chamber as fast as its load
-OFF_SHARES = (0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0)
-# what is found shall reach this much of the target, so that parameters a little off reach it too
-HEADROOM = 1.1
-BISECTIONS = 4  # between the fastest washout corner that reaches the target and the next faster one
-# two washouts forget a load that ramps sooner than a single one, unless they are slower than this
-# share of its corner
-PAIR_SHARE = 0.25
-# where nothing does, a faster washout may cost this share of the damping ratio that a slower one
-# gives
-NEARLY = 0.95
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 
 
-def natural_gain(sites: Sequence[Site]) -> float:
+@dataclass(frozen=True)
+class SearchSettings:
+    """Numbers of the search for the gains of pressure feedback."""
+
+    gain_span: float = setting(100.0, "", "range of gains about the natural one", "both limits")
+    gain_points: int = setting(81, "", "gains to try", "12 % steps")
+    corners: tuple = setting((2.5, 0.02, 22), "", "washouts to try, of the frequency", "a decade")
+    offs: tuple = setting((0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0), "", "off-side gains", "range")
+    margin: float = setting(1.1, "", "damping to reach, of the target", "uncertain parameters")
+    bisections: int = setting(4, "", "refinements of the washout", "1/16 of a step")
+    pair: float = setting(0.25, "", "slowest double washout, of the single one", "chosen")
+    nearly: float = setting(0.95, "", "damping that a fast washout keeps", "chosen")
+    draw_points: int = setting(24, "", "least damped points for draws", "time")
+    locus_points: int = setting(240, "", "points of a root locus", "smooth curve")
+    step_samples: int = setting(201, "", "samples of a step response", "smooth curve")
+
+
+SEARCH = SearchSettings()
+
+
+def natural_gain(motions: Sequence[SteadyMotion]) -> float:
     """Geometric mean over the points of ω_n V/β_e [m³/(s·Pa)]: the gain that makes the metered
     chamber as fast as the load swings."""
     logs = []
-    for site in sites:
-        head = METERED[FUNCTIONS.index(site.point.function)] == HEAD
-        volume = site.point.volume_head if head else site.point.volume_rod
-        logs.append(math.log(swing(site) * volume / _stiffness(site)[0 if head else 1]))
+    for motion in motions:
+        head = METERED[FUNCTIONS.index(motion.point.function)] == HEAD
+        volume = motion.point.volume_head if head else motion.point.volume_rod
+        logs.append(math.log(swing(motion) * volume / _stiffness(motion)[0 if head else 1]))
     return math.exp(float(np.mean(logs)))
 
 
-def swing(site: Site) -> float:
+def swing(motion: SteadyMotion) -> float:
     """Natural frequency [rad/s] between two shut chambers: ω² = (β1 A1²/V1 + β2 A2²/V2)/m_eq."""
-    (head, rod), point = _stiffness(site), site.point
-    spring = site.circuit.area_head**2 / point.volume_head
-    spring += rod / head * (site.circuit.area_rod**2 / point.volume_rod)
+    (head, rod), point = _stiffness(motion), motion.point
+    spring = motion.circuit.area_head**2 / point.volume_head
+    spring += rod / head * (motion.circuit.area_rod**2 / point.volume_rod)
     return math.sqrt(head * spring / point.mass)
 
 
-def _stiffness(site: Site) -> tuple[float, float]:
+def _stiffness(motion: SteadyMotion) -> tuple[float, float]:
     """Bulk moduli [Pa] of the oil in the head and in the rod end."""
-    row, point = site.model.plant.cylinders[site.circuit.cylinder], site.point
+    row, point = motion.model.plant.cylinders[motion.circuit.cylinder], motion.point
     return bulk_of(row, point.p_head), bulk_of(row, point.p_rod)
 
 
-def worst_damping(sites: Sequence[Site], law: Law, gains: np.ndarray) -> np.ndarray:
+def worst_damping(motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray) -> np.ndarray:
     """Least damping ratio over the points at each gain."""
     worst = np.ones(gains.size)
-    for site in sites:
-        worst = np.minimum(worst, site.loop(law).damping_ratio(gains))
+    for motion in motions:
+        worst = np.minimum(worst, motion.loop(law).damping_ratio(gains))
     return worst
 
 
-def best_gain(sites: Sequence[Site], law: Law, gains: np.ndarray) -> tuple[float, float]:
+def best_gain(motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray) -> tuple[float, float]:
     """(largest worst damping ratio, its gain)."""
-    loops = [site.loop(law) for site in sites]
+    loops = [motion.loop(law) for motion in motions]
     worst = np.minimum(loops[0].damping_ratio(gains), 1.0)
-    # what the best gain at the first point gives at all of them: those that give less are left out
+    # gains that give less than the best one of the first point are left out
     likely = float(gains[worst.argmax()])
     minimum = min(float(loop.damping_ratio(likely)) for loop in loops) - 1e-9
-    left, worst = gains[worst >= minimum], worst[worst >= minimum]
+    remaining, worst = gains[worst >= minimum], worst[worst >= minimum]
     for loop in loops[1:]:
-        worst = np.minimum(worst, loop.damping_ratio(left))
-        left, worst = left[worst >= minimum], worst[worst >= minimum]
-    return float(worst.max()), float(left[worst.argmax()])
+        worst = np.minimum(worst, loop.damping_ratio(remaining))
+        remaining, worst = remaining[worst >= minimum], worst[worst >= minimum]
+    return float(worst.max()), float(remaining[worst.argmax()])
 
 
-def _reaches(sites: list[Site], law: Law, gains: np.ndarray, least: float) -> bool:
+def _reaches(motions: list[SteadyMotion], law: Law, gains: np.ndarray, minimum: float) -> bool:
     """Whether some gain gives every point at least this damping ratio. Moves a point that refuses
     all gains to the front.
     """
-    left = gains
-    for i, site in enumerate(sites):
-        left = left[site.loop(law).damping_ratio(left) >= least]
-        if not left.size:
-            sites.insert(0, sites.pop(i))  # the likeliest to refuse the next law
+    remaining = gains
+    for i, motion in enumerate(motions):
+        remaining = remaining[motion.loop(law).damping_ratio(remaining) >= minimum]
+        if not remaining.size:
+            motions.insert(0, motions.pop(i))  # the likeliest to refuse the next law
             return False
     return True
 
@@ -101,51 +104,54 @@ class LawSearch:
     """The search for washouts and off-side gain over operating points.
 
     Args:
-        sites: that count.
+        motions: that count.
         recipe: what is given and demanded.
-        gains: that are looked at [m³/(s·Pa)], half of them here.
-        scale: the gain that makes a chamber as fast as its load swings.
+
+    Attributes:
+        grid: gains to try [m³/(s·Pa)], about the one that makes a chamber as fast as its load
+            swings; the search for a law tries half of them.
     """
 
-    def __init__(
-        self, sites: Sequence[Site], recipe: TuneRecipe, gains: np.ndarray, scale: float
-    ) -> None:
-        self.sites, self.gains, self.delay = sites, gains[::2], float(recipe.delay)
-        self.least = HEADROOM * float(recipe.damping_ratio)
+    def __init__(self, motions: Sequence[SteadyMotion], recipe: TuneRecipe) -> None:
+        scale, span = natural_gain(motions), SEARCH.gain_span
+        trial = np.geomspace(scale / span, scale * span, SEARCH.gain_points)
+        self.grid = np.concatenate([[0.0], trial])
+        self.motions, self.gains, self.delay = motions, self.grid[::2], float(recipe.delay)
+        self.minimum = SEARCH.margin * float(recipe.damping_ratio)
         self.free = recipe.washout is None
-        slowest = min(swing(site) for site in sites)
-        self.corners = [slowest * share for share in CORNER_SHARES]
+        slowest = min(swing(motion) for motion in motions)
+        self.corners = [slowest * share for share in np.geomspace(*SEARCH.corners).tolist()]
         if recipe.washout is not None:
             self.corners = [float(recipe.washout)]
         self.single = recipe.ramp_washout is not None
         self.ramp = 0.0 if recipe.ramp_washout is None else float(recipe.ramp_washout)
         # one command for both ends: nothing to hold
         fixed = Law(self.corners[0], scale, self.delay)
-        self.shared = not any(site.loop(fixed).off.any() for site in sites)
-        self.offs = [scale * share for share in OFF_SHARES]
+        self.shared = not any(motion.loop(fixed).off.any() for motion in motions)
+        self.offs = [scale * share for share in SEARCH.offs]
         if recipe.off_gain is not None:
             self.offs = [float(recipe.off_gain)]
         elif self.shared:
             self.offs = [0.0]
-        self._queue = list(sites)  # those that refused a law lately go first
+        self._queue = list(motions)  # those that refused a law lately go first
         self._known: dict[Law, tuple[float, float]] = {}  # `best_of` each law that was looked at
 
     def law(self) -> Law:
         """The law with washouts and off-side gain as given, or found.
 
-        Two washouts of one corner, or a single one where they would be slower than PAIR_SHARE of
-        it: the fastest with which some off-side gain and K_p reach HEADROOM of the target: the
+        Two washouts of one corner, or a single one where they would be slower than ``pair`` of
+        it: the fastest with which some off-side gain and K_p reach ``margin`` of the target: the
         faster they forget, the less a load that changes slows the motion."""
         law = self._fastest([(c, self.ramp) for c in self.corners]) if self.free else None
         if law is not None and not self.single:
-            slowest = PAIR_SHARE * law.washout
+            slowest = SEARCH.pair * law.washout
             law = self._fastest([(c, c) for c in self.corners if c >= slowest]) or law
         return law or self._compromise()
 
     def best_of(self, law: Law) -> tuple[float, float]:
         """(largest worst damping ratio of a law, its gain)."""
         if law not in self._known:
-            self._known[law] = best_gain(self.sites, law, self.gains)
+            self._known[law] = best_gain(self.motions, law, self.gains)
         return self._known[law]
 
     def _best(self, laws: Sequence[Law]) -> Law:
@@ -154,7 +160,7 @@ class LawSearch:
     def _reaching(self, corner: float, ramp: float) -> Law | None:
         """The best law with these washouts that reaches the target; None where none does."""
         laws = [Law(corner, off, self.delay, ramp) for off in self.offs]
-        able = [law for law in laws if _reaches(self._queue, law, self.gains, self.least)]
+        able = [law for law in laws if _reaches(self._queue, law, self.gains, self.minimum)]
         return self._best(able) if able else None
 
     def _fastest(self, washouts: Sequence[tuple[float, float]]) -> Law | None:
@@ -167,7 +173,7 @@ class LawSearch:
             if law is None:
                 faster_corner = corner
                 continue
-            for _ in range(BISECTIONS if faster_corner > 0.0 else 0):
+            for _ in range(SEARCH.bisections if faster_corner > 0.0 else 0):
                 middle = math.sqrt(law.washout * faster_corner)
                 closer = self._reaching(middle, middle if ramp == corner else ramp)
                 if closer is None:
@@ -179,21 +185,21 @@ class LawSearch:
 
     def _compromise(self) -> Law:
         """Where nothing reaches the target: in turns the off-side gain with the best worst case,
-        and the fastest single washout that keeps NEARLY of the best one's.
+        and the fastest single washout that keeps ``nearly`` of the best one's.
         """
         law = Law(self.corners[-1], self.offs[0], self.delay, self.ramp)
         for _ in range(2 if len(self.corners) > 1 and len(self.offs) > 1 else 1):
             law = self._best([replace(law, off_gain=off) for off in self.offs])
             worst = {c: self.best_of(replace(law, washout=c))[0] for c in self.corners}
-            enough = NEARLY * max(worst.values())
+            enough = SEARCH.nearly * max(worst.values())
             law = replace(law, washout=max(c for c, value in worst.items() if value >= enough))
         return law
 
     def alternatives(self, law: Law) -> tuple[Alternative, ...]:
-        """What a law was weighed against, each at its own best gain; the law itself first."""
+        """Other laws, each at its best gain; the law itself first."""
         tried = {what: (self.best_of(other), other) for what, other in self._others(law).items()}
-        quick = [replace(site, linear=faster(site.linear, 10.0)) for site in self.sites]
-        tried["valves ten times as fast"] = best_gain(quick, law, self.gains), law
+        quick = [replace(motion, linear=faster(motion.linear, 10.0)) for motion in self.motions]
+        tried[message("tune.quick_valves")] = best_gain(quick, law, self.gains), law
         return tuple(
             Alternative(what, o.washout, o.ramp_washout, o.off_gain, o.feedback, gain, value)
             for what, ((value, gain), o) in tried.items()
@@ -209,54 +215,55 @@ class LawSearch:
         elif washout > 0.0:
             others["two washouts"] = replace(law, ramp_washout=washout)
         if washout > 0.0:
-            others["washout four times as fast"] = replace(
+            others[message("tune.slow_washout")] = replace(
                 law, washout=4 * washout, ramp_washout=4 * ramp
             )
-        others["load force fed back"] = replace(law, feedback="load")
+        others[message("tune.load_feedback")] = replace(law, feedback="load")
         if not self.shared:
-            others["off-side a fifth as stiff"] = replace(law, off_gain=0.2 * off)
-            others["off-side five times as stiff"] = replace(law, off_gain=5 * off)
+            others[message("tune.soft_off_side")] = replace(law, off_gain=0.2 * off)
+            others[message("tune.stiff_off_side")] = replace(law, off_gain=5 * off)
         others["no delay"] = replace(law, delay=0.0)
         return others
 
 
 def choose_gain(
-    sites: Sequence[Site], law: Law, gains: np.ndarray, demands: dict[str, float], notes: list[str]
+    motions: Sequence[SteadyMotion],
+    law: Law,
+    gains: np.ndarray,
+    demands: dict[str, float],
+    notes: list[Message],
 ) -> float:
     """The gain with the best worst case among those that keep the demands at every point; the best
     of all where none does. What the demands cost goes to ``notes``.
     """
-    worst = worst_damping(sites, law, gains)
+    worst = worst_damping(motions, law, gains)
     order = np.argsort(-worst, kind="stable")
-    loops = [site.loop(law) for site in sites]
-    fine, damping = _between(sites, law, gains, int(order[0]))
+    loops = [motion.loop(law) for motion in motions]
+    fine, damping = _between(motions, law, gains, int(order[0]))
     candidates = [fine, *(float(gains[i]) for i in order if worst[i] > worst[0])]
-    chosen = next((gain for gain in candidates if _kept(loops, gain, demands)), None)
+    chosen = next((gain for gain in candidates if _keeps_demands(loops, gain, demands)), None)
     if chosen == fine:
         return fine
     broken = ", ".join(
         sorted({v for loop in loops for v in violations(margins(loop, fine), demands)})
     )
     if chosen is None:
-        notes.append(
-            f"no gain keeps the demanded {broken} at every operating point and adds damping; the "
-            "best damped gain is taken"
-        )
+        notes.append(message("tune.no_gain", margins=broken))
         return fine
-    notes.append(
-        f"the demanded {broken} holds the gain at {chosen / fine:.0%} of the best damped one, "
-        f"which would give a worst damping ratio of {damping:.2f}"
-    )
+    share = chosen / fine
+    notes.append(message("tune.limited_gain", margins=broken, share=share, damping=damping))
     return chosen
 
 
-def _between(sites: Sequence[Site], law: Law, gains: np.ndarray, best: int) -> tuple[float, float]:
+def _between(
+    motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray, best: int
+) -> tuple[float, float]:
     """(best damped gain, its worst damping ratio) between the neighbours of the best of a grid."""
     from scipy.optimize import minimize_scalar
 
     ends = gains[[max(best - 1, 1), min(max(best + 1, 2), gains.size - 1)]]
     fine = minimize_scalar(
-        lambda z: -float(worst_damping(sites, law, np.array([math.exp(z)]))[0]),
+        lambda z: -float(worst_damping(motions, law, np.array([math.exp(z)]))[0]),
         bounds=tuple(np.log(ends)),
         method="bounded",
         options={"xatol": 1e-3},
@@ -264,7 +271,7 @@ def _between(sites: Sequence[Site], law: Law, gains: np.ndarray, best: int) -> t
     return float(math.exp(fine.x)), float(-fine.fun)
 
 
-def _kept(loops: list[Loop], gain: float, demands: dict[str, float]) -> bool:
+def _keeps_demands(loops: list[Loop], gain: float, demands: dict[str, float]) -> bool:
     """Whether every loop keeps the demands at a gain. Moves one that does not to the front: it is
     the likeliest to refuse the next.
     """

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from ehbench.config.recipe import AnyTuning
 from ehbench.config.rig import Rig
-from ehbench.control.functions import Circuit
+from ehbench.control.functions import Circuit, default_pressure
 from ehbench.plant.build import Maps
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
@@ -29,8 +29,9 @@ from ehbench.tune.operating_point import (
 )
 from ehbench.tune.results import Curves
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
-from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
+from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY
 
 NONE = "none"  # the payload's name where there is none
@@ -38,18 +39,8 @@ POSTURES = 41  # of the curves of equivalent mass and gravity
 R = TypeVar("R", bound=AnyTuning)
 
 
-class Machine(Protocol):
-    """What tuning needs of a validated rig."""
-
-    @property
-    def rig(self) -> Rig: ...
-
-    @property
-    def flow_maps(self) -> Maps | None: ...
-
-
 @dataclass(frozen=True)
-class Site:
+class SteadyMotion:
     """An operating point with what is needed to close loops about it."""
 
     model: Model
@@ -74,9 +65,9 @@ class Study(Generic[R]):
     cylinder: str
     low: float
     cross: float
-    sites: tuple[Site, ...] = ()
+    motions: tuple[SteadyMotion, ...] = ()
     curves: tuple[Curves, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Message, ...] = ()
 
     def model(self, payload: str) -> Model:
         """The rig under a payload."""
@@ -86,12 +77,12 @@ class Study(Generic[R]):
         self, model: Model, circuit: Circuit, function: int, here: Equivalent, index: int, aim: Aim
     ) -> tuple[Model, OperatingPoint]:
         """The steady motion that is aimed at, as `operating_point`, and the model for it."""
-        felt = self._felt(model)
-        point = operating_point(model, circuit, function, here, index, replace(aim, felt=felt))
-        return at_its_supply(model, point, felt), point
+        sensed = self._sensed(model)
+        point = operating_point(model, circuit, function, here, index, replace(aim, sensed=sensed))
+        return at_its_supply(model, point, sensed), point
 
-    def _felt(self, model: Model) -> float:
-        """The highest pressure [Pa] that the cylinders hold which are moving as well."""
+    def _sensed(self, model: Model) -> float:
+        """The highest pressure [Pa] of the cylinders that move as well."""
         also, names = self.recipe.also_moving, model.layout
         if not also:
             return -math.inf
@@ -100,37 +91,36 @@ class Study(Generic[R]):
         return max(float(y[names.state(f"p_{side}", i)]) for i in indices for side in SIDES)
 
 
-def prepare_tuning(machine: Machine, recipe: R, *, validated: type | None = None) -> Study[R]:
-    """Find the operating points; arguments and errors as in `tune_pressure_feedback`."""
-    if validated is not None and not isinstance(machine, validated):
-        raise ModelRejected(
-            f"rig '{machine.rig.name}' was not validated, and gains are tuned on validated rigs "
-            "only",
-            hint="run a validate recipe on it first",
-        )
-    rig, maps = machine.rig, machine.flow_maps
+def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
+    """The operating points of one cylinder of a validated rig, with its measured flow maps.
+
+    Raises:
+        InputError: no such cylinder, payload, function or posture.
+        InsufficientData: no operating point at which a function can work.
+    """
     name = recipe.cylinder or rig.cylinder[0].name
     if recipe.cylinder is None and len(rig.cylinder) > 1:
-        raise InputError(
-            "the rig has several cylinders",
-            hint="name one with cylinder = " + ", ".join(f'"{c.name}"' for c in rig.cylinder),
-        )
+        known = ", ".join(f'"{c.name}"' for c in rig.cylinder)
+        raise InputError(message("tune.several_cylinders", known=known))
     rig.cylinder_named(name)
     _check_also_moving(rig, name, recipe)
-    supply = float(rig.supply.pressure)
-    low = supply / 20.0 if recipe.low_pressure is None else float(recipe.low_pressure)
-    cross = supply / 20.0 if recipe.cross_drop is None else float(recipe.cross_drop)
-    _check_functions(recipe)
+    part = default_pressure(float(rig.supply.pressure))
+    low = part if recipe.low_pressure is None else float(recipe.low_pressure)
+    cross = part if recipe.cross_drop is None else float(recipe.cross_drop)
+    for function in recipe.functions:
+        if function not in FUNCTIONS[1:]:
+            known = ", ".join(FUNCTIONS[1:])
+            raise InputError(message("tune.unknown_function", function=function, known=known))
     study = Study(rig, maps, recipe, name, low, cross)
-    curves, sites = [], []
+    curves, motions = [], []
     for payload in recipe.payloads or (NONE, *rig.payload):
         model = study.model(payload)
         curves.append(_curves(model, name, payload, recipe))
-        sites += _possible(study, model, payload)
-    sites, notes = _those_that_count(sites, recipe, name)
+        motions += _possible(study, model, payload)
+    motions, notes = _those_that_count(motions, recipe, name)
     notes += Model.of(rig, maps).creeping(name)
-    notes += rail_notes(rig, [site.point for site in sites if site.counts])
-    return replace(study, sites=tuple(sites), curves=tuple(curves), notes=tuple(notes))
+    notes += rail_notes(rig, [motion.point for motion in motions if motion.counts])
+    return replace(study, motions=tuple(motions), curves=tuple(curves), notes=tuple(notes))
 
 
 def model_under(rig: Rig, maps: Maps | None, payload: str) -> Model:
@@ -142,25 +132,9 @@ def _check_also_moving(rig: Rig, name: str, recipe: AnyTuning) -> None:
     for item in recipe.also_moving:
         rig.cylinder_named(item)
         if item == name:
-            raise InputError(f"'{item}' is tuned: also_moving names other cylinders")
+            raise InputError(message("tune.tuned_also_moving", cylinder=item))
     if recipe.also_moving and rig.supply.load_sensing is None:
-        raise InputError(
-            f"also_moving is for load sensing, and the rig's supply is {rig.supply.kind}",
-            hint="leave it out: such a supply feels no load",
-        )
-
-
-def _check_functions(recipe: AnyTuning) -> None:
-    for function in recipe.functions:
-        if function not in FUNCTIONS[1:]:
-            raise InputError(
-                f"no working function '{function}'", hint="there are " + ", ".join(FUNCTIONS[1:])
-            )
-
-
-def _wanted(recipe: AnyTuning) -> Sequence[int]:
-    """Numbers of the working functions to tune for: those asked for, or the first six."""
-    return [FUNCTIONS.index(f) for f in recipe.functions] or range(1, EXTEND_RESISTIVE_REGENERATION)
+        raise InputError(message("tune.not_load_sensing", supply=rig.supply.kind))
 
 
 def _curves(model: Model, name: str, payload: str, recipe: AnyTuning) -> Curves:
@@ -172,62 +146,61 @@ def _curves(model: Model, name: str, payload: str, recipe: AnyTuning) -> Curves:
     return Curves(payload, *(tuple(a.tolist()) for a in columns))
 
 
-def _possible(study: Study, model: Model, payload: str) -> Iterator[Site]:
+def _possible(study: Study, model: Model, payload: str) -> Iterator[SteadyMotion]:
     """Every operating point under a payload at which the cylinder moves.
 
     Raises:
-        InputError: a function asked for that the valves are not able of.
+        InputError: a requested function that the valves cannot do.
     """
     recipe, name = study.recipe, study.cylinder
     cylinder = model.layout.cylinders.index(name)
     stroke = model.plant.cylinders[cylinder].stroke
     here = equivalent(model, cylinder, _strokes(model.rig, recipe, stroke), recipe.posture)
     circuit = circuit_of(model, cylinder, study.maps)
-    for function in _wanted(recipe):
+    requested = [FUNCTIONS.index(f) for f in recipe.functions]
+    for function in requested or range(1, EXTEND_RESISTIVE_REGENERATION):
         if circuit.able[function] == 0:
             if recipe.functions:
                 raise InputError(
-                    f"the valves of cylinder '{name}' are not able of '{FUNCTIONS[function]}'"
+                    message("tune.unable", cylinder=name, function=FUNCTIONS[function])
                 )
             continue
         for index in range(here.x.size):
             for share in recipe.speed_shares:
-                aim = Aim(study.low, study.cross, share=share, payload=payload, held=recipe.posture)
-                own, point = study.steady(model, circuit, function, here, index, aim)
+                aim = Aim(
+                    study.low, study.cross, share=share, payload=payload, posture=recipe.posture
+                )
+                model_here, point = study.steady(model, circuit, function, here, index, aim)
                 if point.possible and point.v != 0.0:
-                    linear = development_model(own, point)
-                    yield Site(own, circuit, point, linear, point.fits)
+                    linear = development_model(model_here, point)
+                    yield SteadyMotion(model_here, circuit, point, linear, point.fits)
 
 
 def _those_that_count(
-    sites: Sequence[Site], recipe: AnyTuning, name: str
-) -> tuple[list[Site], list[str]]:
-    """(sites to tune on or to show, what is odd about them): a function that no load calls for is
+    motions: Sequence[SteadyMotion], recipe: AnyTuning, name: str
+) -> tuple[list[SteadyMotion], list[Message]]:
+    """(motions to tune on or to show, what is odd about them): a function that no load calls for is
     shown, but no gain is chosen on it.
 
     Raises:
-        InsufficientData: no site counts.
+        InsufficientData: no motion counts.
     """
-    fitting = {site.point.function for site in sites if site.counts}
-    result = {site.point.function for site in sites}
+    fitting = {motion.point.function for motion in motions if motion.counts}
+    result = {motion.point.function for motion in motions}
     lost = [f for f in recipe.functions if f not in result]
-    notes = [f"{function} is possible at no operating point" for function in lost]
-    retained = [site for site in sites if site.counts or site.point.function not in fitting]
-    if not fitting:
-        raise InsufficientData(
-            f"no operating point of cylinder '{name}' calls for any of the functions asked for",
-            hint="choose other functions, payloads or postures",
-        )
-    shown = sorted({site.point.function for site in retained} - fitting)
-    notes += [
-        f"{function} is shown only: at no operating point does the load call for it"
-        for function in shown
+    notes = [message("tune.not_possible", function=function) for function in lost]
+    retained = [
+        motion for motion in motions if motion.counts or motion.point.function not in fitting
     ]
+    if not fitting:
+        raise InsufficientData(message("tune.no_points", cylinder=name))
+    shown = sorted({motion.point.function for motion in retained} - fitting)
+    notes += [message("tune.for_information", function=function) for function in shown]
     return retained, notes
 
 
-def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[str]:
-    """A sentence where points stand near the pressure at which the low rail is not enough any more:
+def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[Message]:
+    """A note where points stand near the pressure at which the low rail is not enough any more:
     a swing over it meets two supplies in turn, and no linear model has that.
     """
     low = rig.supply.low_rail
@@ -240,11 +213,7 @@ def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[str]:
     near = sum(1 for p in fed if abs(p - ends) < 2.0 * margin)
     if not near:
         return []
-    return [
-        f"at {near} of {len(points)} operating points the chamber that is fed stands within "
-        "twice rail_margin of where the high rail takes over from the low one: a swing that "
-        "reaches over is not in the promise"
-    ]
+    return [message("tune.near_rail", near=near, points=len(points))]
 
 
 def _strokes(rig: Rig, recipe: AnyTuning, stroke: float) -> np.ndarray:
@@ -256,8 +225,5 @@ def _strokes(rig: Rig, recipe: AnyTuning, stroke: float) -> np.ndarray:
         )
     x = np.array([float(read_value(text, VOCABULARY["x"])) for text in recipe.strokes])
     if x.min() < 0 or x.max() > stroke:
-        raise InputError(
-            "a stroke to tune at lies outside the cylinder's",
-            hint=f"0 to {rig.text('x', stroke, 1)}",
-        )
+        raise InputError(message("tune.stroke_outside", stroke=rig.text("x", stroke, 1)))
     return x

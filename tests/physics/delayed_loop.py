@@ -5,7 +5,6 @@ of pressure lagging: what its margins are judged by.
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,8 +84,8 @@ class Bench:
             payloads=payloads,
             draws=0,
         )
-        study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
-        counted = [site for site in study.sites if site.counts]
+        study = prepare_tuning(rig, None, recipe)
+        counted = [site for site in study.motions if site.counts]
         self.design = Model.of(rig)
         index = self.design.layout.cylinders.index(cylinder)
         circuit = circuit_of(self.design, index)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.operating_point import circuit_of, state_of
-from ehbench.tune.study import NONE
+from ehbench.tune.study import NONE, prepare_tuning
 from ehbench.vocabulary.codes import FUNCTIONS
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -168,7 +167,7 @@ def test_the_running_machine_is_damped_as_promised(name, cylinder, payloads, unl
         draws=0,
         delay="0.5 ms",
     )
-    tuning = tune_pressure_feedback(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    tuning = tune_pressure_feedback(prepare_tuning(rig, None, recipe))
     tried = 0
     for result in tuning.points:
         point = result.point

@@ -8,7 +8,6 @@ import math
 import sys
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -145,9 +144,9 @@ def test_points_near_the_change_of_rails_are_told():
             stage="tune", rig="x", postures=1, payloads=("bucket",), functions=("extend_resistive",)
         )
         rig = rig_on("two rails", "boom_four_valve", rail)
-        study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
-        notes[rail] = [note for note in study.notes if "takes over from the low one" in note]
-    assert len(notes[0.35]) == 1 and notes[0.35][0].startswith("at 2 of 2 operating points")
+        study = prepare_tuning(rig, None, recipe)
+        notes[rail] = [note.fields for note in study.notes if note.key == "tune.near_rail"]
+    assert notes[0.35] == [{"near": 2, "points": 2}]
     assert notes[0.5] == []
 
 
@@ -178,13 +177,13 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
         postures=2,
         also_moving=("boom",),
     )
-    study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    study = prepare_tuning(rig, None, recipe)
     model = study.model("50 lb")
     low = float(rig.supply.tank_pressure) + study.low
     y = model.trim(model.posture({}), low)
     held = max(y[model.layout.state(key, 1)] for key in ("p_head", "p_rod"))
     theirs = 0
-    for site in study.sites:
+    for site in study.motions:
         point = site.point
         assert point.p_supply >= held + margin - 1.0
         if point.p_supply < held + margin + 1.0:
@@ -197,13 +196,10 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
             assert rate[model.plant.at.supply] == pytest.approx(0.0, abs=1.0)
     assert 0 < theirs
     alone = recipe.model_copy(update={"also_moving": ()})
-    without = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), alone)
-    assert min(site.point.p_supply for site in without.sites) < held + 0.9 * margin
-    with pytest.raises(InputError, match="other cylinders"):
-        prepare_tuning(
-            SimpleNamespace(rig=rig, flow_maps=None),
-            recipe.model_copy(update={"also_moving": ("stick",)}),
-        )
+    without = prepare_tuning(rig, None, alone)
+    assert min(site.point.p_supply for site in without.motions) < held + 0.9 * margin
+    with pytest.raises(InputError, check=lambda error: error.key == "tune.tuned_also_moving"):
+        prepare_tuning(rig, None, recipe.model_copy(update={"also_moving": ("stick",)}))
 
 
 @pytest.mark.parametrize(
@@ -225,7 +221,7 @@ def test_the_running_machine_is_damped_as_promised(kind, name, unlocused):
         draws=0,
         delay="0.5 ms",
     )
-    tuning = tune_pressure_feedback(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    tuning = tune_pressure_feedback(prepare_tuning(rig, None, recipe))
     assert tuning.supply["kind"] == kind
     tried = 0
     for result in tuning.points:
@@ -347,7 +343,7 @@ def tuned(kind):
         stage="tune", what="arc", rig="x", postures=1, payloads=("bucket",), speed_shares=(0.06,)
     )
     rig = rig_on(kind, "boom_four_valve", 0.5)
-    study = prepare_tuning(SimpleNamespace(rig=rig, flow_maps=None), recipe)
+    study = prepare_tuning(rig, None, recipe)
     return tune_arc(study)
 
 

@@ -33,8 +33,8 @@ from ehbench.report.trial_captions import (
 from ehbench.report.trial_tables import valves_note
 from ehbench.report.tuning_words import overshoot_of
 from ehbench.runs.rundir import write_json
-from ehbench.tune.circuits import functions_of
 from ehbench.tune.operating_point import circuit_of
+from ehbench.tune.results import functions_of
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.quantities import VOCABULARY
