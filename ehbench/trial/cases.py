@@ -231,12 +231,12 @@ def run_cases(
     with ThreadPoolExecutor(workers or cores()) as pool:
         jobs = [pool.submit(run_case, index) for index in range(len(cases))]
 
-        def tell(name: str) -> None:
+        def report(name: str) -> None:
             if progress is not None:
                 progress(name, sum(job.done() for job in jobs) / len(jobs))
 
         for case, job in zip(cases, jobs, strict=True):
-            job.add_done_callback(lambda _, name=case.name: tell(name))
+            job.add_done_callback(lambda _, name=case.name: report(name))
         wait(jobs, return_when=FIRST_EXCEPTION)
         failed = [
             job

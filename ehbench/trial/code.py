@@ -95,14 +95,16 @@ def files_of(code: Path) -> tuple[Path, ...]:
     standard library, site packages and this package, which a run names by version. Sorted, the
     file itself first.
     """
-    own, waiting = {code}, [code]
+    paths = sysconfig.get_paths()
+    places = [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib")]
+    installed, files, waiting = {*places, _PACKAGE}, {code}, [code]
     while waiting:
         for module in _imported(waiting.pop()):
             file = source_of(module)
-            if file is not None and file not in own and not _is_installed(file):
-                own.add(file)
+            if file is not None and file not in files and installed.isdisjoint(file.parents):
+                files.add(file)
                 waiting.append(file)
-    return (code, *sorted(own - {code}))
+    return (code, *sorted(files - {code}))
 
 
 def _imported(file: Path) -> Iterator[str]:
@@ -121,9 +123,3 @@ def _imported(file: Path) -> Iterator[str]:
             words = name.split(".")
             if words[0] not in sys.stdlib_module_names:
                 yield from (".".join(words[:end]) for end in range(1, len(words) + 1))
-
-
-def _is_installed(file: Path) -> bool:
-    paths = sysconfig.get_paths()
-    places = [Path(paths[key]).resolve() for key in ("stdlib", "platstdlib", "purelib", "platlib")]
-    return any(place in file.parents for place in (*places, _PACKAGE))

@@ -27,7 +27,7 @@ from ehbench.control.functions import (
     default_pressure,
     pack_rules,
 )
-from ehbench.control.law import Controller, DesignPoint, Law
+from ehbench.control.law import Controller, Law
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
@@ -76,14 +76,14 @@ class Design:
         return self.model.layout.valves
 
     @property
-    def own(self) -> slice:
+    def at_cylinder(self) -> slice:
         """Where the cylinder's edges stand among all."""
         return slice(self.circuit.first, self.circuit.first + self.circuit.count)
 
     @property
     def edges(self) -> tuple[str, ...]:
         """Names of the cylinder's edges."""
-        return self.model.layout.edges[self.own]
+        return self.model.layout.edges[self.at_cylinder]
 
     @property
     def x(self) -> float:
@@ -110,13 +110,13 @@ class Compiled:
         """The same at its beginning, for a run of its own; ``plays`` False on a machine whose
         valves have no hysteresis, whatever their maps know of one.
         """
-        own, telemetry = self.controller, np.zeros((len(self.references), len(self.channels)))
-        axis, given = own.axis, np.zeros(own.given.shape)
+        law, telemetry = self.controller, np.zeros((len(self.references), len(self.channels)))
+        axis, given = law.axis, np.zeros(law.given.shape)
         if not plays:
             still = np.zeros_like(axis.circuit.play)
             axis = axis._replace(circuit=axis.circuit._replace(play=still))
-        own = own._replace(axis=axis, memory=self.law.memory(axis), given=given)
-        return replace(self, controller=own, telemetry=telemetry)
+        law = law._replace(axis=axis, memory=self.law.memory(axis), given=given)
+        return replace(self, controller=law, telemetry=telemetry)
 
 
 @dataclass
@@ -188,12 +188,12 @@ def design(recipe: TrialRecipe, rig: Rig, maps: Maps | None, model: Model | None
     with located(recipe, *controller.where, "unused"):
         reach = np.column_stack([plant.valves.lowest, plant.valves.highest])
         areas = row.area_head, row.area_rod
-        own = circuit(index, *areas, edges, plant.maps, reach, measured, plant.supply)
+        cylinder_circuit = circuit(index, *areas, edges, plant.maps, reach, measured, plant.supply)
     with located(recipe, "posture"):
         model.posture(recipe.posture)
     with located(recipe, *motion_at, "waypoints"):
         q = model.posture(posture_of(recipe, names[index]))
-    return Design(rig, maps, model, names[index], index, q, own)
+    return Design(rig, maps, model, names[index], index, q, cylinder_circuit)
 
 
 def posture_of(recipe: TrialRecipe, cylinder: str) -> dict[str, str]:
@@ -243,7 +243,8 @@ def compiled(
     """
     chosen = controller_of(recipe)
     assert chosen.kind is not None  # it is no class of the user's
-    law, point = LAWS[chosen.kind], _design_point(recipe, design, 1.0 / rate)
+    law, unused = LAWS[chosen.kind], [design.valves.index(name) for name in chosen.unused]
+    point = design_point_of(design.model, design.circuit, design.q, 1.0 / rate, unused)
     gains, given_rules, given_shaping = _taken(recipe, law, tuning, design.cylinder)
     low = gains.get("low_pressure", point.low_pressure)
     with located(recipe, *chosen.where, "rules"):
@@ -272,12 +273,6 @@ def compiled(
         np.empty((0, len(names))),
         {**packed.used, "rules": numbers(rules, ALL_RULES)},
     )
-
-
-def _design_point(recipe: TrialRecipe, design: Design, tick: float) -> DesignPoint:
-    """What a controller of the design is designed for."""
-    still = [design.valves.index(name) for name in controller_of(recipe).unused]
-    return design_point_of(design.model, design.circuit, design.q, tick, still)
 
 
 def low_pressure(recipe: TrialRecipe, rig: Rig, tuning: Mapping[str, Any] | None) -> float:

@@ -253,7 +253,8 @@ class Prepared:
             for at, (limit, value) in enumerate(ends):
                 bound = bounds[limit]
                 if limit == "stroke_margin" and at:
-                    bound = float(rows.strokes[_cylinder_of(machine, channel)]) - bound
+                    strokes = [name for name in machine.channels if name.endswith(".x")]
+                    bound = float(rows.strokes[strokes.index(channel)]) - bound
                 below = limit == "pressure_min" or (limit == "stroke_margin" and not at)
                 if value < bound if below else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
@@ -276,12 +277,6 @@ class Prepared:
             stood="it stood still" if still else "it still moved",
             beyond=sentences,
         )
-
-
-def _cylinder_of(machine: Machine, channel: str) -> int:
-    """The number of the cylinder that a channel of the sample is of."""
-    names = [name for name in machine.channels if name.endswith(".x")]
-    return names.index(channel)
 
 
 def prepare(
@@ -537,6 +532,6 @@ def _controlled_valves(loop: Loop) -> tuple[str, ...]:
         return ()
     taken = []
     for item in loop.driven:
-        valves = {int(v) for v in item.design.circuit.edges.valve[item.design.own]}
+        valves = {int(v) for v in item.design.circuit.edges.valve[item.design.at_cylinder]}
         taken += [item.design.valves[i] for i in sorted(valves)]
     return tuple(taken)

@@ -173,8 +173,12 @@ def run(
             session.run(None, progress)
             record = _record(session, meta)
         else:
+            import tomli_w
+
             names = list(session.channels(slice(0, 0)))
-            with closing(LiveLog(log, names, meta, _attachments(prepared))) as live:
+            rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
+            files = {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
+            with closing(LiveLog(log, names, meta, files)) as live:
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)
@@ -211,14 +215,6 @@ def _meta(prepared: Prepared, machine: Machine) -> dict[str, str]:
     return meta
 
 
-def _attachments(prepared: Prepared) -> dict[str, bytes]:
-    """The files that travel with a trial's log."""
-    import tomli_w
-
-    rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
-    return {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
-
-
 def _record(session: Session, meta: dict[str, str]) -> Record:
     if not np.isfinite(session.rows.commands[: session.end]).all():
         raise SimulationError(message("trial.no_number"))
@@ -245,22 +241,22 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         parts = law.parts if isinstance(law, Laws) else (law,)
         results = {}
         for item, part in zip(prepared.loop.driven, parts, strict=True):
-            results[item.cylinder] = own = part.used | _measures(
+            results[item.cylinder] = known = part.used | _measures(
                 record, item, rows, session.true_strokes
             )
             if isinstance(part, Compiled) and part.law.after is not None:
-                own |= part.law.after(part.used, part.controller)
-            own["valves"] = _valves(prepared.rig, item.cylinder)
+                known |= part.law.after(part.used, part.controller)
+            known["valves"] = _valves(prepared.rig, item.cylinder)
             if part.used.get("gains", {}).get("adapt_maps"):
-                own["maps"] = learnt_maps(item.design, session.machine, record, rows)
+                known["maps"] = learnt_maps(item.design, session.machine, record, rows)
             if isinstance(part, Compiled) and part.law.warns_saturated:
                 v, desired, met = (
                     record[f"{item.cylinder}.{name}"][:rows]
                     for name in ("v", "v_desired", "limits")
                 )
                 saturated = met.astype(int) & SATURATED > 0
-                own["short"] = short_measures(record.t[:rows], v, desired, saturated)
-            warnings += _warnings(own, prepared.rig, item.cylinder)
+                known["short"] = short_measures(record.t[:rows], v, desired, saturated)
+            warnings += _warnings(known, prepared.rig, item.cylinder)
         measures = results.pop(prepared.loop.design.cylinder)
         if prepared.loop.plan is not None:
             measures |= prepared.loop.plan.measures(record, rows)
@@ -326,8 +322,14 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
     """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
     trial; tracking by its sensor and, where the machine knows it, of the ``true`` strokes [m].
     """
-    own, t = loop.cylinder, record.t[:rows]
-    v, x, p_head, p_rod = (record[f"{own}.{name}"][:rows] for name in ("v", "x", "p_head", "p_rod"))
+    prefix = f"{loop.cylinder}."
+    channels = {
+        name.removeprefix(prefix): record[name][:rows]
+        for name in record.channels
+        if name.startswith(prefix)
+    }
+    t, v, x = record.t[:rows], channels["v"], channels["x"]
+    p_head, p_rod, desired = (channels[name] for name in ("p_head", "p_rod", "x_desired"))
     measures: dict[str, Any] = {"steps": []}
     for level in loop.references.levels:
         stop = min(level.stop, rows)
@@ -338,27 +340,23 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
                 t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
             )
             measures["steps"].append(asdict(step))
-    desired = record[f"{own}.x_desired"][:rows]
     measures["tracking"] = tracking_measures(t, x, desired)
     if true is not None:
         measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], desired)
     if loop.references.last_cycle and rows == len(loop.references.table):
         first = loop.references.last_cycle
         measures["cycle"] = {"start": float(t[first]), "stop": float(t[-1])}
-    measures["speed_rms_error"] = float(
-        np.sqrt(np.mean((v - record[f"{own}.v_desired"][:rows]) ** 2))
-    )
+    measures["speed_rms_error"] = float(np.sqrt(np.mean((v - channels["v_desired"]) ** 2)))
     stroke = float(loop.design.row.stroke)
-    valves = [name for name in loop.design.valves if name.startswith(f"{own}.")]
-    commands = np.column_stack([record[f"{name}.command"][:rows] for name in valves])
+    valves = [valve for valve in loop.design.valves if valve.startswith(prefix)]
+    commands = np.column_stack([record[f"{valve}.command"][:rows] for valve in valves])
     cycle = limit_cycle(t, x, desired, commands, stroke)
     measures["limit_cycle"] = None if cycle is None else asdict(cycle)
-    if f"{own}.function_status" in record:
+    if "function_status" in channels:
         names = ("function", "function_status", "v_desired")
-        channels = (record[f"{own}.{name}"][:rows] for name in names)
-        measures["functions"] = function_measures(t, *channels)
-    if f"{own}.limits" in record:
-        met = record[f"{own}.limits"][:rows].astype(int)
+        measures["functions"] = function_measures(t, *(channels[name] for name in names))
+    if "limits" in channels:
+        met = channels["limits"].astype(int)
         measures["limits"] = {
             name: float(np.mean(met & bit > 0)) for bit, name in LIMIT_BITS.items()
         }

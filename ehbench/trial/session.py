@@ -111,8 +111,11 @@ class Session:
             self.law.start(self.rows.sample)
         begun = time.monotonic()
         while first < self.end:
-            self._carry(first)
-            until = min(first + SESSION.chunk, self._next_look, self.end, self._next_payload(first))
+            payloads, carry = self.prepared.payloads, carry_of(self.machine)
+            if carry is not None and first in payloads:
+                carry(payloads[first])
+            change = min((row for row in payloads if row > first), default=sys.maxsize)
+            until = min(first + SESSION.chunk, self._next_look, self.end, change)
             stopped_at, upto = self._through(first, until)
             if not np.isfinite(self.rows.sample).all():
                 raise SimulationError(message("trial.not_finite", t=upto / rate))
@@ -126,16 +129,6 @@ class Session:
             slow = self._pace(first, time.monotonic() - begun)
             if progress is not None:
                 progress(slow, first / self.end)
-
-    def _carry(self, row: int) -> None:
-        """Let the machine take up what the recipe wants it to carry from a row on."""
-        carry = carry_of(self.machine)
-        if carry is not None and row in self.prepared.payloads:
-            carry(self.prepared.payloads[row])
-
-    def _next_payload(self, row: int) -> int:
-        """The row behind this one at which the payload changes next."""
-        return min((at for at in self.prepared.payloads if at > row), default=sys.maxsize)
 
     def _pace(self, done: int, seconds: float) -> str:
         """Words on a class that is slow to answer; refuses one that would take for ever.

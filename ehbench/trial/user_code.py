@@ -160,9 +160,8 @@ class UserCode:
             observed = self._observed(self.code.names_of(self.object, "channels"))
             notes = self.code.names_of(self.object, "notes") or ()
         self.noted = [self._note_row(name, notes) for name in notes]
-        own = f"{design.cylinder}."
         self.channels = (
-            *(f"{own}{name}_desired" for name in Reference._fields),
+            *(f"{design.cylinder}.{name}_desired" for name in Reference._fields),
             *(NOTE + name for name in notes),
         )
         self.references = references

@@ -99,7 +99,7 @@ def _worst_of_draw(
     for motion in motions:
         point, (model, circuit) = motion.point, at[motion.point.payload]
         here = equivalent(model, circuit.cylinder, np.array([point.x]), recipe.posture)
-        own, moved = study.steady(
+        model_here, moved = study.steady(
             model,
             circuit,
             FUNCTIONS.index(point.function),
@@ -114,7 +114,7 @@ def _worst_of_draw(
             ),
         )
         if moved.possible:
-            loop = close(development_model(own, moved), moved, circuit, law)
+            loop = close(development_model(model_here, moved), moved, circuit, law)
             worst = min(worst, float(loop.damping_ratio(gains[point.function])))
     return worst
 

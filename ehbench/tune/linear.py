@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from ehbench.plant.model import Model
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint, hoses_of
 
 # a cylinder's further states, and that of a supply that feels it
-OWN = ("p_line_head", "p_line_rod", "p_supply", "sway", "sway_speed", "mount_deflection")
+PART_STATES = ("p_line_head", "p_line_rod", "p_supply", "sway", "sway_speed", "mount_deflection")
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class ValveBlock(NamedTuple):
 def valve_block(model: Model, valve: int) -> ValveBlock:
     """The elements of a valve, which are linear, from their own rates."""
     plant, row = model.plant, model.plant.valves[valve]
-    own = plant.elements[row.first : row.first + row.count]
-    states = tuple(k for item in own for k in range(item.state, item.state + item.states))
+    elements = plant.elements[row.first : row.first + row.count]
+    states = tuple(k for item in elements for k in range(item.state, item.state + item.states))
     size = len(states)
     table, c = np.empty((size, size + 1)), np.empty(size)
     for k in range(size + 1):
@@ -90,7 +90,7 @@ def _sensing(model: Model, point: OperatingPoint) -> _Sensing | None:
     return _Sensing(sides[0], softer / supply.lag) if sides else None
 
 
-def own_states(model: Model, point: OperatingPoint) -> list[int]:
+def part_states(model: Model, point: OperatingPoint) -> list[int]:
     """Where the plant has the states of the cylinder's lines, of the supply that feels it, of what
     sways at it and of its mount.
     """
@@ -106,8 +106,9 @@ def states_of(
 ) -> tuple[tuple[int, ...], dict[int, ValveBlock], tuple[str, ...]]:
     valves = tuple(dict.fromkeys(p.valve for p in point.paths))
     moving = {i: valve_block(model, i) for i in valves if model.plant.valves[i].count}
-    own = [*own_states(model, point), *(k for block in moving.values() for k in block.states)]
-    return valves, moving, ("v", "p_head", "p_rod", *(model.layout.state_names[k] for k in own))
+    states = [*part_states(model, point), *(k for block in moving.values() for k in block.states)]
+    names = (model.layout.state_names[k] for k in states)
+    return valves, moving, ("v", "p_head", "p_rod", *names)
 
 
 def development_model(model: Model, point: OperatingPoint) -> LinearModel:
@@ -148,7 +149,9 @@ def development_model(model: Model, point: OperatingPoint) -> LinearModel:
         for node, sign in ((item, -1.0), (hose.side, 1.0)):
             inflow[node, 1 + item] += sign * hose.slope
             inflow[node, 1 + hose.side] -= sign * hose.slope
-    at = dict(zip(moving, _starts(moving, names), strict=True))
+    sizes = (block.b.size for block in moving.values())
+    starts = list(itertools.accumulate([first_valve(names), *sizes]))[:-1]
+    at = dict(zip(moving, starts, strict=True))
     for path in point.paths:
         side = INTO[path.path]
         inflow[np.ix_(port, [1 + node for node in port])] -= path.slope * np.outer(side, side)
@@ -218,15 +221,9 @@ def with_delays(linear: LinearModel, model: Model) -> LinearModel:
     return LinearModel(tuple(names), linear.valves, a, b, e, 2.5 / float(late.max()))
 
 
-def _starts(moving: Mapping[int, ValveBlock], names: Sequence[str]) -> list[int]:
-    """Where the states of each moving valve begin in a linear model."""
-    sizes = (block.b.size for block in moving.values())
-    return list(itertools.accumulate([first_valve(names), *sizes]))[:-1]
-
-
 def first_valve(names: Sequence[str]) -> int:
     """How many states of a linear model stand before those of the valves."""
-    return names.index("p_rod") + 1 + sum(name.rsplit(".", 1)[-1] in OWN for name in names)
+    return names.index("p_rod") + 1 + sum(name.rsplit(".", 1)[-1] in PART_STATES for name in names)
 
 
 def are_rates(names: Sequence[str]) -> np.ndarray:
@@ -237,8 +234,8 @@ def are_rates(names: Sequence[str]) -> np.ndarray:
 def faster(linear: LinearModel, factor: float) -> LinearModel:
     """The model with valves ``factor`` times as fast at the same damping ratio."""
     a, b, rates = linear.a.copy(), linear.b.copy(), are_rates(linear.states)
-    own = slice(first_valve(linear.states), None)
-    quick = np.where(rates, factor**2, factor)[own, None]
-    a[own], b[own] = a[own] * quick, b[own] * quick
-    a[own, rates] /= factor
+    valves = slice(first_valve(linear.states), None)
+    quick = np.where(rates, factor**2, factor)[valves, None]
+    a[valves], b[valves] = a[valves] * quick, b[valves] * quick
+    a[valves, rates] /= factor
     return LinearModel(linear.states, linear.valves, a, b, linear.e, linear.fastest * factor)

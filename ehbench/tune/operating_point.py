@@ -87,7 +87,7 @@ class Equivalent:
 
 
 def equivalent(
-    model: Model, cylinder: int, x: np.ndarray, held: Mapping[str, str | float] | None = None
+    model: Model, cylinder: int, x: np.ndarray, posture: Mapping[str, str | float] | None = None
 ) -> Equivalent:
     """Equivalent mass, gravity force and damping of a cylinder over its stroke.
 
@@ -97,12 +97,12 @@ def equivalent(
         model: with its payload.
         cylinder: its number.
         x: strokes [m], shape (points,).
-        held: posture of the other joints, as `Model.posture`; mid-stroke by default.
+        posture: of the other joints, as `Model.posture`; mid-stroke by default.
     """
     plant = model.plant
     row = plant.cylinders[cylinder]
     joint = int(row.joint)
-    q = model.posture(held)
+    q = model.posture(posture)
     n = q.size
     mass, gravity, work = np.empty((n, n)), np.empty(n), np.empty(work_size(n))
     table = np.empty((len(x), 6))
@@ -320,6 +320,11 @@ class _Motion:
             return 0.0
         return float(force_on(self.circuit.cylinder, stroke, v, played, plant))
 
+    def push_slope(self, v: float) -> float:
+        """Slope [N·s/m] of the outer forces on the rod at speed v, by central differences."""
+        around = POINT.difference * max(abs(v), COULOMB_SPEED)
+        return float((self.push(v + around) - self.push(v - around)) / (2 * around))
+
     def settle(self, v: float) -> _Settled:
         """What carries the motion at speed v."""
         here, i, row, p_tank = self.here, self.index, self.row, self.p_tank
@@ -481,7 +486,7 @@ def operating_point(
         mass=float(here.mass[index]),
         gravity_force=float(here.gravity_force[index]),
         damping=float(here.damping[index]),
-        friction=float(friction_slope(row, v)) - _push_slope(motion, v),
+        friction=float(friction_slope(row, v)) - motion.push_slope(v),
         bend=float(2.0 * here.curvature[index] * v / here.lever[index] ** 2),
         load_force=float(settled.force),
         p_head=float(settled.p_head),
@@ -506,12 +511,6 @@ def _check(model: Model, circuit: Circuit, function: int) -> None:
     if function < 1 or circuit.able[function] == 0:
         cylinder, name = model.layout.cylinders[circuit.cylinder], FUNCTIONS[function]
         raise InputError(message("tune.unable", cylinder=cylinder, function=name))
-
-
-def _push_slope(motion: _Motion, v: float) -> float:
-    """Slope [N·s/m] of the outer forces on the rod at speed v, by central differences."""
-    around = POINT.difference * max(abs(v), COULOMB_SPEED)
-    return float((motion.push(v + around) - motion.push(v - around)) / (2 * around))
 
 
 def _flow(circuit: Circuit, path: int, drop: float, command: float) -> float:
@@ -611,9 +610,9 @@ class Hose(NamedTuple):
     def slope(self) -> float:
         """Of its flow over its drop [m³/(s·Pa)]."""
         dp = POINT.difference * max(abs(self.drop), 1e4)
-        ahead, behind = self.drop + dp, self.drop - dp
-        gained = ahead * line_conductance(ahead, self.row)
-        return (gained - behind * line_conductance(behind, self.row)) / (2 * dp)
+        more, less = self.drop + dp, self.drop - dp
+        gained = more * line_conductance(more, self.row)
+        return (gained - less * line_conductance(less, self.row)) / (2 * dp)
 
 
 def hoses_of(model: Model, point: OperatingPoint) -> list[Hose]:

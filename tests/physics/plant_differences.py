@@ -14,7 +14,7 @@ from ehbench.parts.friction import friction_settle
 from ehbench.physics.arm import mass_matrix, work_size
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
-from ehbench.tune.linear import LinearModel, own_states, states_of, with_delays
+from ehbench.tune.linear import LinearModel, part_states, states_of, with_delays
 from ehbench.tune.operating_point import OperatingPoint, state_of
 
 # steps of differences over states by what their names contain, of others 1e-4 V
@@ -87,7 +87,7 @@ def plant_model(
     stroke ``x`` as first state: what the development model leaves out."""
     valves, moving, names = states_of(model, point)
     names = (("x",) if position else ()) + names
-    picks = [*own_states(model, point), *(k for block in moving.values() for k in block.states)]
+    picks = [*part_states(model, point), *(k for block in moving.values() for k in block.states)]
     kinds = [model.layout.state_names[k] for k in picks]
     about = _Offsets(model, point, others == "held", *state_of(model, point))
     steps = np.concatenate(

@@ -367,11 +367,7 @@ def test_adaptation_beats_none():
 
 @pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_functions_do_not_chatter(payload):
-    assert functions(trial(payload)) == [
-        HOLD,
-        EXTEND_RESISTIVE,
-        RETRACT_OVERRUNNING_REGENERATION,
-    ]
+    assert functions(trial(payload)) == [HOLD, EXTEND_RESISTIVE, RETRACT_OVERRUNNING_REGENERATION]
     seventh = functions(trial(payload, seventh=True))
     assert len(seventh) <= 7 and EXTEND_RESISTIVE_REGENERATION in seventh
 

@@ -35,8 +35,7 @@ def bench(name, cylinder):
 @pytest.mark.slow
 @pytest.mark.parametrize("gains", GAINS)
 @pytest.mark.parametrize(
-    ("name", "cylinder"),
-    [("thesis_arm", "boom"), ("boom_four_valve", "boom")],
+    ("name", "cylinder"), [("thesis_arm", "boom"), ("boom_four_valve", "boom")]
 )
 def test_the_delay_margin_is_where_the_model_begins_to_swing(name, cylinder, gains):
     """Within 20 %, at the point with the least margin, on the noise-free model with its neighbours
@@ -66,10 +65,7 @@ def test_a_response_is_that_of_the_equations_solved_at_each_frequency():
             plain.c @ np.linalg.solve(one * np.eye(states) - a, plain.b) + plain.d for one in z
         ]
         scaled = Sampled(
-            a * np.divide.outer(units, units),
-            plain.b * units[:, None],
-            plain.c / units,
-            plain.d,
+            a * np.divide.outer(units, units), plain.b * units[:, None], plain.c / units, plain.d
         )
         for sampled in (plain, scaled):
             found = sampled.response(z)

@@ -265,10 +265,7 @@ def test_the_gains_that_a_trial_ran_with_are_saved_defaults_and_bounds_too():
     gains, bounds, rules = (facts.measures[key] for key in ("gains", "estimate_bounds", "rules"))
     assert set(gains) == {*GAIN_NAMES, "adaptation", "adaptation_bulk"}
     assert set(bounds) == {*ESTIMATES, "payload_estimate"}
-    assert set(rules) == set(RULES.names) and (
-        rules["dwell"],
-        rules["allow_seventh"],
-    ) == (0.1, 0.0)
+    assert set(rules) == set(RULES.names) and (rules["dwell"], rules["allow_seventh"]) == (0.1, 0.0)
     assert all(
         quantity(name).lower <= value <= quantity(name).upper
         for name, value in (gains | rules).items()

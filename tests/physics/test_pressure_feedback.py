@@ -64,16 +64,7 @@ class Trial:
     """A cylinder of a rig under pressure feedback: samples, notes and commands by tick."""
 
     def __init__(
-        self,
-        rig,
-        cylinder,
-        reference,
-        *,
-        at=None,
-        payload=None,
-        values=None,
-        given=None,
-        **gains,
+        self, rig, cylinder, reference, *, at=None, payload=None, values=None, given=None, **gains
     ) -> None:
         made = load_rig(RIGS / f"{rig}.toml").with_values(values or {})
         self.model = Model.of(made, payload=payload)

@@ -203,8 +203,7 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"),
-    [("load sensing", "slide_servo"), ("two rails", "boom_four_valve")],
+    ("kind", "name"), [("load sensing", "slide_servo"), ("two rails", "boom_four_valve")]
 )
 def test_the_running_machine_is_damped_as_promised(kind, name, unlocused):
     """Within 15 %, as on constant pressure: see `test_tuned_damping`."""
@@ -239,8 +238,7 @@ def test_the_running_machine_is_damped_as_promised(kind, name, unlocused):
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"),
-    [("load sensing", "crane_proportional"), ("two rails", "boom_four_valve")],
+    ("kind", "name"), [("load sensing", "crane_proportional"), ("two rails", "boom_four_valve")]
 )
 def test_the_delay_margin_is_where_the_model_begins_to_swing(kind, name):
     """Of adaptive robust control, within 20 %, at the point with the least margin."""

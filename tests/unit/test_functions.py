@@ -462,12 +462,7 @@ def test_least_power_counts_what_the_pumps_give():
             wanted = draws[function] * costs[kind](head)
             assert fn.pump_force(function, plan, c) == pytest.approx(wanted, rel=1e-12)
         least = fn.pack_rules(
-            A2,
-            PS,
-            low_pressure=3e5,
-            cross_drop=3e5,
-            allow_seventh=True,
-            choice="least_power",
+            A2, PS, low_pressure=3e5, cross_drop=3e5, allow_seventh=True, choice="least_power"
         )
         found[kind], status = choose(c, least, 0.03, heads[1], 3e5)
         assert status == codes.OK

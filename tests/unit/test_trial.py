@@ -762,21 +762,9 @@ START, STEPS = (
         ("class D: pass\n", "trial.no_class", None),
         (HEAD + STEPS, "trial.no_method", None),
         ("class C:\n" + START + STEPS, "trial.no_observed", None),
-        (
-            "class C:\n    channels = ['boom.x']\n" + START + STEPS,
-            "trial.unmeasured",
-            None,
-        ),
-        (
-            HEAD + "    notes = ['press.wow']\n" + START + STEPS,
-            "trial.note_quantity",
-            None,
-        ),
-        (
-            HEAD + "    notes = ['press.force']\n" + START + STEPS,
-            "trial.note_count",
-            None,
-        ),
+        ("class C:\n    channels = ['boom.x']\n" + START + STEPS, "trial.unmeasured", None),
+        (HEAD + "    notes = ['press.wow']\n" + START + STEPS, "trial.note_quantity", None),
+        (HEAD + "    notes = ['press.force']\n" + START + STEPS, "trial.note_count", None),
         (HEAD + "    def __init__(self, gain): pass\n" + START + STEPS, "trial.code_raised", None),
         (
             HEAD + "    def start(self, rig, tick, sample):\n        rig.nothing\n" + STEPS,
