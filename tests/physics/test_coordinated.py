@@ -246,7 +246,7 @@ def test_a_law_of_a_cylinder_that_does_not_move_is_refused(tmp_path):
     [
         (THREE | {"also": [move("boom", "1 mm", "2 mm")]}, "has two motions at a time"),
         (THREE | {"cylinder": None}, "names its 'cylinder'"),
-        (path() | {"also": THREE["also"]}, "leave 'cylinder' and 'also' out"),
+        (path() | {"also": THREE["also"]}, "omit 'cylinder' and 'also'"),
         (path(points=POINTS[:1]), "needs 'points', two or more"),
     ],
 )
