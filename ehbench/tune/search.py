@@ -199,7 +199,7 @@ class LawSearch:
         """Other laws, each at its best gain; the law itself first."""
         tried = {what: (self.best_of(other), other) for what, other in self._others(law).items()}
         quick = [replace(motion, linear=faster(motion.linear, 10.0)) for motion in self.motions]
-        tried[message("tune.quick_valves")] = best_gain(quick, law, self.gains), law
+        tried["faster valves (× 10)"] = best_gain(quick, law, self.gains), law
         return tuple(
             Alternative(what, o.washout, o.ramp_washout, o.off_gain, o.feedback, gain, value)
             for what, ((value, gain), o) in tried.items()
@@ -215,13 +215,13 @@ class LawSearch:
         elif washout > 0.0:
             others["two washouts"] = replace(law, ramp_washout=washout)
         if washout > 0.0:
-            others[message("tune.slow_washout")] = replace(
+            others["faster washout (× 4)"] = replace(
                 law, washout=4 * washout, ramp_washout=4 * ramp
             )
-        others[message("tune.load_feedback")] = replace(law, feedback="load")
+        others["load force feedback"] = replace(law, feedback="load")
         if not self.shared:
-            others[message("tune.soft_off_side")] = replace(law, off_gain=0.2 * off)
-            others[message("tune.stiff_off_side")] = replace(law, off_gain=5 * off)
+            others["softer off-side (× 0.2)"] = replace(law, off_gain=0.2 * off)
+            others["stiffer off-side (× 5)"] = replace(law, off_gain=5 * off)
         others["no delay"] = replace(law, delay=0.0)
         return others
 
