@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shlex
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,8 +15,9 @@ import pytest
 import tomli_w
 from matplotlib import pyplot
 from pydantic import BaseModel, Field
+from typer.main import get_command
 
-from ehbench.app import inspection
+from ehbench.app import cli, inspection
 from ehbench.config import recipe, rig
 from ehbench.config.recipe import load_rig
 from ehbench.vocabulary.errors import InputError
@@ -198,8 +200,8 @@ def test_every_link_reaches_a_file_and_a_heading(page):
 
 @pytest.mark.parametrize("text", RIGS, ids=lambda text: text.splitlines()[0].strip("# "))
 def test_every_example_is_part_of_a_rig_that_checks(text, tmp_path):
-    """Each example takes the place of what the whole one at the top of the page has."""
-    made, part = tomllib.loads(RIGS[0]), tomllib.loads(text)
+    """Each example takes the place of what the complete one of the reference has."""
+    made, part = tomllib.loads(blocks("docs/reference/rig_file.md", "toml")[0]), tomllib.loads(text)
     if isinstance(
         part.get("cylinder"), dict
     ):  # [[cylinder.valve]] alone belongs to the cylinder of the whole one
@@ -231,6 +233,25 @@ def test_the_recipes_of_the_reference_check(tmp_path):
             found = inspection.check(tmp_path / "recipe.toml")
             assert found.errors == () and found.lines[-1] == "ok", found
     assert seen == {"trial", "bench", "campaign"}
+
+
+# --- commands
+# -------------------------------------------------------------------------------------------------
+
+COMMANDS = [
+    (page, line)
+    for page in PAGES
+    for line in re.findall(r"^    (?:\.venv/bin/)?ehbench (.+)$", PAGES[page], re.M)
+]
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=lambda text: text.split("/")[-1])
+def test_every_command_has_its_options(page, line):
+    """As the command line takes them; the files need not be there."""
+    words = shlex.split(line, comments=True)
+    command = get_command(cli.app).get_command(None, words[0])
+    assert command is not None, f"{page}: ehbench {line}"
+    command.make_context(words[0], words[1:], resilient_parsing=False).close()
 
 
 # --- Python

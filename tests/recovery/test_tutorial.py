@@ -1,47 +1,91 @@
-"""The path of the tutorial from a rejected first fit to an accepted model."""
+"""The tutorial, run as a reader would: its files written, its commands given, its results found."""
 
 from __future__ import annotations
 
+import json
+import re
+import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ehbench import workflow
 
 ROOT = Path(__file__).parents[2]
-TUTORIAL = ROOT / "recipes" / "tutorial"
+PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+STEPS = re.compile(
+    r"```(?:toml|python)\n(?P<text>.*?)```|^    ehbench (?P<words>[^\n]+)$", re.S | re.M
+)
+
+
+def result(name: str, file: str) -> dict[str, Any]:
+    """A file of the one run of a recipe."""
+    (path,) = Path("reports").glob(f"{name}_*/{file}.json")
+    return json.loads(path.read_text())
+
+
+def arguments(words: str) -> list[str]:
+    return [
+        match
+        for word in shlex.split(words)
+        for match in (map(str, sorted(Path().glob(word))) if "*" in word else [word])
+    ]
 
 
 @pytest.mark.slow
-def test_the_tutorial_leads_from_a_rejected_fit_to_an_accepted_model(undrawn, tmp_path):
-    session = workflow.Session(root=tmp_path)
-    first = workflow.run(TUTORIAL / "first_validation.toml", session)
-    assert first.code == workflow.REJECTED
-    reasons = first.json("validation")["reasons"]
-    assert len(reasons) == 3 and "press speed fit 6" in reasons[0]
-    assert any("press.v is 4.8 ms behind the model" in note for note in first.notes)
-    better = workflow.run(TUTORIAL / "better_validation.toml", session)
-    assert better.code == workflow.DONE and better.json("validation")["accepted"]
-    (reserve,) = better.json("validation")["reservations"]  # of the delay that was left out
-    assert reserve.startswith("press.servo.command is held to have no delay")
-    assert "bulk_modulus would then come out" in reserve
-    fits = {  # as the validations have made them
-        name: session.outcome_of(TUTORIAL / f"{name}_fit.toml") for name in ("first", "better")
+def test_the_tutorial_leads_from_raw_files_to_a_trial(inside, undrawn, tmp_path, monkeypatch):
+    for name in ("recipes", "datasets"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    codes = {}
+    for step in STEPS.finditer(PAGE):
+        if (words := step["words"]) is not None:
+            if "--suggest" not in words:
+                done = inside(*arguments(words), cwd=tmp_path)
+                codes[words] = done.returncode
+                assert done.returncode == 0 or words == "validate judge_first.toml", done.stderr
+        elif (name := re.match(r"# (\S+\.toml)\n", step["text"])) is not None:
+            Path(name[1]).write_text(step["text"], encoding="utf-8")
+        else:
+            exec(compile(step["text"], "tutorial.md", "exec"), {"__name__": "tutorial"})
+    assert codes["validate judge_first.toml"] == workflow.REJECTED and len(codes) >= 10
+    assert "press.servo.command" in Path("run_1.map.toml").read_text()  # as drafted
+
+    damping = {
+        name: next(
+            row["interval"]
+            for row in result(name, "parameters")["parameters"]
+            if row["name"] == "carriage.damping"
+        )
+        for name in ("first", "better")
     }
-    damping = {name: fit.parameters.loc["carriage.damping"].to_dict() for name, fit in fits.items()}
-    assert damping["first"]["low"] > damping["better"]["high"]  # what a wrong gain does to it
-    (lag,) = fits["better"].json("parameters")["sensors"]
-    assert lag["interval"][0] < 0.005 < lag["interval"][1]
-    bare = tmp_path / "bare.toml"
-    log = ROOT / "datasets/slide_servo/heldout/press_no_load.mcap"
-    bare.write_text(
-        f'stage = "validate"\nrig = "{fits["better"].folder}"\ndata = ["{log}"]\n'
-        'channels = ["v", "p_head", "p_rod"]\nstructure = false\n'
-        "[thresholds]\nfit_percent = { v = 85, p_head = 94, p_rod = 94 }\n"
+    assert damping["first"][0] > damping["better"][1]  # what the wrong gains do to it
+    assert result("judge_better", "validation")["verdict"] == "accepted"
+    first = result("judge_first", "validation")
+    assert len(first["reasons"]) == 3 and not first["accepted"]
+    assert result("trial", "trial")["measures"]["tracking"]["max_error"] < 2e-3
+
+
+@pytest.mark.slow
+def test_the_tutorials_model_without_its_delay_is_accepted_with_reservation(
+    undrawn, tmp_path, monkeypatch
+):
+    """And a validation takes over the lag that the fit found."""
+    for name in ("recipes", "datasets"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.chdir(tmp_path)
+    for step in STEPS.finditer(PAGE):
+        text = step["text"] or ""
+        if (name := re.match(r"# (\S+\.toml)\n", text)) is not None:
+            delay = '\n[[sensor]]\nchannel = "press.servo.command"\ndelay = "estimate"\n'
+            Path(name[1]).write_text(text.replace(delay, ""), encoding="utf-8")
+        elif text:
+            exec(compile(text, "tutorial.md", "exec"), {"__name__": "tutorial"})
+    outcome = workflow.run(tmp_path / "judge_better.toml", workflow.Session(root=tmp_path))
+    verdict = outcome.json("validation")
+    assert verdict["accepted"] and verdict["verdict"] != "accepted"
+    assert any(
+        "press.servo.command" in text and "bulk_modulus" in text for text in verdict["reservations"]
     )
-    inherits = workflow.run(bare, session)  # the lag that the fit found, as its recipe says none
-    assert inherits.code == workflow.DONE
-    assert any("press.v is taken with lag 4.9 ±" in note for note in inherits.notes)
-    text = (ROOT / "docs" / "explanation" / "identification.md").read_text(encoding="utf-8")
-    for name in ("first_fit", "first_validation", "better_fit", "better_validation"):
-        assert f"recipes/tutorial/{name}.toml" in text
+    assert any("press.v is taken with" in note and " 4.9 " in note for note in outcome.notes)
