@@ -7,18 +7,22 @@ words of the page stay, and a new key gets those of the vocabulary."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import pkgutil
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+import ehbench
 from ehbench.config.rig import Rig
+from ehbench.vocabulary import settings
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Q, Value
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
@@ -258,6 +262,8 @@ def pages() -> dict[str, dict[str, list[Key]]]:
     every = tables([Rig]) | tables(recipe_models()) | gain_tables()
     results: dict[str, dict[str, list[Key]]] = {}
     for path in sorted((DOCS / "reference").glob("*.md")):
+        if path.relative_to(DOCS).as_posix() in WHOLE_PAGES:
+            continue
         names = [match[1] for match in _BLOCK.finditer(path.read_text(encoding="utf-8"))]
         if names:
             name = path.relative_to(DOCS).as_posix()
@@ -334,6 +340,60 @@ def made(text: str, tables: Mapping[str, list[Key]], name: str) -> str:
     return _BLOCK.sub(table, text)
 
 
+# --- pages that are made as a whole
+# -------------------------------------------------------------------------------------------------
+
+
+def _rows(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    head = list(header)
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+
+
+def quantities_page() -> str:
+    """All words of the vocabulary."""
+    rows = (
+        (f"`{row.name}`", row.symbol, row.unit, _unit(row), _span(row), row.meaning)
+        for row in VOCABULARY.values()
+    )
+    return (
+        "# Quantities\n\nEvery word that a file, a channel or a parameter may use, with its SI unit and the unit and"
+        "\nrange in which people see it. Made by `make reference` from `ehbench/vocabulary/quantities.csv`.\n\n"
+        "<!-- quantities -->\n" + _rows(("name", "symbol", "SI", "shown in", "range", "meaning"), rows)
+    )
+
+
+def settings_classes() -> Iterator[type]:
+    """The dataclasses of settings, in the order of their modules."""
+    for module in pkgutil.walk_packages(ehbench.__path__, "ehbench."):
+        if module.name != "ehbench.__main__":
+            for item in vars(importlib.import_module(module.name)).values():
+                if isinstance(item, type) and item.__module__ == module.name:
+                    if is_dataclass(item) and any("origin" in f.metadata for f in fields(item)):
+                        yield item
+
+
+def settings_page() -> str:
+    """The numbers of all methods."""
+    text = (
+        "# Settings\n\nThe numbers of the methods, SI. They are no keys of a recipe; each has a reason or a source. Made by"
+        "\n`make reference` from the code.\n"
+    )
+    for item in settings_classes():
+        title = item.__module__.removeprefix("ehbench.")
+        meaning = " ".join((item.__doc__ or "").split("\n\n")[0].split())
+        rows = (
+            (f"`{name}`", f"{value:g}" if isinstance(value, float) else str(value), unit, what, why)
+            for name, value, unit, what, why in settings.rows(item())
+        )
+        text += f"\n## {title}\n\n{meaning}\n\n<!-- {item.__name__} -->\n"
+        text += _rows(("name", "value", "unit", "meaning", "origin"), rows)
+    return text
+
+
+WHOLE_PAGES = {"reference/quantities.md": quantities_page, "reference/settings.md": settings_page}
+
+
 def main(arguments: list[str]) -> int:
     """Write the pages, or with ``--check`` say which are not as they would be."""
     stale = []
@@ -346,6 +406,12 @@ def main(arguments: list[str]) -> int:
             print(f"error: {error}", file=sys.stderr)
             return 2
         if new != old:
+            stale.append(name)
+            if "--check" not in arguments:
+                path.write_text(new, encoding="utf-8")
+    for name, page in WHOLE_PAGES.items():
+        path, new = DOCS / name, page()
+        if not path.exists() or path.read_text(encoding="utf-8") != new:
             stale.append(name)
             if "--check" not in arguments:
                 path.write_text(new, encoding="utf-8")

@@ -27,7 +27,8 @@ from tools import reference
 ROOT = Path(__file__).parents[2]
 FILES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in FILES}
-REFERENCE = [page for page in PAGES if page.startswith("docs/reference/")]
+WHOLE = {f"docs/{name}": page for name, page in reference.WHOLE_PAGES.items()}
+REFERENCE = [page for page in PAGES if page.startswith("docs/reference/") and page not in WHOLE]
 ALL_KEYS = "\n".join(PAGES[page] for page in REFERENCE)
 TABLES = reference.pages()
 MODELS = reference.models([rig.Rig, *reference.recipe_models()])
@@ -58,6 +59,11 @@ def test_the_tables_are_as_the_models_make_them(page):
     """``make reference`` would change nothing."""
     text = PAGES[f"docs/{page}"]
     assert reference.made(text, TABLES[page], page) == text
+
+
+@pytest.mark.parametrize("page", WHOLE)
+def test_pages_made_as_a_whole_are_current(page):
+    assert PAGES[page] == WHOLE[page]()
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
@@ -162,6 +168,7 @@ def test_a_key_without_words_and_a_table_of_nothing_are_refused(page, words):
 
 def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(reference, "DOCS", tmp_path)
+    monkeypatch.setattr(reference, "WHOLE_PAGES", {})  # `test_pages_made_as_a_whole_are_current`
     (tmp_path / "reference").mkdir()
     for name in TABLES:
         (tmp_path / name).write_text(PAGES[f"docs/{name}"], encoding="utf-8")
