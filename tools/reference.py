@@ -347,7 +347,9 @@ def made(text: str, tables: Mapping[str, list[Key]], name: str) -> str:
 def _rows(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     head = list(header)
     lines = [head, ["---"] * len(head), *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines)
+    return "".join(
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |\n" for line in lines
+    )
 
 
 def quantities_page() -> str:
@@ -356,11 +358,14 @@ def quantities_page() -> str:
         (f"`{row.name}`", row.symbol, row.unit, _unit(row), _span(row), row.meaning)
         for row in VOCABULARY.values()
     )
-    return (
-        "# Quantities\n\nEvery word that a file, a channel or a parameter may use, with its SI unit and the unit and"
-        "\nrange in which people see it. Made by `make reference` from `ehbench/vocabulary/quantities.csv`.\n\n"
-        "<!-- quantities -->\n" + _rows(("name", "symbol", "SI", "shown in", "range", "meaning"), rows)
-    )
+    header = ("name", "symbol", "SI", "shown in", "range", "meaning")
+    return f"""# Quantities
+
+Every word that a file, a channel or a parameter may use, with its SI unit and the unit and range in
+which people see it. Made by `make reference` from `ehbench/vocabulary/quantities.csv`.
+
+<!-- quantities -->
+{_rows(header, rows)}"""
 
 
 def settings_classes() -> Iterator[type]:
@@ -375,10 +380,11 @@ def settings_classes() -> Iterator[type]:
 
 def settings_page() -> str:
     """The numbers of all methods."""
-    text = (
-        "# Settings\n\nThe numbers of the methods, SI. They are no keys of a recipe; each has a reason or a source. Made by"
-        "\n`make reference` from the code.\n"
-    )
+    text = """# Settings
+
+The numbers of the methods, SI. They are no keys of a recipe; each has a reason or a source. Made by
+`make reference` from the code.
+"""
     for item in settings_classes():
         title = item.__module__.removeprefix("ehbench.")
         meaning = " ".join((item.__doc__ or "").split("\n\n")[0].split())
