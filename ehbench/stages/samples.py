@@ -16,6 +16,7 @@ from typing import Any, cast
 from weakref import finalize
 
 from ehbench.config.recipe import (
+    AnyTrial,
     Measure,
     Recipe,
     StudyRecipe,
@@ -118,7 +119,9 @@ class Late(EhbenchError):
 
 @dataclass(frozen=True)
 class RecipeFile:
-    """A recipe as its file has it: its table and text, and its upstream recipes by their stems."""
+    """A recipe as its file has it: its table and text, and its upstream recipes by their stems. A
+    trial without ``step`` takes an adaptive step size.
+    """
 
     path: Path
     table: Mapping[str, Any]
@@ -129,8 +132,10 @@ class RecipeFile:
     @classmethod
     def of(cls, path: Path) -> RecipeFile:
         """The recipe of a file."""
-        table, text = read_toml(path)
-        return cls(path, table, text, load_recipe(path), upstream_recipes(path))
+        (table, text), model = read_toml(path), load_recipe(path)
+        if isinstance(model, AnyTrial) and "step" not in table:
+            table, model = table | {"step": "auto"}, model.model_copy(update={"step": "auto"})
+        return cls(path, table, text, model, upstream_recipes(path))
 
     def changed(self, changes: Changes, folder: Path) -> Recipe:
         """The recipe as a sample has it; its changed bench file goes to ``folder``.

@@ -267,6 +267,7 @@ def test_a_sample_is_made_again_bit_for_bit(study, undrawn, tmp_path):
     kept = read_json(here / "study.json")["worst"][0]
     session = workflow.Session(root=tmp_path)
     recipe = workflow.sample(here, kept["sample"], session)
+    assert recipe.step == "auto"
     made = workflow.run(recipe, session)
     for name in ("log.mcap", "ledger.json", "rig.toml"):
         assert (made.folder / name).read_bytes() == (here / kept["folder"] / name).read_bytes()

@@ -175,7 +175,8 @@ class StudyRecipe(Recipe):
     begin with ``rig``, ``recipe`` or ``bench``, and then go as these files do; one that begins
     with the name of a recipe behind means that one's. Every combination of listed values and
     cases is tried on the same ``samples`` points, which ``design`` lays in what is drawn and in
-    what is swept without a count. ``measures`` are what is taken of each sample."""
+    what is swept without a count. ``measures`` are what is taken of each sample.
+    Trials whose recipe has no ``step`` take an adaptive one."""
 
     stage: Literal["study"]
     recipe: Annotated[tuple[str, ...], BeforeValidator(as_list), Field(min_length=1)]
