@@ -11,8 +11,8 @@ PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-e
 # anew takes each process of the tests several seconds
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: thesis check test quick fuzz format lint types docs reference site bench example study datasets warm setup dev \
-        requirements clean
+.PHONY: thesis check test quick coverage fuzz format lint types docs reference site wheel bench example study datasets warm \
+        setup dev requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
 	$(BIN)/ehbench reproduce thesis
@@ -26,6 +26,9 @@ test: dev                ## the tests, in parallel
 quick: dev               ## the tests but the slow ones, while one works; says how many are left out
 	$(BIN)/python -m pytest -n $(CORES) --dist worksteal -m "not slow"
 
+coverage: dev            ## which lines the tests run; bodies of compiled functions are not seen
+	$(BIN)/python -m pytest -n $(CORES) --dist worksteal --cov=ehbench --cov-report=term:skip-covered
+
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
 	$(BIN)/python tests/fuzz/fuzzer.py
 
@@ -35,7 +38,7 @@ format: $(VENV)/.dev       ## whether the formatter would change anything
 lint: $(VENV)/.dev         ## line length, complexity, arguments, likely mistakes
 	$(BIN)/ruff check $(CODE)
 
-types: $(VENV)/.dev        ## types of the package
+types: $(VENV)/.dev        ## types of package, tools and tests
 	$(BIN)/basedpyright
 
 docs: $(VENV)/.dev         ## whether the key tables in docs/ are those of the models
@@ -46,6 +49,9 @@ reference: setup         ## write these tables anew
 
 site: dev                ## docs as pages to browse, offline, in site/
 	$(BIN)/mkdocs build --quiet --strict
+
+wheel: $(VENV)/.installed  ## what others install, in dist/
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation -w dist .
 
 example: setup           ## the one report that is in git, made again
 	rm -rf build/example && $(BIN)/ehbench reproduce slide_servo -q --out build/example
