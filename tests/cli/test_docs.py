@@ -201,6 +201,38 @@ def test_every_link_reaches_a_file_and_a_heading(page):
             assert anchor in heading_anchors(where), f"{page} links {name}#{anchor}"
 
 
+def words(page: str) -> int:
+    """The words of a page without its generated tables."""
+    return len(re.sub(r"<!-- \w[\w ]* -->\n(?:\|.*\n)*", "", PAGES[page]).split())
+
+
+def test_pages_are_short():
+    """README, how-to pages, all pages, and all of them together, as CONTRIBUTING says."""
+    limits = {"README.md": 1200, "docs/howto/": 1500, "docs/architecture.md": 1500, "": 4000}
+    long = {
+        page: words(page)
+        for page in PAGES
+        if words(page) > next(n for start, n in limits.items() if page.startswith(start))
+    }
+    assert long == {}
+    assert sum(words(page) for page in PAGES if page != "CONTRIBUTING.md") <= 40_000
+
+
+def test_bullets_of_the_changelog_are_short():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    bullets = re.findall(r"^- ((?:.+\n)(?:  .+\n)*)", text, re.M)
+    assert len(bullets) > 50 and [b for b in bullets if len(b.split()) > 25] == []
+    assert set(re.findall("^### (.+)$", text, re.M)) <= {"Breaking", "Added", "Changed", "Fixed"}
+
+
+def test_workflows_call_targets_that_exist():
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.M))
+    for path in (ROOT / ".github" / "workflows").glob("*.yml"):
+        for line in re.findall(r"run: make (.+)", path.read_text()):
+            assert set(line.split()) <= targets, f"{path.name}: make {line}"
+    assert "make check" in (ROOT / ".ci" / "run").read_text()
+
+
 # --- examples of files
 # -------------------------------------------------------------------------------------------------
 
