@@ -55,7 +55,7 @@ def write_tdms(path: Path) -> None:
 
     def said(unit: str, tick: float) -> dict[str, object]:
         about = {"wf_increment": tick, "wf_start_time": start, "wf_start_offset": 0.0}
-        return about | {"unit_string": unit}
+        return about | {"unit_string": unit}  # pyright: ignore[reportReturnType]
 
     with TdmsWriter(path) as file:
         half = T.size // 2

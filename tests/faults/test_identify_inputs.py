@@ -136,7 +136,7 @@ def test_what_the_log_excites_comes_back_without_bounds(machine, valve, volts, n
     found = fit[name]
     assert found.status == "estimated", found
     # five standard errors, and errors that make the number worth having
-    assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)
+    assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)  # pyright: ignore[reportOperatorIssue]
 
 
 def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():

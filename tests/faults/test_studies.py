@@ -56,7 +56,7 @@ def makers(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join(path for path in paths if path))
         patch.syspath_prepend(str(folder))
-        import study_makers
+        import study_makers  # pyright: ignore[reportMissingImports]
 
         yield study_makers.opened
 

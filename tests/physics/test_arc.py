@@ -129,7 +129,7 @@ def nominal(payload):
     both = mass * com / (mass + payload)
     points = [(mass, com - both), (payload, -both)]
     extra = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in points)
-    inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # pyright: ignore[reportIndexIssue]
     heavy = link.model_copy(
         update={
             "mass": Value(mass + payload),
@@ -419,7 +419,7 @@ def test_saturation_is_said_and_leaves_no_wind_up():
     saturated = (limits & SATURATED).any(axis=0)
     error = run.telemetry["x_error"]
     assert saturated.sum() > 50 and error.min() < -0.02
-    still = saturated[1:] & saturated[:-1] & (run.telemetry["learning"][:-1] == FROZEN)
+    still = saturated[1:] & saturated[:-1] & (run.telemetry["learning"][:-1] == FROZEN)  # pyright: ignore[reportIndexIssue]
     assert still.sum() > 50
     for name in ESTIMATES:
         assert np.abs(np.diff(run.telemetry[name])[still]).max() == 0.0

@@ -134,7 +134,7 @@ def test_a_bench_without_a_file_is_plausible(name):
     for column, valve in enumerate(valves):
         if len(valve.edge) > 1:
             table[20:, column] = 0.4 * float(valve.command_max)
-        elif {valve.edge[0].from_, valve.edge[0].to} in ({"supply", "head"}, {"rod", "tank"}):
+        elif {valve.edge[0].from_, valve.edge[0].to} in ({"supply", "head"}, {"rod", "tank"}):  # pyright: ignore[reportGeneralTypeIssues]
             table[20:, column] = 0.4 * float(valve.command_max)
     states, _ = drive(bench, table)
     n = len(bench.layout.joints)

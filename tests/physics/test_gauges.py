@@ -146,7 +146,7 @@ def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
     for name, truth in valve.items():
         low, high = fit[name].interval or (0.0, 0.0)
         assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
-        assert fit[name].std < 0.5 * without[name].std
+        assert fit[name].std < 0.5 * without[name].std  # pyright: ignore[reportOperatorIssue]
     limits = Thresholds(fit_percent={"v": 50.0, "opening": 90.0})
     good, bad = (
         validate_rig(one, [("a", log)], channels=("v", "opening"), thresholds=limits)

@@ -434,7 +434,7 @@ def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_without_
         ):  # one spool meters both ends, so the far end is throttled and its pressure rises as well
             assert up.drawn - up.bound == pytest.approx(up.compression, abs=2e-3 * up.bound)
             assert up.compression > 2e-3 * up.bound
-        assert abs(by_name["hold"].drawn) < 2e-3 * limits.used
+        assert abs(by_name["hold"].drawn) < 2e-3 * limits.used  # pyright: ignore[reportOperatorIssue]
 
 
 # --- from a log
@@ -509,9 +509,9 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
             )
         ledger = ledger_of_log(machine.rig.with_values(guess), None, log, accuracy=quiet)
         for name in names:
-            low, high = ledger[name].interval
+            low, high = ledger[name].interval  # pyright: ignore[reportGeneralTypeIssues]
             judged.append(low <= truth[name].energy <= high)
-        low, high = ledger.residual.interval
+        low, high = ledger.residual.interval  # pyright: ignore[reportGeneralTypeIssues]
         judged.append(low <= 0.0 <= high)
     assert 0.88 < np.mean(judged) < 0.995
 
@@ -602,7 +602,7 @@ def test_intervals_cover_what_maps_say_of_themselves():
         ledger = ledger_of_log(
             rig, found, measured(record, machine), accuracy=replace(EXACT, lag=1e-6)
         )
-        low, high = ledger.residual.interval
+        low, high = ledger.residual.interval  # pyright: ignore[reportGeneralTypeIssues]
         assert not any("outside" in note for note in ledger.notes)
         miss.append(ledger.residual.energy / (0.5 * (high - low) / 1.959964))
     assert 0.5 < math.sqrt(np.mean(np.square(miss))) < 1.6
@@ -690,10 +690,10 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
         word = "damping" if rig.mechanism.kind == "slide" else "joint_damping"
         beyond = float(true[f"{joint}.{word}"]) - float(rig.parameters()[f"{joint}.{word}"])
         more = beyond * float(np.trapezoid(truth[:, 1] ** 2, log.t))
-        low, high = ledger["unexplained.mechanism"].interval
+        low, high = ledger["unexplained.mechanism"].interval  # pyright: ignore[reportGeneralTypeIssues]
         assert low <= friction + more <= high
         assert high - low < 1.2 * friction, "the interval says nothing"
-        low, high = ledger.residual.interval
+        low, high = ledger.residual.interval  # pyright: ignore[reportGeneralTypeIssues]
         assert low <= friction + more + leakage <= high
         assert high - low < 0.15 * ledger.pump
         assert sum(value > 0.0 for value in ledger.sources.values()) >= 8

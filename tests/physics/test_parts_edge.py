@@ -261,7 +261,7 @@ def test_an_underlap_comes_back_from_a_noisy_log():
     start = {"press.servo_rod_tank.underlap": 0.05, "press.servo_supply_head.flow_gain": 3e-8}
     fit = identify_hydraulics(rig, [("log", noisy(made, 5))], list(start), FitOptions(start=start))
     for name in start:
-        low, high = fit[name].interval
+        low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
         assert low <= float(rig.parameters()[name]) <= high and fit[name].status == "estimated"
         assert high - low < 0.05 * high
 

@@ -109,7 +109,7 @@ def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> No
         logs = [(f"log {i}", noisy(log, 10 * seed + i)) for i, log in enumerate(made)]
         fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start))
         for name, value in truth.items():
-            low, high = fit[name].interval
+            low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
             assert fit[name].status == "estimated", fit[name]
             assert fit[name].std < accuracy * abs(value), fit[name]
             held.append(low <= value <= high)

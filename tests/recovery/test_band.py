@@ -89,7 +89,7 @@ def test_a_delay_that_nobody_modelled_shows_up():
     free = fitted(LATE, sensors=(Sensor(channel=COMMAND, delay="estimate"),))
     (delay,) = free.sensors
     assert abs(delay.value - 0.008) < 3.0 * delay.std + 1e-4 and delay.std < 1e-3
-    low, high = free["bulk_modulus"].interval
+    low, high = free["bulk_modulus"].interval  # pyright: ignore[reportGeneralTypeIssues]
     assert low <= TRUE["bulk_modulus"] <= high
 
 

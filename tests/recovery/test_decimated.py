@@ -57,7 +57,7 @@ def noisy(record, seed, time=0.0):
         if word in ("opening", "flow", "flow_supply"):
             continue
         noise = lfilter([math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(y.size + 500))
-        channels[name] = y + NOISE.get(word, 0.0) * noise[500:]
+        channels[name] = y + NOISE.get(word, 0.0) * noise[500:]  # pyright: ignore[reportOperatorIssue]
     return Record(record.t, channels, record.meta)
 
 
@@ -88,9 +88,9 @@ def test_means_tell_what_samples_tell(time):
     """
     whole, means = identify(logs(1, time), decimate=1), identify(logs(1, time))
     for name, truth in TRUTH.items():
-        low, high = means[name].interval
+        low, high = means[name].interval  # pyright: ignore[reportGeneralTypeIssues]
         assert low <= truth <= high
-        assert abs(means[name].value - whole[name].value) < 0.25 * whole[name].std
+        assert abs(means[name].value - whole[name].value) < 0.25 * whole[name].std  # pyright: ignore[reportOperatorIssue]
         assert 0.93 < width(means[name]) / width(whole[name]) < 1.07
     assert whole.compared == ()
     assert means.compared == ("all logs are compared as means of 6 samples, 1.67 kHz of 10 kHz",)
@@ -115,7 +115,7 @@ def test_a_step_may_be_taken_at_any_sample():
     """
     fit = identify(logs(2), decimate=33)
     for name, truth in TRUTH.items():
-        assert abs(fit[name].value - truth) < 3.5 * fit[name].std
+        assert abs(fit[name].value - truth) < 3.5 * fit[name].std  # pyright: ignore[reportOperatorIssue]
         assert fit[name].std < 0.02 * truth
     assert not any("behind" in text for text in fit.warnings)
 

@@ -155,7 +155,7 @@ def test_flow_that_falls_with_the_drop_is_let_fall():
     found = fitted(compensated, 5).map
     flow = found.flow(np.array([2.5e6, 6.4e6]), 9.0)
     true = compensated(np.array([2.5e6, 6.4e6]), 9.0)
-    assert flow[1] < flow[0] and flow[1] - flow[0] == pytest.approx(
+    assert flow[1] < flow[0] and flow[1] - flow[0] == pytest.approx(  # pyright: ignore[reportIndexIssue]
         true[1] - true[0], abs=0.015 * found.rated_flow
     )
 
@@ -457,7 +457,7 @@ def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case, seed):
     )
     # and not by intervals so wide that they hold anything: some twice the readings' own 0.5 %,
     # without repeats four times
-    wide = np.median(found.map.flow_std(drop, command)[command > 1.6]) / found.map.rated_flow
+    wide = np.median(found.map.flow_std(drop, command)[command > 1.6]) / found.map.rated_flow  # pyright: ignore[reportIndexIssue]
     assert wide < (0.01 if trials > 1 else 0.02)
     # one in two hundred good readings may go, as repeats do lie apart by chance
     assert len(found.outliers) <= 0.005 * len(commands) * len(drops) * trials

@@ -79,7 +79,7 @@ def noisy(record, seed, pole=0.0, share=1.0):
         noise = lfilter(
             [math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(values.size + 200)
         )[200:]
-        channels[name] = values + share * NOISE.get(word, 0.0) * noise
+        channels[name] = values + share * NOISE.get(word, 0.0) * noise  # pyright: ignore[reportOperatorIssue]
     return Record(record.t, channels, record.meta)
 
 
@@ -141,7 +141,7 @@ def test_far_starts_come_back_within_intervals(name):
         found = fit[parameter]
         assert found.status == "estimated" and found.start == start[parameter]
         # four standard errors: one parameter in 16 000 fails by chance
-        assert abs(found.value - truth) < 4.0 * found.std, (found, truth)
+        assert abs(found.value - truth) < 4.0 * found.std, (found, truth)  # pyright: ignore[reportOperatorIssue]
         assert found.std < 0.05 * truth
         identified = fit.rig.parameters()[parameter]
         assert (float(identified), identified.sure, identified.std) == (
@@ -173,10 +173,10 @@ def test_six_parameters_of_the_arm_from_six_logs():
     fit = identify(rig("thesis_arm"), logs, [*truth, *zeros], start=start)
     for name, value in truth.items():
         assert fit[name].status == "estimated"
-        assert abs(fit[name].value - value) < 4.0 * fit[name].std, fit[name]
+        assert abs(fit[name].value - value) < 4.0 * fit[name].std, fit[name]  # pyright: ignore[reportOperatorIssue]
         assert fit[name].std < 0.03 * value
     for name in zeros:  # the truth is at the bound
-        low, high = fit[name].interval
+        low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
         assert low == 0.0 and high < 0.02 * fit[name].upper
 
 
@@ -229,7 +229,7 @@ def test_a_sample_is_the_state_at_its_time():
     assert all(covers(good, item) for item in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)))
     assert not any("behind" in text for text in good.warnings)
     off = max(
-        abs(late[name].value - truth) / good[name].std
+        abs(late[name].value - truth) / good[name].std  # pyright: ignore[reportOperatorIssue]
         for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
     )
     assert off > 10.0  # biased by far more than the noise explains
@@ -469,7 +469,7 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
     ]
     fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.v" in fit.logs[0].fit_percent
-    assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
+    assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std  # pyright: ignore[reportOperatorIssue]
     for text, series in fit.series().items():
         assert (
             "t [s]" in series
@@ -481,7 +481,7 @@ def test_a_rate_that_was_not_recorded_comes_from_the_position():
 def test_a_low_pass_leaves_the_answer():
     fit = identify(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0)
     assert all(
-        abs(fit[name].value - truth) < 4.0 * fit[name].std
+        abs(fit[name].value - truth) < 4.0 * fit[name].std  # pyright: ignore[reportOperatorIssue]
         for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0))
     )
 
@@ -628,7 +628,7 @@ def test_what_follows_an_empty_chamber_does_not_count():
     assert fit.logs[0].counted["press.p_rod"] == pytest.approx(
         100 * (1 - 0.24 / 0.8), abs=1
     )  # 0.25 s to 0.05 s after the next step
-    assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std
+    assert abs(fit["bulk_modulus"].value - 9e8) < 4.0 * fit["bulk_modulus"].std  # pyright: ignore[reportOperatorIssue]
 
 
 def test_valve_dynamics_are_told_apart():

@@ -86,5 +86,5 @@ def comes_back(rig: Rig, given: list[tuple[str, Record]], factors: dict[str, flo
         found = fit[name]
         assert found.status in ("estimated", "correlated") and found.start == start[name]
         # four standard errors: one parameter in 16 000 fails by chance
-        assert abs(found.value - truth) < 4.0 * found.std, found
+        assert abs(found.value - truth) < 4.0 * found.std, found  # pyright: ignore[reportOperatorIssue]
         assert found.std < 0.05 * truth

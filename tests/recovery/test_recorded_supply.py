@@ -69,10 +69,10 @@ def test_oil_and_damping_are_right_on_a_supply_that_the_rig_file_does_not_know()
     given, own = fit(RECORDED), fit("model")
     truth = rig().parameters()
     for name in (STIFF, LOSS):
-        low, high = given[name].interval
+        low, high = given[name].interval  # pyright: ignore[reportGeneralTypeIssues]
         assert low < float(truth[name]) < high, name
     assert given[STIFF].value == pytest.approx(float(truth[STIFF]), rel=2e-3)
-    low, high = given[STIFF].interval
+    low, high = given[STIFF].interval  # pyright: ignore[reportGeneralTypeIssues]
     wide = own[STIFF].interval
     assert high - low < 0.2 * (wide[1] - wide[0])
     assert any("bar below the model's" in text and RECORDED in text for text in own.warnings)
@@ -116,7 +116,7 @@ def test_a_validation_says_that_the_supply_is_another():
     assert any("p_supply is up to" in text for text in own.warnings)
     assert not any("p_supply is up to" in text for text in given.warnings)
     fits = [{one.channel: one.fit_percent for one in log.channels} for log in found.logs]
-    assert all(fits[1][name] > fits[0][name] for name in fits[0])
+    assert all(fits[1][name] > fits[0][name] for name in fits[0])  # pyright: ignore[reportOperatorIssue]
 
 
 def test_a_recipe_asks_for_it_and_needs_the_pressure(tmp_path):

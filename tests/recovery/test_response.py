@@ -30,7 +30,7 @@ SYSTEM = signal.cont2discrete(
 
 def truth(frequency: np.ndarray) -> np.ndarray:
     """The sampled system's own response, with its delay."""
-    numerator, denominator, _ = SYSTEM
+    numerator, denominator, _ = SYSTEM  # pyright: ignore[reportAssignmentType, reportGeneralTypeIssues]
     _, found = signal.freqz(np.squeeze(numerator), denominator, frequency, fs=RATE)
     return found * np.exp(-2j * math.pi * frequency * LATE / RATE)
 
@@ -39,7 +39,7 @@ def log(seed: int, seconds: float = 30.0, noise: float = 0.004) -> tuple[str, Re
     """White commands held from sample to sample about a working point, the speed with noise."""
     random = np.random.default_rng(seed)
     x = random.standard_normal(round(seconds * RATE))
-    y = signal.lfilter(np.squeeze(SYSTEM[0]), SYSTEM[1], np.r_[np.zeros(LATE), x[:-LATE]])
+    y = signal.lfilter(np.squeeze(SYSTEM[0]), SYSTEM[1], np.r_[np.zeros(LATE), x[:-LATE]])  # pyright: ignore[reportIndexIssue]
     y += 0.1 + noise * random.standard_normal(x.size)
     t = np.arange(x.size) / RATE
     return f"log_{seed}", Record(t, dict(zip(NAMES, (2.0 + x, y), strict=True)))
@@ -97,9 +97,9 @@ def test_the_delay_is_found_and_its_interval_holds(window):
     for seed in range(150):
         found = estimate(signals(delayed(seed, 5), segment=0.5, window=window, frequency=100.0))
         delay = found.delay
-        inside.append(delay.low < 5e-3 < delay.high)
+        inside.append(delay.low < 5e-3 < delay.high)  # pyright: ignore[reportOperatorIssue]
         errors.append(delay.value - 5e-3)
-        halves.append(0.5 * (delay.high - delay.low))
+        halves.append(0.5 * (delay.high - delay.low))  # pyright: ignore[reportOperatorIssue]
     assert 0.9 <= np.mean(inside) <= 0.99
     assert np.std(errors) * 1.96 == pytest.approx(np.mean(halves), rel=0.2)
     assert "frequency_response.curved_phase" not in [note.key for note in found.warnings]

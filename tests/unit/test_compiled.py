@@ -48,9 +48,9 @@ def test_the_cache_is_that_of_these_sources(tmp_path, monkeypatch):
 @pytest.mark.parametrize("where", ["", "/elsewhere"])
 def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
     """Also where the host has told numba of a place of its own."""
-    monkeypatch.setattr(numba.config, "CACHE_DIR", where)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", where)  # pyright: ignore[reportPrivateImportUsage]
     mine = compiled.allocating_kernel(grows)
-    assert numba.config.CACHE_DIR == where
+    assert numba.config.CACHE_DIR == where  # pyright: ignore[reportPrivateImportUsage]
     folder = str(compiled._cache_folder())
     for function in (mine, integrate.run, integrate.advance):
         assert function.outer.stats.cache_path.startswith(folder)

@@ -58,7 +58,7 @@ def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e
         edge.from_node, edge.to_node, edge.valve = a, b, valve
         edge.sign, edge.blocked = sign, blocked
     valves = 1 + max(row[2] for row in rows)
-    return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))
+    return fn.circuit(0, *areas, edges, np.zeros(1), np.tile(ranges, (valves, 1)))  # pyright: ignore[reportCallIssue]
 
 
 def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS):

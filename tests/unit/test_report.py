@@ -630,7 +630,7 @@ def test_a_campaign_titles_figures_and_adds_sections(runs, tmp_path):
 def test_a_title_for_no_figure_is_refused_with_its_line(runs, tmp_path):
     with pytest.raises(InputError, match="flow_map_hekt_forward") as caught:
         build(runs, campaign(tmp_path, '"flow_map_hekt_forward" = "Fig. A.4"'))
-    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint
+    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint  # pyright: ignore[reportOperatorIssue]
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,7 @@ def test_a_text_explains_what_its_samples_differ_by():
     y = np.exp(3.0 * (kind == 0.0) + 0.2 * x)
     columns = np.stack([statistics.scores(kind, y), x], axis=1)
     (first, second), explained = statistics.rank_regression(("kind", "x"), columns, y)
-    assert first.rank > 0.7 and 0.2 < second.rank < first.rank and explained > 0.95
+    assert first.rank > 0.7 and 0.2 < second.rank < first.rank and explained > 0.95  # pyright: ignore[reportOperatorIssue]
     alone, share = statistics.rank_regression(("x",), x[:, None], y)
     assert share < 0.5 < explained and alone[0].rank > 0.0
 

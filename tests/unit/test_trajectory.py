@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -189,9 +190,8 @@ def test_the_filter_is_the_second_order_one(zeta):
         [[1.0, 0.0]],
         [[0.0]],
     )
-    _, expected, _ = signal.dlsim(
-        (*signal.cont2discrete([np.array(m) for m in plant], TICK, "zoh")[:4], TICK), v_d
-    )
+    matrices: Any = signal.cont2discrete([np.array(m) for m in plant], TICK, "zoh")
+    expected: Any = signal.dlsim((*matrices[:4], TICK), v_d)[1]
     ours = shaped(v_d, natural_frequency=omega, damping_ratio=zeta)[:, 0]
     assert ours[:-1] == pytest.approx(expected[1:, 0], abs=1e-11)
 

@@ -842,7 +842,7 @@ def test_code_runs_only_when_allowed(rig, tmp_path):
         run_trial(rig, recipe)
     assert (
         error.value.line == 8
-        and "--allow-code" in error.value.hint
+        and "--allow-code" in error.value.hint  # pyright: ignore[reportOperatorIssue]
         and not Path("touched").exists()
     )
     assert code_file(recipe) == (tmp_path / "mine.py").resolve()

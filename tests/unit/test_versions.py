@@ -78,7 +78,7 @@ def numbers_of(runs: dict[str, Path]) -> dict[str, dict[str, float]]:
     bench = read_log(runs["trial"] / "log.mcap")
     trial, study = saved("trial", "trial.json"), saved("study", "study.json")
     fits = {name: saved(name, "parameters.json") for name in ("hydraulics", "matching")}
-    return {
+    return {  # pyright: ignore[reportReturnType]
         "logs": {name: float(np.std(values)) for name, values in recorded.items()},
         "plant": {name: float(values[-1]) for name, values in log.channels.items()},
         "bench": {name: float(np.std(values)) for name, values in bench.items()},

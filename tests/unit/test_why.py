@@ -281,7 +281,9 @@ def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop,
 
 def test_a_run_of_an_older_method_is_marked(shop, monkeypatch):
     monkeypatch.setattr(
-        versions, "METHODS", METHODS | {"output_error": METHODS["output_error"] + 1}
+        versions,
+        "METHODS",
+        METHODS | {"output_error": METHODS["output_error"] + 1},  # pyright: ignore[reportOperatorIssue]
     )
     changes = origin("bulk_modulus", shop / "reports" / "fit_1").changes
     assert len(changes) == 1 and "output_error" in changes[0]
