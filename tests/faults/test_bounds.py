@@ -70,7 +70,7 @@ def test_a_trial_that_runs_away_ends_as_such(tmp_path):
     (tmp_path / "trial.toml").write_text(
         OPEN + "duration = '2 s'\nposture = { press = '20 mm' }\n" + stop
     )
-    with pytest.raises(SimulationError, match="the trial ran away: press.p_") as error:
+    with pytest.raises(SimulationError, match="the trial diverged: press.p_") as error:
         run_trial(load_rig(tmp_path / "rig.toml"), load_recipe(tmp_path / "trial.toml"))
     assert error.value.exit_code == 5 and "limits" in str(error.value.hint)
 

@@ -633,7 +633,7 @@ def test_a_threshold_of_the_ringing_can_be_switched_off(tmp_path, key):
 
 @pytest.mark.parametrize(
     ("raw", "says"),
-    [("true", "or false to ask for none"), ("0", "greater than 0"), ('"15 %"', "valid number")],
+    [("true", "or false for no limit"), ("0", "greater than 0"), ('"15 %"', "valid number")],
 )
 def test_a_share_that_is_none_is_refused_with_its_line(tmp_path, raw, says):
     (tmp_path / "v.toml").write_text(VERDICT + f"natural_frequency_error = {raw}\n")

@@ -642,7 +642,7 @@ def test_the_energies_of_a_trial_are_those_of_its_ledger(on):
     assert mean == pytest.approx(np.mean(result.record["p_supply"]), rel=0.03)
     assert found["source"].startswith("edge flows" if on == "model" else "estimated")
     known = list(made.facts.measures)
-    assert known.index("energy") == known.index("limits") - 1 and not made.doubts
+    assert known.index("energy") == known.index("limits") - 1 and not made.notes
 
 
 def test_the_energy_saving_law_takes_a_third_less_than_the_four_way_valve():

@@ -187,7 +187,7 @@ def test_the_virtual_bench_has_them_too(rig, most):
         (
             {"load_margin": Value(1e6)},
             {"rail_pressure": Value(5e6), "rail_margin": Value(1e6)},
-            "leave one out",
+            "omit one",
         ),
     ],
 )

@@ -274,7 +274,9 @@ decimate = {given}
 def test_a_recipe_with_no_such_number_of_samples(tmp_path, given):
     path = tmp_path / "recipe.toml"
     path.write_text(RECIPE.format(rig=RIGS / "slide_servo.toml", given=given))
-    with pytest.raises(InputError, match="decimate: .* is no number of samples: a whole") as told:
+    with pytest.raises(
+        InputError, match="decimate: .* is not a number of samples: a whole"
+    ) as told:
         load_recipe(path)
     assert told.value.line == 7
 

@@ -177,7 +177,7 @@ def test_stroke_and_angle_that_disagree_with_the_pins_are_noted():
     ("table", "words"),
     [
         ({"channel": "press.p_heat"}, "p_head"),
-        ({"channel": "press.x", "pressure": "absolute"}, "no pressure"),
+        ({"channel": "press.x", "pressure": "absolute"}, "not a pressure"),
         ({"channel": "press.x", "offset": "2 bar"}, "bar"),
         ({"channel": "press.x", "offset": "guess"}, "estimate"),
         ({"channel": "press.x", "scale": -1.0}, "sign"),
