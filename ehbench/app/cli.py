@@ -4,6 +4,7 @@ code.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import gc
 import os
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from enum import StrEnum
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
@@ -22,6 +24,7 @@ import typer
 from typer.core import TyperGroup
 
 from ehbench.runtime.cores import cores
+from ehbench.runtime.disk import write_text
 from ehbench.runtime.interrupts import Terminated, ended, listen
 from ehbench.vocabulary.commands import COMMANDS, Command
 from ehbench.vocabulary.errors import EhbenchError
@@ -400,7 +403,7 @@ def show(
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
     path = viewer.place(files, out)
-    path.write_text(viewer.page(files, columns), encoding="utf-8")
+    write_text(path, viewer.page(files, columns))
     print(path)
 
 
@@ -590,6 +593,10 @@ def main() -> None:
     half-written stays.
     """
     listen()
+    codecs.register_error("spelled", _spelled)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="spelled")
     # modules are a million objects that stay: to look through them for garbage again and again
     # takes a tenth of a short run
     gc.set_threshold(50_000, 20, 20)
@@ -597,6 +604,19 @@ def main() -> None:
         app()
     except BaseException as error:
         _end_by(error, ended())
+
+
+def _spelled(error: UnicodeError) -> tuple[bytes, int]:
+    """What a stream writes of text that its encoding has not: the bytes of a file's name as the
+    disk has them, anything else as ``\\uXXXX``.
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = error.object[error.start : error.end]
+    try:
+        return text.encode("ascii", "surrogateescape"), error.end
+    except UnicodeEncodeError:
+        return text.encode("ascii", "backslashreplace"), error.end
 
 
 def _end_by(error: BaseException, requested: int) -> NoReturn:

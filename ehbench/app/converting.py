@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from ehbench.data import read
 from ehbench.data.record import Record
+from ehbench.runtime.disk import replacing
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
@@ -39,15 +39,12 @@ def convert(path: Path, to: str, out: Path | None = None, columns: Path | None =
     if out.exists() or out.is_symlink():
         raise InputError(message("app.stands_already"), file=out)
     record = read(log, columns=columns)
-    part = out.with_name(f".{out.name}.{os.getpid()}.part")
     try:
-        {"parquet": _parquet, "mat": _mat}[to](part, record)
-        os.replace(part, out)
+        with replacing(out) as part:
+            {"parquet": _parquet, "mat": _mat}[to](part, record)
     except OSError as error:
         reason = error.strerror or error
         raise InputError(message("app.unwritable", reason=reason), file=out) from None
-    finally:
-        part.unlink(missing_ok=True)
     return out
 
 
@@ -81,7 +78,8 @@ def _parquet(path: Path, record: Record) -> None:
     about = {
         "ehbench": json.dumps({"meta": dict(record.meta), "losses": list(record.losses)}).encode()
     }
-    pq.write_table(pa.table(values, schema=pa.schema(fields, metadata=about)), path)
+    with path.open("wb") as file:  # pyarrow takes no name that is not UTF-8
+        pq.write_table(pa.table(values, schema=pa.schema(fields, metadata=about)), file)
 
 
 def _mat(path: Path, record: Record) -> None:

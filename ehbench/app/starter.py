@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from ehbench.runs import rundir
-from ehbench.runtime.disk import impossible
+from ehbench.runtime.disk import filling, impossible
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened, shortened_path
@@ -42,12 +42,12 @@ def init(folder: Path) -> Path:
         place = folder.resolve()
         if place.exists() and (not place.is_dir() or any(place.iterdir())):
             raise InputError(message("app.not_empty"), file=folder)
-        for source in sorted(template.rglob("*")):
-            target = place / source.relative_to(template)
-            if source.is_file():
-                target.parent.mkdir(parents=True, exist_ok=True)
-                with target.open("xb") as file:
-                    file.write(source.read_bytes())
+        with filling(place) as scratch:
+            for source in sorted(template.rglob("*")):
+                target = scratch / source.relative_to(template)
+                if source.is_file():
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    target.write_bytes(source.read_bytes())
     except (OSError, RuntimeError, ValueError) as error:
         reason = str(getattr(error, "strerror", None) or error)
         text = message("app.no_workspace", reason=reason)

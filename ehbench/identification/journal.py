@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from ehbench.runs import rundir
+from ehbench.runtime.disk import write_text
 from ehbench.vocabulary.errors import EhbenchError, InputError
 
 EVERY = 0.5  # [s] between writings: what a killed search loses at most
@@ -74,13 +74,9 @@ class Journal:
             return
         steps = self.steps + self.known[len(self.steps) :]
         text = json.dumps({**self.about, "stands": self.stands, "steps": steps}, indent=1)
-        part = self.path.with_name(f".{self.path.name}.{os.getpid()}")
-        try:
+        with suppress(OSError):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            part.write_text(text + "\n", encoding="utf-8")
-            os.replace(part, self.path)
-        except OSError:
-            part.unlink(missing_ok=True)
+            write_text(self.path, text + "\n")
 
 
 def place_of(final: Path) -> Path:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.runtime.compiled import allocating_kernel, kernel
-from ehbench.runtime.disk import DATA, read_bytes
+from ehbench.runtime.disk import DATA, read_bytes, write_text
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.text import quoted
 
@@ -586,7 +586,7 @@ def save_flow_maps(maps: FlowMaps, path: str | Path) -> Path:
     """Write ``flow_maps.json`` (into the folder, if ``path`` is one); returns the file's path."""
     path = Path(path)
     path = path / FILE_NAME if path.is_dir() else path
-    path.write_text(dump_flow_maps(maps), encoding="utf-8", newline="\n")
+    write_text(path, dump_flow_maps(maps))
     return path
 
 

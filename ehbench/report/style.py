@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ehbench.report.svg import shrink
+from ehbench.runtime.disk import write_text
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -74,7 +75,7 @@ def canvas(
         page = FigureCanvasSVG(figure)
         yield figure, figure.subplots(rows, columns, **kwargs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(_painted(page), encoding="utf-8")
+        write_text(path, _painted(page))
 
 
 def _painted(page: FigureCanvasSVG) -> str:

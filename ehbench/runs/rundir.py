@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.runs.versions import Versions
-from ehbench.runtime.disk import DATA, impossible, read_bytes
+from ehbench.runtime.disk import DATA, impossible, read_bytes, write_text
 from ehbench.runtime.interrupts import unbroken
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import Message, message
@@ -47,7 +47,7 @@ def sha256(path: Path) -> str:
     if path.is_dir() and (path / "metadata.yaml").is_file():
         digest = hashlib.sha256()
         for part in sorted(item for item in path.iterdir() if item.is_file()):
-            digest.update(part.name.encode() + b"\0" + read_bytes(part, DATA))
+            digest.update(os.fsencode(part.name) + b"\0" + read_bytes(part, DATA))
         return digest.hexdigest()
     target = path / "run.json" if path.is_dir() else path
     return hashlib.sha256(read_bytes(target, DATA)).hexdigest()
@@ -101,11 +101,11 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as JSON with stable bytes."""
-    path.write_text(
-        json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n",
-        encoding="utf-8",
-    )
+    """Write ``value`` as JSON with stable bytes; of a file's name the bytes that are no UTF-8 as
+    ``\\udcXX``, which `read_json` gives back.
+    """
+    text = json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_text(path, text.encode("utf-8", "backslashreplace").decode())
 
 
 def read_json(path: Path) -> Any:
@@ -160,8 +160,8 @@ def checksum(facts: Mapping[str, Any]) -> str:
     """SHA-256 over the content of ``run.json`` without its checksum: shows an edit, proves no
     author.
     """
-    text = json.dumps(facts, ensure_ascii=False, allow_nan=False, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
+    text = json.dumps(plain(facts), ensure_ascii=False, allow_nan=False, sort_keys=True)
+    return hashlib.sha256(text.encode("utf-8", "backslashreplace")).hexdigest()
 
 
 def run_hash(recipe: str, inputs: Iterable[tuple[str, str]], versions: Versions) -> str:
@@ -174,7 +174,7 @@ def run_hash(recipe: str, inputs: Iterable[tuple[str, str]], versions: Versions)
     """
     digest = hashlib.sha256(f"{recipe}{versions}\n".encode())
     for role, content in inputs:
-        digest.update(f"{role}:{content}\n".encode())
+        digest.update(f"{role}:{content}\n".encode("utf-8", "surrogateescape"))
     return digest.hexdigest()[:8]
 
 

@@ -1,10 +1,16 @@
-"""Files read whole: only plain ones, and only as large as can be held."""
+"""Files read whole: only plain ones, and only as large as can be held; files written whole or not
+at all.
+"""
 
 from __future__ import annotations
 
 import os
+import shutil
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from zlib import crc32
 
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.text import shortened_path
@@ -45,6 +51,54 @@ def read_bytes(path: Path, maximum: int = TEXT, error: type[InputError] = InputE
     except (OSError, ValueError) as reason:
         words = getattr(reason, "strerror", None) or reason
         raise error(f"cannot be read: {words}", file=shortened_path(path)) from None
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside ``path``. What the block writes there takes the place of ``path``
+    when the block ends well; otherwise an earlier file stays as it was. A link is followed, a
+    device is written to.
+    """
+    path = path.resolve()
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    part = path.with_name(f".{os.getpid()}_{crc32(os.fsencode(path.name)):08x}.part")
+    part.unlink(missing_ok=True)
+    try:
+        yield part
+        os.replace(part, path)
+    except OSError as error:  # names what the user asked for
+        error.filename = str(path) if error.filename in (None, str(part)) else error.filename
+        raise
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """A temporary folder inside a new or empty one. What the block writes moves into ``folder``
+    when the block ends well; otherwise nothing stays.
+    """
+    is_new = not folder.exists()
+    scratch = folder / f".{os.getpid()}.part"
+    scratch.mkdir(parents=True)
+    try:
+        yield scratch
+        for item in sorted(scratch.iterdir()):
+            item.rename(folder / item.name)
+    except BaseException:
+        shutil.rmtree(folder if is_new else scratch, ignore_errors=True)
+        raise
+    scratch.rmdir()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text whole or not at all, in UTF-8; bytes of file names that are none come out as
+    they were.
+    """
+    with replacing(path) as part:
+        part.write_bytes(text.encode("utf-8", "surrogateescape"))
 
 
 def impossible(path: Path) -> str:

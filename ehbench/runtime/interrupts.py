@@ -33,11 +33,14 @@ class _State:
 
 
 def listen() -> None:
-    """Let SIGTERM, and the keyboard where Python's own handler has it, raise `Terminated`; again
-    and again until `ended`, for libraries turn it into errors of theirs, or swallow it, and no
-    exception comes out of a finaliser.
+    """Let SIGTERM, a terminal that closes (SIGHUP, unless ``nohup`` ignores it), and the keyboard
+    where Python's own handler has it, raise `Terminated`; again and again until `ended`, for
+    libraries turn it into errors of theirs, or swallow it, and no exception comes out of a
+    finaliser.
     """
     signal.signal(signal.SIGTERM, _end)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, _end)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)  # the command line's library says nothing of it
     if hasattr(signal, "setitimer"):

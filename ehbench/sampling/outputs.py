@@ -106,7 +106,7 @@ def write_tables(
     codes, status = np.zeros(size, np.int16), []
     texts: list[dict[str, int]] = [{} for _ in design.columns]
     with (
-        (folder / "samples.csv").open("w", encoding="utf-8") as csv,
+        (folder / "samples.csv").open("w", encoding="utf-8", errors="surrogateescape") as csv,
         _parquet(folder / "samples.parquet", columns) as add,
     ):
         csv.write(",".join(quoted(name) for name, _ in columns) + "\n")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 from ehbench.config.recipe import Recipe, load_rig
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
+from ehbench.runtime.disk import write_text
 from ehbench.sampling.sample import Workers
 from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState, maps_in
 from ehbench.vocabulary.errors import InputError
@@ -282,7 +283,7 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
 
     from ehbench.physics.flow_map import save_flow_maps
 
-    (folder / "rig.toml").write_text(tomli_w.dumps(rig.as_toml()), encoding="utf-8")
+    write_text(folder / "rig.toml", tomli_w.dumps(rig.as_toml()))
     if maps is not None:
         save_flow_maps(maps, folder / "flow_maps.json")
 

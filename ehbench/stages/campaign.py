@@ -11,6 +11,7 @@ from pathlib import Path
 from ehbench.config.recipe import Campaign, load_recipe
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
+from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Host, Outcome, Prepared, Stage, Work, stage_of
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.errors import InputError
@@ -102,6 +103,6 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
         progress("writing the report", 0.5)
     with rundir.open_run(final, "report", source, inputs) as run:
         page = build(folders, campaign)
-        (run.path / "report.html").write_text(page, encoding="utf-8")
+        write_text(run.path / "report.html", page)
     changes = [text for folder in folders for text in changed_inputs(folder)]
     return Outcome(run.final, INCOMPLETE if changes else DONE, (*changes, *run.left_over))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ehbench.config.recipe import FlowMapRecipe
 from ehbench.config.recipe.columns import LEAVE_OUT
 from ehbench.runs import rundir
+from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.vocabulary.errors import InsufficientData
@@ -99,14 +100,14 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         maps = collect([fit.fit.map for fit in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
-        (folder / "points.csv").write_text(readings.points_table(fits, rig), encoding="utf-8")
+        write_text(folder / "points.csv", readings.points_table(fits, rig))
         text = table(
             maps,
             flow_unit=rig.unit_of("flow"),
             pressure_unit=rig.unit_of("pressure_drop"),
             signs=readings.signs(fits),
         )
-        (folder / "flow_maps.csv").write_text(text, encoding="utf-8")
+        write_text(folder / "flow_maps.csv", text)
         write_rig(folder, rig, None)
         warnings = [
             f"{fit.fit.map.valve} {fit.fit.map.direction}: {text}"

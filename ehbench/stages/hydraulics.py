@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench.config.recipe import HydraulicsRecipe, Recipe, read_toml
 from ehbench.runs import rundir
+from ehbench.runtime.disk import filling, write_text
 from ehbench.stages.base import (
     Host,
     Outcome,
@@ -159,10 +160,8 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
 
     if folder.exists() and any(folder.iterdir()):
         raise InputError(message("stages.not_empty"), file=folder)
-    folder.mkdir(parents=True, exist_ok=True)
     recipe, setup = prepared.recipe, result.setups[0]
     table = relocated(read_toml(recipe.path)[0], partial(name_from, folder, recipe))
-    write_rig(folder, setup.rig, prepared.state.flow_maps)
     if prepared.state.flow_maps is not None:
         table["flow_maps"] = "."
     table |= {"rig": "rig.toml", "parameters": list(setup.parameters)}
@@ -176,10 +175,11 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
         table["upper"] = table.get("upper", {}) | more
     if setup.options.sensors:
         table["sensor"] = [sensor.as_toml() for sensor in setup.options.sensors]
-    path = folder / recipe.path.name
-    path.write_text(tomli_w.dumps(table), encoding="utf-8")
-    rundir.write_json(folder / "suggestions.json", [row.as_json() for row in result.rows])
-    return path
+    with filling(folder) as scratch:
+        write_rig(scratch, setup.rig, prepared.state.flow_maps)
+        write_text(scratch / recipe.path.name, tomli_w.dumps(table))
+        rundir.write_json(scratch / "suggestions.json", [row.as_json() for row in result.rows])
+    return folder / recipe.path.name
 
 
 def _prepared_fit(

@@ -88,7 +88,7 @@ def line_naming(path: Path, message: str) -> int | None:
     """The first line of a recipe that has one of the quoted words of a message as a text or key,
     the last word first.
     """
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    lines = path.read_text(encoding="utf-8-sig", errors="surrogateescape").splitlines()
     for word in reversed(re.findall(r"'([^']+)'", message)):
         known = re.compile(rf"""["']{re.escape(word)}["']|(?<![\w.-]){re.escape(word)}\s*=""")
         for number, line in enumerate(lines, 1):

@@ -18,6 +18,7 @@ from ehbench.report.terminal import table
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
+from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, Host, Outcome, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage, expect_hydraulics
 from ehbench.stages.inputs import Inputs
@@ -115,7 +116,7 @@ class NextTest:
             for entry in trial.commands
         ]
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(tomli_w.dumps(recipe), encoding="utf-8")
+        write_text(path, tomli_w.dumps(recipe))
         return path
 
 

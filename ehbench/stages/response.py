@@ -10,6 +10,7 @@ from pydantic import Field
 
 from ehbench.config.recipe import AnyColumns, DataFiles, Recipe
 from ehbench.runs import rundir
+from ehbench.runtime.disk import write_text
 from ehbench.stages.base import PreparedFromLogs, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs
 from ehbench.vocabulary.fields import Q, Value
@@ -117,6 +118,6 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
             forms = transfers(prepared.signals.pairs, prepared.signals.rate)
             table["transfers"] = [form.as_json() for form in forms]
         rundir.write_json(folder / "response.json", table)
-        (folder / "response.csv").write_text(result.table(unit), encoding="utf-8")
+        write_text(folder / "response.csv", result.table(unit))
         write_rig(folder, prepared.state.rig, None)
         return prepared.done(result.warnings)

@@ -13,6 +13,7 @@ from typing import Any, cast
 
 from ehbench.config.recipe import Recipe, TrialRecipe, load_recipe
 from ehbench.report.provenance import TracedRun
+from ehbench.runtime.disk import write_text
 from ehbench.sampling.design import RECIPE, Design, label_of
 from ehbench.sampling.keys import Changes, changed_table
 from ehbench.stages.base import Host, Outcome, Stage, stage_of, write_rig
@@ -110,7 +111,7 @@ class _Writer:
             table["bench"] = "bench.toml"
         if note:
             table["note"] = note
-        path.write_text(tomli_w.dumps(table), encoding="utf-8")
+        write_text(path, tomli_w.dumps(table))
         if isinstance(recipe, TrialRecipe):
             from ehbench import trial
 

@@ -27,7 +27,7 @@ from ehbench.config.recipe import (
     validated,
 )
 from ehbench.runs import rundir
-from ehbench.runtime.disk import impossible
+from ehbench.runtime.disk import impossible, write_text
 from ehbench.sampling.cluster import Bundle, file_name
 from ehbench.sampling.design import CASE, RECIPE
 from ehbench.sampling.keys import Changes, changed_bench, changed_rig, changed_table, changes_of
@@ -411,7 +411,7 @@ def write_bench(recipe: Recipe, changes: Mapping[str, Any], path: Path) -> None:
     table: Any = read_toml(source)[0] if trial.bench else {"stage": "bench", "rig": trial.rig}
     rig = (source.parent / str(table["rig"])).resolve()
     table["rig"] = Path(os.path.relpath(rig, path.parent.resolve())).as_posix()
-    path.write_text(tomli_w.dumps(changed_bench(table, changes, source)), encoding="utf-8")
+    write_text(path, tomli_w.dumps(changed_bench(table, changes, source)))
 
 
 def upstream_recipes(path: Path) -> dict[str, Path]:

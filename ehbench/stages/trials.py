@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench.config.recipe import TrialSetRecipe
 from ehbench.runs import rundir
+from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.trial import PLACES, length_of, measure_types, prepared_case, time_is_known
@@ -102,7 +103,7 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
                 rundir.write_json(folder / "ledgers" / f"{file}.json", account.ledger)
         rows = trial.table_rows(cases, results)
         rundir.write_json(folder / "table.json", {"rows": rows})
-        (folder / "table.csv").write_text(trial.table_csv(rows, rig), encoding="utf-8")
+        write_text(folder / "table.csv", trial.table_csv(rows, rig))
         stopped = [f"{name}: {item.facts.stopped}" for name, item in named if item.facts.stopped]
         warnings = [f"{name}: {text}" for name, item in named for text in item.facts.warnings]
         warnings += [f"{name}: {text}" for name, item in named for text in item.notes]

@@ -10,10 +10,12 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ehbench.app import starter
 from ehbench.runs import rundir
+from ehbench.runtime import disk
 from ehbench.vocabulary.errors import InputError
 
 RECIPE = "recipe.toml"
@@ -177,6 +179,43 @@ def test_a_disk_that_takes_no_more_is_one_sentence_of_the_place_that_was_asked_f
         assert not Path("out").exists() and not list(place.glob(".*"))
     done = inside(*words, cwd=place)
     assert done.returncode == 0, "it was the disk alone"
+
+
+WRITES = {  # (command, a page that stood there before)
+    "show": (("show", "log.csv", "--out", "page.html"), "page.html"),
+    "convert": (("convert", "log.csv", "--to", "mat", "--out", "log.mat"), None),
+    "map": (("map", "log.csv", "--out", "log.map.toml"), None),
+    "init": (("init", "ws"), None),
+}
+
+
+@pytest.mark.parametrize("name", WRITES)
+def test_a_full_disk_leaves_each_output_as_it_was(place, name):
+    words, earlier = WRITES[name]
+    t = np.arange(4000) / 1e3
+    table = np.column_stack([t, np.sin(t), np.random.default_rng(1).normal(size=t.size)])
+    header = "t [s],press.x [m],press.p_head [Pa]"
+    np.savetxt("log.csv", table, delimiter=",", header=header, comments="")
+    if earlier:
+        Path(earlier).write_text('<meta name="generator" content="ehbench show">' + "x" * 9_000)
+    before = tree(place)
+    line = [sys.executable, "-m", "ehbench.app.cli", *words]
+    with disk_of(2_500):
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+    assert tree(place) == before and not list(place.glob(".*"))
+
+
+def test_a_device_is_written_to_and_a_link_is_followed(place):
+    Path("real.txt").write_text("old")
+    os.symlink("real.txt", "link.txt")
+    disk.write_text(Path("link.txt"), "new")
+    assert Path("link.txt").is_symlink() and Path("real.txt").read_text() == "new"
+    os.mkfifo("pipe")
+    with subprocess.Popen(["cat", "pipe"], stdout=subprocess.PIPE, text=True) as reader:
+        disk.write_text(Path("pipe"), "through")
+        assert reader.communicate()[0] == "through"
+    assert Path("pipe").is_fifo()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")

@@ -16,7 +16,7 @@ from ehbench.runtime.interrupts import Terminated, ended, listen, unbroken
 
 @pytest.fixture(autouse=True)
 def listening():
-    used = (signal.SIGTERM, signal.SIGINT, signal.SIGVTALRM)
+    used = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGVTALRM)
     before = {number: signal.getsignal(number) for number in used}
     listen()
     yield
@@ -29,11 +29,17 @@ def ask(number: int = signal.SIGTERM) -> None:
     os.kill(os.getpid(), number)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_the_process_with_its_number(number):
     with pytest.raises(Terminated) as ended:
         ask(number)
     assert ended.value.code == 128 + number
+
+
+def test_a_closed_terminal_does_not_end_what_nohup_started():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    listen()
+    ask(signal.SIGHUP)
 
 
 def test_a_block_is_finished_first_whatever_it_calls():

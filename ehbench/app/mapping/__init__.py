@@ -22,6 +22,7 @@ from ehbench.data.channels import FROM_1970
 from ehbench.data.flowmeter import alike, read_flowmeter
 from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source, reader_of
 from ehbench.preprocessing.plausibility import outside_stroke
+from ehbench.runtime.disk import replacing, write_text
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 
@@ -67,9 +68,9 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
     guesses = reading_guesses(source, rig) if readings else guessed(source, rig)
     text = drafted(path, source, guesses)
     try:
-        with out.open("x", encoding="utf-8") as file:
-            file.write(text)
-        draw(picture, source, guesses)
+        with replacing(out) as map_part, replacing(picture) as picture_part:
+            write_text(map_part, text)
+            draw(picture_part, source, guesses)
     except OSError as error:
         raise InputError(message("app.unwritable", reason=error.strerror), file=out) from None
     lines = _overview(path, source, guesses)

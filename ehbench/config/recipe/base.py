@@ -161,7 +161,9 @@ class Recipe(FileModel):
         file cannot say.
         """
         try:
-            line = line_of(self.path.read_text(encoding="utf-8-sig"), location)
+            line = line_of(
+                self.path.read_text(encoding="utf-8-sig", errors="surrogateescape"), location
+            )
         except OSError:
             line = None
         return {"file": self.path, "line": line}

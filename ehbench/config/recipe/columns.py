@@ -223,7 +223,7 @@ class ColumnMap:
     def at(self, *location: str) -> dict[str, Any]:
         """``file`` and ``line`` of a key, as the errors take them."""
         for path, table in self.places:
-            lines = lines_of(path.read_text(encoding="utf-8-sig"))
+            lines = lines_of(path.read_text(encoding="utf-8-sig", errors="surrogateescape"))
             if (line := lines.get((*table, *location))) is not None:
                 return {"file": path, "line": line}
         return {"file": self.places[0][0]} if self.places else {}

@@ -23,6 +23,8 @@ _KEY = re.compile(
 )
 
 
+_QUOTED = re.compile(r"""["']([^"'\n]*[\udc80-\udcff][^"'\n]*)["']""")
+_LONE = re.compile("[\udc80-\udcff]")
 _WRITTEN = 'a line is like key = "1.5 mm", a table begins with [name]'
 _REMEDIES = {
     "string": "close the quotes that were opened",
@@ -136,12 +138,12 @@ def read_text(path: Path) -> str:
         raise InputError(
             "no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None
         ) from None
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            message("config.not_utf8"), file=path, line=data.count(b"\n", 0, error.start) + 1
-        ) from None
+    # a file's name may be of any bytes; what is no such name, and no UTF-8, is an error
+    text = data.decode("utf-8-sig", "surrogateescape")
+    rest = _QUOTED.sub(lambda name: "" if (path.parent / name[1]).exists() else name[0], text)
+    if lone := _LONE.search(rest):
+        line = rest.count("\n", 0, lone.start()) + 1
+        raise InputError(message("config.not_utf8"), file=path, line=line)
     if not text.strip():
         raise InputError(message("config.file_empty"), file=path)
     return text

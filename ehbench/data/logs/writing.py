@@ -29,6 +29,7 @@ from ehbench.data.logs.layout import (
     pack,
 )
 from ehbench.data.record import Record
+from ehbench.runtime.disk import replacing
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
@@ -352,29 +353,27 @@ def write_log(path: str | Path, record: Record) -> None:
         LogError: a channel is unknown, the time does not increase, or the file cannot be written.
     """
     path = Path(path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    part.unlink(missing_ok=True)
     columns = list(record.channels.values())
     try:
-        with LogWriter(
-            part,
-            list(record.channels),
-            record.meta,
-            record.attachments,
-            sync=None,
-            losses=record.losses,
-        ) as writer:
+        with (
+            replacing(path) as part,
+            LogWriter(
+                part,
+                list(record.channels),
+                record.meta,
+                record.attachments,
+                sync=None,
+                losses=record.losses,
+            ) as writer,
+        ):
             for start in range(0, record.t.size, 1 << 15):
                 block = slice(start, start + (1 << 15))
                 writer.extend(record.t[block], np.stack([each[block] for each in columns], axis=1))
-        os.replace(part, path)
     except LogError as error:
         raise type(error)(error.message, file=path, hint=error.hint) from error
     except OSError as error:
         text = message("data.unwritable", reason=error.strerror)
         raise LogError(text, file=path) from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _groups(

@@ -24,7 +24,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     """The columns of a table; their units from the metadata of its fields."""
     import pyarrow.parquet as pq
 
-    with pq.ParquetFile(path) as file:
+    with path.open("rb") as source, pq.ParquetFile(source) as file:
         rows, schema = file.metadata.num_rows, file.schema_arrow
         refuse_beyond(24.0 * rows * len(schema), "reading it")
         table = file.read()
