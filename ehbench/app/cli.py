@@ -316,16 +316,19 @@ def compare(
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same stage.")],
     as_json: AsJson = False,
 ) -> None:
-    """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals."""
+    """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals; exit
+    3 where a run or what it was made from has changed."""
     from ehbench.report import compare as runs
 
+    result = runs.compare(first, second)
     if as_json:
         import json
 
-        print(json.dumps(runs.compare(first, second).as_json(), ensure_ascii=False, indent=1))
+        print(json.dumps(result.as_json(), ensure_ascii=False, indent=1))
     else:
         width = shutil.get_terminal_size((100, 24)).columns
-        print("\n".join(runs.lines(first, second, width)))
+        print("\n".join(runs.lines(result, runs.rig_of(first), width)))
+    raise typer.Exit(3 if result.changes else 0)
 
 
 @app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
@@ -397,14 +400,17 @@ def show(
     columns: Columns = None,
 ) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
-    them over one another."""
+    them over one another; exit 3 where a run or what it was made from has changed."""
     from ehbench.report import viewer
 
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
-    path = viewer.place(files, out)
-    write_text(path, viewer.page(files, columns))
+    path, changes = viewer.place(files, out), viewer.unsupported_runs(files)
+    write_text(path, viewer.page(files, columns, changes))
+    for change in changes:
+        print(f"note: {change}", file=sys.stderr)
     print(path)
+    raise typer.Exit(3 if changes else 0)
 
 
 @app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")

@@ -16,12 +16,14 @@ from ehbench.report.blocks import Cell, Grid
 from ehbench.report.captions import plus, range_of
 from ehbench.report.content import num
 from ehbench.report.headlines import findings_of
+from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
 from ehbench.report.terminal import found, table
 from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import Z95
 
 _RUN = re.compile(r"_[0-9a-f]{8}$")  # the end of a run folder's name
@@ -52,7 +54,9 @@ class Shift:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between two runs. ``same``: parameters that both runs have alike."""
+    """What differs between two runs. ``same``: parameters that both runs have alike; ``changes``:
+    what no longer supports either run.
+    """
 
     stage: str
     verdicts: tuple[str, str]
@@ -60,6 +64,7 @@ class Comparison:
     parameters: tuple[Shift, ...]
     same: int
     numbers: tuple[InputChange, ...]
+    changes: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -94,6 +99,7 @@ def compare(first: Path, second: Path) -> Comparison:
         tuple(changed),
         len(shifts) - len(changed),
         tuple(_changes(*heads)),
+        tuple(dict.fromkeys([*unsupported(first), *unsupported(second)])),
     )
 
 
@@ -170,40 +176,37 @@ def _distance(
     return abs(b - a) / whole if whole > 0.0 else None
 
 
-def lines(first: Path, second: Path, width: int = 100) -> list[str]:
-    """What differs between two runs, for a terminal.
-
-    Raises:
-        InputError: as `compare`.
-    """
-    message, rig = compare(first, second), _rig(first)
-    before, after = (words(status) for status in message.verdicts)
-    out = [
-        f"{words(message.stage)}: {before} in both" if before == after else f"{before} → {after}"
+def lines(result: Comparison, rig: Rig | None, width: int = 100) -> list[str]:
+    """What differs between two runs, for a terminal, in the units of a rig."""
+    before, after = (words(status) for status in result.verdicts)
+    out = [message("report.unsupported", change=change) for change in result.changes]
+    out += [
+        f"{words(result.stage)}: {before} in both" if before == after else f"{before} → {after}"
     ]
-    if message.inputs:
-        rows = [[item.what, _short(item.first), _short(item.second)] for item in message.inputs]
+    if result.inputs:
+        rows = [[item.what, _short(item.first), _short(item.second)] for item in result.inputs]
         out += ["", *table(Grid(["input", "first", "second"], rows), width=width)]
     else:
         out.append("the inputs are the same")
-    if message.parameters:
+    if result.parameters:
         head = ["parameter", "first", "second", "unit", "intervals apart"]
         out += ["", "above 1 interval apart, the runs do not agree:"]
         out += [
             "",
             *table(
-                Grid(head, [_row(rig, parameter) for parameter in message.parameters]), width=width
+                Grid(head, [_row(rig, parameter) for parameter in result.parameters]), width=width
             ),
         ]
-    if message.same:
-        out += ["", f"{message.same} parameters are the same"]
-    if message.numbers:
-        rows = [[item.what, item.first or "–", item.second or "–"] for item in message.numbers]
+    if result.same:
+        out += ["", f"{result.same} parameters are the same"]
+    if result.numbers:
+        rows = [[item.what, item.first or "–", item.second or "–"] for item in result.numbers]
         out += ["", *table(Grid(["number", "first", "second"], rows), width=width)]
     return out
 
 
-def _rig(folder: Path) -> Rig | None:
+def rig_of(folder: Path) -> Rig | None:
+    """The rig that a run left, if it left one."""
     return Saved(folder).rig if (folder / "rig.toml").is_file() else None
 
 

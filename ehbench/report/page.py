@@ -34,7 +34,7 @@ from ehbench.report.content import SectionContent, chip
 from ehbench.report.dark import dark
 from ehbench.report.first_screen import chapters, first_screen
 from ehbench.report.index import FigureKey
-from ehbench.report.provenance import changed_inputs
+from ehbench.report.provenance import TracedRun, unsupported
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import place_of, report_of
@@ -45,6 +45,7 @@ from ehbench.runs import rundir
 from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.messages import message
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -110,8 +111,10 @@ def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Title
         if part.inside and part.title
     ]
     inside: list[Block] = [Text(content.sentence, "lead")]
-    if gone := changed_inputs(run.folder):
-        inside.append(Bullets([f"Not supported any more: {text}" for text in gone], "warn"))
+    if gone := unsupported(run.folder):
+        inside.append(
+            Bullets([message("report.unsupported", change=text) for text in gone], "warn")
+        )
     if content.more:
         inside.append(Bullets(content.more))
     if recorded := run.facts.get("recorded_on"):
@@ -228,11 +231,23 @@ def _provenance(runs: Sequence[Saved]) -> Section:
         "Every input and output of every run with its SHA-256; "
         "the same inputs give the same bytes again."
     )
-    inside: list[Block] = [Text(lead)]
+    inside: list[Block] = [Text(lead), *_checksums(runs)]
     if len(counts) > 1:
         commits = ", ".join(counts)
         inside.append(Text(f"The runs were made at different commits: {commits}.", "warn"))
     return Section("Provenance", [*inside, *map(_origins, runs)], "provenance")
+
+
+def _checksums(runs: Sequence[Saved]) -> list[Block]:
+    """Whether files, inputs and upstream runs are as they were, by their checksums now."""
+    changes = [change for run in runs for change in TracedRun(run.folder).changes()]
+    missing = sum(change.key == "report.input_missing" for change in changes)
+    differ = len(changes) - missing
+    state = "report.checksums_differ" if differ else "report.checksums_agree"
+    blocks: list[Block] = [Text(message(state, count=differ), "warn" if differ else "good")]
+    if missing:
+        blocks.append(Text(message("report.checksums_missing", count=missing), "note"))
+    return blocks
 
 
 def _origins(run: Saved) -> Fold:

@@ -93,13 +93,12 @@ class TracedRun:
         return list(dict.fromkeys(_changes(self, set())))
 
 
-def changed_inputs(folder: Path) -> list[Message]:
-    """The inputs of a run that are where they were and differ from what the run read."""
-    return [
-        message("report.input_changed", run=folder.name, role=source.role, name=source.name)
-        for source in TracedRun(folder).sources
-        if source.place is not None and not source.is_same
-    ]
+def unsupported(folder: Path) -> list[Message]:
+    """What no longer supports a run, by all checksums that can be taken: a run that was passed on
+    without its inputs is judged by what is there.
+    """
+    changes = TracedRun(folder).changes()
+    return [change for change in changes if change.key != "report.input_missing"]
 
 
 def _first(places: Iterable[Path]) -> Path | None:

@@ -88,7 +88,7 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
         InputError: a folder is no whole run, or lacks what its section needs.
     """
     from ehbench.report import build
-    from ehbench.report.provenance import changed_inputs
+    from ehbench.report.provenance import unsupported
 
     for folder in folders:
         if not rundir.is_whole(folder):
@@ -104,5 +104,5 @@ def write_report(folders: Sequence[Path], host: Host, campaign: Campaign | None 
     with rundir.open_run(final, "report", source, inputs) as run:
         page = build(folders, campaign)
         write_text(run.path / "report.html", page)
-    changes = [text for folder in folders for text in changed_inputs(folder)]
+    changes = [text for folder in folders for text in unsupported(folder)]
     return Outcome(run.final, INCOMPLETE if changes else DONE, (*changes, *run.left_over))

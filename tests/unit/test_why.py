@@ -6,11 +6,17 @@ import json
 import shutil
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.report.provenance import changed_inputs
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.report import compare
+from ehbench.report.provenance import unsupported
+from ehbench.report.saved import Saved
 from ehbench.report.why import origin
 from ehbench.runs import rundir, versions
 from ehbench.runs.versions import METHODS, Versions
@@ -274,9 +280,48 @@ def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop,
     fit = shop / "reports" / "fit_1"
     assert workflow.report([fit], workflow.Session(out=shop / "first")).code == 0
     edit("one.csv", "1,5", "1,6")(shop)
-    assert any("one.csv" in text for text in changed_inputs(fit))
+    assert any("one.csv" in text for text in unsupported(fit))
     made = workflow.report([fit], workflow.Session(out=shop / "second"))
     assert made.code == 3 and "one.csv" in made.notes[0]
+
+
+def falsify(run: Path) -> None:
+    """Another value, with the digest of its file renewed and the checksum of all as it was."""
+    table = json.loads((run / "parameters.json").read_text())
+    table["parameters"][0]["value"] = 9.9e8
+    (run / "parameters.json").write_text(json.dumps(table))
+    facts = json.loads((run / "run.json").read_text())
+    facts["outputs"]["parameters.json"] = rundir.sha256(run / "parameters.json")
+    (run / "run.json").write_text(json.dumps(facts))
+
+
+@pytest.mark.parametrize("name", ["report", "compare", "show"])
+@pytest.mark.parametrize("whose", ["itself", "upstream"])
+def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, name, whose):
+    monkeypatch.setattr(import_module("ehbench.report"), "build", lambda *_: "<p>")
+    fit = shop / "reports" / "fit_1"
+    monkeypatch.setattr(
+        compare, "found", lambda folder: (Saved(folder), SimpleNamespace(status="estimated"))
+    )
+    rows = {"parameters.json": {"parameters": [ROW]}}
+    inputs = [("rig", fit)]
+    write_run(shop / "trial_1", "trial", shop / "fit.toml", inputs, rows, what="hydraulics")
+    t = np.arange(50) / 10.0
+    write_log(shop / "trial_1" / "log.mcap", Record(t, {"press.x": 0.1 + 0.01 * t}))
+    trial = shop / "trial_1"
+    words = {
+        "report": ("report", trial, "--out", shop / "page"),
+        "compare": ("compare", trial, trial),
+        "show": ("show", trial, "--out", shop / "page.html"),
+    }[name]
+    assert inside(*words, cwd=shop).returncode == 0
+    falsify(fit if whose == "upstream" else trial)
+    done = inside(*words, cwd=shop)
+    assert done.returncode == 3
+    run = "fit_1" if whose == "upstream" else "trial_1"
+    assert f"{run}: 'run.json'" in done.stdout + done.stderr
+    if name == "show":
+        assert run in (shop / "page.html").read_text().partition("</header>")[0]
 
 
 def test_a_run_of_an_older_method_is_marked(shop, monkeypatch):

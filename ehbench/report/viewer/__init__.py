@@ -21,9 +21,11 @@ from ehbench.data.readers import suffixes
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.report.captions import capital
 from ehbench.report.figures.channels import title_of
+from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, read_points, read_series
 from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.units import from_si
 
@@ -59,9 +61,15 @@ class Sheet:
     still: tuple[str, ...] = field(default=())
 
 
-def page(sources: Sequence[Path], columns: Path | None = None) -> str:
+def unsupported_runs(sources: Sequence[Path]) -> list[str]:
+    """What no longer supports the run folders among some sources."""
+    runs = [source for source in sources if (source / "run.json").is_file()]
+    return list(dict.fromkeys(change for run in runs for change in unsupported(run)))
+
+
+def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence[str] = ()) -> str:
     """The page of one or two logs, maps or runs; sheets of one name lie over one another.
-    ``columns`` is a map of the columns of logs by others.
+    ``columns`` is a map of the columns of logs by others; ``changes``: of `unsupported_runs`.
 
     Raises:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
@@ -78,7 +86,8 @@ def page(sources: Sequence[Path], columns: Path | None = None) -> str:
     if not any(sheet.curves for sheet in results.values()):
         raise InputError("holds nothing that changes", file=sources[0])
     sheets = [sheet for sheet in results.values() if sheet.curves]
-    return _render(" and ".join(names), [_data(sheet, len(sheets)) for sheet in sheets], names)
+    data = [_data(sheet, len(sheets)) for sheet in sheets]
+    return _render(" and ".join(names), data, names, changes)
 
 
 def _names(sources: Sequence[Path]) -> list[str]:
@@ -242,7 +251,12 @@ def extremes(x: np.ndarray, y: np.ndarray, maximum: int) -> tuple[np.ndarray, np
     return np.append(retained, x[count * size :]), np.append(pair.ravel(), y[count * size :])
 
 
-def _render(title: str, sheets: Sequence[Mapping[str, Any]], names: Sequence[str]) -> str:
+def _render(
+    title: str,
+    sheets: Sequence[Mapping[str, Any]],
+    names: Sequence[str],
+    changes: Sequence[str],
+) -> str:
     from jinja2 import Environment, StrictUndefined
 
     files = resources.files("ehbench.report") / "viewer"
@@ -258,6 +272,7 @@ def _render(title: str, sheets: Sequence[Mapping[str, Any]], names: Sequence[str
     return environment.from_string(text("show.html")).render(
         title=title,
         names=names,
+        changes=[message("report.unsupported", change=change) for change in changes],
         mark=MARK,
         allowed=allowed,
         style=text("uplot/uPlot.min.css") + "\n" + text("show.css"),
