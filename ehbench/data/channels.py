@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -109,13 +110,23 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
 
 
 def si_of(
-    name: str, mapped: MappedColumn, column: SourceColumn, columns: ColumnMap, path: Path
+    name: str,
+    mapped: MappedColumn,
+    column: SourceColumn,
+    columns: ColumnMap,
+    path: Path,
+    lines: Sequence[int] | None = None,
 ) -> np.ndarray:
     """A column in SI, by what a map says of it.
 
     Raises:
         UnitError: no unit, or one that does not become the channel's.
+        LogError: a cell can be read in two ways.
     """
+    if column.doubt is not None:
+        row, doubt = column.doubt
+        text = message("data.column_error", name=name, error=doubt, unit="")
+        raise LogError(text, file=path, line=lines[row] if lines else None, hint=doubt.hint)
     unit = column.known_unit
     try:
         gain, zero = mapped.line(unit)
@@ -163,7 +174,8 @@ class _Mapping:
     def _si(self, name: str) -> np.ndarray:
         """A column of the map in SI."""
         mapped = self.columns.columns.names[name]
-        return si_of(name, mapped, self._column(name), self.columns, self.path)
+        lines = self.source.tables[self.places[name][0]].lines
+        return si_of(name, mapped, self._column(name), self.columns, self.path, lines)
 
     def _timed(self, index: int) -> Group:
         """A table with its time, and no channel yet: by the rate that the map says, a column of its

@@ -347,6 +347,7 @@ def _mapped(path: Path, columns: ColumnMap) -> Iterator[_Sheet]:
 def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> _Sheet:
     """The readings of the first table of a source, those of a valve where no column names it."""
     table, numbers, odd, words = source.tables[0], {}, {}, {}
+    lines = table.lines or range(2, table.size + 2)
     for name, mapped in columns.columns.names.items():
         what = mapped.channel.rpartition(".")[2]
         if what in READING_WORDS and name in table.words:
@@ -360,9 +361,8 @@ def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) ->
         if what in READING_WORDS:
             words[what] = [f"{value:g}" for value in column.values]
         elif what != "t":
-            numbers[what], odd[what] = si_of(name, mapped, column, columns, path), column.odd
+            numbers[what], odd[what] = si_of(name, mapped, column, columns, path, lines), column.odd
     words.setdefault("valve", [valve] * table.size)
-    lines = table.lines or range(2, table.size + 2)
     units = {name: VOCABULARY[name].unit for name in numbers}
     _check_columns(dict.fromkeys([*numbers, *words], 0), columns.at("names"))
     return _Sheet(path, lines, numbers, odd, words, units)

@@ -7,6 +7,7 @@ import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +15,20 @@ import numpy as np
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.runtime.memory import available, refuse_beyond
 from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
 _GZIP = b"\x1f\x8b"
 _MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
 _LINE_END = re.compile("\r\n|\r|\n")
-_COMMA = r"(?:[0-9]+(?:,[0-9]+)?|,[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_POINT = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-# by decimal sign; ".," is either, cell by cell
-NUMBER = {
-    ".": re.compile(rf"[-+]?{_POINT}"),
-    ",": re.compile(rf"[-+]?{_COMMA}"),
-    ".,": re.compile(rf"[-+]?(?:{_POINT}|{_COMMA})"),
-}
-_TO_POINT = {
-    ".": {},
-    ",": {ord(","): ".", ord("."): "x"},  # a point in a number with a comma groups thousands
-    ".,": {ord(","): "."},
-}
+_OTHER = {".": ",", ",": "."}
+_GROUPING = "\u00a0\u202f\u2009'\u2019"  # spaces and apostrophes, which only ever group digits
+_MINUS = {0x2212: "-"}
+_QUOTES = re.compile(r'(?:^|[,;\t])\s*"[^"]*(?:""[^"]*)*$')  # a cell that goes on in the next line
+_LINES_OF_A_CELL = 8
 _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
+# a mark before three digits: the decimal sign, or what groups them
+_TWO_READINGS = re.compile(r"[-+\u2212]?[1-9][0-9]{0,2}([.,])[0-9]{3}")
 _BLOCK = 512  # rows that are read at once
 _QUOTED = 60  # characters of a cell in a message
 
@@ -43,15 +38,89 @@ def is_hole(cell: str) -> bool:
     return bool(_HOLE.fullmatch(cell))
 
 
+@lru_cache(maxsize=2)
+def _grammar(decimal: str) -> str:
+    """The pattern of a number: digits, grouped in threes by one mark or not, decimals, exponent."""
+    grouped = rf"[1-9][0-9]{{0,2}}(?P<mark>[{_GROUPING}{_OTHER[decimal]}])[0-9]{{3}}"
+    whole = rf"(?:{grouped}(?:(?P=mark)[0-9]{{3}})*|[0-9]+)"
+    tail = "[0-9]*" if decimal == "." else "[0-9]+"
+    sign = re.escape(decimal)
+    return rf"[-+\u2212]?(?:{whole}(?:{sign}{tail})?|{sign}[0-9]+)(?:[eE][-+\u2212]?[0-9]+)?"
+
+
+@lru_cache(maxsize=1 << 16)
+def number(cell: str, decimal: str = ".") -> float | None:
+    """The number of a cell under a decimal sign, None where it holds none."""
+    if not re.fullmatch(_grammar(decimal), cell):
+        return None
+    dropped = dict.fromkeys(map(ord, _GROUPING + _OTHER[decimal]))
+    return float(cell.translate(dropped | _MINUS | {ord(decimal): "."}))
+
+
+def _holds(text: str, separator: str, mark: str, pattern: str) -> bool:
+    """Whether a cell with a mark in it is of a pattern."""
+    ends = '["]' if separator == mark else rf'["\s{separator}]'
+    return mark in text and bool(re.search(rf"(?:^|{ends}){pattern}(?=$|{ends})", text, re.M))
+
+
+def _decides(text: str, separator: str, decimal: str) -> bool:
+    """Whether a number of a text is one under this decimal sign alone."""
+    digits = rf"[-+\u22120-9{_GROUPING}{_OTHER[decimal].replace(separator, '')}]*"
+    either = rf'{_TWO_READINGS.pattern}(?:$|["\s{separator}])'
+    pattern = rf"(?!{either})(?={digits}\{decimal}){_grammar(decimal)}"
+    return _holds(text, separator, decimal, pattern)
+
+
+def two_readings(
+    rows: Sequence[str], separator: str, decimal: str, columns: Sequence[int]
+) -> dict[int, tuple[int, Message]]:
+    """By column, (row, message) of its first number that another decimal sign makes a thousand
+    times as large or small, where no other number of the file says which sign it is, or none of
+    the column that its digits are grouped.
+    """
+    text, other = "\n".join(rows), _OTHER[decimal]
+    decided = separator == other or _decides(text, separator, decimal)
+    marks = [other] if decided else [other, decimal]
+    either = _TWO_READINGS.pattern
+    marks = [x for x in marks if _holds(text, separator, x, either.replace("[.,]", rf"[{x}]"))]
+    results: dict[int, tuple[int, Message]] = {}
+    grouped = set()
+    for at, row in enumerate(rows if marks else ()):
+        if not any(mark in row for mark in marks):
+            continue
+        cells = split(row, separator)
+        for index in columns:
+            cell = cells[index] if index < len(cells) else ""
+            match = _TWO_READINGS.fullmatch(cell)
+            if match is None:
+                if other in cell and number(cell, decimal) is not None:
+                    grouped.add(index)
+            elif match[1] in marks and index not in results:
+                each = {"point": number(cell, "."), "comma": number(cell, ",")}
+                results[index] = (at, message("data.two_readings", cell=cell, **each))
+    return {index: result for index, result in results.items() if index not in grouped}
+
+
 def lines_of(text: str) -> list[str]:
-    """The lines of a text, whatever ends them."""
+    """The lines of a text, whatever ends them. A cell in quotes that goes on over several lines
+    stands in its first, and those after it are blank.
+    """
     lines = _LINE_END.split(text)
-    return lines if lines[-1] else lines[:-1]
+    lines = lines if lines[-1] else lines[:-1]
+    for at, line in enumerate(lines if '"' in text else ()):
+        if line.count('"') % 2 == 0 or not _QUOTES.search(line):
+            continue
+        ends = range(at + 1, min(at + _LINES_OF_A_CELL, len(lines)))
+        last = next((end for end in ends if lines[end].count('"') % 2), None)
+        if last is not None:
+            lines[at] = " ".join(lines[at : last + 1])
+            lines[at + 1 : last + 1] = [""] * (last - at)
+    return lines
 
 
 def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
-    """(text, encoding) of a file, also of one packed by gzip: UTF-8, UTF-16 with its mark, else
-    Windows' own western one.
+    """(text, encoding) of a file, also of one packed by gzip: UTF-8, UTF-16, else Windows' own
+    western one.
 
     Raises:
         LogError: not there, too large, no text, or not in the ``encoding`` required.
@@ -63,6 +132,9 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
     data = _unpacked(data, path)
     refuse_beyond(COPIES * len(data), "reading it")
     marked = [name for mark, name in _MARKS.items() if data.startswith(mark)]
+    if not marked and b"\0" in data:  # every second byte of western text in UTF-16
+        low_first = data[1::2].count(0) >= data[::2].count(0)
+        marked = ["utf-16-le" if low_first else "utf-16-be"]
     for name in [encoding] if encoding else [*marked, "utf-8", "cp1252", "latin-1"]:
         try:
             text = data.decode(name)
@@ -100,7 +172,7 @@ def _unpacked(data: bytes, path: Path) -> bytes:
 def split(line: str, separator: str) -> list[str]:
     """The cells of a line; a separator ' ' is any white space."""
     if separator == " ":
-        return line.replace('"', "").split()
+        return re.split(r"[ \t]+", line.replace('"', "").strip())
     if '"' not in line:
         return [cell.strip() for cell in line.split(separator)]
     row = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
@@ -121,9 +193,11 @@ def numbers(
     """
     values = np.full((len(rows), len(columns)), np.nan)
     odd: list[dict[int, str]] = [{} for _ in columns]
-    table = _TO_POINT[decimal]
+    # a point beside decimal commas groups digits, and no library reads these
+    to_point = {} if decimal == "." else {ord(","): ".", ord("."): "x"}
     for start in range(0, len(rows) if columns else 0, _BLOCK):
         block = rows[start : start + _BLOCK]
+        table = to_point if all(map(str.isascii, block)) else to_point | _MINUS
         try:
             if separator == decimal:  # numbers in quotes
                 raise ValueError
@@ -140,10 +214,11 @@ def numbers(
                 cells = split(row, separator)
                 for place, index in enumerate(columns):
                     cell = cells[index] if index < len(cells) else ""
-                    if NUMBER[decimal].fullmatch(cell):
-                        values[at, place] = float(cell.replace(",", "."))
-                    else:
+                    value = number(cell, decimal)
+                    if value is None:
                         odd[place][at] = cell[:_QUOTED]
+                    else:
+                        values[at, place] = value
     return values, odd
 
 
@@ -170,7 +245,7 @@ class TextTable:
         """As `numbers`, of some columns by number.
 
         Raises:
-            LogError: a row has not as many cells as the header.
+            LogError: a row has not as many cells as the header, or a number has two readings.
         """
         width = len(self.header)
         for line, row in zip(self.lines, self.rows, strict=True):
@@ -178,8 +253,19 @@ class TextTable:
                 key = "data.row_width_comma" if self.separator == "," else "data.row_width"
                 text = message(key, width=len(split(row, self.separator)), header=width)
                 raise LogError(text, file=self.path, line=line)
-        decimal = "." if self.separator == "," else ".,"
-        return numbers(self.rows, self.separator, decimal, columns)
+        text, mark = "\n".join(self.rows), self.separator
+        comma = mark != "," and _decides(text, mark, ",") and not _decides(text, mark, ".")
+        decimal = "," if comma else "."
+        for index, (row, doubt) in two_readings(self.rows, mark, decimal, columns).items():
+            text = message("data.column_error", name=self.header[index], error=doubt, unit="")
+            raise LogError(text, file=self.path, line=self.lines[row], hint=doubt.hint)
+        values, odd = numbers(self.rows, mark, decimal, columns)
+        for place, cells in enumerate(odd if mark != "," else ()):
+            for row, cell in list(cells.items()):
+                if (value := number(cell, _OTHER[decimal])) is not None:
+                    values[row, place] = value
+                    del cells[row]
+        return values, odd
 
     def floats(self, columns: Sequence[int]) -> np.ndarray:
         """The numbers of some columns, shape (rows, columns), NaN where a cell says that there is

@@ -47,7 +47,12 @@ def _dialect(source: Source) -> list[str]:
         "unit_row": result.unit_row,
         "encoding": result.encoding,
     }
-    return [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
+    lines = [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
+    columns = (column for table in source.tables for column in table.columns)
+    doubts = [column.doubt[1] for column in columns if column.doubt is not None]
+    if doubts:
+        lines[1] = f"# {lines[1]}    # {remark(doubts[0], 200)}"
+    return lines
 
 
 def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
@@ -134,6 +139,6 @@ def _quoted(text: str) -> str:
     return '"' + "".join(plain) + '"'
 
 
-def remark(text: str) -> str:
+def remark(text: str, maximum: int = 60) -> str:
     """A text of the file as a remark may hold it."""
-    return "".join(c if c.isprintable() else " " for c in text)[:60]
+    return "".join(c if c.isprintable() else " " for c in text)[:maximum]

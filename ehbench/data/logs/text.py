@@ -8,7 +8,7 @@ import numpy as np
 
 from ehbench.data.logs.checks import check_record, inside, label_of
 from ehbench.data.record import Record, Window
-from ehbench.data.text import NUMBER, is_hole, text_table
+from ehbench.data.text import is_hole, number, text_table
 from ehbench.vocabulary.errors import InputError, LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
@@ -30,7 +30,7 @@ def read_csv(path: Path, check: bool, window: Window | None = None) -> Record:
     """
     table = text_table(path, _EXAMPLE)
     where = {"file": path, "line": table.head}
-    if all(NUMBER["."].fullmatch(cell) for cell in table.header):
+    if all(number(cell) is not None for cell in table.header):
         raise LogError(message("data.header_missing", example=_EXAMPLE), file=path, line=table.head)
     try:
         labels = [label_of(cell, **where) for cell in table.header]

@@ -13,8 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.data.readers.clock import clock, time_of_day
-from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered
-from ehbench.data.text import NUMBER, cells_of, is_hole, lines_of, numbers, split, text_of
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered, unit_in
+from ehbench.data.text import (
+    cells_of,
+    is_hole,
+    lines_of,
+    number,
+    numbers,
+    split,
+    text_of,
+    two_readings,
+)
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import absolute_unit, named_unit
@@ -68,12 +77,16 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
     rows = [lines[n] for n in at]
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
     values, odd = numbers(rows, separator, decimal, of_numbers)
+    doubts = {} if dialect.decimal else two_readings(rows, separator, decimal, of_numbers)
     columns, began, daytime, words = [], None, None, {}
     for index, kind in enumerate(layout.kinds):
         if kind == "numbers":
             place = of_numbers.index(index)
             unit = _unit(units[index]) if index < len(units) else ""
-            columns.append(SourceColumn(names[index], values[:, place], unit, odd[place]))
+            if index < len(top) and names[index] != top[index]:  # numbered behind its unit
+                unit = unit or unit_in(top[index])
+            doubt = doubts.get(index)
+            columns.append(SourceColumn(names[index], values[:, place], unit, odd[place], doubt))
             continue
         cells = cells_of(rows, separator, index)
         if kind == "words":
@@ -99,7 +112,7 @@ def _is_row(line: str, separator: str) -> bool:
 
 def _kind(cell: str, decimal: str) -> str:
     """What a cell holds: a number, a time of day, nothing, or words."""
-    if NUMBER[decimal].fullmatch(cell):
+    if number(cell, decimal) is not None:
         return "numbers"
     if is_hole(cell):
         return "holes"
@@ -207,7 +220,7 @@ def _heads(
         filled = [cell for cell in cells if cell.strip("-")]
         if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
             break
-        if sum(bool(NUMBER["."].fullmatch(cell)) for cell in filled) < 0.5 * len(filled):
+        if sum(number(cell) is not None for cell in filled) < 0.5 * len(filled):
             wide.append(filled)
             at.append(n)
     for index, cells in enumerate(wide[:-1]):

@@ -13,7 +13,7 @@ import numpy as np
 from ehbench.data.readers.clock import moments
 from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import unlike
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
@@ -42,13 +42,15 @@ def unit_in(name: str) -> str:
 @dataclass(frozen=True, eq=False)
 class SourceColumn:
     """A column as the file has it: ``values`` in the file's ``unit`` (its own word for it, '' where
-    it says none), NaN where no number stands; ``odd`` is what stands there, by row.
+    it says none), NaN where no number stands; ``odd`` is what stands there, by row. ``doubt`` is
+    the row of the first cell that can be read in two ways, and what they are.
     """
 
     name: str
     values: np.ndarray
     unit: str = ""
     odd: Mapping[int, str] = field(default_factory=dict)
+    doubt: tuple[int, Message] | None = None
 
     @property
     def known_unit(self) -> str:

@@ -1,0 +1,108 @@
+"""One grammar of numbers for all text: what a cell means, and where it may mean two things."""
+
+from __future__ import annotations
+
+import pytest
+
+from ehbench.config.recipe.columns import ColumnMap, Columns, MappedColumn
+from ehbench.data import read
+from ehbench.data.readers import open_source
+from ehbench.data.text import number
+from ehbench.vocabulary.errors import LogError
+
+CELLS = {  # cell: (with a decimal point, with a decimal comma)
+    "1234.5": (1234.5, None),
+    "1,234.5": (1234.5, None),
+    "1.234,5": (None, 1234.5),
+    "1,234,567": (1234567.0, None),
+    "1.000": (1.0, 1000.0),
+    "1,000": (1000.0, 1.0),
+    "0,123": (None, 0.123),
+    "-1e3": (-1000.0, -1000.0),
+    "−2.5": (-2.5, None),
+    "1\u00a0234,5": (None, 1234.5),
+    "12\u202f345.25": (12345.25, None),
+    "1\u2009234": (1234.0, 1234.0),
+    "1'234.5": (1234.5, None),
+    "1,23,456": (None, None),
+    "12 345": (None, None),
+    "1_000": (None, None),
+    "0x10": (None, None),
+    "٣": (None, None),
+    "1.2.3": (None, None),
+}
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_cell_is_the_number_it_says_or_none(cell):
+    assert (number(cell, "."), number(cell, ",")) == CELLS[cell]
+
+
+def _read(path, unit, decimal=None):
+    names = {
+        "t": MappedColumn(channel="t", unit="s"),
+        "p": MappedColumn(channel="p_supply", unit=unit),
+    }
+    return read(path, ColumnMap(Columns(decimal=decimal, names=names)))
+
+
+TWO_READINGS = {
+    "integers grouped": ("t;p\n0;999\n1;999\n2;1,000\n3;999\n", 4, (1000.0, 1.0)),
+    "grouped by points": ("t;p\n0;999\n1;999\n2;1.000\n3;999\n", 4, (1.0, 1000.0)),
+    "points beside commas": ("t;p\n0,1;999\n0,2;1.002\n0,3;999\n", 3, (1.002, 1002.0)),
+    "commas beside points": ("t\tp\n0.1\t999\n0.2\t1,002\n0.3\t999\n", 3, (1002.0, 1.002)),
+    "in quotes": ('t,p\n0.1,999\n0.2,"1,002"\n0.3,999\n', 3, (1002.0, 1.002)),
+    "below a remark": ("# lab\nt;p\n0;900\n1;-12,345\n", 4, (-12345.0, -12.345)),
+}
+
+
+@pytest.mark.parametrize("name", TWO_READINGS)
+def test_a_number_of_two_readings_is_refused_with_both_and_its_line(name, tmp_path):
+    text, line, readings = TWO_READINGS[name]
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(LogError) as caught:
+        _read(tmp_path / "a.csv", "mbar")
+    assert caught.value.line == line and "decimal" in str(caught.value.hint)
+    error = caught.value.message
+    assert all(f"{value:g}" in error or f"{value:.15g}" in error for value in readings)
+
+
+@pytest.mark.parametrize(("decimal", "value"), [(".", 1000.0), (",", 1.0)])
+def test_the_map_says_which_reading_is_meant(decimal, value, tmp_path):
+    (tmp_path / "a.csv").write_text("t;p\n0;900\n1;999\n2;1,000\n3;999\n")
+    record = _read(tmp_path / "a.csv", "mbar", decimal)
+    assert record["p_supply"][2] == pytest.approx(100.0 * value)
+
+
+SURE = {
+    "quoted groups": ('t,p\n0.1,"1,234.5"\n0.2,"999.5"\n0.3,"1,000"\n', [1234.5, 999.5, 1000.0]),
+    "groups and commas": ("t;p\n0,1;1.234,5\n0,2;999,5\n0,3;1.000\n", [1234.5, 999.5, 1000.0]),
+    "three decimals": ("t;p\n0.000;12.345\n0.001;12.346\n0.002;1.000\n", [12.345, 12.346, 1.0]),
+    "commas between": ("t,p\n1.001,12.345\n1.002,12.346\n1.003,1.000\n", [12.345, 12.346, 1.0]),
+    "minus signs": ("t,p\n0.1,−1.5\n0.2,−2\n0.3,3\n", [-1.5, -2.0, 3.0]),
+}
+
+
+@pytest.mark.parametrize("name", SURE)
+def test_what_the_file_itself_decides_is_read(name, tmp_path):
+    text, values = SURE[name]
+    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
+    (column,) = open_source(tmp_path / "a.csv").tables[0].columns[1:]
+    assert column.doubt is None and column.values.tolist() == values
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf_16_without_its_mark(encoding, tmp_path):
+    (tmp_path / "a.csv").write_bytes("t;p\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert [column.name for column in table.columns] == ["t", "p"]
+    assert table.columns[1].values.tolist() == [1.5, 2.5, 3.5]
+
+
+def test_a_header_goes_on_over_lines_and_a_second_name_retains_its_unit(tmp_path):
+    text = '"Time\n[s]","Pressure\r\n[kPa]","Pressure\n[kPa]"\n0.1,1,4\n0.2,2,5\n0.3,x,6\n'
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert [column.known_unit for column in table.columns] == ["s", "kPa", "kPa"]
+    assert [column.name for column in table.columns][:2] == ["Time [s]", "Pressure [kPa]"]
+    assert table.lines == [5, 6, 7]
