@@ -44,7 +44,7 @@ types: $(VENV)/.dev        ## types of package, tools and tests
 docs: $(VENV)/.dev         ## whether the key tables in docs/ are those of the models
 	$(BIN)/python -m tools.reference --check
 
-reference: setup         ## write these tables anew
+reference: dev           ## write these tables anew
 	$(BIN)/python -m tools.reference
 
 site: dev                ## docs as pages to browse, offline, in site/

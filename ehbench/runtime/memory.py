@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from functools import lru_cache
 
 from ehbench.vocabulary.errors import InputError
 
@@ -13,7 +12,15 @@ MOST_ROWS = 10_000_000  # of a trial
 MOST_STEPS = 5e9  # of the integration: hours
 
 
-@lru_cache(maxsize=1)
+def held() -> float:
+    """Address space [bytes] that this process has taken, 0 where the system does not say."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return float(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
 def available() -> float:
     """Memory [bytes] that this process may hold: of the machine, or less where it is given less."""
     try:
@@ -29,7 +36,7 @@ def available() -> float:
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        sizes += [float(limit)] if limit != resource.RLIM_INFINITY else []
+        sizes += [limit - held()] if limit != resource.RLIM_INFINITY else []
     except ImportError:
         pass
     return min(sizes)

@@ -4,8 +4,10 @@ units, rates, the wall clock.
 
 from __future__ import annotations
 
+import json
 import struct
 import sys
+import zipfile
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -316,28 +318,40 @@ def test_split_keeps_what_stands_in_quotes():
     assert split("1  2\t3", " ") == ["1", "2", "3"]
 
 
-def test_a_new_reader_of_archives_is_reached_beside_excel(tmp_path, monkeypatch):
-    """An archive begins alike whatever is packed in it: its ending tells, and one that no reader
-    has is known to none.
+def test_an_archive_is_known_by_what_is_in_it(files, tmp_path, monkeypatch):
+    """All archives begin alike. A workbook is one under any name, a new reader gets those with
+    its members, and an archive of neither is refused with what it holds.
     """
-    module = ModuleType("ehbench.data.readers.npz")
+    module = ModuleType("ehbench.data.readers.lists")
 
-    def read_npz(path: Path, dialect: Dialect) -> Source:
-        with np.load(path) as file:
-            return Source(
-                (SourceTable("", tuple(SourceColumn(name, file[name]) for name in file)),)
+    def read_lists(path: Path, dialect: Dialect) -> Source:
+        with zipfile.ZipFile(path) as archive:
+            columns = (
+                SourceColumn(name.removesuffix(".list"), np.array(json.loads(archive.read(name))))
+                for name in archive.namelist()
             )
+            return Source((SourceTable("", tuple(columns)),))
 
-    module.read = read_npz
+    module.read = read_lists
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setattr(readers, "READERS", (*READERS, Reader("NumPy", (".npz",), "npz")))
-    np.savez(tmp_path / "a.npz", **{"boom.p_head [bar]": np.arange(5.0), "t [s]": np.arange(5.0)})
-    assert read(tmp_path / "a.npz")["boom.p_head"][-1] == pytest.approx(4e5)
-    (tmp_path / "a.zip").write_bytes((tmp_path / "a.npz").read_bytes())
+    new = Reader("lists", (".lists",), "lists", "", (readers.ZIP,), "*.list")
+    monkeypatch.setattr(readers, "READERS", (*READERS, new))
+
+    def archive(name: str, member: str) -> Path:
+        with zipfile.ZipFile(tmp_path / name, "w") as file:
+            for channel in ("boom.p_head [bar]", "t [s]"):
+                file.writestr(f"{channel}{member}", "[0.0, 1.0, 2.0, 3.0]")
+        return tmp_path / name
+
+    for name in ("a.lists", "a.zip", "a.xlsx"):
+        assert read(archive(name, ".list"))["boom.p_head"][-1] == pytest.approx(3e5)
+    assert reader_of(files["a.xlsx"].rename(tmp_path / "b.zip")).name == "Excel"
+    (tmp_path / "b.zip").rename(files["a.xlsx"])
+    other = archive("c.xlsx", ".csv")
     for door in (read, open_source, draft, partial(convert, to="mat"), check):
         with pytest.raises(InputError) as error:
-            door(tmp_path / "a.zip")
-        assert (error.value.key, error.value.fields["kind"]) == ("data.unknown_format", ".zip")
+            door(other)
+        assert error.value.key == "data.unknown_archive"
 
 
 def test_a_bomb_is_refused(tmp_path, monkeypatch):

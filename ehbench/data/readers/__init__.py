@@ -6,21 +6,24 @@ file here with a function ``read(path, dialect) -> Source`` and a row in ``READE
 
 from __future__ import annotations
 
-import gc
-import logging
 import stat
-import sys
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fnmatch import filter as filter_names
+from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
+from ehbench.data.readers.transfer import received, send
+from ehbench.runtime.confined import Bounds, Ended, confined
+from ehbench.runtime.memory import SHARE, available
 from ehbench.vocabulary.errors import EhbenchError, LogError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.text import shortened_path
 
 __all__ = [
@@ -38,8 +41,8 @@ __all__ = [
 
 class Reader(NamedTuple):
     """A format: what it is called, how its files end and begin, the module here that reads it and
-    the package that this needs beside those of every installation. Files that begin as other
-    formats do too, as all archives, are ``packed``: their ending has to fit.
+    the package that this needs beside those of every installation. All zip archives begin alike:
+    the format of one is that whose ``member`` it holds, a pattern of names.
     """
 
     name: str
@@ -47,9 +50,10 @@ class Reader(NamedTuple):
     module: str
     package: str = ""
     magic: tuple[bytes, ...] = ()
-    packed: bool = False
+    member: str = ""
 
 
+ZIP = b"PK\x03\x04"
 READERS = (
     Reader("text", (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"), "delimited"),
     Reader("MDF", (".mf4", ".mdf", ".dat"), "mdf", "asammdf", (b"MDF     ", b"UnFinMF ")),
@@ -58,12 +62,32 @@ READERS = (
     Reader("MAT v7.3", (".mat",), "hdf5", "h5py", (b"MATLAB 7.3 MAT-file",)),
     Reader("HDF5", (".h5", ".hdf5", ".hdf", ".he5"), "hdf5", "h5py", (b"\x89HDF\r\n\x1a\n",)),
     Reader("Parquet", (".parquet", ".pq"), "parquet", "pyarrow", (b"PAR1",)),
-    Reader("Excel", (".xlsx", ".xlsm"), "excel", "openpyxl", (b"PK\x03\x04",), True),
+    Reader("Excel", (".xlsx", ".xlsm"), "excel", "openpyxl", (ZIP,), "[[]Content_Types].xml"),
     Reader(
         "ROS 2 bag", (".mcap", ".db3"), "ros", "rosbags", (b"\x89MCAP0\r\n", b"SQLite format 3")
     ),
 )
 _HEAD = 24  # bytes that tell a format
+
+
+@dataclass(frozen=True)
+class ReaderSettings:
+    """What reading a file by a library may take; a library works in a child process."""
+
+    memory: float = setting(2e9, "B", "memory for a file of any size", "libraries and small files")
+    swells: float = setting(
+        100.0, "", "bytes of memory for each byte of the file", "packed recordings take up to 50"
+    )
+    seconds: float = setting(20.0, "s", "computing for a file of any size", "100 times the usual")
+    slowness: float = setting(
+        2e-5, "s/B", "computing for each byte of the file", "a packed workbook takes 5e-6"
+    )
+    patience: float = setting(
+        10.0, "", "times the computing after which waiting ends", "a machine with other work"
+    )
+
+
+SETTINGS = ReaderSettings()
 
 
 def suffixes() -> tuple[str, ...]:
@@ -95,12 +119,33 @@ def reader_of(path: Path) -> Reader:
         raise LogError(text, file=shortened_path(path)) from None
     name = path.name.lower().removesuffix(".gz")
     begins = [reader for reader in READERS if head.startswith(reader.magic)]
+    if head.startswith(ZIP):
+        members = _members(path)
+        begins = [reader for reader in begins if filter_names(members, reader.member)]
+        if not begins:
+            there = ", ".join(members[:3]) + ", …" * (len(members) > 3)
+            raise LogError(message("data.unknown_archive", members=there), file=path)
     ends = [reader for reader in READERS if name.endswith(reader.suffixes)]
     both = [reader for reader in begins if reader in ends]
-    for reader in (*both, *(reader for reader in begins if not reader.packed), *ends):
+    for reader in (*both, *begins, *ends):
         return reader
     kind, known = path.suffix or path.name, ", ".join((".toml", *suffixes()))
     raise LogError(message("data.unknown_format", kind=kind, known=known), file=path)
+
+
+def _members(path: Path) -> list[str]:
+    """The names in a zip archive.
+
+    Raises:
+        LogError: it is damaged.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.namelist()
+    except Exception as error:  # a damaged archive raises all kinds
+        reason = str(error) or type(error).__name__
+        text = message("data.unreadable_as", format="a zip archive", reason=reason)
+        raise LogError(text, file=path) from None
 
 
 def open_source(path: Path, dialect: Dialect | None = None) -> Source:
@@ -117,9 +162,10 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
         except ImportError:
             text = message("data.reader_missing", name=reader.name, package=reader.package)
             raise LogError(text, file=path) from None
-    read: Callable[[Path, Dialect], Source] = import_module(f"{__name__}.{reader.module}").read
-    with _quiet():
-        source = _read(reader, read, path, dialect or Dialect())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read = partial(_read, reader, path, dialect or Dialect())
+        source = _confined(reader, read, path) if reader.magic else read()
     requested = dialect.table if dialect else None
     if requested is not None and len(source.tables) > 0 and source.tables[0].name:
         there = ", ".join(f"'{table.name}'" for table in source.tables)
@@ -134,14 +180,40 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
     return source
 
 
-def _read(
-    reader: Reader, read: Callable[[Path, Dialect], Source], path: Path, dialect: Dialect
-) -> Source:
-    """What a reader makes of a file; whatever it raises is one sentence."""
-    was_on = gc.isenabled()
-    gc.disable()  # so that what a library leaves of a broken file stays among the youngest
+def _confined(reader: Reader, read: Callable[[], Source], path: Path) -> Source:
+    """What a reader makes of a file, in a child process.
+
+    Raises:
+        LogError: what reads it refuses it, or comes to no end.
+    """
+    import_module(f"{__name__}.{reader.module}")  # here, so that the next file finds it
+
+    def work(pipe: BinaryIO) -> None:
+        try:
+            result = read()
+        except EhbenchError as error:
+            result = error
+        send(pipe, result)
+
+    files = path.rglob("*") if path.is_dir() else (path,)
+    size = sum(file.stat().st_size for file in files)
+    memory = min(SETTINGS.memory + SETTINGS.swells * size, SHARE * available())
+    seconds = SETTINGS.seconds + SETTINGS.slowness * size
     try:
-        return read(path, dialect)
+        return received(confined(work, Bounds(memory, seconds, SETTINGS.patience * seconds)), path)
+    except Ended as end:
+        about = {"format": reader.name, "package": reader.package or "its library"}
+        if end.late:
+            text = message("data.reading_late", seconds=seconds, **about)
+        else:
+            text = message("data.reading_crashed", signal=end.name, **about)
+        raise LogError(text, file=path) from None
+
+
+def _read(reader: Reader, path: Path, dialect: Dialect) -> Source:
+    """What a reader makes of a file; whatever it raises is one sentence."""
+    try:
+        return import_module(f"{__name__}.{reader.module}").read(path, dialect)
     except EhbenchError as error:
         if error.file is not None:
             raise
@@ -152,24 +224,5 @@ def _read(
         reason = "it is too large"
     except Exception as error:  # the libraries raise all kinds on a damaged file
         reason = str(error) or type(error).__name__
-    finally:
-        if was_on:
-            gc.enable()
-    gc.collect(0)  # what they leave of it complains as it goes
     text = message("data.unreadable_as", format=reader.name, reason=reason)
     raise LogError(text, file=path)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what a library says of a broken file beside its errors."""
-    level = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        sys.unraisablehook = hook
-        logging.disable(level)

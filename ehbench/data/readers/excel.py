@@ -7,6 +7,8 @@ from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any
 
+from openpyxl import load_workbook
+
 from ehbench.data.readers.delimited import table_of
 from ehbench.data.readers.table import Dialect, Source
 from ehbench.runtime.memory import refuse_beyond
@@ -18,8 +20,6 @@ _SWELLS = 12  # bytes held for one of a sheet's XML
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The sheets that hold rows of numbers, as they were last calculated."""
-    from openpyxl import load_workbook
-
     with zipfile.ZipFile(path) as packed:
         fixed = sum(item.file_size for item in packed.infolist())
     refuse_beyond(_SWELLS * fixed, "reading it")
@@ -30,6 +30,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         for sheet in book.worksheets:
             if dialect.table not in (None, sheet.title):
                 continue
+            sheet.reset_dimensions()  # or each row is as wide as the farthest cell
             rows = sheet.iter_rows(values_only=True)
             lines = [_TAB.join(_text(cell) for cell in row) for row in rows]
             try:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from ehbench.data.readers.table import Dialect, Gathered, Source
@@ -17,8 +18,6 @@ _UNITS = ("unit", "units", "Unit", "Units", "UNIT", "UNITS")
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The data sets of a file, with the units of their attributes."""
-    import h5py
-
     gathered, losses, sets = Gathered(), [], []
     with h5py.File(path, "r") as file:
 

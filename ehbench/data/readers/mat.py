@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat, whosmat
 
 from ehbench.data.readers.table import Dialect, Gathered, Source, SourceTable
 from ehbench.runtime.memory import refuse_beyond
@@ -19,8 +20,6 @@ _PACKED = 20  # numbers that a byte of a packed file may stand for
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The variables of a file; fields of structs by ``struct.field``."""
-    from scipy.io import loadmat, whosmat
-
     try:
         sizes = [np.prod(shape, dtype=float) for _, shape, _ in whosmat(str(path))]
     except TypeError:  # it holds an object of MATLAB's own, such as a timetable

@@ -7,6 +7,7 @@ from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
+from asammdf import MDF
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered
 from ehbench.runtime.memory import refuse_beyond
@@ -21,8 +22,6 @@ _CLOCKS, _VARYING = {3: (1,), 4: (2, 3)}, {3: (), 4: (1,)}
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The groups of a measurement."""
-    from asammdf import MDF
-
     # it prints a channel that it cannot read
     with redirect_stdout(io.StringIO()), MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from ehbench.data.readers.table import (
     Dialect,
@@ -22,8 +23,6 @@ _UNITS = (b"unit", b"units", b"Unit", b"Units")
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The columns of a table; their units from the metadata of its fields."""
-    import pyarrow.parquet as pq
-
     with path.open("rb") as source, pq.ParquetFile(source) as file:
         rows, schema = file.metadata.num_rows, file.schema_arrow
         refuse_beyond(24.0 * rows * len(schema), "reading it")

@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.runtime.memory import refuse_beyond
@@ -28,8 +31,6 @@ _BESIDE = ("header.", "layout.")  # what is no reading
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The topics of a bag, on the time of their headers, else on that of the recording."""
-    from rosbags.rosbag2 import Reader
-
     rows: dict[str, list[dict[str, float]]] = {}
     times: dict[str, list[tuple[int, int]]] = {}
     kinds: dict[str, str] = {}
@@ -68,9 +69,6 @@ def _store(connection: Any) -> Any:
     """What reads the messages of a connection: by the definition in the file, else by the usual
     one.
     """
-    from rosbags.interfaces import MessageDefinitionFormat
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
     if connection.msgdef.format != MessageDefinitionFormat.MSG:
         return get_typestore(Stores.LATEST)
     store = get_typestore(Stores.EMPTY)

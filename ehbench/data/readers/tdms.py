@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from nptdms import TdmsFile
 
 from ehbench.data.readers.clock import moments
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
@@ -17,8 +18,6 @@ _Base = tuple[str, int, float, float, float | None]  # group, rows, increment, o
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The groups of a file."""
-    from nptdms import TdmsFile
-
     gathered: dict[_Base, list[SourceColumn]] = {}
     moved: dict[str, float] = {}
     losses = []

@@ -1,0 +1,126 @@
+"""Work in a child process with bounded memory and time, for libraries that a damaged or hostile
+file may bring down."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import resource
+import select
+import signal
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import BinaryIO
+
+from ehbench.runtime.memory import held
+
+_PIECE = 1 << 20  # bytes that a pipe hands over at once
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a child may use: ``memory`` [bytes] beyond what the process holds already, ``seconds``
+    [s] of computing, and ``wait`` [s] in all.
+    """
+
+    memory: float
+    seconds: float
+    wait: float
+
+
+class Ended(Exception):
+    """The child ended before its work was done: by ``number``, the signal that ended it."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        super().__init__(number)
+
+    @property
+    def late(self) -> bool:
+        """Whether it was ended for the time that it took."""
+        return self.number in (signal.SIGXCPU, signal.SIGALRM)
+
+    @property
+    def name(self) -> str:
+        """What ended it, such as SIGSEGV."""
+        return signal.Signals(self.number).name if self.number else "no word"
+
+
+def confined(work: Callable[[BinaryIO], None], bounds: Bounds) -> bytearray:
+    """What a piece of work writes into the pipe that it is given.
+
+    It runs in a fork of this process: what is imported here is imported there. It prints nothing
+    and changes nothing here.
+
+    Raises:
+        Ended: it crashed, or took longer than its bounds.
+    """
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # the child starts no thread of these
+        child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            os.close(reading)
+            _confine(bounds)
+            with os.fdopen(writing, "wb") as pipe:
+                work(pipe)
+            code = 0
+        finally:
+            os._exit(code)
+    os.close(writing)
+    try:
+        result = _received(reading, bounds)
+    except BaseException:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        raise
+    finally:
+        os.close(reading)
+    status = os.waitpid(child, 0)[1]
+    if status:
+        raise Ended(os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
+    return result
+
+
+def _received(pipe: int, bounds: Bounds) -> bytearray:
+    """All that comes out of a pipe.
+
+    Raises:
+        Ended: more than the bounds let through, in time or size.
+    """
+    result, end, waiting = bytearray(), time.monotonic() + bounds.wait, select.poll()
+    waiting.register(pipe, select.POLLIN)
+    while len(result) <= bounds.memory:
+        left = end - time.monotonic()
+        if left <= 0.0:
+            raise Ended(signal.SIGALRM)
+        if not waiting.poll(1e3 * left):
+            continue
+        if not (piece := os.read(pipe, _PIECE)):
+            return result
+        result += piece
+    raise Ended(signal.SIGKILL)
+
+
+def _confine(bounds: Bounds) -> None:
+    """Bound this process, the child."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    faulthandler.disable()
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in range(3):
+        os.dup2(nothing, number)
+    seconds = max(round(bounds.seconds), 1)
+    for kind, limit in (
+        (resource.RLIMIT_AS, int(held() + bounds.memory)),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_FSIZE, int(bounds.memory)),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(kind)[1]
+        limit = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(kind, (limit, hard))

@@ -1,0 +1,136 @@
+"""Small files that crash a library, fill the memory or take for ever: one sentence each."""
+
+from __future__ import annotations
+
+import io
+import os
+import resource
+import signal
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ehbench.data import readers
+from ehbench.data.readers import READERS, Reader, open_source
+from ehbench.runtime.confined import Bounds, Ended, confined
+from ehbench.vocabulary.errors import LogError
+
+SMALL = Bounds(memory=5e8, seconds=2.0, wait=20.0)
+
+
+def sparse(path: Path) -> None:
+    """3e8 values that were never written."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_dataset("p", (300_000_000,), dtype="f8", chunks=(1_000_000,))
+
+
+def equal_values(path: Path) -> None:
+    """A hundred million equal values in a dictionary."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    indices = pa.array(np.zeros(50_000_000, np.int8))
+    column = pa.DictionaryArray.from_arrays(indices, pa.array([1.5]))
+    with pq.ParquetWriter(path, pa.schema([("p", column.type)])) as file:
+        for _ in range(4):
+            file.write_table(pa.table({"p": column}), row_group_size=50_000_000)
+
+
+def zeros(path: Path) -> None:
+    """A MAT file of zeros, packed."""
+    from scipy.io import savemat
+
+    savemat(path, {"p": np.zeros((100_000_000, 1), np.uint8)}, do_compression=True)
+
+
+BOMBS = {"a.h5": sparse, "a.parquet": equal_values, "a.mat": zeros}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_that_swells_is_refused(name, tmp_path):
+    BOMBS[name](tmp_path / name)
+    assert (tmp_path / name).stat().st_size < 3_000_000
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(LogError) as error:
+        open_source(tmp_path / name)
+    assert "memory" in error.value.message or "large" in error.value.message
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB
+
+
+@pytest.mark.parametrize("cell", ["XFD1048576", "A1048576", "XFD3"])
+def test_a_workbook_with_a_far_cell_is_read(cell, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in [["t [s]", "p [bar]"], *([i / 10, 5.0 + i] for i in range(30))]:
+        book.active.append(row)
+    book.active[cell] = 1.0
+    book.save(tmp_path / "a.xlsx")
+    (table,) = open_source(tmp_path / "a.xlsx").tables
+    assert [column.name for column in table.columns[:2]] == ["t [s]", "p [bar]"]
+    assert table.columns[1].values[:30].tolist() == [5.0 + i for i in range(30)]
+
+
+def fill() -> None:
+    np.ones(10**9).sum()
+
+
+def spin() -> None:
+    while True:
+        pass
+
+
+def crash() -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def leave() -> None:
+    os._exit(3)
+
+
+@pytest.mark.parametrize(
+    ("work", "key"),
+    [
+        (fill, "data.unreadable_as"),
+        (spin, "data.reading_late"),
+        (crash, "data.reading_crashed"),
+        (leave, "data.reading_crashed"),
+    ],
+)
+def test_a_library_that_misbehaves_is_a_sentence(work, key, tmp_path, monkeypatch):
+    module = ModuleType("ehbench.data.readers.worst")
+    module.read = lambda path, dialect: work()
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    worst = Reader("worst", (".worst",), "worst", "", (b"WORST",))
+    monkeypatch.setattr(readers, "READERS", (*READERS, worst))
+    settings = readers.ReaderSettings(memory=SMALL.memory, seconds=1.0)
+    monkeypatch.setattr(readers, "SETTINGS", settings)
+    (tmp_path / "a.worst").write_bytes(b"WORST")
+    with pytest.raises(LogError) as error:
+        open_source(tmp_path / "a.worst")
+    assert error.value.key == key and error.value.exit_code == 2
+
+
+def test_a_child_is_ended_with_the_wait_for_it():
+    """One that sleeps is not stopped by its computing; nothing of it is left."""
+    with pytest.raises(Ended) as end:
+        confined(lambda pipe: time.sleep(60.0), Bounds(1e9, 60.0, 0.3))
+    assert end.value.late
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_child_prints_nothing_and_hands_over_what_it_writes(capfd):
+    def work(pipe: io.BufferedIOBase) -> None:
+        os.write(1, b"noise")
+        os.write(2, b"noise")
+        pipe.write(bytes(3_000_000))
+
+    assert confined(work, SMALL) == bytes(3_000_000)
+    assert capfd.readouterr() == ("", "")
