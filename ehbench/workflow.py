@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from ehbench import stages
 from ehbench.config.recipe import Recipe, load_recipe
 from ehbench.runtime.blas import one_thread
-from ehbench.sampling.sample import Workers
+from ehbench.sampling.sample import Certificates, Workers
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
 from ehbench.stages.campaign import write_report
 from ehbench.stages.dry_run import CircularRecipes
@@ -38,6 +38,7 @@ __all__ = [
     "REJECTED",
     "ROOT",
     "STOPPED",
+    "Certificates",
     "Outcome",
     "RigState",
     "Session",

@@ -113,9 +113,22 @@ Workers = Annotated[
     typer.Option(
         "--workers",
         metavar="N|ADDRESS",
-        help="So many here (one a core), or those of a Dask scheduler, tcp://host:8786.",
+        help="So many here (one a core), or those of a Dask scheduler, tls://host:8786.",
         show_default=False,
     ),
+]
+
+
+def _pem(name: str, what: str) -> Any:
+    return typer.Option(name, help=f"With --workers tls://…: {what} (PEM).", show_default=False)
+
+
+Authority = Annotated[Path | None, _pem("--tls-ca-file", "who signs the cluster's certificates")]
+Certificate = Annotated[Path | None, _pem("--tls-cert", "your certificate")]
+Key = Annotated[Path | None, _pem("--tls-key", "its key")]
+Insecure = Annotated[
+    bool,
+    typer.Option("--insecure-workers", help="Let --workers be tcp://… on another machine."),
 ]
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
@@ -236,7 +249,7 @@ def _runner(command: Command) -> Callable[..., None]:
     return kinds[command.allows]
 
 
-def _sampling(
+def _sampling(  # noqa: PLR0913 - the parameters are the options of the command
     recipe: RecipeFile,
     out: Out = None,
     loud: Loud = None,
@@ -244,9 +257,15 @@ def _sampling(
     allow_code: AllowCode = False,
     unvalidated: Unvalidated = False,
     workers: Workers = "",
+    tls_ca_file: Authority = None,
+    tls_cert: Certificate = None,
+    tls_key: Key = None,
+    insecure_workers: Insecure = False,
     resume: Resume = False,
 ) -> None:
     from ehbench import workflow
+
+    certificates = (tls_ca_file, tls_cert, tls_key)
 
     _run(
         "study",
@@ -255,7 +274,7 @@ def _sampling(
         Says.of(loud, as_json),
         allow_code=allow_code,
         unvalidated=unvalidated,
-        workers=workflow.Workers.of(workers),
+        workers=workflow.Workers.of(workers, certificates, insecure_workers),
         resume=resume,
     )
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.pools import PoolSettings
-from ehbench.sampling.sample import Make, Sample, Task
+from ehbench.sampling.sample import Make, Sample, Task, Workers
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
@@ -99,7 +99,7 @@ class Cluster:
     """The workers of a Dask scheduler.
 
     Args:
-        address: of the scheduler, such as ``tcp://host:8786``.
+        workers: which scheduler, and how to reach it.
         bundle: of the study.
         measures: of a sample.
         limit: time [s] that a sample may take; a worker that hangs beyond it is restarted.
@@ -111,22 +111,32 @@ class Cluster:
 
     def __init__(
         self,
-        address: str,
+        workers: Workers,
         bundle: Bundle,
         measures: int,
         limit: float | None = None,
         settings: ClusterSettings = ClusterSettings(),
     ) -> None:
         try:
-            from distributed import Client
+            from distributed import Client, Security
             from distributed.comm.addressing import parse_address, parse_host_port
         except ImportError:
             raise InputError(message("sampling.no_dask")) from None
         try:
-            parse_host_port(parse_address(address)[1])  # a client refused half-made is noisy
-            self._client: Any = Client(address, timeout=settings.connect, set_as_default=False)
+            parse_host_port(parse_address(workers.scheduler)[1])  # else a client is half-made
+            files: dict[str, str] = {}
+            if workers.certificates is not None:
+                ca, cert, key = map(os.fspath, workers.certificates)
+                files = {"tls_ca_file": ca, "tls_client_cert": cert, "tls_client_key": key}
+            security = Security(require_encryption=workers.is_encrypted or None, **files)
+            self._client: Any = Client(
+                workers.scheduler,
+                timeout=settings.connect,
+                set_as_default=False,
+                security=security,
+            )
         except (OSError, ValueError, TypeError) as error:
-            text = message("sampling.no_scheduler", address=address, reason=str(error))
+            text = message("sampling.no_scheduler", address=workers.scheduler, reason=str(error))
             raise InputError(text) from None
         data = pickle.dumps(bundle)
         self._sent = Sent(hashlib.sha256(data).hexdigest(), data)

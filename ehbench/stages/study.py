@@ -417,7 +417,7 @@ def _pools(prepared: PreparedStudy, tasks: Iterator[Task]) -> Iterator[tuple[Poo
     """
     workers, plan, measures = prepared.workers, prepared.plan, len(prepared.measures)
     if workers.scheduler:
-        yield Cluster(workers.scheduler, plan.bundle(), measures, plan.limit), tasks
+        yield Cluster(workers, plan.bundle(), measures, plan.limit), tasks
         return
     count = workers.count or cores()
     if plan.limit is None and not plan.allow_code:

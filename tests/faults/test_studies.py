@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
+import subprocess
 import threading
 import time
 from functools import partial
@@ -23,6 +25,7 @@ from ehbench.sampling import cluster as cluster_module
 from ehbench.sampling.cluster import Bundle, Cluster, ClusterSettings
 from ehbench.sampling.pools import PoolSettings, Processes, Threads
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 ROOT = Path(__file__).parents[2]
 QUICK = ClusterSettings(connect=0.5)
@@ -117,7 +120,7 @@ def test_a_cluster_whose_worker_is_killed_loses_nothing(makers, cluster, tmp_pat
 
     killer = threading.Thread(target=kill)
     killer.start()
-    made, came = samples(Cluster(cluster.scheduler_address, bundle, 2), 120)
+    made, came = samples(Cluster(workflow.Workers(cluster.scheduler_address), bundle, 2), 120)
     killer.join()
     whole, _ = samples(Threads(partial(makers, {}, tmp_path), 1), 120)
     assert repr(made) == repr(whole)
@@ -129,11 +132,98 @@ def test_a_cluster_whose_worker_is_killed_loses_nothing(makers, cluster, tmp_pat
     [
         ("", workflow.Workers()),
         ("3", workflow.Workers(count=3)),
-        ("tcp://host:8786", workflow.Workers(scheduler="tcp://host:8786")),
+        ("tcp://127.0.0.1:8786", workflow.Workers(scheduler="tcp://127.0.0.1:8786")),
+        ("localhost:8786", workflow.Workers(scheduler="tcp://localhost:8786")),
+        ("tcp://[::1]:8786", workflow.Workers(scheduler="tcp://[::1]:8786")),
+        ("10.1.2.3:8786", workflow.Workers(scheduler="tls://10.1.2.3:8786")),
+        ("host:8786", workflow.Workers(scheduler="tls://host:8786")),
+        ("wss://host:8786", workflow.Workers(scheduler="wss://host:8786")),
     ],
 )
 def test_workers_are_so_many_here_or_those_of_a_scheduler(said, where):
     assert workflow.Workers.of(said) == where
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        *("tcp://host:8786", "tcp://10.1.2.3:8786", "ws://host:8786", "tcp://[fe80::1]:8786"),
+        *(
+            "tcp://localhost.example.org:1",
+            "tcp://127.0.0.1@host:1",
+            "tcp://[bad:1",
+            "ucx://host:1",
+        ),
+    ],
+)
+def test_pickles_go_to_no_other_machine_unencrypted_unless_it_is_said(said):
+    with pytest.raises(InputError) as caught:
+        workflow.Workers.of(said)
+    assert caught.value.key == "sampling.not_encrypted"
+    assert workflow.Workers.of(said, insecure=True).scheduler == said
+
+
+def test_certificates_are_files_and_come_together(tmp_path):
+    (tmp_path / "a.pem").write_text("")
+    for given, key in (
+        ((tmp_path / "a.pem", None, None), "sampling.some_certificates"),
+        ((tmp_path / "a.pem", tmp_path / "a.pem", tmp_path), "sampling.no_certificate"),
+    ):
+        with pytest.raises(InputError) as caught:
+            workflow.Workers.of("tls://host:8786", given)
+        assert caught.value.key == key
+
+
+def authority(folder: Path, name: str) -> workflow.Certificates:
+    """A certificate with its key, and the authority that signed it."""
+    ca, ca_key, cert, key, wish = (folder / f"{name}_{i}.pem" for i in range(5))
+    new = ("openssl", "req", "-newkey", "rsa:2048", "-nodes", "-batch", "-subj")
+    for line in (
+        (*new, "/CN=ca", "-x509", "-days", "2", "-keyout", ca_key, "-out", ca),
+        (*new, "/CN=us", "-keyout", key, "-out", wish),
+        ("openssl", "x509", "-req", "-in", wish, "-CA", ca, "-CAkey", ca_key)
+        + ("-CAcreateserial", "-days", "2", "-out", cert),
+    ):
+        subprocess.run(line, check=True, capture_output=True)
+    return workflow.Certificates(ca, cert, key)
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="there is no openssl here")
+def test_an_encrypted_cluster_works_for_who_has_a_certificate_of_its_authority(makers, tmp_path):
+    import distributed
+
+    ours, strange = authority(tmp_path, "ours"), authority(tmp_path, "strange")
+    ca, cert, key = map(str, ours)
+    files = {"tls_ca_file": ca, "require_encryption": True}
+    for role in ("scheduler", "worker", "client"):
+        files |= {f"tls_{role}_cert": cert, f"tls_{role}_key": key}
+    (tmp_path / "made").mkdir()
+    bundle = Bundle({}, partial(makers, {}, tmp_path / "made"))
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        protocol="tls",
+        host="tls://127.0.0.1",
+        security=distributed.Security(**files),  # pyright: ignore[reportArgumentType]
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
+    ) as cluster:
+        address = cluster.scheduler_address
+        made, _ = samples(Cluster(workflow.Workers.of(address, ours), bundle, 2), 9)
+        assert [one.index for one in made] == list(range(9))
+        for refused in (
+            workflow.Workers.of(address, strange),
+            workflow.Workers.of(address),
+            workflow.Workers.of(address.replace("tls:", "tcp:")),
+        ):
+            with pytest.raises(InputError) as caught:
+                Cluster(refused, bundle, 2, settings=QUICK)
+            assert caught.value.key == "sampling.no_scheduler"
+
+
+def test_the_hint_starts_no_scheduler_that_others_reach():
+    hint = message("sampling.no_scheduler", address="", reason="").hint
+    assert "--host 127.0.0.1 --dashboard-address 127.0.0.1:" in hint
 
 
 @pytest.mark.parametrize("said", ["0", "-2", "1.5", "many", " "])
@@ -144,7 +234,7 @@ def test_workers_that_are_neither_are_refused(said):
 
 def test_nobody_answers(makers):
     with pytest.raises(InputError) as caught:
-        Cluster("tcp://127.0.0.1:9", Bundle({}, None), 2, settings=QUICK)
+        Cluster(workflow.Workers("tcp://127.0.0.1:9"), Bundle({}, None), 2, settings=QUICK)
     assert caught.value.key == "sampling.no_scheduler"
 
 
