@@ -25,16 +25,17 @@ from ehbench.data.rates import (
     repeated,
 )
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
+from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record
 from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
-from ehbench.signals.timestamps import timestamps_of
+from ehbench.signals.timestamps import resolution, timestamps_of, unrounded
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 
-FROM_1970 = 1e8  # [s] from which a time counts from 1970
+DAYS = ("d", "day", "days")  # units of a time that spreadsheets count
 _LISTED = 8  # columns that a hint names
 
 
@@ -85,7 +86,9 @@ def dialect_of(columns: ColumnMap | None) -> Dialect:
     if columns is None:
         return Dialect()
     keys = columns.columns
-    return Dialect(*columns.marks, keys.skip, keys.unit_row, keys.encoding, keys.table)
+    return Dialect(
+        *columns.marks, keys.skip, keys.unit_row, keys.encoding, keys.table, keys.day_first
+    )
 
 
 def named_channels(source: Source, path: Path) -> ColumnMap:
@@ -153,19 +156,41 @@ class _Mapping:
 
     def groups(self) -> list[Group]:
         """The mapped channels in SI, those of one table and one rate together."""
-        groups: dict[int, Group] = {}
+        groups: dict[tuple[int, str], Group] = {}
         for name, mapped in self.columns.columns.names.items():
             if mapped.channel == "t":
                 continue
             check_known(mapped.channel, **self.columns.at("names", name))
-            index = self.places[name][0]
-            if index not in groups:
-                groups[index] = self._timed(index)
-            groups[index].channels[mapped.channel] = self._si(name)
-            groups[index].columns[mapped.channel] = self._column(name)
+            index, time = self.places[name][0], self._time_of(name)
+            if (index, time) not in groups:
+                groups[index, time] = self._timed(index, time)
+            group = groups[index, time]
+            group.channels[mapped.channel] = self._si(name)
+            group.columns[mapped.channel] = self._column(name)
         if not groups:
             raise InputError(message("data.maps_nothing"), **self.columns.at())
-        return [part for group in groups.values() for part in _parts(group)]
+        times = [index for index, _ in groups]
+        whole = [
+            group if times.count(index) == 1 else _ended(group)
+            for (index, _), group in groups.items()
+        ]
+        return [part for group in whole for part in _parts(group)]
+
+    def _time_of(self, name: str) -> str:
+        """The column of time of another column: of those in its table the nearest to its left,
+        else the first; else one of a table as long; '' of none.
+        """
+        tables, (index, place) = self.source.tables, self.places[name]
+        times = [
+            (item, *self.places[item])
+            for item, mapped in self.columns.columns.names.items()
+            if mapped.channel == "t"
+        ]
+        here = sorted((j, item) for item, i, j in times if i == index)
+        left = [item for j, item in here if j < place]
+        right = [item for j, item in here if j > place]
+        same = [item for item, i, _ in times if tables[i].size == tables[index].size]
+        return [*left[-1:], *right[:1], *same[:1], ""][0]
 
     def _column(self, name: str) -> SourceColumn:
         table, column = self.places[name]
@@ -177,30 +202,48 @@ class _Mapping:
         lines = self.source.tables[self.places[name][0]].lines
         return si_of(name, mapped, self._column(name), self.columns, self.path, lines)
 
-    def _timed(self, index: int) -> Group:
-        """A table with its time, and no channel yet: by the rate that the map says, a column of its
-        own or of another table as long, or as the format knows it.
+    def _timed(self, index: int, time: str) -> Group:
+        """A table with its time, and no channel yet: by the rate that the map says, a column of
+        time, or as the format knows it.
         """
-        table, tables = self.source.tables[index], self.source.tables
-        names = self.columns.columns.names.items()
-        times = [name for name, item in names if item.channel == "t"]
-        own = [name for name in times if self.places[name][0] == index]
-        same = [name for name in times if tables[self.places[name][0]].size == table.size]
+        table = self.source.tables[index]
         began, t = table.began, table.t
-        for name in [*own, *same][:1]:
-            t = self._si(name)
-            began = tables[self.places[name][0]].began if began is None else began
-        stamped = None
+        if time:
+            t, of = self._si(time), self.source.tables[self.places[time][0]]
+            began = of.began if began is None else began
+        stamped, step = None, 0.0
         if self.columns.columns.rate is not None:
             stamped = t
             t = _counted(t, table.size, float(self.columns.columns.rate))
+        elif t is not None and time:
+            column = self._column(time)
+            values = column.values[np.isfinite(column.values)]
+            if values.size == t.size and np.ptp(values) > 0.0:
+                coarse, scale = resolution(values), float(np.ptp(t) / np.ptp(values))
+                even = unrounded(t, max(coarse) * scale)
+                step = coarse.narrow * scale if even is t else 0.0
+                t = even
         if t is None:
             what = f"table '{table.name}' " if table.name else ""
             raise LogError(message("data.no_time", table=what), file=self.path)
         good = t[np.isfinite(t)]
-        if good.size and good[0] > FROM_1970:
-            began, t = float(good[0]), t - good[0]
-        return Group(table, t, began, table.daytime if began is None else None, stamped=stamped)
+        days = time != "" and self.columns.columns.names[time].unit in DAYS
+        if good.size and (moment := since_1970(float(good[0]), days)) is not None:
+            began, t = moment, t - good[0]
+        return Group(
+            table,
+            t,
+            began,
+            table.daytime if began is None else None,
+            stamped=stamped,
+            resolution=step,
+        )
+
+
+def _ended(group: Group) -> Group:
+    """A group whose time is shorter than its table without the blank rows that follow."""
+    filled = [np.isfinite(group.t), *(column.filled for column in group.columns.values())]
+    return group.taken(np.flatnonzero(np.any(filled, axis=0)))
 
 
 def _parts(group: Group) -> list[Group]:

@@ -57,7 +57,8 @@ class Group:
     """The channels of one table at one rate: its time [s], wall clock of t = 0 [s since 1970] and
     time of day [s], its channels in SI and the columns they are from.
 
-    ``stamped`` [s] are stamps of rows that a rate counts instead."""
+    ``stamped`` [s] are stamps of rows that a rate counts instead; ``resolution`` [s] is what times
+    are rounded to."""
 
     table: SourceTable
     t: np.ndarray
@@ -66,6 +67,7 @@ class Group:
     channels: dict[str, np.ndarray] = field(default_factory=dict)
     columns: dict[str, SourceColumn] = field(default_factory=dict)
     stamped: np.ndarray | None = None
+    resolution: float = 0.0
 
     @property
     def period(self) -> float:
@@ -93,6 +95,7 @@ class Group:
             self.daytime,
             {name: self.channels[name][rows] for name in names},
             columns,
+            resolution=self.resolution,
         )
 
 
@@ -219,7 +222,7 @@ def gaps(group: Group, window: Window | None) -> list[str]:
     t = group.t[in_window(group.t, window)]
     if not 0.0 < group.period < np.inf:
         return []
-    gap, steps = SETTINGS.gap, np.diff(t) / group.period
+    gap, steps = SETTINGS.gap + group.resolution / group.period, np.diff(t) / group.period
     missing = np.where(steps > gap, np.rint(steps - 1.0), 0.0)
     if np.any(np.abs(steps - missing - 1.0) > gap - 1.0):  # late stamps, by which no step tells
         stamps = timestamps_of(t)

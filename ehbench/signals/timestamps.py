@@ -26,6 +26,18 @@ class TimestampSettings:
     )
     largest: float = setting(1.0, "", "the same at most", "a row")
     fewest: int = setting(20, "", "timestamps that show a rate", "jitter averages out")
+    coarse: float = setting(
+        0.1, "", "share of the sample time from which the resolution of stamps counts", "rounding"
+    )
+    coarsest: float = setting(
+        4.0, "", "resolution in sample times beyond which stamps show no rate", "rows a step"
+    )
+    fewest_long: int = setting(
+        10, "", "long or short steps of rounded stamps that show a rate", "losses are not regular"
+    )
+    rounded: float = setting(
+        0.6, "", "share of their resolution by which rounded stamps are off at most", "a half"
+    )
     block: int = setting(
         50, "", "rows that show where the clock's beats lie", "jitter averages out"
     )
@@ -60,6 +72,45 @@ class Timestamps(NamedTuple):
             rms <= SETTINGS.rms * self.period
             and float(np.abs(self.off).max()) <= SETTINGS.largest * self.period
         )
+
+
+class Resolution(NamedTuple):
+    """What numbers are rounded to: a step of decimals, and that of floats of 32 bits; 0 of none."""
+
+    decimal: float
+    narrow: float
+
+
+def resolution(values: np.ndarray) -> Resolution:
+    """The step between neighbours of the numbers that these are written in."""
+    known = np.abs(values[np.isfinite(values)])
+    if not known.size or not known.any():
+        return Resolution(0.0, 0.0)
+    largest = known[known >= 10.0 ** np.floor(np.log10(known.max()))]
+    single = largest.astype(np.float32)
+    narrow = float(np.spacing(single.max())) if np.array_equal(single, largest) else 0.0
+    for decimal in 10.0 ** -np.arange(10):
+        whole = largest / decimal
+        if np.abs(whole - np.rint(whole)).max() <= 1e-6 + 4.0 * np.spacing(whole.max()):
+            return Resolution(float(decimal), narrow)
+    return Resolution(0.0, narrow)
+
+
+def unrounded(t: np.ndarray, step: float) -> np.ndarray:
+    """Times [s] of an even rate, where these are off it by no more than half the ``step`` [s] to
+    which they are rounded, and too often for missing samples; others as they are.
+    """
+    steps = np.diff(t)
+    if not np.isfinite(t).all() or t.size < SETTINGS.fewest or steps.min() < 0.0:
+        return t
+    tick = (t[-1] - t[0]) / steps.size
+    odd = np.abs(steps - np.median(steps)) > 0.5 * step
+    if not SETTINGS.coarse * tick <= step <= SETTINGS.coarsest * tick:
+        return t
+    count = np.arange(t.size)
+    even = np.polyval(np.polyfit(count, t, 1), count)
+    fits = np.abs(even - t).max() <= SETTINGS.rounded * step
+    return even if fits and odd.sum() >= SETTINGS.fewest_long else t
 
 
 def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | None:

@@ -11,7 +11,7 @@ from ehbench.config.recipe import load_columns
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.preprocessing.time_base import evened, parts_of
-from ehbench.signals.timestamps import timestamps_of
+from ehbench.signals.timestamps import resolution, timestamps_of, unrounded
 from ehbench.vocabulary.errors import LogError
 
 PERIOD = 0.01
@@ -107,3 +107,27 @@ def test_rounded_stamps_that_last_longer_than_their_rows_are_told(tmp_path):
     keep[500:600] = False
     record = mapped(tmp_path, np.floor(PERIOD * ROWS[keep] * 5.0) / 5.0)
     assert "the rows last 13.99 s, and by their stamps 14.8 s" in record.losses[0]
+
+
+@pytest.mark.parametrize(
+    ("rate", "start", "rounded"),
+    [
+        (4000.0, 3600.0, np.float32),
+        (3000.0, 3600.0, np.float32),
+        (1000.0, 30000.0, np.float32),
+        (2000.0, 100.0, lambda t: np.round(t, 3)),
+        (1003.0, 100.0, lambda t: np.round(t, 3)),
+    ],
+)
+def test_rounded_stamps_of_an_even_rate_are_even_again(rate, start, rounded):
+    true = start + np.arange(8000) / rate
+    stamps = np.asarray(rounded(true), dtype=float)
+    t = unrounded(stamps - stamps[0], max(resolution(stamps)))
+    np.testing.assert_allclose(np.diff(t), 1.0 / rate, rtol=1e-5)
+
+
+@pytest.mark.parametrize("lost", [1, 7, 80])
+def test_missing_samples_are_no_rounding(lost):
+    rows = np.setdiff1d(np.arange(8000), np.random.default_rng(1).choice(8000, lost, False))
+    t = np.round(rows / 1000.0, 3)
+    assert unrounded(t, max(resolution(t))) is t

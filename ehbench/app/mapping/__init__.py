@@ -18,13 +18,16 @@ from ehbench.app.mapping.written import drafted, own_rows, range_of
 from ehbench.config.recipe.columns import ENDING, load_columns
 from ehbench.config.rig import Rig
 from ehbench.data import read
-from ehbench.data.channels import FROM_1970
+from ehbench.data.channels import DAYS
 from ehbench.data.flowmeter import alike, read_flowmeter
 from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source, reader_of
+from ehbench.data.readers.clock import since_1970
 from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.runtime.disk import replacing, write_text
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import to_si
 
 _MARKS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
 EVEN = 0.01  # share by which the mean of even steps may be off their median
@@ -131,10 +134,10 @@ def _span(
     t, began = table.t, table.began
     for name, (i, j) in names.items():
         if i == index and guesses[name].channel == "t" and t is None:
-            scale = {"ms": 1e-3, "us": 1e-6, "min": 60.0}.get(guesses[name].unit, 1.0)
-            t = table.columns[j].values * scale
+            unit = guesses[name].unit or "s"
+            t = to_si(table.columns[j].values, unit, VOCABULARY["t"])
             first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
-            began = first if began is None and first > FROM_1970 else began
+            began = since_1970(first, unit in DAYS) if began is None else began
     if t is None or t.size < 2:
         return ""
     step = float(np.nanmedian(np.diff(t)))

@@ -12,6 +12,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.rates import SETTINGS, apart
 from ehbench.data.readers import Source, SourceColumn, SourceTable
+from ehbench.data.readers.clock import since_1970
 from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -19,6 +20,7 @@ from ehbench.vocabulary.units import from_si, is_of
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
 AGAIN = 0.01  # share of the rows at most at which a clock begins again
+DAYS_TICK = 2e-5  # below which a count from 20 000 on is of days, not of seconds
 DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
 CURRENTS = {"mA", "A"}
 
@@ -140,6 +142,8 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
         note = message("app.time_rounded", rate=rate, unit=unit or "s")
         return Guess("t", unit or "s", False, note)
     tick = float(np.median(steps))
+    if not is_time and tick < DAYS_TICK and since_1970(86400.0 * float(values[0]), True):
+        return Guess("t", "d", True, message("app.days_guessed"))
     if not is_time:
         unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
         return Guess("t", unit, True, message("app.unit_guessed"))

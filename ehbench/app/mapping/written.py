@@ -47,12 +47,14 @@ def _dialect(source: Source) -> list[str]:
         "unit_row": result.unit_row,
         "encoding": result.encoding,
     }
-    lines = [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
+    lines = {key: f"{key} = {json.dumps(value)}" for key, value in keys.items()}
     columns = (column for table in source.tables for column in table.columns)
-    doubts = [column.doubt[1] for column in columns if column.doubt is not None]
-    if doubts:
-        lines[1] = f"# {lines[1]}    # {remark(doubts[0], 200)}"
-    return lines
+    for row_and_doubt in (column.doubt for column in columns):
+        if row_and_doubt is not None:
+            doubt = row_and_doubt[1]
+            key = "decimal" if doubt.key == "data.two_readings" else "day_first"
+            lines[key] = f"# {key} = ?    # {remark(doubt, 200)}"
+    return [*lines.values()]
 
 
 def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:

@@ -184,6 +184,9 @@ class Columns(FileModel):
     encoding: str | None = Field(
         default=None, description="of a text file, such as `cp1252`; none: looked for"
     )
+    day_first: bool | None = Field(
+        default=None, description="whether 05/11/2026 is in November; none: where a date says so"
+    )
     rate: Annotated[Value, Q("rate")] | None = Field(
         default=None, description="samples per second, in place of a column of time"
     )

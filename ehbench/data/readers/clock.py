@@ -1,78 +1,170 @@
-"""Times of day as text in seconds."""
+"""Times as text, as moments and as counts of days or seconds: seconds since the first."""
 
 from __future__ import annotations
 
+import calendar
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta, timezone
+from typing import NamedTuple
 
 import numpy as np
 
-_DAY = 86400
-_TIME = r"(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d{1,9}))?\s*([AaPp]\.?[Mm]\.?)?"
+from ehbench.vocabulary.messages import Message, message
+
+_DAY, _HOUR = 86400, 3600
+_CLOCK = r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2})(?:[.,:](\d{1,9}))?\s*([AaPp]\.?[Mm]\.?)?"
 _ZONE = r"\s*(Z|UTC|[+-]\d{2}:?\d{2})?"
+_YEAR = r"(\d{4}|\d{2}(?=[T ;,]+\d{1,2}:))"  # of two digits only before a time of day
+_MONTH = r"([^\W\d_]{3,9})\.?"
+# the order of day, month and year; "?" is either of the first two
+_DATES = (
+    ("ymd", r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})"),
+    ("dmy", rf"(\d{{1,2}})\.(\d{{1,2}})\.{_YEAR}"),
+    ("?", rf"(\d{{1,2}})[-/](\d{{1,2}})[-/]{_YEAR}"),
+    ("dmy", rf"(\d{{1,2}})[-/. ]*{_MONTH}[-/., ]*{_YEAR}"),
+    ("mdy", rf"{_MONTH} (\d{{1,2}}),? {_YEAR}"),
+)
 _FORMS = (
-    ("ymd", re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})[T ;]\s*" + _TIME + _ZONE)),
-    ("dmy", re.compile(r"(\d{1,2})[.](\d{1,2})[.](\d{4})[T ;,]\s*" + _TIME + _ZONE)),
-    ("mdy", re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](\d{4})[T ;,]\s*" + _TIME + _ZONE)),
-    ("", re.compile("()()()" + _TIME + "()")),
+    *((order, re.compile(rf"{date}(?:[T ;,]+{_CLOCK}{_ZONE})?")) for order, date in _DATES),
+    ("days", re.compile(rf"(-?\d+) days?,?()()(?: *\+?{_CLOCK}())?")),
+    ("", re.compile(f"()()(){_CLOCK}{_ZONE}")),
+)
+_MONTHS = {name.lower(): number for number, name in enumerate(calendar.month_abbr) if name}
+_MONTHS |= {"mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12}
+# whether it counts days, first and last count of recordings, the day 1970-01-01 in it [s or d]
+_EPOCHS = (
+    (True, 2.0e4, 8.0e4, 25569.0),  # spreadsheets, since 1899-12-30
+    (True, 6.9e5, 8.0e5, 719529.0),  # MATLAB, since year 0
+    (False, 2.6e9, 4.6e9, 2082844800.0),  # LabVIEW, since 1904
+    (False, 1.0e8, np.inf, 0.0),
 )
 
 
-def clock(cells: Iterable[str]) -> tuple[np.ndarray, float | None]:
-    """(seconds since the first, NaN where a cell is no time of day; the first in seconds since
-    1970, None without a date). A time of day alone goes on over midnight.
+class _Stamp(NamedTuple):
+    """A text as whole seconds and the rest, whether it has a date, and after how many seconds it
+    begins again, 0 for never.
     """
-    results = [_stamp(cell.strip()) for cell in cells]
-    known = [item for item in results if item is not None]
-    if not known:
+
+    whole: int
+    rest: float
+    dated: bool
+    again: int
+
+
+def clock(cells: Iterable[str], order: str = "mdy") -> tuple[np.ndarray, float | None]:
+    """(seconds since the first, NaN where a cell is no time; the first in seconds since 1970, None
+    without a date). A time of day alone goes on over midnight, and minutes over the hour.
+
+    Args:
+        cells: dates with a time of day, times of day, minutes and seconds, durations.
+        order: of day, month and year where slashes are between them.
+    """
+    results = [_stamp(cell.strip(), order) for cell in cells]
+    known = next(filter(None, results), None)
+    if known is None:
         return np.full(len(results), np.nan), None
-    whole, parts, dated = known[0]
-    seconds = np.array([np.nan if s is None else s[0] - whole + (s[1] - parts) for s in results])
-    if not dated:
+    seconds = np.array(
+        [np.nan if s is None else s.whole - known.whole + (s.rest - known.rest) for s in results]
+    )
+    if known.again:
         good = np.flatnonzero(np.isfinite(seconds))
-        days = np.cumsum(np.diff(seconds[good], prepend=seconds[good[:1]]) < -0.5 * _DAY)
-        seconds[good] += _DAY * days
-    return seconds, whole + parts if dated else None
+        back = np.diff(seconds[good], prepend=seconds[good[:1]]) < -0.5 * known.again
+        seconds[good] += known.again * np.cumsum(back)
+    return seconds, known.whole + known.rest if known.dated else None
+
+
+def order_of(cells: Sequence[str]) -> tuple[str, tuple[int, Message] | None]:
+    """(order of day, month and year; row and message of the first time that has two readings).
+
+    The order is "dmy" or "mdy" where a number above 12 says so, or where both are the same."""
+    pattern = next(pattern for order, pattern in _FORMS if order == "?")
+    days = [(row, match) for row, cell in enumerate(cells) if (match := pattern.fullmatch(cell))]
+    first, second = (max((int(match[at]) for _, match in days), default=0) for at in (1, 2))
+    if first > 12 or second > 12:
+        return "dmy" if first > 12 else "mdy", None
+    for row, match in days:
+        if match[1] != match[2]:
+            each = (datetime(2000, int(match[m]), int(match[d])) for m, d in ((2, 1), (1, 2)))
+            day, month = (f"{date.day} {date:%B}" for date in each)
+            fields = {"cell": match[0], "day": day, "month": month}
+            return "mdy", (row, message("data.two_dates", **fields))
+    short = next((row for row, cell in enumerate(cells) if re.fullmatch(r"\d+:\d\d", cell)), None)
+    if short is not None:
+        return "mdy", (short, message("data.two_times", cell=cells[short]))
+    return "mdy", None
+
+
+def is_time(cell: str) -> bool:
+    """Whether a cell is a time, in whatever order its day and month stand."""
+    return any(_stamp(cell, order) is not None for order in ("mdy", "dmy"))
+
+
+def is_date(cell: str) -> bool:
+    """Whether a cell is a date without a time of day."""
+    return ":" not in cell and (stamp := _stamp(cell.strip(), "mdy")) is not None and stamp.dated
 
 
 def time_of_day(cells: Iterable[str]) -> float | None:
     """Seconds since midnight of the first cell that is a time of day, None where none is."""
-    result = next(filter(None, (_stamp(cell.strip()) for cell in cells)), None)
-    return None if result is None else (result[0] + result[1]) % _DAY
+    result = next(filter(None, (_stamp(cell.strip(), "mdy") for cell in cells)), None)
+    known = result is not None and (result.dated or result.again == _DAY)
+    return (result.whole + result.rest) % _DAY if known and result is not None else None
+
+
+def since_1970(seconds: float, days: bool) -> float | None:
+    """The wall clock [s since 1970] of a count [s] since the beginning of some calendar, None of
+    one that counts from a beginning of its own.
+
+    Args:
+        seconds: the count in seconds.
+        days: whether the file counts days.
+    """
+    count = seconds / _DAY if days else seconds
+    for of_days, low, high, zero in _EPOCHS:
+        if of_days == days and low <= count < high:
+            return (count - zero) * (_DAY if days else 1.0)
+    return None
 
 
 def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:
-    """(seconds since the first, NaN where there is none; the first in seconds since 1970) of
-    numpy's moments of time.
+    """(seconds since the first, NaN where there is none; the first in seconds since 1970, None of
+    durations) of numpy's moments or durations.
     """
-    whole = values.astype("datetime64[ns]")
+    of_durations = values.dtype.kind == "m"
+    whole = values.astype("timedelta64[ns]" if of_durations else "datetime64[ns]")
     known = ~np.isnat(whole)
     if not known.any():
         return np.full(values.size, np.nan), None
     first = whole[known][0]
     seconds = np.where(known, (whole - first) / np.timedelta64(1, "ns") / 1e9, np.nan)
-    return seconds, float(first.astype(np.int64)) / 1e9
+    return seconds, None if of_durations else float(first.astype(np.int64)) / 1e9
 
 
-def _stamp(cell: str) -> tuple[int, float, bool] | None:
-    """(whole seconds, the rest, whether there is a date) of a text."""
+def _stamp(cell: str, slashed: str) -> _Stamp | None:
+    """A text as a time."""
     for order, pattern in _FORMS:
         if (match := pattern.fullmatch(cell)) is None:
             continue
         *day, hour, minute, second, rest, half, zone = match.groups()
-        clock = int(hour) % 12 + 12 * (half[0] in "pP") if half else int(hour)
+        if order not in ("", "days") and hour is None and minute is not None and rest is None:
+            hour, minute, second = minute, second, None  # 25.11.2026 10:05
+        hours = int(hour or 0)
+        hours = hours % 12 + 12 * (half[0] in "pP") if half else hours
+        whole = hours * _HOUR + int(minute or 0) * 60 + int(second or 0)
         parts = float(f"0.{rest}") if rest else 0.0
+        if order == "days":
+            return _Stamp(int(day[0]) * _DAY + whole, parts, False, 0)
         if not order:
-            return clock * 3600 + int(minute) * 60 + int(second), parts, False
-        date = {key: int(text) for key, text in zip(order, day)}
+            return _Stamp(whole, parts, False, _HOUR if hour is None else _DAY)
+        date = dict(zip(slashed if order == "?" else order, day, strict=True))
+        month = _MONTHS.get(date["m"][:3].lower(), 0) if date["m"].isalpha() else int(date["m"])
+        year = int(date["y"]) + 2000 * (len(date["y"]) == 2)
         try:
-            moment = datetime(
-                date["y"], date["m"], date["d"], clock, int(minute), int(second), tzinfo=_zone(zone)
-            )
+            midnight = datetime(year, month, int(date["d"]), tzinfo=_zone(zone))
+            return _Stamp(int(midnight.timestamp()) + whole, parts, True, 0)
         except (ValueError, OverflowError):
             return None
-        return int(moment.timestamp()), parts, True
     return None
 
 

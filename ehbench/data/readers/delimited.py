@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-
-from ehbench.data.readers.clock import clock, time_of_day
+from ehbench.data.readers.clock import clock, is_date, is_time, order_of, time_of_day
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered, unit_in
 from ehbench.data.text import (
     cells_of,
@@ -78,8 +76,14 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
     values, odd = numbers(rows, separator, decimal, of_numbers)
     doubts = {} if dialect.decimal else two_readings(rows, separator, decimal, of_numbers)
+    cells = {
+        index: cells_of(rows, separator, index)
+        for index, kind in enumerate(layout.kinds)
+        if kind != "numbers"
+    }
+    kinds = _dated(cells, layout.kinds)
     columns, began, daytime, words = [], None, None, {}
-    for index, kind in enumerate(layout.kinds):
+    for index, kind in enumerate(kinds):
         if kind == "numbers":
             place = of_numbers.index(index)
             unit = _unit(units[index]) if index < len(units) else ""
@@ -88,18 +92,37 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
             doubt = doubts.get(index)
             columns.append(SourceColumn(names[index], values[:, place], unit, odd[place], doubt))
             continue
-        cells = cells_of(rows, separator, index)
         if kind == "words":
-            words[names[index]] = cells
+            words[names[index]] = cells[index]
             continue
-        column, start = clock(cells)
+        order, doubt = order_of(cells[index])
+        if dialect.day_first is not None:
+            order, doubt = "dmy" if dialect.day_first else "mdy", None
+        column, start = clock(cells[index], order)
         began = start if began is None else began
-        daytime = time_of_day(cells) if daytime is None and start is None else daytime
-        columns.append(SourceColumn(names[index], column, "s"))
+        if daytime is None and start is None:
+            daytime = time_of_day(cells[index])
+        columns.append(SourceColumn(names[index], column, "s", {}, doubt))
     daytime = None if began is not None else daytime
     table = SourceTable(name, tuple(columns), None, began, [n + 1 for n in at], words, daytime)
     skip = layout.first if layout.header is None else layout.header
-    return table, Dialect(separator, decimal, skip, layout.units is not None)
+    units_below = layout.units is not None
+    return table, Dialect(separator, decimal, skip, units_below, day_first=dialect.day_first)
+
+
+def _dated(cells: dict[int, list[str]], kinds: Sequence[str]) -> tuple[str, ...]:
+    """What each column holds, once the dates of a column without times of day stand before the
+    times of the first one without dates: they are words then, and ``cells`` has both together.
+    """
+    results = list(kinds)
+    times = [index for index, kind in enumerate(kinds) if kind == "times"]
+    dates = [index for index in times if all(is_date(cell) for cell in cells[index] if cell)]
+    alone = [index for index in times if clock(cells[index][:_LOOKED_AT])[1] is None]
+    if dates and alone:
+        both = zip(cells[dates[0]], cells[alone[0]], strict=True)
+        cells[alone[0]] = [f"{date} {time}" if time else "" for date, time in both]
+        results[dates[0]] = "words"
+    return tuple(results)
 
 
 def _bare(line: str) -> str:
@@ -116,7 +139,7 @@ def _kind(cell: str, decimal: str) -> str:
         return "numbers"
     if is_hole(cell):
         return "holes"
-    return "times" if np.isfinite(clock([cell])[0]).all() else "words"
+    return "times" if is_time(cell) else "words"
 
 
 def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:

@@ -110,7 +110,7 @@ class Dialect:
 
     ``separator`` and ``decimal`` are characters (' ' is any white space), ``skip`` the lines before
     the header, ``unit_row`` whether a row of units stands below it, ``table`` the sheet, group or
-    topic to take alone."""
+    topic to take alone, ``day_first`` whether 05/11 is in November."""
 
     separator: str | None = None
     decimal: str | None = None
@@ -118,6 +118,7 @@ class Dialect:
     unit_row: bool | None = None
     encoding: str | None = None
     table: str | None = None
+    day_first: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +197,7 @@ def columns_of(
         ]
     if values.ndim != 1 or values.size < 2:
         return []
-    if values.dtype.kind == "M":
+    if values.dtype.kind in "mM":
         seconds, began = moments(values)
         return [(SourceColumn(name, seconds, "s"), began)]
     if values.dtype.kind not in "fiub":
