@@ -30,7 +30,9 @@ from ehbench.stages.base import (
     write_series,
 )
 from ehbench.stages.fitted_sensors import inherited
-from ehbench.stages.inputs import Inputs, NamedFiles, span_of
+from ehbench.stages.inputs import Inputs, NamedFiles, RigState, span_of
+from ehbench.stages.notes import Notes
+from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
@@ -39,6 +41,7 @@ from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig
+    from ehbench.data.record import Record
     from ehbench.validation import PreparedValidation
     from ehbench.validation.held_out import FittedSamples
 
@@ -96,7 +99,9 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
             logs=plural(len(recipe.data), "log"),
             limits=", ".join(_limits(recipe, state.rig)) or "no limit is set",
         )
-        validation = PreparedValidation(state.rig, recipe.channels, tuple(judged), state.flow_maps)
+        validation = PreparedValidation(
+            state.rig, recipe.channels, tuple(judged), state.flow_maps, _training(state, inputs)
+        )
         files = (*state.inputs, *logs.files)
         return PreparedJudgement(recipe, files, does, state, logs, validation, texts)
 
@@ -187,6 +192,21 @@ def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[FittedSamples]]:
                 series = read_series(path)
                 result.append(FittedSamples(name, series.t, series.recorded, digest))
     return digests, result
+
+
+def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]:
+    """The logs that the run behind a rig fitted it to, none where they are not as they were."""
+    from ehbench.report.provenance import TracedRun
+    from ehbench.stages.planning import recipe_of
+
+    try:
+        fit = TracedRun(state.origin)
+        recipe = recipe_of(fit)
+        same = all(source.is_same for source in fit.sources if source.role == "log")
+        own = replace(inputs, recipe=recipe, notes=Notes(recipe))
+        return tuple(own.logs(recipe.data).records) if same else ()
+    except EhbenchError:
+        return ()
 
 
 def _note_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:

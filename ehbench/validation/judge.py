@@ -34,6 +34,7 @@ from ehbench.preprocessing.observations import (
 )
 from ehbench.preprocessing.preparation import PreparedLog, numbered, prepare
 from ehbench.runtime.cores import cores
+from ehbench.validation.baseline import beside
 from ehbench.validation.checks import checks_of, unrequested
 from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
@@ -107,12 +108,15 @@ class JudgedLog:
 
 @dataclass(frozen=True)
 class PreparedValidation:
-    """The input of a validation, before anything is simulated."""
+    """The input of a validation, before anything is simulated; ``training`` are name and record of
+    logs that the rig was fitted to, for the black box beside it.
+    """
 
     rig: Rig
     channels: tuple[str, ...]
     logs: tuple[JudgedLog, ...]
     flow_maps: Maps | None = None
+    training: tuple[tuple[str, Record], ...] = ()
 
     def cases(self, results: Sequence[LogResult] = ()) -> list[Case]:
         """The logs as `ehbench.diagnosis.ask` takes them, sensors as the results have them."""
@@ -171,6 +175,8 @@ def run_validation(
             results.append(result)
             if progress is not None:
                 progress(result.name, len(results) / len(prepared.logs))
+    records = [log.log.record for log in prepared.logs]
+    results, black_box, better = beside(results, records, prepared.training)
     reasons = tuple(_reasons(results))
     warnings = tuple(f"{log.name}: {text}" for log in results for text in log.warnings)
     plain = required.model_dump() | {
@@ -180,7 +186,16 @@ def run_validation(
         "response_delay_error": required.response_delay_error
         and float(required.response_delay_error),
     }
-    return Validation(prepared.rig.name, not reasons, reasons, warnings, plain, tuple(results))
+    return Validation(
+        prepared.rig.name,
+        not reasons,
+        reasons,
+        warnings,
+        plain,
+        tuple(results),
+        reservations=tuple(better),
+        black_box=black_box,
+    )
 
 
 def prepare_log(

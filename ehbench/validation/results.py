@@ -52,6 +52,7 @@ class ChannelResult:
     rms_error: float
     derived: bool = False
     noise_share: float = 0.0
+    baseline_percent: float | None = None
     autocorrelation: Correlation | None = None
     cross_correlation: tuple[Correlation, ...] = ()
     note: str = ""
@@ -200,6 +201,17 @@ class LogResult:
 
 
 @dataclass(frozen=True)
+class BlackBox:
+    """The black boxes beside a model: the logs that they were ``fitted`` to, whether the verdict
+    ``counts`` them, and by channel their order and sample time [s].
+    """
+
+    fitted: tuple[str, ...] = ()
+    counts: bool = False
+    orders: dict[str, tuple[int, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Validation:
     """The verdict on a rig: ``accepted`` if some held-out log was judged and all of them passed;
     else ``reasons`` say why not. ``structure`` is what the residuals say of the model,
@@ -216,6 +228,7 @@ class Validation:
     logs: tuple[LogResult, ...]
     structure: Structure = Structure()
     reservations: tuple[str, ...] = ()
+    black_box: BlackBox = BlackBox()
 
     @property
     def verdict(self) -> str:

@@ -291,6 +291,7 @@ def _channel_table(rig: Rig, log: Table) -> list[Block]:
         "channel",
         "unit",
         "fit [%]",
+        "black box [%]",
         "max error",
         "bias",
         "rms error",
@@ -298,8 +299,8 @@ def _channel_table(rig: Rig, log: Table) -> list[Block]:
         "command lags outside",
     ]
     note = (
-        "Errors are simulated minus recorded. "
-        "Lags outside: where the residual correlates beyond the 95 % band."
+        "Errors are simulated minus recorded. Black box: the fit of a linear ARX fitted to the "
+        "same logs as the model. Lags outside: where the residual correlates beyond the 95 % band."
     )
     return [Grid(head, rows, note)] if rows else []
 
@@ -313,7 +314,7 @@ def _channel_row(rig: Rig, item: Table) -> list[Cell | str]:
     return [
         Cell(label, "code", hint=item.get("note", "")),
         pretty(unit_of(rig, name)),
-        num(number(item.number("fit_percent"), 3)),
+        *(num(number(item.get(key), 3)) for key in ("fit_percent", "baseline_percent")),
         *(
             num(number(float(shown(rig, name, item[key])), 3))
             for key in ("max_error", "bias", "rms_error")
