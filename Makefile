@@ -11,7 +11,7 @@ PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-e
 # anew takes each process of the tests several seconds
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: thesis check test quick coverage fuzz format lint types docs reference site wheel bench example study datasets warm \
+.PHONY: thesis check test quick coverage fuzz format lint types docs reference site wheel bench example study power datasets warm \
         setup dev requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
@@ -62,6 +62,9 @@ bench: setup             ## measure speed and accuracy, print the table
 
 study: setup             ## whether 95 % intervals hold the truth, over random rigs; some 20 minutes
 	CORES=$(CORES) $(BIN)/python -m tools.coverage_study
+
+power: setup             ## how often a validation passes wrong models, and blames right ones; some 10 minutes
+	$(BIN)/python -m tools.power --write
 
 datasets: setup          ## let the virtual bench record datasets/ again, byte for byte
 	$(BIN)/python -m tools.datasets
