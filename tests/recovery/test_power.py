@@ -1,4 +1,4 @@
-"""The power study in small: its plant is an oracle of the model, its verdicts are those of users."""
+"""The power study in small: its plant is an oracle of the model; its verdicts are of users."""
 
 from __future__ import annotations
 
