@@ -184,6 +184,9 @@ def check(
     file: Annotated[
         Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
     ],
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="List each gap and bad sample of a log.")
+    ] = False,
 ) -> None:
     """Check a rig, recipe, map, data file or log without running anything.
 
@@ -191,7 +194,7 @@ def check(
     What only a run can tell is said."""
     from ehbench.app import inspection
 
-    result = inspection.check(file)
+    result = inspection.check(file, verbose=verbose)
     for line in result.lines:
         print(line)
     for error in result.errors:

@@ -40,11 +40,12 @@ class Inspection:
     notes: Notes | None = None
 
 
-def check(path: Path, dry_run: DryRun | None = None) -> Inspection:
+def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> Inspection:
     """Inspect a rig, recipe or map (TOML), a flowmeter CSV, or a log of any format read.
 
     Args:
         path: of the file.
+        verbose: list each gap and each bad sample of a log.
         dry_run: to go on with: what it has prepared is not prepared again; a new one by default.
 
     Raises:
@@ -64,7 +65,7 @@ def check(path: Path, dry_run: DryRun | None = None) -> Inspection:
         raise InputError(message("app.is_folder"), file=path)
     if path.suffix == ".csv" and is_flowmeter(path):
         return _flowmeter(path)
-    return _log(path)
+    return _log(path, verbose)
 
 
 def _recipe(path: Path, dry_run: DryRun) -> Inspection:
@@ -198,8 +199,9 @@ def _flowmeter(path: Path) -> Inspection:
     return Inspection((*lines, "ok"))
 
 
-def _log(path: Path) -> Inspection:
+def _log(path: Path, verbose: bool) -> Inspection:
     from ehbench.data import read
+    from ehbench.data.record import lost, recovered
     from ehbench.preprocessing.plausibility import LEAST_SAMPLES
     from ehbench.preprocessing.time_base import evened, parts_of
 
@@ -217,19 +219,22 @@ def _log(path: Path) -> Inspection:
         row = quantity(name)
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
         lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
-    lines += [f"  lost: {loss}" for loss in record.losses]
-    unfit, gaps = "", []
+    unfit, gaps, more = "", [], []
     if record.t.size < LEAST_SAMPLES:
         unfit = message("app.few_samples", samples=plural(record.t.size, "sample"))
     else:
         parts, gaps = parts_of(path.name, record)
-        lines += [f"  {gap}" for gap in gaps]
         try:
             for part in parts:
-                lines += [f"  {text}" for text in evened(part.name, part.record)[1]]
+                more += [f"  {text}" for text in evened(part.name, part.record)[1]]
         except LogError as error:
             unfit = str(error)
+    notes = [*record.losses, *gaps]
+    lines += [f"  lost: {note}" for note in lost(notes)]
+    lines += [f"  {note}" for note in recovered(path.name, notes)]
+    lines += [f"  {note}" for note in notes if verbose and note not in lost(notes)]
+    lines += [f"  {note}" for note in more]
     if unfit:
         lines.append(message("app.unfit", reason=unfit))
-    lossy = bool(record.losses or gaps or unfit)
+    lossy = bool(lost(notes) or unfit)
     return Inspection((*lines, "ok, with losses" if lossy else "ok"), 3 * lossy)

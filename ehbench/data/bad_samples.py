@@ -89,7 +89,9 @@ def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, is_brid
         return message("data.rows_left_out", first=first, last=last, **fields)
     some = ", ".join(f"{t[item]:.6g}" for item in at[:NAMED]) + ", …" * (at.size > NAMED)
     key = "data.command_bridged" if channel.endswith(".command") else "data.samples_bridged"
-    return message(key, channel=channel, samples=samples, times=some, lines=lines)
+    run = 1 + max(map(len, np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)))
+    fields = {"share": at.size / t.size, "longest": run * group.period}
+    return message(key, channel=channel, samples=samples, times=some, lines=lines, **fields)
 
 
 def _line(group: Group, at: int) -> int | None:

@@ -189,7 +189,11 @@ def joined(
         ends = own[-1] + group.period if np.isfinite(group.period) else own[-1]
         covered = (t >= own[0]) & (t <= ends)
         after = np.append(own, np.inf)[before + 1] - own[before.clip(0)]
-        holes = covered & (after > (1 + SETTINGS.gap) * group.period) & (before < own.size - 1)
+        holes = (
+            covered
+            & (after > (SETTINGS.bridged + SETTINGS.gap) * group.period)
+            & (before < own.size - 1)
+        )
         holes &= own[before.clip(0)] != t
         keep &= covered & ~holes
         for name, values in group.channels.items():
@@ -235,5 +239,12 @@ def gaps(group: Group, window: Window | None) -> list[str]:
         for item in at[:NAMED]
     )
     few += f", … ({at.size} gaps)" if at.size > NAMED else ""
-    samples = plural(int(missing.sum()), "sample")
-    return [message("data.samples_missing", group=group.title, samples=samples, where=few)]
+    short = at[missing[at] <= SETTINGS.bridged]
+    fields = {
+        "group": group.title,
+        "samples": plural(int(missing.sum()), "sample"),
+        "where": few,
+        "share": float(missing[short].sum() / (t.size + missing.sum())),
+        "longest": float((t[short + 1] - t[short]).max(initial=0.0)),
+    }
+    return [message("data.samples_missing", **fields)]

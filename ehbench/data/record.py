@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.vocabulary.errors import LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.quantities import like_channel, quantity
 
@@ -20,6 +20,29 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Window = tuple[float, float]  # [s] first and last time
+# messages on samples that are interpolated, or that nothing is missing without
+_RECOVERED = (
+    *(f"data.{key}" for key in ("samples_bridged", "command_bridged", "samples_missing")),
+    *(f"data.{key}" for key in ("numbers_missing", "repeated_rows")),
+    "preprocessing.bridged",
+)
+
+
+def lost(notes: Iterable[str]) -> list[str]:
+    """Of notes on a log those on what could not be recovered."""
+    return [note for note in notes if getattr(note, "key", "") not in _RECOVERED]
+
+
+def recovered(log: str, notes: Iterable[str]) -> list[Message]:
+    """What was interpolated of a log as one message, none where nothing was: the largest share of
+    samples of a channel, and the longest gap.
+    """
+    few = [note.fields for note in notes if isinstance(note, Message) and note.key in _RECOVERED]
+    shares = [fields["share"] for fields in few if fields.get("share")]
+    if not shares:
+        return []
+    longest = 1e3 * max(fields.get("longest", 0.0) for fields in few)
+    return [message("data.interpolated", log=log, share=100.0 * max(shares), longest=longest)]
 
 
 @dataclass(frozen=True)

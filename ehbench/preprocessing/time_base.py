@@ -31,7 +31,7 @@ class TimeSettings:
     )
     bridged: int = setting(5, "", "missing samples in a row that are interpolated", "short ones")
     rare: float = setting(
-        0.05, "", "gaps a sample from which the log has another rate", "gaps are rare"
+        0.4, "", "gaps a sample from which the log has another rate", "the median step is a gap"
     )
     shortest: float = setting(0.25, "s", "least length of a part between gaps", "it must move")
     share: float = setting(0.1, "", "least length of a part, share of the longest", "it must count")
@@ -140,7 +140,9 @@ def parts_of(
     notes = []
     if few.size:
         shown = _gap_list(record, few, missing)
-        notes.append(message("preprocessing.bridged", log=name, gaps=shown))
+        share = float(missing[few].sum() / (record.t.size + missing[few].sum()))
+        fields = {"share": share, "longest": float(steps[few].max())}
+        notes.append(message("preprocessing.bridged", log=name, gaps=shown, **fields))
     if many.size:
         shown = _gap_list(record, many, missing)
         notes.append(message("preprocessing.cut", log=name, gaps=shown))

@@ -131,7 +131,7 @@ class PreparedFromLogs(Prepared):
         return Work(
             {
                 "rig": self.state.rig.name,
-                "warnings": [*losses, *warnings],
+                "warnings": [*losses, *self.logs.remarks, *warnings],
                 "recorded_on": sorted(recorded_on),
                 **facts,
             },

@@ -72,6 +72,7 @@ class Logs(NamedTuple):
         records: name and record of each.
         inputs: the file of each; one with a gap is that of several logs.
         losses: what was lost.
+        remarks: what was interpolated, one for each.
         entries: number of the recipe's entry of each.
         files: all files, with the maps of columns that they were read by.
     """
@@ -79,6 +80,7 @@ class Logs(NamedTuple):
     records: list[tuple[str, Record]]
     inputs: NamedFiles
     losses: list[str]
+    remarks: Sequence[str]
     entries: list[int]
     files: NamedFiles
 
@@ -203,6 +205,7 @@ class Inputs:
         """
         import numpy as np
 
+        from ehbench.data.record import lost, recovered
         from ehbench.preprocessing.preparation import distinct_names
         from ehbench.preprocessing.time_base import parts_of
 
@@ -214,17 +217,17 @@ class Inputs:
             else:
                 available.append((index, item, place))
         names = distinct_names([place for _, _, place in available])
-        records, inputs, losses, entries = [], [], [], []
+        records, inputs, losses, remarks, entries = [], [], [], [], []
         files: list[tuple[str, Path]] = []
         maps: list[tuple[str, Path]] = []
         for (index, item, place), name in zip(available, names, strict=True):
             path = place / "log.mcap" if (place / "log.mcap").is_file() else place
             whole, others = self._read(item, index, path, path is not place, maps)
-            losses += [f"{path.name}: {loss}" for loss in whole.losses]
             record = self._replayed(_window(whole, item, path), item, index)
             scored = getattr(item, "scored", None)
             parts, texts = parts_of(name, record, driven=driven, within=scored)
-            losses += texts
+            losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
+            remarks += recovered(name, [*whole.losses, *texts])
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
             entries += [index] * len(parts)
@@ -237,7 +240,8 @@ class Inputs:
             )
             self.notes.add("reads", text)
         self.notes.add("losses", *(f"lost: {loss}" for loss in losses))
-        return Logs(records, tuple(inputs), losses, entries, (*files, *maps))
+        self.notes.add("remarks", *remarks)
+        return Logs(records, tuple(inputs), losses, remarks, entries, (*files, *maps))
 
     def _read(
         self, item: DataFile, index: int, path: Path, is_run: bool, maps: list[tuple[str, Path]]

@@ -10,7 +10,8 @@ import pytest
 from ehbench.app import inspection
 from ehbench.data import read
 from ehbench.data.logs import write_log
-from ehbench.data.record import Record
+from ehbench.data.record import Record, recovered
+from ehbench.data.record import lost as lost_of
 from ehbench.preprocessing.time_base import parts_of
 
 ROOT = Path(__file__).parents[2]
@@ -77,12 +78,33 @@ def test_parts_that_tell_nothing_are_left_out_and_told(missing, driven, within, 
     assert said[-1].key == "preprocessing.parts_left_out"
 
 
-@pytest.mark.parametrize("stride", [slice(1, None, 7), slice(0, 2000, 2)])
-def test_another_rate_is_no_gap(stride):
-    gone = np.arange(T.size)[stride]
-    record = log(*((at, at + 1) for at in gone))
+def test_another_rate_is_no_gap():
+    record = log(*((at, at + 1) for at in range(0, 2000, 2)))
     parts, said = parts_of("log", record)
     assert said == [] and parts[0].record is record
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.14])
+def test_few_samples_in_a_row_are_bridged_however_many_there_are(share):
+    """As a bus loses frames, here and there."""
+    lost = np.flatnonzero(np.random.default_rng(3).random(T.size - 1) < share) + 1
+    record = log(*((at, at + 1) for at in lost if at < T.size - 1))
+    parts, notes = parts_of("log", record)
+    assert len(parts) == 1
+    np.testing.assert_allclose(parts[0].record.t, T, atol=1e-12)
+    (line,) = recovered("log", notes)
+    assert line.fields["share"] == pytest.approx(100.0 * (1.0 - record.t.size / T.size))
+    assert lost_of(notes) == [] and len(line.split()) < 12
+
+
+def test_a_log_whose_gaps_are_bridged_is_whole(tmp_path, capsys):
+    lost = np.random.default_rng(4).choice(np.arange(1, T.size - 1), 150, replace=False)
+    rows = np.setdiff1d(np.arange(T.size), lost)
+    text = "".join(f"{T[row]:.3f},{np.sin(T[row]):.6f}\n" for row in rows)
+    (tmp_path / "a.csv").write_text("t [s],press.x [m]\n" + text)
+    file = inspection.check(tmp_path / "a.csv")
+    assert file.code == 0 and sum("interpolated" in line for line in file.lines) == 1
+    assert len(inspection.check(tmp_path / "a.csv", verbose=True).lines) > len(file.lines)
 
 
 def test_a_log_of_which_nothing_would_be_left_stays_as_it_is():

@@ -79,8 +79,11 @@ def _group(
         if numbers[0]:
             losses.append(message("data.first_missing", topic=topic, count=numbers[0], t=t[0]))
         missing = np.diff(numbers).astype(np.int64) - 1
-        for at in np.flatnonzero(missing):
-            fields = {"topic": topic, "count": missing[at], "first": t[at], "last": t[at + 1]}
+        at = np.flatnonzero(missing > 0)
+        if at.size:
+            longest = int(at[np.argmax(missing[at])])
+            fields = {"topic": topic, "count": missing[at].sum()}
+            fields |= {"most": missing[longest], "first": t[longest], "last": t[longest + 1]}
             losses.append(message("data.numbers_missing", **fields))
     return stream.topic, t, channels
 

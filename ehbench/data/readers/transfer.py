@@ -52,7 +52,9 @@ def received(data: bytearray, path: Path) -> Source:
         columns = []
         for column in table["columns"]:
             odd = {int(row): cell for row, cell in column["odd"].items()}
-            columns.append(SourceColumn(column["name"], next(arrays), column["unit"], odd))
+            doubt = column["doubt"] and (column["doubt"][0], Message(**column["doubt"][1]))
+            about = (column["unit"], odd, doubt)
+            columns.append(SourceColumn(column["name"], next(arrays), *about))
         t = next(arrays) if table["timed"] else None
         about = (table["began"], table["lines"], table["words"], table["daytime"])
         tables.append(SourceTable(table["name"], tuple(columns), t, *about))
@@ -72,7 +74,9 @@ def _table(table: SourceTable, arrays: list[np.ndarray]) -> dict[str, Any]:
     columns = []
     for column in table.columns:
         arrays.append(column.values)
-        columns.append({"name": column.name, "unit": column.unit, "odd": dict(column.odd)})
+        doubt = column.doubt and (column.doubt[0], _text(column.doubt[1]))
+        facts = {"name": column.name, "unit": column.unit, "odd": dict(column.odd)}
+        columns.append({**facts, "doubt": doubt})
     if table.t is not None:
         arrays.append(table.t)
     return {
