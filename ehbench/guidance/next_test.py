@@ -18,8 +18,9 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.covariance import eliminate
+from ehbench.identification.estimate import estimate_starts, information
 from ehbench.identification.hydraulics import PreparedFit, simulator_of
-from ehbench.identification.output_error import OutputError
+from ehbench.identification.problem import Problem, initial, problem_of
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.plant.model import Model, simulate
@@ -186,11 +187,11 @@ class _Planner:
         # with dead bands as wide as the logs leave them: what a test must open for sure
         ends = {item.name: item.interval[1] for item in fitted if item.interval is not None}
         self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
-        search = self._search(prepared.logs)
-        search.settle_starts(self.values)
-        blocks, prior = search.said()
-        self.sensors = search.theta[len(fitted) :]
-        self.scales, self.weight = search.scales, search.weight
+        problem = self._problem(prepared.logs)
+        state = estimate_starts(problem, self.values)
+        blocks, prior = information(problem, state)
+        self.sensors = state.theta[len(fitted) :]
+        self.scales, self.weight = state.scales, state.prior_weight
         self.normal = np.sum([eliminate(b, self.weight).normal for b in blocks], axis=0)
         self.normal = self.normal + prior.normal
         self.live = [
@@ -201,11 +202,10 @@ class _Planner:
         self.drives = list(drives_of(self.rig, prepared.logs))
         self.noise = _noise_of(prepared.logs)
 
-    def _search(self, logs: Sequence[Log]) -> OutputError:
+    def _problem(self, logs: Sequence[Log]) -> Problem:
         item, requested = self.prepared, self.prepared.options
         simulator = simulator_of(item, logs)
-        tell = lambda sentence, share: None  # noqa: E731
-        return OutputError(simulator, item.search, tell, requested.max_iterations, requested.cutoff)
+        return problem_of(simulator, item.search, None, requested.max_iterations, requested.cutoff)
 
     def _error(self, normal: np.ndarray) -> np.ndarray:
         """Standard errors of the live parameters in search coordinates, for white residuals."""
@@ -252,12 +252,16 @@ class _Planner:
         """What a test would leave of the interval; nothing where it cannot be run."""
         try:
             log = self._log(trial)
-            search = self._search([log])
-            search.coarse = False
-            search.scales = {c: self.scales.get(c, 1.0) for c in search.scales}
+            problem = self._problem([log])
+            state = initial(problem)
             pairs = zip(self.prepared.search, self.values, strict=True)
-            search.theta = np.array([*(c.of(x) for c, x in pairs), *self.sensors])
-            (block,), _ = search.said()
+            state = replace(
+                state,
+                coarse=False,
+                scales={c: self.scales.get(c, 1.0) for c in state.scales},
+                theta=np.array([*(c.of(x) for c, x in pairs), *self.sensors]),
+            )
+            (block,), _ = information(problem, state)
         except EhbenchError:
             return []
         after = self.normal + eliminate(block, self.weight).normal

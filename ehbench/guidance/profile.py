@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.identification.descent import constrained
+from ehbench.identification.estimate import estimate
 from ehbench.identification.hydraulics import PreparedFit, simulator_of
-from ehbench.identification.output_error import OutputError
+from ehbench.identification.problem import problem_of
 from ehbench.identification.results import FittedParameter, HydraulicsFit
 from ehbench.identification.search import Coordinate
 from ehbench.vocabulary.errors import InputError
@@ -68,19 +70,19 @@ def profile(
     if requested.method != "output_error":
         raise InputError("a profile needs method 'output_error'", hint="the recipe says another")
     simulator = simulator_of(prepared, prepared.logs)
-    search = OutputError(
+    problem = problem_of(
         simulator, prepared.search, tell, requested.max_iterations, requested.cutoff
     )
-    fit = search.fit()
+    fit, estimated = estimate(problem)
     which = names.index(name)
     own, c = fit[name], prepared.search[which]
-    thetas = _values(c, own)
-    stands, result = (search.theta, search.shifts), []
+    thetas, result = _values(c, own), []
     for side in (thetas[thetas < c.of(own.value)][::-1], thetas[thetas >= c.of(own.value)]):
-        search.theta, search.shifts = stands
+        state = estimated
         for theta in side:
             tell(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
-            result.append((float(theta), *search.held_at(which, float(theta))))
+            state, minimum = constrained(problem, state, which, float(theta))
+            result.append((float(theta), minimum, problem.by_name(state.theta)))
     result.sort(key=lambda item: item[0])
     return fit, _profile(c, own, result, [n for n in names if n != name])
 

@@ -20,8 +20,9 @@ from ehbench.config.recipe.sensor import WORDS
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.guidance.changes import TURNED, Change, changes, merged
+from ehbench.identification.basins import descend, foreseen, nearest_basin
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
-from ehbench.identification.output_error import OutputError
+from ehbench.identification.problem import Problem, initial, problem_of
 from ehbench.identification.search import of_sensors
 from ehbench.identification.simulator import Log, Simulator
 from ehbench.signals.series import white_noise
@@ -295,8 +296,8 @@ class _Trials:
         Raises:
             EhbenchError, ValueError, ArithmeticError: there is no such rig, or no such fit.
         """
-        _, search = self._prepared(setup, 0)
-        return min(search.foreseen({**now.found[0], **start}) for start in starts)
+        _, problem = self._prepared(setup, 0)
+        return min(foreseen(problem, {**now.found[0], **start}) for start in starts)
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
@@ -310,13 +311,13 @@ class _Trials:
 
     def _first(self) -> Tried:
         """The fit as the recipe has it, from a look over the whole range of its parameters."""
-        logs, search = self._prepared(self.base, None)
-        search.arrive()
-        self.spread = dict(search.spread)
+        logs, problem = self._prepared(self.base, None)
+        start = problem.by_name(nearest_basin(problem, initial(problem)).theta)
+        self.spread = dict(problem.spread)
         for log in logs:
             for channel, y in zip(log.channels, log.recorded.T, strict=True):
                 self.noise[channel] = max(white_noise(y) ** 2, self.noise.get(channel, 0.0))
-        folds = [self._fold(self.base, which, search.named()) for which in range(2)]
+        folds = [self._fold(self.base, which, start) for which in range(2)]
         self.live = tuple(dict.fromkeys(name for log in logs for name in log.asked))
         self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))
         first = _tried(self.base, folds)
@@ -379,8 +380,8 @@ class _Trials:
         gain = now.costs[0] - first.cost
         return gain > -math.log(1.0 - WORTH) * HOPE * len(self.channels)
 
-    def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], OutputError]:
-        """(the logs, a search over them with the windows of a fold left out)."""
+    def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], Problem]:
+        """(the logs, a problem over them with the windows of a fold left out)."""
         fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
         logs = [log.head(HEAD) for log in fit.logs]
         retained = logs
@@ -392,15 +393,17 @@ class _Trials:
         options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
         names = [*setup.parameters, *(c.name for c in sensors)]
         simulator = Simulator(setup.rig, retained, names, self.maps, options.workers, options.step)
-        tell: Progress = lambda text, share: None  # noqa: E731
-        return logs, OutputError(simulator, fit.search, tell, STEPS, options.cutoff)
+        return logs, problem_of(simulator, fit.search, None, STEPS, options.cutoff)
 
     def _fold(self, setup: Setup, which: int, begin: Mapping[str, float]) -> _Fold:
         """A fit from some numbers on, with the windows of a fold left out."""
-        logs, search = self._prepared(setup, which)
+        logs, problem = self._prepared(setup, which)
         left: dict[tuple[str, int], dict[str, float]] = {}
-        cost = search.descend(begin)
-        for k, (log, rest) in enumerate(zip(logs, search.beside(logs), strict=True)):
+        state, cost = descend(problem, begin)
+        values = problem.values(state.theta)
+        whole = problem.simulator.over(logs).simulate([values], None, state.shifts)[0]
+        residuals = [problem.residual(*pair) for pair in zip(logs, whole, strict=True)]
+        for k, (log, rest) in enumerate(zip(logs, residuals, strict=True)):
             windows = _windows(log)
             for w in range(int(windows[-1]) + 1):
                 own = (windows == w) & _out(log, k, which)
@@ -410,7 +413,7 @@ class _Trials:
                         for i, channel in enumerate(log.channels)
                         if (own & log.counts[:, i]).any()
                     }
-        return _Fold(cost, search.named(), left)
+        return _Fold(cost, problem.by_name(state.theta), left)
 
     def _by_window(self, item: Tried, scale: Tried) -> np.ndarray:
         """What is left out of each window, channels added up, each in units of what another fit

@@ -26,9 +26,9 @@ class Block:
     deviations]."""
 
     channels: tuple[str, ...]
-    slopes: np.ndarray
-    nudges: np.ndarray
-    left: np.ndarray
+    jacobian: np.ndarray
+    start_jacobian: np.ndarray
+    residuals: np.ndarray
     shifts: np.ndarray
 
 
@@ -57,8 +57,10 @@ class Eliminated:
 
 def eliminate(block: Block, weight: float) -> Eliminated:
     """A log's nuisances eliminated; ``weight`` is a prior's, `initial_states.prior_weight`."""
-    p, n = block.slopes.shape[-1], len(block.shifts)
-    whole = np.concatenate([block.slopes, block.nudges, block.left[..., None]], axis=-1)
+    p, n = block.jacobian.shape[-1], len(block.shifts)
+    whole = np.concatenate(
+        [block.jacobian, block.start_jacobian, block.residuals[..., None]], axis=-1
+    )
     whole = whole.reshape(-1, p + n + 1)
     square = whole.T @ whole
     inner = square[p : p + n, p : p + n] + weight * np.eye(n)
@@ -149,9 +151,10 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     inverse = root @ root.T
     known_starts = _inverse_root(np.sum([item.known for item in solved], axis=0) + prior.normal)
     free = [
-        block.slopes - block.nudges @ item.gain for block, item in zip(blocks, solved, strict=True)
+        block.jacobian - block.start_jacobian @ item.gain
+        for block, item in zip(blocks, solved, strict=True)
     ]
-    scores = [np.einsum("tci,tc->ti", j, b.left) for j, b in zip(free, blocks, strict=True)]
+    scores = [np.einsum("tci,tc->ti", j, b.residuals) for j, b in zip(free, blocks, strict=True)]
     reaches = [_reach(score) for score in scores]
     own = [prior.weight**2 * item.gain.T @ item.gain for item in solved]
     meats = [
@@ -213,8 +216,12 @@ def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
         return Release(float(step[-1]), math.inf, gain, follow)
     after = []
     for block, item in zip(blocks, solved, strict=True):
-        left = block.left + block.slopes @ step + block.nudges @ (item.move - item.gain @ step)
-        after.append(replace(block, left=left))
+        left = (
+            block.residuals
+            + block.jacobian @ step
+            + block.start_jacobian @ (item.move - item.gain @ step)
+        )
+        after.append(replace(block, residuals=left))
     std = covariance_of(after, prior).error(len(pull) - 1)[0]
     return Release(float(step[-1]), std, gain, follow)
 
@@ -268,7 +275,10 @@ def _by_autocovariance(slopes: Sequence[np.ndarray], blocks: Sequence[Block]) ->
     result = np.zeros((p, p))
     for channel in sorted({channel for block in blocks for channel in block.channels}):
         having = [
-            (part[:, block.channels.index(channel)], block.left[:, block.channels.index(channel)])
+            (
+                part[:, block.channels.index(channel)],
+                block.residuals[:, block.channels.index(channel)],
+            )
             for part, block in zip(slopes, blocks, strict=True)
             if channel in block.channels
         ]

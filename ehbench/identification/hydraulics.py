@@ -24,11 +24,12 @@ from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import Averaging
+from ehbench.identification.estimate import fit
 from ehbench.identification.frequency_domain import on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import Decimate, refuse_few
-from ehbench.identification.output_error import OutputError
+from ehbench.identification.problem import problem_of
 from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
 from ehbench.identification.sensitivity import watched
@@ -334,8 +335,8 @@ def run_fit(
     maximum = requested.max_iterations
     if requested.method == "thesis":
         return Matching(simulator, item.search, tell, maximum).fit()
-    search = OutputError(simulator, item.search, tell, maximum, requested.cutoff, fixed, journal)
-    return search.fit()
+    problem = problem_of(simulator, item.search, tell, maximum, requested.cutoff, fixed, journal)
+    return fit(problem)
 
 
 def simulator_of(

@@ -120,6 +120,6 @@ def _steps(path: Path, about: Mapping[str, Any]) -> list[dict[str, Any]]:
     if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
         return []
     # only where a step can be gone on with is the search what it was, to what it has in memory
-    while steps and not steps[-1].keys() & {"done", "costs"}:
+    while steps and not steps[-1].keys() & {"steps", "costs"}:
         steps.pop()
     return steps

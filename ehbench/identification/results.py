@@ -300,7 +300,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
         matches=tuple(result.matches),
         scales=dict(result.scales),
         warnings=tuple(_poor(logs) + warnings),
-        evaluations=simulator.evaluations,
+        evaluations=simulator.effort.evaluations,
         iterations=result.iterations,
         recordings=tuple(recordings),
         sensors=tuple(result.sensors),

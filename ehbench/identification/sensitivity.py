@@ -7,7 +7,6 @@ where that is more than their intervals and the logs deny the number, they are s
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +14,18 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.identification.covariance import Block, Prior, gains_of, release_of
-from ehbench.identification.descent import FAINT, Descent
+from ehbench.identification.descent import solve
+from ehbench.identification.problem import SETTINGS as PROBLEM
+from ehbench.identification.problem import (
+    Problem,
+    State,
+    by_channel,
+    cost,
+    effects,
+    evaluate,
+    jacobian,
+    prior_of,
+)
 from ehbench.identification.results import Lean, Moved
 from ehbench.identification.search import Coordinate, coordinates
 from ehbench.identification.uncertainty import Errors, errors_of
@@ -75,19 +85,19 @@ def watched(rig: Rig, parameters: Sequence[str], flow_maps: Maps | None) -> list
     return coordinates(rig, fixed) if fixed else []
 
 
-def doubts_of(fit: Descent, result: Errors) -> tuple[list[str], tuple[Lean, ...]]:
+def doubts_of(fit: Problem, state: State, result: Errors) -> tuple[list[str], tuple[Lean, ...]]:
     """(a warning of the held gain whose release would better the fit most, if it is surely wrong:
     the recipe's line that frees it; what the fit leans on, the likeliest first).
     """
-    live, cost = sorted(fit.free + fit.bound), fit.cost(result.here)
-    prior, minimum = fit.prior(result.here.theta, live), WORTH * cost
+    live, total = state.live, cost(fit, state)
+    prior, minimum = prior_of(fit, state, live), WORTH * total
     known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
     gains, suspects = [], []
     every = [*_searched(fit, result), *_late_commands(fit, result), *_late_sensors(fit, result)]
     promised = gains_of(_with(result, every), prior)
     for one in [one for one, gain in zip(every, promised, strict=True) if gain >= minimum]:
         release = release_of(_with(result, [one]), known, minimum)
-        there, share = one.here + one.unit * release.move, release.gain / cost
+        there, share = one.here + one.unit * release.move, release.gain / total
         if not abs(release.move) > SURELY * release.std:
             continue
         if one.name.rpartition(".")[2] in GAINS and abs(there - one.here) > GAIN_OFF * one.here:
@@ -95,7 +105,7 @@ def doubts_of(fit: Descent, result: Errors) -> tuple[list[str], tuple[Lean, ...]
                 (share, one.name, there / one.here - 1.0, one.unit * release.std / one.here)
             )
         if there >= one.least:
-            moved = _moved(fit, result, result.here.theta[live] + release.follow, live)
+            moved = _moved(fit, result, state.theta[list(live)] + release.follow, live)
             std = one.unit * release.std
             lean = Lean(one.name, one.here, there, std, share, moved, one.cure)
             suspects.append((lean, one.index))
@@ -107,8 +117,8 @@ def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
     return [
         replace(
             block,
-            slopes=np.concatenate(
-                [block.slopes, *(item.columns[k][..., None] for item in some)], axis=-1
+            jacobian=np.concatenate(
+                [block.jacobian, *(item.columns[k][..., None] for item in some)], axis=-1
             ),
         )
         for k, block in enumerate(result.blocks)
@@ -116,7 +126,7 @@ def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
 
 
 def _leans(
-    fit: Descent, result: Errors, suspects: Sequence[tuple[Lean, int | None]]
+    fit: Problem, result: Errors, suspects: Sequence[tuple[Lean, int | None]]
 ) -> tuple[Lean, ...]:
     """Those suspects that explain most and with which estimates come out beyond their intervals.
 
@@ -149,27 +159,29 @@ def _gain_warnings(gains: Sequence[tuple[float, str, float, float]]) -> list[str
     ]
 
 
-def _searched(fit: Descent, result: Errors) -> Iterator[_Suspect]:
+def _searched(fit: Problem, result: Errors) -> Iterator[_Suspect]:
     """The held numbers of the rig that change something."""
     which = list(range(fit.fitted, len(fit.search)))
     names = {item.name for item in fit.simulator.rig.cylinder}
+    state = result.state
+    influence = state.influence.copy()
     for i in which:  # what belongs to a cylinder changes nothing where that stands
         owner = fit.search[i].name.partition(".")[0]
-        fit.touches[i] = [owner not in names or owner in log.asked for log in fit.simulator.logs]
-    slopes = fit.slopes(result.here, which) if which else []
-    effects = fit.effects(slopes, which) if which else {}
+        influence[i] = [owner not in names or owner in log.asked for log in fit.simulator.logs]
+    slopes = jacobian(fit, replace(state, influence=influence), which) if which else []
+    sizes = effects(fit, state, slopes) if which else []
     for n, i in enumerate(which):
-        c, theta = fit.search[i], float(result.here.theta[i])
-        if effects[i] >= FAINT:
+        c, theta = fit.search[i], float(state.theta[i])
+        if sizes[n] >= PROBLEM.faint:
             columns = [part[..., n] for part in slopes]
             here = c.at(theta)
             cure = f'add "{c.name}" to parameters'
             yield _Suspect(c.name, here, columns, here if c.log else c.unit, cure, i, c.lower)
 
 
-def _late_commands(fit: Descent, result: Errors) -> Iterator[_Suspect]:
+def _late_commands(fit: Problem, result: Errors) -> Iterator[_Suspect]:
     """A delay of the commands of each cylinder, of whose valves the rig file has none."""
-    rig, logs, here = fit.simulator.rig, fit.simulator.logs, result.here
+    rig, logs, here = fit.simulator.rig, fit.simulator.logs, result.state.here
     known = rig.parameters()
     for cylinder in rig.cylinder:
         series = [item for valve in cylinder.valve for item in valve.series]
@@ -181,84 +193,85 @@ def _late_commands(fit: Descent, result: Errors) -> Iterator[_Suspect]:
         if delays or not given or terms & {f"{item}.delay" for item in given}:
             continue
         late = tuple(Term(item, "delay", LATE, 1.0, 0.0, False) for item in given)
-        moved = copy.copy(fit.simulator)
-        moved.logs = tuple(
-            replace(log, start=replace(log.start, terms=(*log.start.terms, *late))) for log in logs
+        moved = fit.simulator.over(
+            [
+                replace(log, start=replace(log.start, terms=(*log.start.terms, *late)))
+                for log in logs
+            ]
         )
         which = [k for k, log in enumerate(logs) if cylinder.name in log.asked]
         built = moved.each(
-            [(fit.values(here.theta), k, here.shifts[k]) for k in which], here.grid.meshes
+            [(fit.values(here.theta), k, here.shifts[k]) for k in which], here.mesh.steps
         )
-        columns = [np.zeros_like(left) for left in here.left]
+        columns = [np.zeros_like(left) for left in here.residuals]
         for k, simulated in zip(which, built, strict=True):
             if simulated is not None:
-                left = fit.left_of(logs[k], simulated)
-                columns[k] = (left - here.left[k]) / (LATE * fit.per(fit.scales, logs[k]))
+                left = fit.residual(logs[k], simulated)
+                columns[k] = (left - here.residuals[k]) / (
+                    LATE * by_channel(result.state.scales, logs[k])
+                )
         entry = f'add [[sensor]] channel = "{given[0]}", delay = "estimate"'
         several = f'put kind = "delay" among the dynamics of the valves of {cylinder.name}'
         about = given[0] if len(given) == 1 else f"{cylinder.name}.command"
         yield _Suspect(f"{about}.delay", 0.0, columns, 1.0, entry if len(given) == 1 else several)
 
 
-def _late_sensors(fit: Descent, result: Errors) -> Iterator[_Suspect]:
+def _late_sensors(fit: Problem, result: Errors) -> Iterator[_Suspect]:
     """A lag of the sensor of each channel that is compared, which the recipe does not have."""
-    logs, here = fit.simulator.logs, result.here
+    logs, here = fit.simulator.logs, result.state.here
     if any(log.band is not None for log in logs):
         return
     values = fit.values(here.theta)
     built = fit.simulator.each(
-        [(values, k, shift) for k, shift in enumerate(here.shifts)], here.grid.meshes
+        [(values, k, shift) for k, shift in enumerate(here.shifts)], here.mesh.steps
     )
     known = {term.channel for log in logs for term in log.start.terms if term.word != "scale"}
     for channel in dict.fromkeys(name for log in logs for name in log.channels):
         if channel in known or position_of(channel) in known:
             continue
-        columns = [np.zeros_like(left) for left in here.left]
+        columns = [np.zeros_like(left) for left in here.residuals]
         for k, (log, simulated) in enumerate(zip(logs, built, strict=True)):
             if simulated is not None and channel in log.channels:
                 i = log.channels.index(channel)
                 late = simulated.copy()
                 late[:, i] -= LATE * np.gradient(simulated[:, i], log.sample_time)
-                columns[k] = fit.left_of(log, late) - fit.left_of(log, simulated)
-                columns[k] /= LATE * fit.per(fit.scales, log)
+                columns[k] = fit.residual(log, late) - fit.residual(log, simulated)
+                columns[k] /= LATE * by_channel(result.state.scales, log)
         seen = channel if all(channel in log.record for log in logs) else position_of(channel)
         cure = f'add [[sensor]] channel = "{seen}", lag = "estimate"'
         yield _Suspect(f"{seen}.lag", 0.0, columns, 1.0, cure)
 
 
 def _moved(
-    fit: Descent, result: Errors, theta: np.ndarray, live: Sequence[int]
+    fit: Problem, result: Errors, theta: np.ndarray, live: Sequence[int]
 ) -> tuple[Moved, ...]:
     """How far estimates would be off by their intervals with other search coordinates."""
     moved = []
     for i, there in zip(live, theta, strict=True):
         error, c = result.by_index[i], fit.search[i]
-        if i >= fit.asked or error.kind == "not_excited" or error.std <= 0.0:
+        if i >= fit.requested or error.kind == "not_excited" or error.std <= 0.0:
             continue
-        here = float(result.here.theta[i])
+        here = float(result.state.theta[i])
         there = min(max(float(there), c.bounds[0]), c.bounds[1])
         halves = abs(there - here) / (error.quantile * error.std)
         moved.append(Moved(c.name, c.at(here), c.at(there), halves))
     return tuple(sorted(moved, key=lambda item: -item.halves))
 
 
-def _refitted(fit: Descent, result: Errors, lean: Lean, index: int) -> Lean | None:
+def _refitted(fit: Problem, result: Errors, lean: Lean, index: int) -> Lean | None:
     """What a fit leans on by a fit in which it is free; None where that has it otherwise."""
-    retained = fit.theta, fit.shifts, fit.free, fit.bound, fit.last, fit.grid, fit.iterations
-    live = sorted(fit.free + fit.bound)
-    fit.free, fit.bound = [*live, index], []
-    fit.solve(1e-4)
-    there = errors_of(fit)
-    cost, before = fit.cost(there.here), fit.cost(result.here)
-    fit.theta, fit.shifts, fit.free, fit.bound, fit.last, fit.grid, fit.iterations = retained
+    live = result.state.live
+    state, _ = solve(fit, replace(result.state, free=(*live, index), at_bound=()), 1e-4)
+    there = errors_of(fit, evaluate(fit, state))
+    after, before = cost(fit, there.state), cost(fit, result.state)
     c, error = fit.search[index], there.by_index[index]
-    moved = _moved(fit, result, there.here.theta[live], live)
-    off = abs(float(there.here.theta[index] - result.here.theta[index]))
-    if off <= SURELY * error.std or before - cost < WORTH * before:
+    moved = _moved(fit, result, there.state.theta[list(live)], live)
+    off = abs(float(there.state.theta[index] - result.state.theta[index]))
+    if off <= SURELY * error.std or before - after < WORTH * before:
         return None
-    value = c.at(there.here.theta[index])
+    value = c.at(there.state.theta[index])
     std = (value if c.log else c.unit) * error.std
-    return Lean(lean.name, lean.here, value, std, 1.0 - cost / before, moved, lean.cure)
+    return Lean(lean.name, lean.here, value, std, 1.0 - after / before, moved, lean.cure)
 
 
 def _sentence(rig: Rig, item: Lean) -> str:

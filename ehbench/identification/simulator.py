@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -412,6 +413,14 @@ def _bytes(result: Simulated | None) -> int:
     return ENTRY + (0 if result is None else sum(item.nbytes for item in result))
 
 
+@dataclass
+class Effort:
+    """What a search has cost so far."""
+
+    evaluations: int = 0
+    iterations: int = 0
+
+
 class Simulator:
     """All logs, simulated at any parameter values, several at a time.
 
@@ -436,8 +445,14 @@ class Simulator:
         self.logs, self.names = tuple(logs), tuple(names)
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
         self.workers = workers or cores()
-        self.evaluations = 0
+        self.effort = Effort()
         self._kept, self._latest = Kept(), _Latest()
+
+    def over(self, logs: Sequence[Log]) -> Simulator:
+        """The same simulator of other logs, with the same cache and count of effort."""
+        other = copy.copy(self)
+        other.logs = tuple(logs)
+        return other
 
     def models(self, values: Sequence[float]) -> dict[str | None, Model]:
         """The model at these values by payload.
@@ -518,7 +533,7 @@ class Simulator:
         """(simulated channels, steps taken) of each point; what is known of late is not simulated
         again.
         """
-        self.evaluations += len(points)
+        self.effort.evaluations += len(points)
         results: dict[Hashable, Simulated | None] = {}
         requested: dict[Hashable, Where] = {}
         keys = []

@@ -1,4 +1,4 @@
-"""How sure a fit by output error is of its parameters, and what it says of those that it held."""
+"""How sure a fit by output error is of its parameters."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.identification.covariance import Block, covariance_of, eliminate
-from ehbench.identification.descent import FAINT, Descent, Point
 from ehbench.identification.groups import Group, groups_of, sentence
+from ehbench.identification.problem import SETTINGS as PROBLEM
+from ehbench.identification.problem import Problem, State, effects, linearised, prior_of
 from ehbench.identification.results import (
     Estimate,
     FittedParameter,
@@ -20,6 +21,7 @@ from ehbench.identification.results import (
     not_excited,
 )
 from ehbench.identification.search import VAGUE, Coordinate
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.terms import CORRELATED, Z95
 
 
@@ -40,35 +42,34 @@ class Error:
 @dataclass(frozen=True, eq=False)
 class Errors:
     """Errors by index of the parameter, and the correlation between the free ones, in the order of
-    their names, the point they belong to, what each log says there, the covariance of those that
+    their names, the state they belong to, what each log says there, the covariance of those that
     are live, and the standard error each would have if all others were known."""
 
     by_index: dict[int, Error]
     names: tuple[str, ...]
     correlation: np.ndarray
-    here: Point
+    state: State
     blocks: list[Block]
     covariance: np.ndarray
     alone: np.ndarray
 
 
-def errors_of(fit: Descent) -> Errors:
-    """Standard errors of the parameters in search coordinates, and what they mean; all of them
-    as if none were held at a bound.
+def errors_of(problem: Problem, state: State) -> Errors:
+    """Standard errors of the parameters in search coordinates at an evaluated state, and what they
+    mean; all of them as if none were fixed at a bound.
     """
-    live = sorted(fit.free + fit.bound)
-    here = fit.point(fit.theta, fit.shifts)
-    slopes = fit.slopes(here, live)
-    blocks = fit.blocks(here, slopes, fit.nudges(here))
-    match = covariance_of(blocks, fit.prior(fit.theta, live))
-    effects, correlation = fit.effects(slopes, live), match.correlation
-    inside = [k for k, i in enumerate(live) if not _at_bound(fit, i)]
+    live = state.live
+    blocks = linearised(problem, state, live)
+    match = covariance_of(blocks, prior_of(problem, state, live))
+    sizes = effects(problem, state, [block.jacobian for block in blocks])
+    correlation = match.correlation
+    inside = [k for k, i in enumerate(live) if not _at_bound(problem, state, i)]
     result = {}
     for k, i in enumerate(live):
         std, quantile, source = match.error(k)
-        vague = VAGUE[fit.search[i].log]
+        vague = VAGUE[problem.search[i].log]
         others = np.abs(correlation[k, [j for j in inside if j != k]])
-        if effects[i] < FAINT or match.alone[k] > vague:
+        if sizes[k] < PROBLEM.faint or match.alone[k] > vague:
             kind = "not_excited"
         elif k not in inside:
             kind = "at_bound"
@@ -79,19 +80,19 @@ def errors_of(fit: Descent) -> Errors:
         result[i] = Error(
             std, quantile, source, kind, *map(float, (match.from_data[k], match.from_starts[k]))
         )
-    names = tuple(fit.search[live[k]].name for k in inside)
+    names = tuple(problem.search[live[k]].name for k in inside)
     among = correlation[np.ix_(inside, inside)]
-    return Errors(result, names, among, here, blocks, match.hac, match.alone)
+    return Errors(result, names, among, state, blocks, match.hac, match.alone)
 
 
-def _groups(fit: Descent, result: Errors) -> tuple[Group, ...]:
+def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
     """The products of parameters that the logs know though they do not know each; one that ran
     into its bound is taken for known there, as the search takes it.
     """
-    live = sorted(fit.free + fit.bound)
-    normal = np.sum([eliminate(b, fit.weight).normal for b in result.blocks], axis=0)
-    inside = [k for k, i in enumerate(live) if not _at_bound(fit, i)]
-    logs = [k for k in inside if live[k] < fit.asked and fit.search[live[k]].log]
+    state, live = result.state, result.state.live
+    normal = np.sum([eliminate(b, state.prior_weight).normal for b in result.blocks], axis=0)
+    inside = [k for k, i in enumerate(live) if not _at_bound(problem, state, i)]
+    logs = [k for k in inside if live[k] < problem.requested and problem.search[live[k]].log]
     rest = [k for k in inside if k not in logs]
     if len(logs) < 2:
         return ()
@@ -100,77 +101,103 @@ def _groups(fit: Descent, result: Errors) -> tuple[Group, ...]:
     own = own - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
     ideal = np.sqrt(1.0 / np.maximum(np.diag(normal), 1e-300))
     widening = [result.alone[k] / ideal[k] for k in logs]
-    names = [fit.search[live[k]].name for k in logs]
-    values = [fit.search[live[k]].at(fit.theta[live[k]]) for k in logs]
+    names = [problem.search[live[k]].name for k in logs]
+    values = [problem.search[live[k]].at(state.theta[live[k]]) for k in logs]
     return groups_of(names, values, own, float(np.median(widening)))
 
 
-def _at_bound(fit: Descent, i: int) -> bool:
-    return i in fit.bound or fit.theta[i] in fit.search[i].bounds
+def _at_bound(problem: Problem, state: State, i: int) -> bool:
+    return i in state.at_bound or state.theta[i] in problem.search[i].bounds
 
 
 def result_of(
-    fit: Descent,
-    result: Errors,
+    problem: Problem,
+    state: State,
+    errors: Errors,
     converged: bool,
-    held: Sequence[str] = (),
+    iterations: int,
+    sensitive: Sequence[str] = (),
     leans: Sequence[Lean] = (),
 ) -> HydraulicsFit:
-    """A fit as it leaves: ``held`` are warnings of what it holds, ``leans`` what it leans on."""
-    samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in fit.simulator.logs)
-    fitted = []
-    for i, c in enumerate(fit.search[: fit.asked]):
-        item, error = not_excited(c, samples), result.by_index.get(i)
-        if error is not None and error.kind != "not_excited":
-            std, ends = c.spread(fit.theta[i], error.std, error.quantile)
-            item = replace(
-                item,
-                value=c.at(fit.theta[i]),
-                std=std,
-                interval=ends,
-                status=error.kind,
-                error_from=error.source,
-                prior=c.prior if c.known else None,
-                from_data=error.from_data,
-                from_starts=error.from_starts,
-            )
-        fitted.append(_within(fit, item, i) if i in fit.ranged else item)
-    warnings = [*held, *_flat(fit)]
+    """A fit as it leaves: ``sensitive`` are warnings of its fixed numbers, ``leans`` those to which
+    it is sensitive.
+    """
+    flat = [
+        _flat(problem, problem.search[i], ends)
+        for i, ends in state.ranges.items()
+        if i < problem.requested
+    ]
+    fitted = [_fitted(problem, state, errors, i) for i in range(problem.requested)]
+    warnings = [*sensitive, *flat]
     if not converged:
-        warnings.append(
-            f"the fit stopped after {fit.most} evaluations without converging; its numbers "
-            "are not final"
-        )
-    groups = _groups(fit, result)
+        count = problem.max_iterations
+        warnings.append(message("identification.not_converged", count=count))
+    groups = _groups(problem, errors)
     warnings += [sentence(groups)] if groups else []
-    messages = [set(group.alone) for group in groups]
-    warnings += together(result.names, result.correlation, messages)
+    warnings += together(errors.names, errors.correlation, [set(g.alone) for g in groups])
+    shared = range(problem.requested, problem.fitted)
     return finish(
-        fit.simulator,
+        problem.simulator,
         Estimate(
             method="output_error",
             fitted=fitted,
             warnings=warnings,
-            iterations=fit.iterations,
-            names=result.names,
-            correlation=result.correlation,
-            scales=fit.scales,
-            cutoff=fit.cutoff,
-            shifts=fit.shifts,
+            iterations=iterations,
+            names=errors.names,
+            correlation=errors.correlation,
+            scales=state.scales,
+            cutoff=problem.cutoff,
+            shifts=state.shifts,
             groups=groups,
             leans=leans,
             held=[
-                *(c.at(fit.theta[i]) for i, c in _shared(fit)),
-                *(c.start for c in fit.search[fit.fitted :]),
+                *(problem.search[i].at(state.theta[i]) for i in shared),
+                *(c.start for c in problem.search[problem.fitted :]),
             ],
-            sensors=_sensors(fit, result),
+            sensors=_sensors(problem, errors),
         ),
     )
 
 
+def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> FittedParameter:
+    """A parameter with its interval."""
+    c, error = problem.search[i], errors.by_index.get(i)
+    samples = sum(log.each * int(log.counts.any(axis=1).sum()) for log in problem.logs)
+    item, value = not_excited(c, samples), c.at(state.theta[i])
+    prior = c.prior if c.known else None
+    if i in state.ranges:  # the logs deny a part of its range, the rest is one to them
+        low, high = state.ranges[i]
+        ends = c.at(low), c.at(high)
+        std = (ends[1] - ends[0]) / (2.0 * Z95)
+        item = replace(item, value=value, std=std, interval=ends, prior=prior)
+        return replace(item, status="estimated", error_from="range")
+    if error is None or error.kind == "not_excited":
+        return item
+    std, ends = c.spread(state.theta[i], error.std, error.quantile)
+    return replace(
+        item,
+        value=value,
+        std=std,
+        interval=ends,
+        status=error.kind,
+        error_from=error.source,
+        prior=prior,
+        from_data=error.from_data,
+        from_starts=error.from_starts,
+    )
+
+
+def _flat(problem: Problem, c: Coordinate, ends: tuple[float, float]) -> Message:
+    """A note of a parameter of which the logs tell a range alone."""
+    values, rig = map(c.at, ends), problem.simulator.rig
+    of_rig = c.quantity is None  # else of a sensor
+    low, high = (rig.shown(c.name, x) if of_rig else f"{x:.4g} {c.row.unit}" for x in values)
+    return message("identification.flat", name=c.name, low=low, high=high)
+
+
 def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[str]]) -> list[str]:
     """A warning of each set of parameters that hang together by pairs of strong correlation, but
-    for those pairs that a group of ``told`` names already says.
+    for those pairs whose names are in a group that is ``shown`` already.
     """
     pairs = [
         (b, a)
@@ -182,73 +209,40 @@ def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[
     for pair in pairs:
         met = [item for item in sets if item & {*pair}]
         sets = [item for item in sets if item not in met] + [set(pair).union(*met)]
-    sentences = []
+    warnings: list[str] = []
     for members in sorted(sets, key=min):
-        own = [pair for pair in pairs if members.issuperset(pair)]
-        first, second = max(own, key=lambda pair: abs(correlation[pair]))
-        by = f"{correlation[first, second]:+.3f}"
-        listed = [names[i] for i in sorted(members)]
-        message = f"{', '.join(listed[:-1])} and {listed[-1]} are correlated"
-        if len(listed) == 2:
-            sentences.append(f"{message} by {by}: the logs tell them only together")
-        else:
-            maximum = f"{names[first]} and {names[second]} most, by {by}"
-            sentences.append(
-                f"{message} with one another, {maximum}: the logs tell them only together"
+        inside = [pair for pair in pairs if members.issuperset(pair)]
+        first, second = max(inside, key=lambda pair: abs(correlation[pair]))
+        *listed, last = (names[i] for i in sorted(members))
+        key = "correlated" if len(members) == 2 else "correlated_set"
+        warnings.append(
+            message(
+                f"identification.{key}",
+                names=f"{', '.join(listed)} and {last}",
+                first=names[first],
+                second=names[second],
+                by=correlation[first, second],
             )
-    return sentences
+        )
+    return warnings
 
 
-def _within(fit: Descent, item: FittedParameter, i: int) -> FittedParameter:
-    """A parameter of which the logs deny a part of the range, the rest being one to them."""
-    c, value = fit.search[i], fit.search[i].at(fit.theta[i])
-    low, high = (c.at(end) for end in fit.ranged[i])
-    return replace(
-        item,
-        value=value,
-        std=(high - low) / (2.0 * Z95),
-        interval=(low, high),
-        status="estimated",
-        error_from="range",
-        prior=c.prior if c.known else None,
-    )
-
-
-def _flat(fit: Descent) -> list[str]:
-    """A note of each parameter that the logs tell by its range alone."""
-
-    def said(c: Coordinate, value: float) -> str:
-        own = c.quantity is None  # else of a sensor
-        return fit.simulator.rig.shown(c.name, value) if own else f"{value:.4g} {c.row.unit}"
-
-    return [
-        f"{c.name} may be anything from {said(c, c.at(low))} to {said(c, c.at(high))} for "
-        "these logs, which deny the rest of its range"
-        for i, (low, high) in fit.ranged.items()
-        for c in [fit.search[i]]
-    ]
-
-
-def _shared(fit: Descent) -> list[tuple[int, Coordinate]]:
-    """(index, coordinate) of what all logs' sensors share."""
-    return [(i, fit.search[i]) for i in range(fit.asked, fit.fitted)]
-
-
-def _sensors(fit: Descent, match: Errors) -> list[SensorFit]:
-    """What was found of the sensors: of all logs, then of each."""
-    result = []
-    terms = {term.name: term for term in fit.simulator.logs[0].start.terms}
-    for i, c in _shared(fit):
-        error, quantile = match.by_index.get(i), 1.96
+def _sensors(problem: Problem, errors: Errors) -> list[SensorFit]:
+    """The estimates of the sensors: of all logs, then of each."""
+    result, state = [], errors.state
+    terms = {term.name: term for term in problem.logs[0].start.terms}
+    for i in range(problem.requested, problem.fitted):
+        c, error, quantile = problem.search[i], errors.by_index.get(i), Z95
         std = terms[c.name].std
         if error is not None:
             std, quantile = c.unit * error.std, error.quantile
-        result.append(SensorFit.of(terms[c.name], "", c.at(fit.theta[i]), std, quantile))
-    for log, shifts, block in zip(fit.simulator.logs, fit.shifts, match.blocks, strict=True):
-        errors = eliminate(block, fit.weight).std(match.covariance)
+        result.append(SensorFit.of(terms[c.name], "", c.at(state.theta[i]), std, quantile))
+    for log, shifts, block in zip(problem.logs, state.shifts, errors.blocks, strict=True):
+        stds = eliminate(block, state.prior_weight).std(errors.covariance)
         terms = {term.name: term for term in log.start.terms}
-        for doubt, shift, error in zip(log.start.uncertain, shifts, errors, strict=True):
-            if doubt.name in terms:
-                at, std = doubt.std * float(shift), doubt.std * float(error)
-                result.append(SensorFit.of(terms[doubt.name], log.name, at, std, 1.96))
+        for item, shift, std in zip(log.start.uncertain, shifts, stds, strict=True):
+            if item.name in terms:
+                value = item.std * float(shift)
+                error = item.std * float(std)
+                result.append(SensorFit.of(terms[item.name], log.name, value, error, Z95))
     return result

@@ -75,7 +75,7 @@ def test_a_point_is_simulated_once(fitted, monkeypatch):
     shifted = [still[0] + 0.5, still[1]]
     first, meshes = fitted.begin(values, still)
     again, _ = fitted.begin(list(values), fitted.unshifted())
-    assert made == [2, 0] and fitted.evaluations == 4
+    assert made == [2, 0] and fitted.effort.evaluations == 4
     assert all(one is other for one, other in zip(first, again, strict=True))
     moved, _ = fitted.begin(values, shifted)
     assert made[-1] == 1 and not np.array_equal(moved[0], first[0]) and moved[1] is first[1]

@@ -29,8 +29,8 @@ import numpy as np
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.identification.descent import FAINT
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.plant.model import Model, simulate
 from ehbench.signals.series import rms
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
@@ -419,7 +419,7 @@ def tried(name: str, trial: Trial, seed: int = 7) -> Outcome:
         result, refused = None, error.message
     if result is None or result.interval is None:
         values = [share * truth for share in ELSEWHERE]
-        rise = rise_of(item, rig, built, trial.name, values, FAINT)
+        rise = rise_of(item, rig, built, trial.name, values, PROBLEM.faint)
         return Outcome("untold" if rise < TOLD else "MISSED", f"{refused}, rise {rise:.3g}")
     low, high = result.interval
     if result.unit == "rad":  # whole turns are one

@@ -1,0 +1,161 @@
+"""Standard errors against closed forms and brute force: every interval rests on them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from ehbench.identification.covariance import Block, Covariance, Prior, covariance_of, eliminate
+
+NONE = Prior(np.zeros(2), np.zeros(2), 1.0)
+
+
+def regressors(count: int) -> np.ndarray:
+    """Two smooth regressors, shape (count, 2)."""
+    x = np.linspace(0.0, 1.0, count)
+    return np.column_stack([np.sin(6.0 * x), np.cos(11.0 * x) + 0.3])
+
+
+def solved(columns, noise, nuisances=None, weight=1.0, channels=("a",)):
+    """A block of one log at the minimum of its least squares (weight of the nuisances' priors)."""
+    whole = columns if nuisances is None else np.column_stack([columns, nuisances])
+    count = whole.shape[1] - columns.shape[1]
+    penalty = np.diag([0.0] * columns.shape[1] + [weight] * count)
+    best = np.linalg.solve(whole.T @ whole + penalty, whole.T @ noise)
+    rest = (noise - whole @ best)[:, None]
+    starts = np.zeros((len(noise), 1, 0)) if nuisances is None else nuisances[:, None, :]
+    return Block(channels, columns[:, None, :], starts, rest, -best[columns.shape[1] :])
+
+
+def ar1(rng, count, pole):
+    """Unit innovations through a pole, from the stationary start."""
+    noise = rng.standard_normal(count)
+    noise[0] /= np.sqrt(1.0 - pole**2)
+    for k in range(1, count):
+        noise[k] += pole * noise[k - 1]
+    return noise
+
+
+def sandwich(columns: np.ndarray, autocovariance: np.ndarray) -> np.ndarray:
+    """(JᵀJ)⁻¹ Jᵀ Σ J (JᵀJ)⁻¹ with the Toeplitz Σ written out."""
+    count = len(columns)
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    bread = np.linalg.inv(columns.T @ columns)
+    return bread @ columns.T @ autocovariance[lags] @ columns @ bread
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.6, 0.9])
+@pytest.mark.parametrize("which", ["hac", "acf"])
+def test_coloured_noise_gives_the_analytic_sandwich(pole, which):
+    columns, rng = regressors(1500), np.random.default_rng(3)
+    truth = sandwich(columns, pole ** np.arange(1500) / (1.0 - pole**2))
+    stds = [
+        np.sqrt(
+            np.diag(getattr(covariance_of([solved(columns, ar1(rng, 1500, pole))], NONE), which))
+        )
+        for _ in range(40)
+    ]
+    ratio = np.mean(stds, axis=0) / np.sqrt(np.diag(truth))
+    # Bartlett weights to four correlation times leave out a part of the colour
+    assert np.all((0.85 < ratio) & (ratio < 1.08)), ratio
+
+
+def test_white_noise_gives_the_textbook_covariance():
+    columns, rng = regressors(4000), np.random.default_rng(5)
+    block = solved(columns, 0.2 * rng.standard_normal(4000))
+    square = float(np.sum(block.residuals**2)) / (4000 - 2)
+    textbook = np.sqrt(np.diag(square * np.linalg.inv(columns.T @ columns)))
+    result = covariance_of([block], NONE)
+    assert np.sqrt(np.diag(result.acf)) == pytest.approx(textbook, rel=0.05)
+    assert np.sqrt(np.diag(result.hac)) == pytest.approx(textbook, rel=0.15)
+    assert result.correlation[0, 1] == pytest.approx(
+        -np.sum(columns[:, 0] * columns[:, 1]) / np.sqrt(np.prod(np.sum(columns**2, axis=0))),
+        abs=0.1,
+    )
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_the_interval_covers_by_brute_force(pole):
+    columns, rng, inside = regressors(800), np.random.default_rng(7), 0
+    bread = np.linalg.inv(columns.T @ columns) @ columns.T
+    for _ in range(300):
+        noise = ar1(rng, 800, pole)
+        std, quantile, _ = covariance_of([solved(columns, noise)], NONE).error(0)
+        inside += abs(float((bread @ noise)[0])) < quantile * std
+    assert 0.91 <= inside / 300 <= 0.995  # 95 %, three binomial errors, never much too wide
+
+
+def test_a_prior_adds_its_information():
+    columns, rng = regressors(2000), np.random.default_rng(11)
+    sharpness = np.array([60.0, 0.0])
+    # at the minimum with the prior
+    noise = rng.standard_normal(2000)
+    normal = columns.T @ columns + np.diag(sharpness**2)
+    best = np.linalg.solve(normal, columns.T @ noise)
+    left = (noise - columns @ best)[:, None]
+    block = Block(("a",), columns[:, None, :], np.zeros((2000, 1, 0)), left, np.zeros(0))
+    result = covariance_of([block], Prior(sharpness, best, 1.0))
+    expected = np.linalg.inv(normal)  # unit noise, unit weight
+    assert np.sqrt(np.diag(result.acf)) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.06)
+    assert result.from_data == pytest.approx([1.0 - 3600.0 * expected[0, 0], 1.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("weight", [1e-6, 1.0, 1e4])
+def test_an_estimated_initial_state_widens_as_in_the_joint_problem(weight):
+    columns, rng = regressors(2000), np.random.default_rng(13)
+    start = np.exp(-8.0 * np.linspace(0.0, 1.0, 2000))[:, None] * 12.0
+    block = solved(columns, rng.standard_normal(2000), start, weight)
+    joint = np.column_stack([columns, start])
+    normal = joint.T @ joint + np.diag([0.0, 0.0, weight])
+    result = covariance_of([block], Prior(np.zeros(2), np.zeros(2), weight))
+    # the residual scores carry the noise, the prior of the start carries weight² · 1
+    bread = np.linalg.inv(normal)
+    expected = (bread @ (joint.T @ joint + np.diag([0.0, 0.0, weight**2])) @ bread)[:2, :2]
+    assert np.sqrt(np.diag(result.acf)) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.06)
+    known = np.diag(np.linalg.inv(columns.T @ columns))
+    share = 1.0 - known / np.diag(bread)[:2]
+    assert result.from_starts == pytest.approx(share, abs=1e-6)
+    item = eliminate(block, weight)
+    assert item.normal == pytest.approx(np.linalg.inv(np.linalg.inv(normal)[:2, :2]), rel=1e-6)
+
+
+def test_logs_that_disagree_are_jackknifed():
+    columns, rng = regressors(400), np.random.default_rng(17)
+    logs = [columns * (1.0 + 0.1 * k) for k in range(6)]
+    off = [np.array([0.3, -0.2]) * side for side in (1, -1, 2, -2, 1, -1)]
+    noise = [
+        part @ move + 0.05 * rng.standard_normal(400) for part, move in zip(logs, off, strict=True)
+    ]
+    normal = sum(part.T @ part for part in logs)
+    pull = sum(part.T @ y for part, y in zip(logs, noise, strict=True))
+    best = np.linalg.solve(normal, pull)
+    empty = np.zeros((400, 1, 0))
+    blocks = [
+        Block(("a",), part[:, None, :], empty, (y - part @ best)[:, None], np.zeros(0))
+        for part, y in zip(logs, noise, strict=True)
+    ]
+    alone = np.array(
+        [
+            np.linalg.solve(normal - part.T @ part, pull - part.T @ y)
+            for part, y in zip(logs, noise, strict=True)
+        ]
+    )
+    expected = 5.0 / 6.0 * np.sum((alone - alone.mean(axis=0)) ** 2, axis=0)
+    result = covariance_of(blocks, NONE)
+    assert result.jackknife is not None
+    assert np.diag(result.jackknife) == pytest.approx(expected, rel=1e-9)
+    std, quantile, source = result.error(0)
+    assert source == "jackknife" and std == pytest.approx(np.sqrt(expected[0]))
+    assert quantile == pytest.approx(student.ppf(0.975, 5), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("hac", "acf", "jackknife", "source", "std"),
+    [(4.0, 1.0, None, "hac", 2.0), (1.0, 4.0, None, "acf", 2.0), (4.0, 4.0, 9.0, "jackknife", 3.0)],
+)
+def test_the_widest_interval_is_taken(hac, acf, jackknife, source, std):
+    one = np.ones(1)
+    wide = None if jackknife is None else np.array([[jackknife]])
+    result = Covariance(np.array([[hac]]), np.array([[acf]]), wide, 3, one, 1.96, one, one)
+    assert result.error(0)[::2] == (std, source)
