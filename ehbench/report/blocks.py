@@ -152,38 +152,44 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
 
 
-# places in a saved SVG that become the page's own
-_ID = re.compile(r'(?<=[\s"])id="([^"]+)"')
-_LINK = re.compile(r'((?:xlink:)?href)="#([^"]+)"')
-_URL = re.compile(r"url\(#([^)]+)\)")
-_WIDE = re.compile(r'<svg[^>]*?viewBox="([^"]*)"[^>]*>', re.S)
 _FOUR = re.compile(r"(?:-?[0-9.]+\s+){3}-?[0-9]+(?:\.[0-9]*)?")
-_STYLE = re.compile(r' style="([^"]*)"')
 
 
 def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = None) -> str:
     """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized
     by the page.
 
-    With ``looks`` every style becomes a class of the page: the class by the style, grown here.
+    With ``looks`` every style becomes a class of the page: the class by the style, grown here. Only
+    attributes of the parsed elements are styles, never their texts.
     """
-    from markupsafe import escape
+    from xml.etree import ElementTree
 
-    body = svg[svg.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, count=1, flags=re.S)
-    body = _ID.sub(lambda result: f'id="{prefix}{result[1]}"', body)
-    body = _LINK.sub(lambda result: f'href="#{prefix}{result[2]}"', body)
-    body = _URL.sub(lambda result: f"url(#{prefix}{result[1]})", body)
-    if looks is not None:
-        body = _STYLE.sub(
-            lambda result: f' class="{looks.setdefault(result[1], f"k{len(looks)}")}"', body
+    root = ElementTree.fromstring(svg)
+    for item in list(root.iter()):
+        item.tag = item.tag.rpartition("}")[2]
+        item.text, item.tail = (
+            text if text and text.strip() else None for text in (item.text, item.tail)
         )
-    box = _WIDE.match(body)
-    shape = box[1] if box and _FOUR.fullmatch(box[1].strip()) else "0 0 525 300"
+        for name, value in list(item.attrib.items()):
+            del item.attrib[name]
+            name = name.rpartition("}")[2]
+            if name == "style" and looks is not None:
+                name, value = "class", looks.setdefault(value, f"k{len(looks)}")
+            elif name == "id":
+                value = prefix + value
+            elif name == "href":
+                value = re.sub("^#", f"#{prefix}", value)
+            item.set(name, value.replace("url(#", f"url(#{prefix}"))
+    for item in root.findall("metadata"):
+        root.remove(item)
+    shape = root.get("viewBox", "").strip()
+    shape = shape if _FOUR.fullmatch(shape) else "0 0 525 300"
     width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels
-    head = (
-        f'<svg viewBox="{shape}" style="max-width:{width:.0f}px" '
-        f'role="img" aria-label="{escape(title)}">'
-    )
-    body = head + body[body.index(">") + 1 :]
-    return re.sub(r">\s+<", "><", body).strip()
+    root.attrib.clear()
+    root.attrib |= {
+        "viewBox": shape,
+        "style": f"max-width:{width:.0f}px",
+        "role": "img",
+        "aria-label": title,
+    }
+    return ElementTree.tostring(root, encoding="unicode", short_empty_elements=True)

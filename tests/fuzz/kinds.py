@@ -17,6 +17,7 @@ from typing import Any
 
 import mutants
 import numpy as np
+import recorders
 
 from ehbench import workflow
 from ehbench.app import cli, inspection, mapping
@@ -384,10 +385,10 @@ def take_map(data: bytes, folder: Path) -> None:
 
 
 KINDS = {
-    "unit texts": Kind(make_unit, take_unit, 0.19),
-    "MCAP logs": Kind(lambda rng: mutants.mcap_mutant(mcap_logs(), rng), take_mcap, 0.22),
-    "flowmeter CSV": Kind(lambda rng: mutants.text_mutant(readings(), rng), take_readings, 0.15),
-    "CSV logs": Kind(lambda rng: mutants.text_mutant(csv_logs(), rng), take_csv, 0.15),
+    "unit texts": Kind(make_unit, take_unit, 0.13),
+    "MCAP logs": Kind(lambda rng: mutants.mcap_mutant(mcap_logs(), rng), take_mcap, 0.18),
+    "flowmeter CSV": Kind(lambda rng: mutants.text_mutant(readings(), rng), take_readings, 0.14),
+    "CSV logs": Kind(lambda rng: mutants.text_mutant(csv_logs(), rng), take_csv, 0.14),
     "foreign texts": Kind(
         lambda rng: mutants.text_mutant(foreign_texts(), rng), take_foreign, 0.03
     ),
@@ -399,4 +400,5 @@ KINDS = {
     "rig TOML": Kind(lambda rng: mutants.text_mutant(rigs(), rng), take_rig, 0.08),
     "command lines": Kind(make_line, take_line, 0.03),
     "run folders": Kind(make_run, take_run, 0.02),
+    **{name: Kind(*item) for name, item in recorders.RECORDERS.items()},
 }

@@ -15,7 +15,8 @@ from kinds import Kind  # noqa: E402
 from ehbench.vocabulary.errors import InputError  # noqa: E402
 
 COUNT = 60
-FEW = {"run folders": 15, "command lines": 30, "foreign files": 30}
+FEW = {"run folders": 15, "command lines": 30, "foreign files": 30, "MDF formulas": 20, "bombs": 6}
+SOUND = ("odd columns", "file names")  # all of them are taken
 
 
 @pytest.mark.slow
@@ -24,7 +25,7 @@ def test_inputs_of_each_kind_are_taken_or_refused_with_a_sentence(kind):
     count = FEW.get(kind, COUNT)
     tally = several(kind, range(count), seed=1)
     assert not tally.findings, "\n".join(finding.text for finding in tally.findings)
-    assert tally.refused > 0 and tally.taken + tally.refused == count
+    assert (tally.refused > 0) == (kind not in SOUND) and tally.taken + tally.refused == count
 
 
 def test_an_input_is_known_by_its_number():
@@ -64,4 +65,4 @@ def test_all_inputs_are_shared_out():
     given = {kind: 0 for kind in KINDS}
     for kind, part in pieces(100_000):
         given[kind] += len(part)
-    assert sum(given.values()) >= 100_000 and min(given.values()) >= 2000
+    assert sum(given.values()) >= 100_000 and min(given.values()) >= 200

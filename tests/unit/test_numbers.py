@@ -91,6 +91,13 @@ def test_what_the_file_itself_decides_is_read(name, tmp_path):
     assert column.doubt is None and column.values.tolist() == values
 
 
+@pytest.mark.parametrize("second", ["1 570,285", "1 570", '"1 570,285"'])
+def test_a_blank_between_tabs_ends_no_number(second, tmp_path):
+    (tmp_path / "a.csv").write_text(f"t\tp\n0,000\t722,481\n0,010\t{second}\n0,020\t874,118\n")
+    with pytest.raises(LogError):
+        _read(tmp_path / "a.csv", "mbar")
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_utf_16_without_its_mark(encoding, tmp_path):
     (tmp_path / "a.csv").write_bytes("t;p\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))

@@ -823,7 +823,8 @@ def test_intervals_and_units():
 
 def test_inlined_figures_keep_to_themselves():
     svg = (
-        '<?xml version="1.0"?><!DOCTYPE svg><svg viewBox="0 0 300 150" xmlns="http://www.w3.org/2000/svg"><metadata>x</metadata>'
+        '<?xml version="1.0"?><!DOCTYPE svg><svg viewBox="0 0 300 150" '
+        'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"><metadata>x</metadata>'
         '<defs><path id="a"/></defs><use xlink:href="#a"/><g clip-path="url(#a)"/></svg>'
     )
     text = inline(svg, "f1-", 'A "title"')
@@ -834,7 +835,7 @@ def test_inlined_figures_keep_to_themselves():
         and "metadata" not in text
         and "http" not in text
     )
-    assert "A &#34;title&#34;" in text and "max-width:400px" in text
+    assert "A &quot;title&quot;" in text and "max-width:400px" in text
 
 
 def points(path: str) -> list[tuple[float, float]]:
@@ -906,6 +907,21 @@ def test_styles_of_a_page_are_said_once():
     first, second = (inline(svg, f"f{i}-", "t", looks) for i in range(2))
     assert looks == {"fill:none": "k0", "fill:red": "k1"} and first == second
     assert first.count('class="k0"') == first.count('class="k1"') == 1 and "fill" not in first
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        '<text> style="} .warn {display:none} .x{"</text>',
+        "<g id='a style=\"} .warn {display:none} .x{\"'/>",
+        '<text>&lt;g style="} .warn {display:none} .x{"&gt;</text>',
+    ],
+)
+def test_only_styles_of_elements_become_rules_of_the_page(inside):
+    looks: dict[str, str] = {}
+    head = '<svg viewBox="0 0 3 1" xmlns="http://www.w3.org/2000/svg">'
+    drawn = inline(f'{head}<path style="fill:none"/>{inside}</svg>', "f", "t", looks)
+    assert looks == {"fill:none": "k0"} and drawn.count("class=") == 1
 
 
 def test_prose_makes_paragraphs_and_lists():

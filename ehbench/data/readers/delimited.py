@@ -148,7 +148,9 @@ def _marks(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
     """
     shown = _some([line for line in lines[dialect.skip or 0 :] if _is_row(line, "")])
     best, maximum = (",", "."), -1.0
-    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", " "]:
+    # between tabs a blank is part of a cell: "1 570" is no number, and not 1
+    blank = [] if all("\t" in line for line in shown) else [" "]
+    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", *blank]:
         for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
             if separator == decimal and not any('"' in line for line in shown):
                 continue
