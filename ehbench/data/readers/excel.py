@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
-from datetime import date, datetime, time
+from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,15 @@ from ehbench.data.readers.delimited import table_of
 from ehbench.data.readers.table import Dialect, Source
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 
 _TAB = "\t"
 _SWELLS = 12  # bytes held for one of a sheet's XML
+# a cell with a formula and without the number that it comes to
+_UNCALCULATED = re.compile(
+    rb'<(?:\w+:)?c r="([A-Z]+)(\d+)"[^>]*>\s*<(?:\w+:)?f(?:[^>]*/>|[^>]*>[^<]*</(?:\w+:)?f>)'
+    rb"\s*(?:<(?:\w+:)?v\s*/>|<(?:\w+:)?v>\s*</(?:\w+:)?v>)?\s*</(?:\w+:)?c>"
+)
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -23,13 +30,18 @@ def read(path: Path, dialect: Dialect) -> Source:
     with zipfile.ZipFile(path) as packed:
         fixed = sum(item.file_size for item in packed.infolist())
     refuse_beyond(_SWELLS * fixed, "reading it")
-    book = load_workbook(path, read_only=True, data_only=True)
-    tables = []
+    book: Any = load_workbook(path, read_only=True, data_only=True)
+    tables, losses = [], []
     plain = Dialect(_TAB, ".", dialect.skip, dialect.unit_row)
     try:
         for sheet in book.worksheets:
             if dialect.table not in (None, sheet.title):
                 continue
+            with zipfile.ZipFile(path) as packed:
+                places = _UNCALCULATED.findall(packed.read(sheet._worksheet_path))
+            for column, row in reversed(dict(reversed(places)).items()):
+                name, cell = (f"{sheet.title}!{at.decode()}" for at in (column, column + row))
+                losses.append(message("data.never_calculated", name=name, cell=cell))
             sheet.reset_dimensions()  # or each row is as wide as the farthest cell
             rows = sheet.iter_rows(values_only=True)
             lines = [_TAB.join(_text(cell) for cell in row) for row in rows]
@@ -39,7 +51,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 continue
     finally:
         book.close()
-    return Source(tuple(tables))
+    return Source(tuple(tables), losses=tuple(losses))
 
 
 def _text(cell: Any) -> str:
@@ -52,4 +64,6 @@ def _text(cell: Any) -> str:
         return cell.isoformat(" ")
     if isinstance(cell, (date, time)):
         return cell.isoformat()
+    if isinstance(cell, timedelta):
+        return repr(cell.total_seconds())
     return repr(cell) if isinstance(cell, float) else " ".join(str(cell).split())

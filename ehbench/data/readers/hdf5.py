@@ -1,23 +1,26 @@
-"""HDF5 files and MAT files of version 7.3, by h5py: data sets of numbers, a table for those of one
-group and length."""
+"""HDF5 files, those of netCDF-4 and MAT files of version 7.3 among them, by h5py: data sets of
+numbers, a table for those of one group and length."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from ehbench.data.readers.cf import converted, since
 from ehbench.data.readers.table import Dialect, Gathered, Source
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
 
 _UNITS = ("unit", "units", "Unit", "Units", "UNIT", "UNITS")
 
 
 def read(path: Path, dialect: Dialect) -> Source:
-    """The data sets of a file, with the units of their attributes."""
+    """The data sets of a file, converted as their attributes say, with the units of these."""
     gathered, losses, sets = Gathered(), [], []
     with h5py.File(path, "r") as file:
 
@@ -25,19 +28,41 @@ def read(path: Path, dialect: Dialect) -> Source:
             if isinstance(item, h5py.Dataset) and not name.startswith("#"):
                 sets.append((name, item))
 
+        def take_link(name: str, link: Any) -> None:
+            if isinstance(link, h5py.ExternalLink):
+                losses.append(message("data.in_other_file", name=name))
+
         file.visititems(take)
+        file.visititems_links(take_link)
         sizes = (float(item.size or 0) * max(item.dtype.itemsize, 8) for _, item in sets)
         refuse_beyond(3.0 * sum(sizes), "reading it")
         for name, item in sets:
-            place, _, own = name.rpartition("/")
-            fixed = item.dtype.kind in "fiubV" and "MATLAB_empty" not in item.attrs
-            if not (fixed and gathered.add(place, own, item[()], _unit(item.attrs))):
+            if item.is_virtual or item.external:
+                losses.append(message("data.in_other_file", name=name))
+                continue
+            place, _, last = name.rpartition("/")
+            values, unit = None, _unit(item.attrs)
+            if _of_numbers(item):
+                try:
+                    values = converted(item[()], item.attrs)
+                    values, unit = since(values, unit)
+                except EhbenchError as error:
+                    losses.append(message("data.not_converted", name=name, reason=error.message))
+                    continue
+            if values is None or not gathered.add(place, last, values, unit):
                 if (item.size or 0) > 1:
                     losses.append(message("data.not_read", name=name))
     return Source(gathered.tables(), losses=tuple(losses))
 
 
-def _unit(attributes: Any) -> str:
+def _of_numbers(item: Any) -> bool:
+    """Whether a data set holds numbers, and not the codes of words or characters."""
+    words = h5py.check_enum_dtype(item.dtype) or "MATLAB_empty" in item.attrs
+    words = words or item.attrs.get("MATLAB_class") == b"char"
+    return bool(item.size) and item.dtype.kind in "fiubV" and not words
+
+
+def _unit(attributes: Mapping[str, Any]) -> str:
     """The unit that a data set says it is in."""
     for key in _UNITS:
         value = attributes.get(key)

@@ -1,21 +1,26 @@
-"""MAT files up to version 7, by SciPy: vectors, matrices and structs of numbers."""
+"""MAT files up to version 7, by SciPy: vectors, matrices and structs of numbers, with the names and
+units that Simulink, ControlDesk and PicoScope write beside them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from ehbench.data.readers.table import Dialect, Gathered, Source, SourceTable
+from ehbench.data.readers.table import Dialect, Gathered, Source, SourceColumn, numbered
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
 _DEEPEST = 8  # structs in structs
 _PACKED = 20  # numbers that a byte of a packed file may stand for
+# what recorders call the numbers of a struct, their name and their unit
+_DATA, _NAMES = ("data", "values", "value"), ("name", "label", "title", "signalname")
+_UNITS = ("unit", "units")
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -31,40 +36,77 @@ def read(path: Path, dialect: Dialect) -> Source:
         if not name.startswith("__"):
             _add(gathered, "", name, value, losses)
     names, units = (getattr(result.get(word), "__dict__", {}) for word in ("names", "units"))
-    tables = tuple(_labelled(table, names, units) for table in gathered.tables())
-    return Source(tables, losses=tuple(losses))
+    start, step = result.get("Tstart"), result.get("Tinterval")  # of a PicoScope
+    tables = []
+    for table in gathered.tables():
+        columns = [_labelled(column, names, units) for column in table.columns]
+        unlike = numbered([column.name for column in columns])
+        columns = tuple(replace(item, name=name) for item, name in zip(columns, unlike))
+        t = table.t
+        if isinstance(start, Real) and isinstance(step, Real) and not table.name:
+            t = float(start) + float(step) * np.arange(table.size)
+        tables.append(replace(table, columns=columns, t=t))
+    return Source(tuple(tables), losses=tuple(losses))
 
 
 def _labelled(
-    table: SourceTable, names: Mapping[str, Any], units: Mapping[str, Any]
-) -> SourceTable:
-    """A table with the names and units that structs ``names`` and ``units`` of the file give its
-    variables.
-    """
-    columns = tuple(
-        replace(
-            column,
-            name=str(names.get(column.name, column.name)),
-            unit=str(units.get(column.name, column.unit)),
-        )
-        for column in table.columns
-    )
-    return replace(table, columns=columns)
+    column: SourceColumn, names: Mapping[str, Any], units: Mapping[str, Any]
+) -> SourceColumn:
+    """A column with the name and unit that structs ``names`` and ``units`` of the file give it."""
+    name, unit = names.get(column.name, column.name), units.get(column.name, column.unit)
+    return replace(column, name=str(name), unit=str(unit))
 
 
 def _add(gathered: Gathered, place: str, name: str, value: Any, losses: list[str]) -> None:
-    """Take a variable, or the fields of a struct."""
-    whole = f"{place}.{name}" if place else name
+    """Take a variable by its whole name, or the fields of a struct; ``place`` is the struct that it
+    is in.
+    """
     if fields := getattr(value, "_fieldnames", None):
-        if whole.count(".") < _DEEPEST:
-            for field in fields:
-                _add(gathered, whole, field, getattr(value, field), losses)
+        if name.count(".") < _DEEPEST:
+            content = {field: getattr(value, field) for field in fields}
+            _add_struct(gathered, place, name, content, losses)
+        else:
+            losses.append(message("data.not_read", name=name))
         return
     array = np.asarray(value)
     if hasattr(value, "dtype") and value.dtype.names and "s2" in value.dtype.names:
-        losses.append(message("data.matlab_object", name=whole))
+        losses.append(message("data.matlab_object", name=name))
     elif array.dtype == object and array.size and hasattr(array.flat[0], "_fieldnames"):
         for index, item in enumerate(array.flat, 1):
             _add(gathered, place, f"{name}({index})", item, losses)
-    elif not gathered.add(place, whole, array) and array.size > 1 and array.dtype.kind != "U":
-        losses.append(message("data.not_read", name=whole))
+    elif not gathered.add(place, name, array) and array.size > 1 and array.dtype.kind != "U":
+        losses.append(message("data.not_read", name=name))
+
+
+def _add_struct(
+    gathered: Gathered, place: str, name: str, content: Mapping[str, Any], losses: list[str]
+) -> None:
+    """Take the fields of a struct. One with a single vector of numbers is a channel: it stands
+    among those beside it, by its label and with its unit.
+    """
+    known = {field.lower(): item for field, item in content.items()}
+
+    def text_of(words: Sequence[str]) -> str:
+        return next((v for w in words if isinstance(v := known.get(w), str) and v.strip()), "")
+
+    vectors = [field for field, item in content.items() if _is_vector(item)]
+    clocks = np.atleast_1d(np.asarray(known.get("x"), object))
+    for field, item in content.items():
+        if field.lower() in _DATA and _is_vector(item):
+            where, label = place if len(vectors) == 1 else name, text_of(_NAMES)
+            if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNITS)):
+                losses.append(message("data.not_read", name=f"{name}.{field}"))
+        elif field.lower() == "y" and clocks.size > 1:  # of ControlDesk, each Y on its X
+            for index, channel in enumerate(np.atleast_1d(np.asarray(item, object)), 1):
+                clock = getattr(channel, "XIndex", 1)
+                _add(gathered, f"{name}.X({clock})", f"{name}.{field}({index})", channel, losses)
+        elif field.lower() == "x" and clocks.size > 1:
+            for index, channel in enumerate(clocks, 1):
+                _add(gathered, f"{name}.X({index})", f"{name}.X({index})", channel, losses)
+        else:
+            _add(gathered, name, f"{name}.{field}", item, losses)
+
+
+def _is_vector(item: Any) -> bool:
+    """Whether a field holds several numbers."""
+    return isinstance(item, np.ndarray) and item.dtype.kind in "fiub" and item.size > 1

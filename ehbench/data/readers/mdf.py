@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 from asammdf import MDF
 
+from ehbench.data.readers.formula import evaluate
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
@@ -18,12 +17,13 @@ DEPTH = 9  # of conversions that refer to conversions; a file with more is damag
 
 # kinds of channel by version: the group's time, written or counted; samples of different lengths
 _CLOCKS, _VARYING = {3: (1,), 4: (2, 3)}, {3: (), 4: (1,)}
+# kinds of conversion by version
+_RATIONAL, _RANGES = {3: 9, 4: 2}, {3: -1, 4: 6}
 
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The groups of a measurement."""
-    # it prints a channel that it cannot read
-    with redirect_stdout(io.StringIO()), MDF(str(path)) as file:
+    with MDF(str(path)) as file:
         sizes = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
         refuse_beyond(16.0 * sum(sizes), "reading it")
         _refuse_outside(file)
@@ -34,7 +34,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 continue
             name = getattr(group.channel_group, "acq_name", "") or f"group {index + 1}"
             table, unread = _group(file, index, name, began)
-            losses += [message("data.not_read", name=item) for item in unread]
+            losses += unread
             if table.columns:
                 tables.append(table)
     return Source(_renamed(tables), losses=tuple(losses))
@@ -74,30 +74,76 @@ def _has_formula(conversion, depth: int = DEPTH) -> bool:
     return any(_has_formula(block, depth - 1) for block in blocks)
 
 
+def _needs_raw(conversion) -> bool:
+    """Whether a conversion is worked out here: asammdf evaluates formulas as Python code, works out
+    polynomials in the readings' own integers, which overflow, and finds no integer in a table of
+    ranges.
+    """
+    if conversion is None:
+        return False
+    kind, version = conversion.conversion_type, _version(conversion)
+    return _has_formula(conversion) or kind in (_RATIONAL[version], _RANGES[version])
+
+
+def _converted(samples: np.ndarray, conversion) -> np.ndarray:
+    """Readings converted here, those of the library as they are.
+
+    Raises:
+        LogError: the formula is not understood, or one in a table of others.
+    """
+    values = samples.astype(float)
+    if conversion is None:
+        return values
+    kind, version = conversion.conversion_type, _version(conversion)
+    if kind == _RANGES[version]:
+        count = (conversion.val_param_nr - 1) // 3
+        ranges = [[conversion[f"{key}_{n}"] for key in ("lower", "upper")] for n in range(count)]
+        upper = np.less if samples.dtype.kind == "f" else np.less_equal
+        inside = [(values >= low) & upper(values, high) for low, high in ranges]
+        results = [conversion[f"phys_{n}"] for n in range(count)]
+        return np.select(inside, results, conversion.default) if count else values
+    if kind == _RATIONAL[version]:
+        above, below = ([getattr(conversion, f"P{n}") for n in of] for of in ((1, 2, 3), (4, 5, 6)))
+        with np.errstate(all="ignore"):
+            return np.polyval(above, values) / np.polyval(below, values)
+    if formula := getattr(conversion, "formula", None):
+        return evaluate(formula.strip("\0 "), values)
+    raise LogError(message("data.formula_among_others"))
+
+
 def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTable, list[str]]:
-    """(a channel group, the channels in it that are not read, and why).
+    """(a channel group, sentences on the channels in it that are not read).
 
     Raises:
         LogError: the time of the group is converted by a formula.
     """
     group, master = file.groups[index], file.masters_db.get(index)
-    columns, names, unread, required, t = [], [], [], [], None
+    columns, names, unread, t = [], [], [], None
     if master is not None and _has_formula(group.channels[master].conversion):
         raise LogError(message("data.time_by_formula", name=name))
+    by_library, by_raw = [], []
     for at, channel in enumerate(group.channels):
-        if channel.channel_type in _VARYING[_version(channel)]:
-            unread.append(f"{name}/{channel.name}")  # texts, which a damaged file crashes over
-        elif _has_formula(channel.conversion):
-            unread.append(f"{name}/{channel.name} (a formula converts it, and is not evaluated)")
+        if channel.channel_type in _VARYING[_version(channel)]:  # a damaged file crashes over them
+            unread.append(message("data.not_read", name=f"{name}/{channel.name}"))
         elif at != master:
-            required.append((None, index, at))
-    for signal in file.select(required, copy_master=False) if required else ():
+            (by_raw if _needs_raw(channel.conversion) else by_library).append(at)
+    signals = {}
+    for raw, places in ((False, by_library), (True, by_raw)):
+        required = [(None, index, at) for at in places]
+        selected = file.select(required, raw=raw, copy_master=False) if required else ()
+        signals |= zip(places, selected, strict=True)
+    for at, signal in sorted(signals.items()):
         samples = np.asarray(signal.samples)
         t = np.asarray(signal.timestamps, float)
+        whole = f"{name}/{signal.name}"
         if samples.ndim != 1 or samples.dtype.kind not in "fiub":
-            unread.append(f"{name}/{signal.name}")
+            unread.append(message("data.not_read", name=whole))
             continue
-        values = samples.astype(float)
+        try:
+            values = _converted(samples, group.channels[at].conversion if at in by_raw else None)
+        except LogError as error:
+            unread.append(message("data.not_converted", name=whole, reason=error.message))
+            continue
         if signal.invalidation_bits is not None:
             values[np.asarray(signal.invalidation_bits, bool)] = np.nan
         columns.append((values, signal.unit or ""))
@@ -111,8 +157,8 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
 
 
 def _version(channel) -> int:
-    """Of the format that a channel is of, 3 or 4."""
-    return 4 if hasattr(channel, "byte_offset") else 3
+    """Of the format that a block is of, 3 or 4."""
+    return 4 if type(channel).__module__.endswith("v4_blocks") else 3
 
 
 def _renamed(tables: list[SourceTable]) -> tuple[SourceTable, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ehbench.data.readers.table import (
@@ -26,16 +27,13 @@ def read(path: Path, dialect: Dialect) -> Source:
     with path.open("rb") as source, pq.ParquetFile(source) as file:
         rows, schema = file.metadata.num_rows, file.schema_arrow
         refuse_beyond(24.0 * rows * len(schema), "reading it")
-        table = file.read()
+        table = file.read(use_threads=False)  # this is a child of a fork
     columns: list[SourceColumn] = []
     began, losses = None, []
     for field, chunks in zip(schema, table.columns):
         unit = next(((field.metadata or {}).get(key) for key in _UNITS if field.metadata), None)
-        try:
-            values = chunks.to_numpy(zero_copy_only=False)
-            if values.dtype == object:  # numbers with nothing between them, or words
-                values = np.array([np.nan if value is None else float(value) for value in values])
-        except (TypeError, ValueError, NotImplementedError):
+        values = _values(field, chunks)
+        if values is None:
             losses.append(message("data.not_read", name=field.name))
             continue
         for column, first in columns_of(
@@ -46,3 +44,25 @@ def read(path: Path, dialect: Dialect) -> Source:
     names = numbered([column.name for column in columns])
     built = tuple(SourceColumn(name, item.values, item.unit) for name, item in zip(names, columns))
     return Source((SourceTable("", built, None, began),), losses=tuple(losses))
+
+
+def _values(field: pa.Field, chunks: pa.ChunkedArray) -> np.ndarray | None:
+    """A column as numbers, moments or durations of numpy, NaN or NaT where it is null; None where
+    it is of something else.
+    """
+    kind, types = chunks.type, pa.types
+    extension = isinstance(kind, pa.BaseExtensionType)
+    if extension or b"ARROW:extension:name" in (field.metadata or {}):
+        return None  # what its numbers stand for, its own library knows
+    if types.is_dictionary(kind):
+        chunks, kind = chunks.cast(kind.value_type), kind.value_type
+    if types.is_time(kind):  # of day
+        width = pa.int32() if types.is_time32(kind) else pa.int64()
+        chunks = chunks.cast(width).cast(pa.int64()).cast(pa.duration(kind.unit))
+    elif types.is_boolean(kind):
+        chunks = chunks.cast(pa.int8())
+    elif types.is_decimal(kind) or types.is_null(kind):
+        chunks = chunks.cast(pa.float64())
+    elif not types.is_primitive(kind):
+        return None
+    return chunks.to_numpy(zero_copy_only=False)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from nptdms import TdmsFile
+from nptdms.scaling import get_scaling
 
 from ehbench.data.readers.clock import moments
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
+_SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
 _Base = tuple[str, int, float, float, float | None]  # group, rows, increment, offset, began
 
 
@@ -22,10 +26,15 @@ def read(path: Path, dialect: Dialect) -> Source:
     moved: dict[str, float] = {}
     losses = []
     with TdmsFile.open(path) as file:
-        channels = [channel for group in file.groups() for channel in group.channels()]
-        refuse_beyond(24.0 * sum(len(channel) for channel in channels), "reading it")
-        for channel in channels:
+        channels = [(channel, group) for group in file.groups() for channel in group.channels()]
+        refuse_beyond(24.0 * sum(len(channel) for channel, _ in channels), "reading it")
+        for channel, group in channels:
             if not len(channel):
+                continue
+            name = f"{channel.group_name}/{channel.name}"
+            if kind := _unknown_scale(channel.properties, group.properties, file.properties):
+                reason = message("data.unknown_scale", kind=kind)
+                losses.append(message("data.not_converted", name=name, reason=reason))
                 continue
             values = np.asarray(channel[:])
             unit = str(channel.properties.get("unit_string", "") or "")
@@ -37,17 +46,27 @@ def read(path: Path, dialect: Dialect) -> Source:
             elif values.ndim == 1 and values.dtype.kind in "fiub":
                 column = SourceColumn(channel.name, values.astype(float), unit)
             else:
-                name = f"{channel.group_name}/{channel.name}"
                 losses.append(message("data.not_read", name=name))
                 continue
             gathered.setdefault(base, []).append(column)
     return Source(_tables(gathered, moved), losses=tuple(losses))
 
 
+def _unknown_scale(*properties: Mapping[str, Any]) -> str:
+    """The kind of a scale that npTDMS does not know: it would give the readings unscaled."""
+    for content in properties:
+        kinds = [str(content[key]) for key in content if _SCALE.fullmatch(key)]
+        if kinds and content.get("NI_Scaling_Status") != "scaled":
+            return "" if get_scaling(content, {}, {}) else ", ".join(kinds)
+    return ""
+
+
 def _base(channel: Any) -> _Base:
     """What tells the time base of a channel."""
     properties = channel.properties
     increment = float(properties.get("wf_increment", 0.0) or 0.0)
+    if properties.get("wf_xunit_string", "s") not in ("s", "sec", "seconds", ""):
+        increment = 0.0  # rows of a spectrum
     start = properties.get("wf_start_time")
     began = None
     if start is not None and increment > 0.0:

@@ -4,7 +4,8 @@ numbers as they lie in memory. Nothing of it is code."""
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,23 +15,21 @@ from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTabl
 from ehbench.vocabulary.errors import EhbenchError, LogError
 from ehbench.vocabulary.messages import Message
 
+_CLASSES = {kind.__name__: kind for kind in (Source, SourceTable, SourceColumn, Dialect)}
 _WIDTH = np.dtype(float).itemsize
 
 
 def send(pipe: BinaryIO, result: Source | EhbenchError) -> None:
     """Write what a reader gave."""
     arrays: list[np.ndarray] = []
-    if isinstance(result, Source):
-        tables = [_table(table, arrays) for table in result.tables]
-        losses = [_text(loss) for loss in result.losses]
-        facts = {"tables": tables, "dialect": asdict(result.dialect), "losses": losses}
-        facts["lengths"] = [array.size for array in arrays]
-    else:
+    if isinstance(result, EhbenchError):
         text = Message(result.message, result.key, result.fields, result.hint or "")
-        facts = {"error": _text(text)}
-    head = json.dumps(facts, default=str).encode()
-    for part in (len(head).to_bytes(_WIDTH, "little"), head.ljust(-(-len(head) // 8) * 8)):
-        pipe.write(part)
+        facts = {"error": _plain(text, arrays)}
+    else:
+        facts = {"source": _plain(result, arrays)}
+    head = json.dumps({**facts, "lengths": [array.size for array in arrays]}, default=str).encode()
+    pipe.write(len(head).to_bytes(_WIDTH, "little"))
+    pipe.write(head.ljust(-(-len(head) // _WIDTH) * _WIDTH))
     for array in arrays:
         pipe.write(np.ascontiguousarray(array, float).data)
 
@@ -43,48 +42,41 @@ def received(data: bytearray, path: Path) -> Source:
     """
     size = int.from_bytes(data[:_WIDTH], "little")
     facts = json.loads(bytes(data[_WIDTH : _WIDTH + size]))
+    rest = np.frombuffer(data, float, offset=_WIDTH + -(-size // _WIDTH) * _WIDTH)
+    arrays = iter(np.split(rest, np.cumsum(facts["lengths"], dtype=int)))
     if error := facts.get("error"):
-        raise LogError(Message(**error), file=path)
-    rest = np.frombuffer(data, float, offset=_WIDTH + -(-size // 8) * 8)
-    arrays = iter(np.split(rest, np.cumsum(facts["lengths"])))
-    tables = []
-    for table in facts["tables"]:
-        columns = []
-        for column in table["columns"]:
-            odd = {int(row): cell for row, cell in column["odd"].items()}
-            doubt = column["doubt"] and (column["doubt"][0], Message(**column["doubt"][1]))
-            about = (column["unit"], odd, doubt)
-            columns.append(SourceColumn(column["name"], next(arrays), *about))
-        t = next(arrays) if table["timed"] else None
-        about = (table["began"], table["lines"], table["words"], table["daytime"])
-        tables.append(SourceTable(table["name"], tuple(columns), t, *about))
-    losses = tuple(Message(**loss) for loss in facts["losses"])
-    return Source(tuple(tables), Dialect(**facts["dialect"]), losses)
+        raise LogError(_whole(error, arrays), file=path)
+    return _whole(facts["source"], arrays)
 
 
-def _text(text: str) -> dict[str, Any]:
-    """A sentence with its key and fields."""
-    fields = dict(getattr(text, "fields", {}))
-    about = {"key": getattr(text, "key", ""), "hint": getattr(text, "hint", "")}
-    return {"text": str(text), "fields": fields, **about}
+def _plain(value: Any, arrays: list[np.ndarray]) -> Any:
+    """A value as JSON has it; its arrays of numbers go to ``arrays``."""
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return {"array": value.size}
+    if isinstance(value, Message):
+        about = (str(value), value.key, value.fields, value.hint)
+        return {"message": [_plain(item, arrays) for item in about]}
+    if type(value) in _CLASSES.values():
+        items = [_plain(getattr(value, item.name), arrays) for item in fields(value)]
+        return {"class": type(value).__name__, "fields": items}
+    if isinstance(value, Mapping):
+        return {"mapping": [[_plain(key, arrays), _plain(value[key], arrays)] for key in value]}
+    if isinstance(value, (tuple, list, range)):
+        return [_plain(item, arrays) for item in value]
+    return value.item() if isinstance(value, np.generic) else value
 
 
-def _table(table: SourceTable, arrays: list[np.ndarray]) -> dict[str, Any]:
-    """The facts of a table; its numbers go to ``arrays``."""
-    columns = []
-    for column in table.columns:
-        arrays.append(column.values)
-        doubt = column.doubt and (column.doubt[0], _text(column.doubt[1]))
-        facts = {"name": column.name, "unit": column.unit, "odd": dict(column.odd)}
-        columns.append({**facts, "doubt": doubt})
-    if table.t is not None:
-        arrays.append(table.t)
-    return {
-        "name": table.name,
-        "columns": columns,
-        "timed": table.t is not None,
-        "began": table.began,
-        "lines": None if table.lines is None else list(table.lines),
-        "words": {name: list(cells) for name, cells in table.words.items()},
-        "daytime": table.daytime,
-    }
+def _whole(value: Any, arrays: Iterator[np.ndarray]) -> Any:
+    """A value again, from what `_plain` made of it."""
+    if isinstance(value, list):
+        return tuple(_whole(item, arrays) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        return next(arrays)
+    if "message" in value:
+        return Message(*_whole(value["message"], arrays))
+    if "class" in value:
+        return _CLASSES[value["class"]](*_whole(value["fields"], arrays))
+    return {_whole(key, arrays): _whole(item, arrays) for key, item in value["mapping"]}

@@ -1,0 +1,334 @@
+"""Known numbers, written by the library of each format in every encoding that it offers, are read
+back, or their channel is refused by name.
+"""
+
+from __future__ import annotations
+
+import datetime
+import decimal
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.data.readers import open_source
+from ehbench.data.readers.formula import evaluate
+from ehbench.vocabulary.errors import LogError
+
+NAN = float("nan")
+COUNTS = (0, 1, 2, 3, 40, 50, 60, 1000)  # as a recorder stores them
+HALVES = [0.5 * count - 3.0 for count in COUNTS]
+PLAIN = [float(count) for count in COUNTS]
+HOLES = [*PLAIN[:-2], NAN, NAN]
+READ = Mapping[str, Sequence[float] | None]  # None: refused
+
+
+def hdf5(path: Path) -> READ:
+    h5py = pytest.importorskip("h5py")
+    counts, scaled = np.array(COUNTS, np.int16), {"scale_factor": 0.5, "add_offset": -3.0}
+    sets = {
+        "int16": (counts, {}, PLAIN),
+        "big endian": (counts.astype(">i4"), {}, PLAIN),
+        "float32": (counts.astype("f4"), {}, PLAIN),
+        "float16": (counts.astype("f2"), {}, PLAIN),
+        "scaled": (counts, scaled, HALVES),
+        "scaled float32": (counts.astype("f4"), scaled, HALVES),
+        "scale in an array": (counts, {"scale_factor": [0.5], "add_offset": [-3]}, HALVES),
+        "fill": (counts, {"_FillValue": np.int16(1000), "missing_value": np.int16(60)}, HOLES),
+        "several missing": (counts, {"missing_value": np.array([60, 1000], "i2")}, HOLES),
+        "fill of floats": (
+            np.array([*COUNTS[:-2], 1e20, 1e20], "f4"),
+            {"_FillValue": 1e20},
+            HOLES,
+        ),
+        "range": (counts, {"valid_range": np.array([0, 50], "i2")}, HOLES),
+        "maximum": (counts, {"valid_max": np.int16(50), "valid_min": np.int16(0)}, HOLES),
+        "unsigned": (
+            np.array([*COUNTS[:-2], -56, -2]).astype("i1"),
+            {"_Unsigned": "true", "_FillValue": np.int8(-2)},
+            [*PLAIN[:-2], 200.0, NAN],
+        ),
+        "odd scale": (counts, {"scale_factor": "a half"}, None),
+        "logical": (counts > 2, {}, [0.0] * 3 + [1.0] * 5),
+    }
+    with h5py.File(path, "w") as file:
+        for name, (values, attributes, _) in sets.items():
+            file[name] = values
+            file[name].attrs.update(attributes)
+        packing = {"compression": "gzip", "shuffle": True, "chunks": (4,), "fletcher32": True}
+        file.create_dataset("packed", data=counts, **packing)
+        file.create_dataset("rounded", data=counts, scaleoffset=0, chunks=(8,))
+        kind = h5py.enum_dtype({"OFF": 0, "ON": 1})
+        file.create_dataset("enumeration", data=[0, 1] * 4, dtype=kind)
+        file["words"] = ["a"] * 8
+        file["time"] = np.arange(8)
+        file["time"].attrs["units"] = "minutes since 2026-03-01 12:00:00"
+        layout = h5py.VirtualLayout((8,), "i2")
+        layout[:] = h5py.VirtualSource(path, "int16", (8,))
+        file.create_virtual_dataset("virtual", layout)
+        (path.parent / "other").write_bytes(bytes(64))
+        other = [(str(path.parent / "other"), 0, 64)]
+        file.create_dataset("external", (8,), "f8", external=other)
+        file["linked"] = h5py.ExternalLink("other.h5", "int16")
+    rest = dict.fromkeys(("enumeration", "words", "virtual", "external", "linked"))
+    times = {"time": [60.0 * n for n in range(8)]}
+    both = {"packed": PLAIN, "rounded": PLAIN, **times, **rest}
+    return {name: read for name, (_, _, read) in sets.items()} | both
+
+
+def mat(path: Path) -> READ:
+    from scipy.io import savemat
+
+    kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "f4", "f8")
+    small = np.array([*COUNTS[:-1], 100])
+    content = {f"kind_{kind}": small.astype(kind) for kind in kinds}
+    units = {"values": np.array(PLAIN), "label": "labelled", "unit": "bar"}
+    content |= {
+        "logical": np.array(COUNTS) > 2,
+        "row": np.array(PLAIN)[None, :],
+        "columns": np.array([PLAIN, HALVES]).T,
+        "scope": {"time": np.arange(8.0), "signals": [units, units | {"label": "second"}]},
+        "alone": {"Data": np.array(PLAIN), "Name": "a name"},
+        "cells": np.array(["a", 1.0], object),
+    }
+    savemat(path, content, do_compression=True)
+    expected: dict[str, Sequence[float] | None] = {
+        f"kind_{kind}": [*PLAIN[:-1], 100.0] for kind in kinds
+    }
+    expected |= {"logical": [0.0] * 3 + [1.0] * 5, "row": PLAIN, "a name": PLAIN}
+    expected |= {"columns.1": PLAIN, "columns.2": HALVES, "cells": None}
+    return expected | {"labelled": PLAIN, "second": PLAIN, "scope.time": list(range(8))}
+
+
+def controldesk(path: Path) -> READ:
+    """Two clocks of one length."""
+    from scipy.io import savemat
+
+    clocks = [{"Name": f"t{n}", "Data": n * np.arange(8.0), "Unit": "s"} for n in (1, 2)]
+    names = [{"Name": name, "Data": np.array(PLAIN), "Unit": "bar"} for name in ("p", "q")]
+    channels = [{**channel, "XIndex": n} for n, channel in enumerate(names, 1)]
+    savemat(path, {"run": {"X": clocks, "Y": channels, "Description": "x"}})
+    (one, two) = open_source(path).tables
+    assert [[column.name for column in table.columns] for table in (one, two)] == [
+        ["t1", "p"],
+        ["t2", "q"],
+    ]
+    return {"t1": list(range(8)), "t2": list(range(0, 16, 2)), "p": PLAIN, "q": PLAIN}
+
+
+def parquet(path: Path) -> READ:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    began = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
+    moments = [began + datetime.timedelta(seconds=count) for count in COUNTS]
+    holes = [None if value != value else value for value in HOLES]
+    whole = [None if value is None else int(value) for value in holes]
+    columns = {
+        **{kind: pa.array(COUNTS, kind) for kind in ("int16", "uint32", "int64", "float32")},
+        "float16": pa.array(np.array(COUNTS, "f2")),
+        "masked floats": pa.array(holes),
+        "masked integers": pa.array(whole, "int32"),
+        "masked truths": pa.array([None, True, False, True] * 2),
+        "decimal": pa.array([decimal.Decimal(count) / 2 - 3 for count in COUNTS]),
+        "dictionary": pa.array(HALVES).dictionary_encode(),
+        "nothing": pa.nulls(8),
+        "duration": pa.array([datetime.timedelta(seconds=count) for count in COUNTS]),
+        "time of day": pa.array([moment.time() for moment in moments]),
+        "moment": pa.array(moments, pa.timestamp("ms", "UTC")),
+        "day": pa.array([moment.date() for moment in moments]),
+        "words": pa.array(["a"] * 8),
+        "numbers as words": pa.array([str(half) for half in HALVES]),
+        "grouped": pa.array(["1,000"] * 8),
+        "list": pa.array([[1.0]] * 8),
+        "period": pa.array(COUNTS, "int64"),
+    }
+    table = pa.table(columns)
+    fields = [field.with_metadata({"unit": "bar"}) for field in table.schema]
+    fields[-1] = fields[-1].with_metadata({"ARROW:extension:name": "pandas.period"})
+    pq.write_table(table.cast(pa.schema(fields)), path)
+    seconds = [value - PLAIN[0] for value in PLAIN]
+    expected: dict[str, Sequence[float] | None] = dict.fromkeys(columns, PLAIN)
+    expected |= {"masked floats": HOLES, "masked integers": HOLES, "nothing": [NAN] * 8}
+    expected |= {"masked truths": [NAN, 1.0, 0.0, 1.0] * 2, "decimal": HALVES, "dictionary": HALVES}
+    expected |= {"duration": seconds, "time of day": seconds, "moment": seconds, "day": [0.0] * 8}
+    expected |= dict.fromkeys(("words", "numbers as words", "grouped", "list", "period"))
+    return expected
+
+
+def tdms(path: Path) -> READ:
+    nptdms = pytest.importorskip("nptdms")
+
+    def scale(kind: str, n: int = 0, **about: float) -> dict[str, object]:
+        named = {f"NI_Scale[{n}]_{kind}_{key}": value for key, value in about.items()}
+        return {f"NI_Scale[{n}]_Scale_Type": kind, **named}
+
+    linear = scale("Linear", Slope=0.5, Y_Intercept=-3.0, Input_Source=0xFFFFFFFF)
+    polynomial = scale(
+        "Polynomial",
+        **{"Coefficients_Size": 3, "Coefficients[0]": -3.0, "Coefficients[1]": 0.5},
+        **{"Coefficients[2]": 0.0, "Input_Source": 0xFFFFFFFF},
+    )
+    status = {"NI_Scaling_Status": "unscaled", "NI_Number_Of_Scales": 1}
+    counts = np.array(COUNTS, np.int16)
+    channels: dict[str, tuple[np.ndarray, dict[str, object], Sequence[float] | None]] = {
+        "int16": (counts, {}, PLAIN),
+        "float32": (counts.astype("f4"), {}, PLAIN),
+        "linear": (counts, {**status, **linear}, HALVES),
+        "polynomial": (counts, {**status, **polynomial}, HALVES),
+        "already scaled": (counts, {**status, **linear, "NI_Scaling_Status": "scaled"}, PLAIN),
+        "reciprocal": (counts, {**status, **scale("Reciprocal", Slope=2.0)}, None),
+        "logical": (counts > 2, {}, [0.0] * 3 + [1.0] * 5),
+        "words": (np.array(["a"] * 8), {}, None),
+    }
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment(
+            [nptdms.ChannelObject("g", name, *what[:2]) for name, what in channels.items()]
+        )
+    return {name: read for name, (_, _, read) in channels.items()}
+
+
+def mdf(path: Path, version: str) -> READ:
+    asammdf = pytest.importorskip("asammdf")
+    from asammdf.blocks.conversion_utils import from_dict
+
+    counts, t = np.array(COUNTS, np.int32), np.arange(8.0)
+    polynomial = {"P1": 0.0, "P2": 0.5, "P3": -3.0, "P4": 0.0, "P5": 0.0, "P6": 1.0}
+    square = {"P1": 1.0, "P2": 0.0, "P3": 0.0, "P4": 0.0, "P5": 1.0, "P6": 1.0}
+    table = {f"raw_{n}": float(c) for n, c in enumerate(COUNTS)}
+    table |= {f"phys_{n}": half for n, half in enumerate(HALVES)}
+    ranges = {"lower_0": 0.0, "upper_0": 3.0, "phys_0": 1.0}
+    ranges |= {"lower_1": 4.0, "upper_1": 2000.0, "phys_1": 2.0, "default": 0.0}
+    states = {"val_0": 0.0, "text_0": "OFF", "val_1": 1.0, "text_1": "ON"}
+    rows: dict[str, tuple[Mapping[str, object], Sequence[float] | None]] = {
+        "plain": ({}, PLAIN),
+        "linear": ({"a": 0.5, "b": -3.0}, HALVES),
+        "rational": (polynomial, HALVES),
+        "quotient": (square, [count**2 / (count + 1) for count in COUNTS]),
+        "formula": ({"formula": "0.5*X-3"}, HALVES),
+        "power": ({"formula": "X^2 + pow(X, 2)"}, [2.0 * count**2 for count in COUNTS]),
+        "logarithm": ({"formula": "ln(X+1)"}, [float(np.log(count + 1)) for count in COUNTS]),
+        "condition": ({"formula": "if(X>2, 1, 0)"}, None),
+        "table": (table, HALVES),
+        "line": ({**table, "interpolation": True}, HALVES),
+        "ranges": (ranges, [1.0] * 4 + [2.0] * 4),
+        "states": (states, None),
+    }
+    if version[0] == "3":
+        rows.pop("ranges")  # version 3 has none
+    large = counts * 100  # their squares are beyond 32 bits
+    expected = {name: read for name, (_, read) in rows.items()}
+    signals = [
+        asammdf.Signal(counts, t, name=name, conversion=from_dict(dict(conversion)))
+        for name, (conversion, _) in rows.items()
+    ]
+    signals.append(asammdf.Signal(large, t, name="large", conversion=from_dict(dict(square))))
+    expected["large"] = [(100.0 * c) ** 2 / (100.0 * c + 1.0) for c in COUNTS]
+    for kind in ("u1", "i2", "u4", "f4", "f8"):
+        signals.append(asammdf.Signal(counts.astype(kind), t, name=kind))
+        expected[kind] = [float(value) for value in counts.astype(kind)]
+    if version[0] == "4":
+        invalid = np.array([False] * 6 + [True] * 2)
+        signals.append(asammdf.Signal(counts, t, name="masked", invalidation_bits=invalid))
+        expected["masked"] = HOLES
+    with asammdf.MDF(version=version) as file:
+        file.append(signals)
+        Path(file.save(path.with_suffix(".mdf"), overwrite=True)).rename(path)
+    return expected
+
+
+def excel(path: Path) -> READ:
+    openpyxl = pytest.importorskip("openpyxl")
+    began = datetime.datetime(2026, 3, 1, 12)
+    book = openpyxl.Workbook()
+    book.active.append(["whole", "float", "moment", "duration", "logical", "formula", "masked"])
+    for count, half in zip(COUNTS, HALVES, strict=True):
+        later = datetime.timedelta(seconds=count)
+        hole = None if count > 50 else count
+        book.active.append([count, half, began + later, later, count > 2, "=A2*2", hole])
+    book.save(path)
+    return {
+        **{"whole": PLAIN, "float": HALVES, "moment": PLAIN, "duration": PLAIN},
+        **{"logical": [0.0] * 3 + [1.0] * 5, "Sheet!F": None, "masked": HOLES},
+    }
+
+
+WRITERS = {
+    "a.h5": hdf5,
+    "a.mat": mat,
+    "controldesk.mat": controldesk,
+    "a.parquet": parquet,
+    "a.tdms": tdms,
+    "a.mf4": lambda path: mdf(path, "4.10"),
+    "a.mdf": lambda path: mdf(path, "3.30"),
+    "a.xlsx": excel,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_encoding_of_a_format_is_read_back_or_refused_by_name(name, tmp_path):
+    expected = WRITERS[name](tmp_path / name)
+    source = open_source(tmp_path / name)
+    columns = {column.name: column.values for table in source.tables for column in table.columns}
+    for channel, numbers in expected.items():
+        if numbers is None:
+            assert channel not in columns
+            assert any(channel in str(loss) for loss in source.losses), channel
+        else:
+            np.testing.assert_allclose(columns[channel], numbers, rtol=1e-6, err_msg=channel)
+    assert set(columns) <= set(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "result"),
+    [
+        ("25*(X1-0.4)", 40.0),
+        ("-X1^2", -4.0),
+        ("2**3**2 * X / 512", 2.0),
+        ("POW(X, 3) + sqrt(X1 + 2)", 10.0),
+        ("abs(-X) + log10(100) + exp(0)", 5.0),
+        ("1.5e2", 150.0),
+        ("X/(X-2)", NAN),
+    ],
+)
+def test_a_formula_is_worked_out(text, result):
+    np.testing.assert_allclose(evaluate(text, np.array([2, 2])), [result, result])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            "",
+            "log(X)",
+            "Y",
+            "X.real",
+            "X[0]",
+            "X(1)",
+            "sin(X, X)",
+            "sin",
+            "lambda: X",
+            "X if X else X",
+        ),
+        *(
+            "X; X",
+            "'X'",
+            "1_0*X",
+            "0x1*X",
+            "X, X",
+            "25,5*X",
+            "X > 2",
+            "X1*(",
+            "True*X",
+            "1j*X",
+            "X=1",
+        ),
+        *("__import__('os')", "sin(*X)", "exp(x=X)", "X" * 9, "X+" * 300 + "X", "(" * 150 + "X"),
+        *("X\n*2", "X\uff11", "9" * 400),
+    ],
+)
+def test_what_is_no_formula_is_refused(text):
+    with pytest.raises(LogError) as error:
+        evaluate(text, np.array([2.0, 3.0]))
+    assert error.value.key == "data.formula_not_understood"
