@@ -28,7 +28,8 @@ TEXT = """# Evidence: power of the verdict
 `make power` draws slides and cranes with four-way spools and cartridges from seeds. A plant that
 shares no code with the package (`tools/power/plant.py`) records their logs: six kinds of command,
 three levels of noise, leakage and creep. With equal numbers the plant and the model agree to 1e-4
-of each channel's range. Each model is judged on one log of 3 s with the default thresholds.
+of each channel's range. Each model is judged on one log of 3 s with the default thresholds, beside
+a black box fitted to two other logs of the machine.
 
 An error *shows* where it moves the log by more than its noise can hide. Some do not: a dead band
 is not in a log that never leaves it.

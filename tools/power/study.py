@@ -34,6 +34,7 @@ from tools.power.machine import (
 
 KINDS = (("slide", 1), ("crane", 1), ("slide", 4), ("crane", 4))
 NOISES = (0.3, 1.0, 3.0)  # times `QUIET`
+TRAINING = ("steps", "multisine")  # logs that the black box is fitted to
 LIKELY = 100.0  # squares, in those of noise, that an error must move a log by to be in it
 Change = Callable[[Machine], Machine]
 
@@ -103,11 +104,14 @@ class Outcome:
 
 
 class Case(NamedTuple):
-    """The files of a trial as texts, and whether its error shows in the log."""
+    """The files of a trial as texts, whether its error shows in the log, and further logs of the
+    machine for the black box beside the model.
+    """
 
     rig: str
     log: str
     shows: bool
+    training: tuple[str, ...]
 
 
 def case_of(trial: Trial) -> Case | str:
@@ -122,21 +126,29 @@ def case_of(trial: Trial) -> Case | str:
     ):
         return "the machine has no such number"
     rng = np.random.default_rng([trial.seed, WAVES.index(trial.wave)])
+    rate = bool(rng.random() < 0.6)
     try:
         test = test_of(machine, trial.wave, rng)
+        others = [test_of(machine, wave, rng) for wave in TRAINING]
     except NotDriven as reason:
         return str(reason)
-    signals = channels(machine, simulated(machine, test), rate=bool(rng.random() < 0.6))
-    size = {name: trial.noise * QUIET[name] for name in signals}
-    shows = not trial.error or _shows(model, test, signals, size)
-    noise = {name: size[name] * rng.standard_normal(len(y)) for name, y in signals.items()}
-    return Case(rig_text(model), log_text(machine, test, signals, noise), shows)
+    log, *training = (_noisy_log(machine, item, rate, trial.noise, rng) for item in (test, *others))
+    shows = not trial.error or _shows(machine, model, test, rate, trial.noise)
+    return Case(rig_text(model), log, shows, tuple(training))
 
 
-def _shows(model: Machine, test: Test, signals: dict, size: dict[str, float]) -> bool:
-    off = channels(model, simulated(model, test))
+def _noisy_log(
+    machine: Machine, test: Test, rate: bool, noise: float, rng: np.random.Generator
+) -> str:
+    signals = channels(machine, simulated(machine, test), rate)
+    draws = {name: noise * QUIET[name] * rng.standard_normal(len(y)) for name, y in signals.items()}
+    return log_text(machine, test, signals, draws)
+
+
+def _shows(machine: Machine, model: Machine, test: Test, rate: bool, noise: float) -> bool:
+    there, here = (channels(item, simulated(item, test), rate) for item in (machine, model))
     return LIKELY < sum(
-        float(np.sum(((off[name] - y) / size[name]) ** 2)) for name, y in signals.items()
+        float(np.sum(((here[name] - y) / (noise * QUIET[name])) ** 2)) for name, y in there.items()
     )
 
 
@@ -178,12 +190,17 @@ def judged(trial: Trial) -> Outcome:
     if isinstance(case, str):
         return Outcome(trial, skipped=case)
     with tempfile.TemporaryDirectory() as name:
-        rig, log = Path(name) / "rig.toml", Path(name) / "log.csv"
+        rig = Path(name) / "rig.toml"
         rig.write_text(case.rig, encoding="utf-8")
-        log.write_text(case.log, encoding="utf-8")
+        records = []
+        for number, text in enumerate((case.log, *case.training)):
+            log = Path(name) / f"log{number}.csv"
+            log.write_text(text, encoding="utf-8")
+            records.append((log.stem, read(log)))
         crane = KINDS[trial.seed % len(KINDS)][0] == "crane"
         words = (*(("q", "qd") if crane else ("x", "v")), "p_head", "p_rod")
-        prepared = prepare_validation(load_rig(rig), [("log", read(log))], words)
+        prepared = prepare_validation(load_rig(rig), records[:1], words)
+    prepared = replace(prepared, training=tuple(records[1:]))
     result = run_validation(prepared, workers=1)
     result = result.with_structure(ask(prepared.cases(result.logs)))
     findings = [f"{item.sentence} → {item.cure}" for item in result.structure.findings]
