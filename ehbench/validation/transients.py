@@ -14,7 +14,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import SETTINGS as OBSERVATION
-from ehbench.preprocessing.observations import least_change
+from ehbench.preprocessing.observations import least_change, noise_of
 from ehbench.signals import series
 from ehbench.validation.residuals import Pair
 from ehbench.validation.results import Ring, Transient
@@ -34,6 +34,12 @@ class TransientSettings:
     halves: float = setting(
         0.15, "", "share by which the frequency of a half may differ", "friction changes it less"
     )
+    quiet: float = setting(
+        1.3,
+        "",
+        "mean square of a window's error, in that of noise, that tells nothing of a model",
+        "two standard errors of a window of 100 samples",
+    )
     sigmas: float = setting(3.0, "", "standard errors that the halves may differ further", "chance")
 
 
@@ -52,11 +58,12 @@ def transients_of(
     given = np.column_stack([steps_only(record[name], minimum[name]) for name in names])
     mine = [name.startswith(f"{cylinder}.") for name in names]
     own, raw = given[:, mine], np.column_stack([record[name] for name in names])[:, mine]
-    seen = [
-        pair
+    seen = {
+        channel: pair
         for channel, pair in pairs.items()
         if channel.startswith(f"{cylinder}.") and channel.rsplit(".", 1)[1] in OSCILLATES
-    ]
+    }
+    noise = np.array([noise_of(record, channel) for channel in seen])
     results = []
     for window in series.transients(record.t, given):
         before = max(0, window.start - 1 - round(OBSERVATION.together / record.sample_time))
@@ -67,13 +74,17 @@ def transients_of(
             none = Ring(reason=message("validation.command_moves"))
             results.append(Transient(cylinder, float(t[0]), float(t[-1]), none, none))
             continue
-        measured = np.column_stack([pair.recorded[window] for pair in seen])
-        modelled = np.column_stack([pair.simulated[window] for pair in seen])
+        measured = np.column_stack([pair.recorded[window] for pair in seen.values()])
+        modelled = np.column_stack([pair.simulated[window] for pair in seen.values()])
         recorded = series.ringing(t, measured)
         simulated = series.ringing_like(t, modelled, recorded)
         stop, note = float(t[-1]), ""
         if recorded.ok:
             stop, note = recorded.stop, why_not_judged(t, measured, recorded)
+            living = t <= stop
+            error = np.var((modelled - measured)[living], axis=0)
+            if not note and np.all(error <= SETTINGS.quiet * noise**2):
+                note = message("validation.only_noise_left")
         rings = (Ring.of(recorded), Ring.of(simulated))
         results.append(Transient(cylinder, float(t[0]), stop, *rings, note=note))
     return results

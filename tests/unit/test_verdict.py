@@ -254,3 +254,16 @@ def test_model_of_the_stairs_is_the_rigs():
     for name, (up, down, _) in DRIVES.items():
         rig = load_rig(RIGS / f"{name}.toml")
         assert {*up, *(down or {})} <= set(Model.of(rig).layout.valves)
+
+
+@pytest.mark.parametrize(("damping", "judges"), [(1.0, False), (3.0, True)])
+def test_ringing_judges_a_model_that_leaves_more_than_noise(damping, judges):
+    name = "slide_servo"
+    rig = load_rig(RIGS / f"{name}.toml")
+    log = virtual_log(name, rig, "steps", 3)
+    wrong = rig.with_values(
+        {"carriage.damping": damping * float(rig.parameters()["carriage.damping"])}
+    )
+    windows = judged(name, wrong, log).logs[0].transients
+    assert any(w.recorded.clear for w in windows)
+    assert any(w.judged for w in windows) == judges

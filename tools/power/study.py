@@ -171,7 +171,7 @@ def miss(trial: Trial) -> float:
         model, record = Model.of(load_rig(rig)), read(log)
     start, plant = model.rest_start(record), model.plant
     chambers = (plant.cylinders[0].node_head, plant.cylinders[0].node_rod)
-    places = (0, plant.at.rates, *(plant.nodes[node].state for node in chambers))
+    places = (0, plant.at.rates, *(int(plant.nodes.state[node]) for node in chambers))
     for place, value in zip(places, test.start, strict=False):
         start.y[place] = value
     run = model.replay(record, start=start)
