@@ -146,7 +146,8 @@ def parquet(path: Path) -> READ:
     }
     table = pa.table(columns)
     fields = [field.with_metadata({"unit": "bar"}) for field in table.schema]
-    fields[-1] = fields[-1].with_metadata({"ARROW:extension:name": "pandas.period"})
+    kind = {"ARROW:extension:name": "pandas.period", "ARROW:extension:metadata": '{"freq": "s"}'}
+    fields[-1] = fields[-1].with_metadata(kind)
     pq.write_table(table.cast(pa.schema(fields)), path)
     seconds = [value - PLAIN[0] for value in PLAIN]
     expected: dict[str, Sequence[float] | None] = dict.fromkeys(columns, PLAIN)
