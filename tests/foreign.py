@@ -131,6 +131,12 @@ def write_excel(path: Path) -> None:
     book.save(path)
 
 
+def write_npz(path: Path) -> None:
+    fast = {"time": T, "PT-101 cyl A [bar]": HEAD, "AO0 valve [mA]": CURRENT}
+    slow = {"slow/time": SLOW, "slow/Supply [bar]": SUPPLY}
+    np.savez_compressed(path, **fast, **slow)
+
+
 def write_bag(path: Path, plugin: str = "MCAP") -> None:
     """A ROS 2 bag: joints, a pressure, a command; the supply at a tenth of the rate."""
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -182,6 +188,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "a.h5": write_hdf5,
     "a.parquet": write_parquet,
     "a.xlsx": write_excel,
+    "a.npz": write_npz,
     "a_bag": write_bag,
     "a_db3": lambda path: write_bag(path, "SQLITE3"),
 }
@@ -219,9 +226,10 @@ def map_of(name: str) -> str:
         "a.csv.gz": ("t [s]",),
         "a.h5": ("fast/time", "slow/time"),
         "a.parquet": ("time",),
+        "a.npz": ("/time", "slow/time"),
         "a.xlsx": ("Time", "Time [s]"),
     }.get(name, ())
-    ends = " [bar]" if name in ("a.csv.gz", "a.parquet") else ""
+    ends = " [bar]" if name in ("a.csv.gz", "a.parquet", "a.npz") else ""
     supply = " [bar]" if name == "a.xlsx" else ends
     current = ends and " [mA]"
     lines = [f'"{time}" = "t [s]"' for time in times]

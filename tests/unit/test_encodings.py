@@ -255,7 +255,40 @@ def excel(path: Path) -> READ:
     }
 
 
+def npz(path: Path) -> READ:
+    small = np.array([*COUNTS[:-1], 100])
+    kinds = ("i1", ">u2", "<i4", "u8", "f2", ">f4", "f8")
+    began = np.datetime64("2026-03-01T12:00:00", "ms")
+    content = {f"kind {kind}": small.astype(kind) for kind in kinds} | {
+        "moment": began + small.astype("m8[s]"),
+        "duration": small.astype("m8[s]"),
+        "records": np.array([*zip(PLAIN, HALVES)], [("p", "f4"), ("q", "f8")]),
+        "fortran": np.asfortranarray(np.array([PLAIN, HALVES]).T),
+        "logical": np.array(COUNTS) > 2,
+        "scalar": np.array(5.0),
+        "words": np.array(["a"] * 8),
+        "objects": np.array([1.0, "a"], object),
+        "complex": np.array(PLAIN, complex),
+        "place/inside": np.array(HALVES),
+    }
+    np.savez_compressed(path, **content)
+    numbers = [*PLAIN[:-1], 100.0]
+    expected: dict[str, Sequence[float] | None] = {f"kind {kind}": numbers for kind in kinds}
+    expected |= {"moment": numbers, "duration": numbers, "records.p": PLAIN, "records.q": HALVES}
+    expected |= {"fortran.1": PLAIN, "fortran.2": HALVES, "logical": [0.0] * 3 + [1.0] * 5}
+    return expected | dict.fromkeys(("words", "objects", "complex")) | {"inside": HALVES}
+
+
+def npy(path: Path) -> READ:
+    """One array, known by how it begins."""
+    np.save(path, np.array([PLAIN, HALVES], "f4").T)
+    return {"a.1": PLAIN, "a.2": HALVES}
+
+
 WRITERS = {
+    "a.npz": npz,
+    "workbook.xlsx.npz": npz,
+    "a.npy": npy,
     "a.h5": hdf5,
     "a.mat": mat,
     "controldesk.mat": controldesk,

@@ -62,6 +62,7 @@ READERS = (
     Reader("MAT v7.3", (".mat",), "hdf5", "h5py", (b"MATLAB 7.3 MAT-file",)),
     Reader("HDF5", (".h5", ".hdf5", ".hdf", ".he5"), "hdf5", "h5py", (b"\x89HDF\r\n\x1a\n",)),
     Reader("Parquet", (".parquet", ".pq"), "parquet", "pyarrow", (b"PAR1",)),
+    Reader("NumPy", (".npz", ".npy"), "npz", "", (ZIP, b"\x93NUMPY"), "*.npy"),
     Reader("Excel", (".xlsx", ".xlsm"), "excel", "openpyxl", (ZIP,), "[[]Content_Types].xml"),
     Reader(
         "ROS 2 bag", (".mcap", ".db3"), "ros", "rosbags", (b"\x89MCAP0\r\n", b"SQLite format 3")
