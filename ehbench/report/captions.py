@@ -72,16 +72,25 @@ def ranged(
     return text if low == high == text else f"{text} ({low} to {high})"
 
 
-def range_in(row: Table, *path: str | int) -> Sequence[float] | None:
-    """The least and the largest of a measure over several runs, by where it stands in its row;
-    None of a single run.
+def ranged_in(rig: Rig, case: Any, form: str, *path: str | int) -> str:
+    """A number of a trial, by where it stands in its row, with its range over several runs.
+
+    Args:
+        form: ``percent:2`` of a share, ``number:2``, or a quantity and its digits, ``v:3``.
     """
-    result: Any = row.get("range")
+    kind, _, digits = form.partition(":")
+    value, ends = case.row, case.row.get("range")
     for key in path:
-        if result is None:
-            return None
-        result = result[key] if isinstance(key, int) else result.get(key)
-    return result
+        value = value[key] if isinstance(key, int) or key != path[-1] else value.get(key)
+        if ends is not None:
+            ends = ends[key] if isinstance(key, int) else ends.get(key)
+
+    def text_of(value: float | None) -> str:
+        if value is not None and kind != "number":
+            value = 100.0 * value if kind == "percent" else float(shown(rig, kind, value))
+        return number(value, int(digits))
+
+    return ranged(text_of, value, ends)
 
 
 def sentence(text: str) -> str:
@@ -93,11 +102,14 @@ def load_name(payload: str) -> str:
     return "no load" if payload == "none" else payload
 
 
-def stroke(rig: Rig, row: Table, value: float | None, digits: int = 3) -> str:
-    """An error of stroke [m] in the rig's unit, no finer than what the machine measured it by."""
+def stroke(rig: Rig, row: Table | None, value: float | None, digits: int = 3) -> str:
+    """An error of stroke [m] in the rig's unit, no finer than what the machine of a trial measured
+    it by.
+    """
     if value is None:
         return number(None)
-    finest = row.get("gains", {}).get("stroke_resolution", 0.0) if row["on"] != MODEL else 0.0
+    measured = {} if row is None or row["on"] == MODEL else row.get("gains", {})
+    finest = measured.get("stroke_resolution", 0.0)
     if not finest:
         return number(float(shown(rig, "x", value)), digits)
     finest = float(shown(rig, "x", finest))
@@ -119,12 +131,8 @@ def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
 
 def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
     """An error of a trial's stroke, ``tracking`` or ``tracking_true``, with its range over several
-    runs.
+    runs; none finer than what the machine measured it by.
     """
-    if which == "tracking":
-        return ranged(partial(stroke, rig, row), row[which][key], range_in(row, which, key))
-
-    def text(value: float | None) -> str:
-        return number(None if value is None else float(shown(rig, "x", value)), 3)
-
-    return ranged(text, row[which][key], range_in(row, which, key))
+    ends = row.get("range") or {}
+    text_of = partial(stroke, rig, row if which == "tracking" else None)
+    return ranged(text_of, row[which][key], (ends.get(which) or {}).get(key))

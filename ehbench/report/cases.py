@@ -14,6 +14,7 @@ from ehbench.data.record import Record
 from ehbench.report.captions import load_name
 from ehbench.report.saved import Saved, Table
 from ehbench.runs.rundir import read_json
+from ehbench.vocabulary.codes import STATUS_MEANS
 from ehbench.vocabulary.fields import Value
 
 SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared
@@ -114,6 +115,16 @@ def damping(item: Table) -> tuple[float | None, str]:
     the fit.
     """
     return item.get("damping_ratio_fitted", item.get("damping_ratio")), item["ringing"]
+
+
+def limits_of(row: Table) -> dict[str, float]:
+    """Shares of the time at the limits of the valve level, and without a function that can move the
+    load.
+    """
+    functions = row.get("functions", {})
+    return dict(row.get("limits", {})) | {
+        name: functions[name] for name in STATUS_MEANS if name in functions
+    }
 
 
 def true_payload(rig: Rig, payload: str) -> float | None:

@@ -20,10 +20,9 @@ from ehbench.report.captions import (
 )
 from ehbench.report.cases import Case, cases_of, damping
 from ehbench.report.energy_tables import Saving, four_way, savings_of
-from ehbench.report.figures.channels import title_of
 from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved, Table
-from ehbench.report.words import count, interval, number, pretty, shown, unit_of, words
+from ehbench.report.words import count, interval, number, pretty, shown, title_of, unit_of, words
 from ehbench.vocabulary.terms import BEYOND
 
 DOUBTFUL = "estimated, doubtful"  # as it leans on a held number that the logs deny

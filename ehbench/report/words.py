@@ -11,6 +11,18 @@ from ehbench.vocabulary.units import from_si
 
 DASH = "–"
 SKEW = 0.1  # share of its half width by which a value may stand off an interval's middle for ±
+_TITLES = {
+    "q": "Joint angle",
+    "qd": "Joint velocity",
+    "x": "Stroke",
+    "v": "Cylinder speed",
+    "p_head": "Head-end pressure",
+    "p_rod": "Rod-end pressure",
+    "load_pressure": "Load pressure",
+    "load_force": "Cylinder force",
+    "rod_force": "Rod force",
+    "command": "Commands",
+}
 _UNIT_WORDS = {"degC": "°C", "degF": "°F", "deg": "°", "us": "µs", "um": "µm", "ohm": "Ω"}
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -149,3 +161,12 @@ def words(name: str) -> str:
 def count(n: int, item: str, many: str | None = None) -> str:
     """``1 reading``, ``3 readings``."""
     return f"{n} {item if n == 1 else many or item + 's'}"
+
+
+def title_of(channel: str) -> str:
+    """A channel's quantity as a panel title."""
+    word = channel.rsplit(".", 1)[-1]
+    return (
+        _TITLES.get(word)
+        or row_of(channel).meaning.split(",")[0].split("(")[0].strip().capitalize()
+    )

@@ -589,8 +589,10 @@ def test_what_hangs_together_is_one_sentence():
         [0.9, -0.99, 1.0, 0.2],
         [0.1, None, 0.2, 1.0],
     ]
-    said, _ = hydraulics._correlation(["a", "b", "c", "d"], matrix)
-    assert said.items == ["a, b and c correlate by 0.97 to 0.99: the logs tell them only together."]
+    said, _ = hydraulics.correlations(["a", "b", "c", "d"], matrix)
+    assert said.items == [
+        "a, b and c correlate by 0.97 to 0.99: the logs determine them only together."
+    ]
 
 
 def test_numbers_have_error_unit_status_and_source(runs):

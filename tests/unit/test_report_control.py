@@ -24,6 +24,7 @@ from ehbench.report.figures.trial import _LIMIT_SHADES, _SHADES, stretches
 from ehbench.report.figures.trials import _errors, _grid
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
+from ehbench.report.stages.tuning import overshoot_of
 from ehbench.report.trial_captions import (
     ESTIMATES,
     compared_caption,
@@ -31,7 +32,6 @@ from ehbench.report.trial_captions import (
     estimates_caption,
 )
 from ehbench.report.trial_tables import valves_note
-from ehbench.report.tuning_words import overshoot_of
 from ehbench.runs.rundir import write_json
 from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.results import functions_of
@@ -576,7 +576,7 @@ def test_the_tuning_tells_what_its_file_holds(runs):
         "operating points of boom" in text
     )
     assert (
-        "without any feedback 0.1 to 0.15, with the off-side held 0.12 to 0.25; target 0.5, "
+        "without any feedback 0.1 to 0.15, with the off-side fixed 0.12 to 0.25; target 0.5, "
         "reached by 92.5 % of 40 draws." in text
     )
     assert "Better than the chosen law by this number: no washout." in text
@@ -1042,7 +1042,7 @@ def test_valves_that_are_not_equally_fast_are_told(tmp_path):
     made = {name: measures(2000.0, 1e-4, []) | valves for name, valves in rows.items()}
     run = Saved(trials_run(tmp_path, "speeds", made, payloads=["none"]))
     cases = cases_of(run)
-    told = " Natural frequency of the valves: 54.9 Hz: six, fast spool; 9.99 Hz: spool. "
+    told = "Natural frequency of the valves: 54.9 Hz: six, fast spool; 9.99 Hz: spool. "
     assert valves_note(run.rig, cases).startswith(told)
     assert valves_note(run.rig, cases[:2]) == ""
 
@@ -1193,9 +1193,9 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
         mine = replace(case, row=Table(dict(case.row) | {"estimate_bounds": bounds}, case.log))
         assert estimates_caption(rig, mine, record).endswith(said)
     assert "The estimate ends 1.31 kg from it." in estimates_caption(rig, case, record)
-    assert "tell an oil" not in estimates_caption(rig, case, record)
+    assert "show an oil" not in estimates_caption(rig, case, record)
     record.channels["boom.bulk_measured"] = np.linspace(276e6, 168e6, record.t.size)
-    said = "Pressures and flows tell an oil of 168 MPa, the design's has 276 MPa."
+    said = "Pressures and flows show an oil of 168 MPa, the design's has 276 MPa."
     assert said in estimates_caption(rig, case, record)
     assert true_payload(rig, "none") == 0.0
 
@@ -1224,12 +1224,12 @@ def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(u
         "Pressure feedback: overshoot 20 %, steady error −2 %, settled after 0.3 s, damping ratio "
         "about 0.68 (damped too well to "
         "ring).",
-        "No washout: no overshoot to be told, steady error −100 %, not settled, damping ratio 0.3.",
+        "No washout: overshoot unknown, steady error −100 %, not settled, damping ratio 0.3.",
         "Best by overshoot: pressure feedback; worst: open loop, 3 times as much.",
     ):
         assert text in said["compare_no_load_70"]
     assert "Least from the pump, no load: pressure feedback, 1900 J" in said["energy_70"]
-    assert "Left out, more than 20 % off the speed asked: no washout." in said["energy_70"]
+    assert "Left out, more than 20 % off the requested speed: no washout." in said["energy_70"]
     text = plain(build([folder]))
     assert (
         "damping ratio about 0.68 where it hardly rings" in text

@@ -11,32 +11,11 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.style import ACCENT, BUCKETS, CYCLE, MARKS, canvas, thin
-from ehbench.report.words import axis, row_of, shown
+from ehbench.report.words import axis, shown, title_of
 from ehbench.vocabulary.quantities import GAUGES
 
-_TITLES = {
-    "q": "Joint angle",
-    "qd": "Joint velocity",
-    "x": "Stroke",
-    "v": "Cylinder speed",
-    "p_head": "Head-end pressure",
-    "p_rod": "Rod-end pressure",
-    "load_pressure": "Load pressure",
-    "load_force": "Cylinder force",
-    "rod_force": "Rod force",
-    "command": "Commands",
-}
 _STILL = 0.01  # share of the stroke that a cylinder without commands must travel to be drawn
 _PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
-
-
-def title_of(channel: str) -> str:
-    """A channel's quantity as a panel title."""
-    word = channel.rsplit(".", 1)[-1]
-    return (
-        _TITLES.get(word)
-        or row_of(channel).meaning.split(",")[0].split("(")[0].strip().capitalize()
-    )
 
 
 def live(rig: Rig, record: Record) -> dict[str, list[str]]:

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Series
 from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend, thin
-from ehbench.report.words import axis, shown
+from ehbench.report.words import axis, shown, title_of
 
 _DASHES = (0, (4, 1.6))
 

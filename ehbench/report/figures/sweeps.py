@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Table
 from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend
-from ehbench.report.words import number, pretty, shown, unit_of
+from ehbench.report.words import number, pretty, shown, title_of, unit_of
 
 CAPTION = (
     "Frequency response to the command, recorded and simulated, where the recording is coherent. "

@@ -12,7 +12,6 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.cases import Case
-from ehbench.report.figures.channels import title_of
 from ehbench.report.figures.trial import (
     function_bars,
     plot_channel,
@@ -21,7 +20,7 @@ from ehbench.report.figures.trial import (
     tracking_error,
 )
 from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, canvas, legend, thin
-from ehbench.report.words import axis, number, shown, words
+from ehbench.report.words import axis, number, shown, title_of, words
 
 Named = tuple[str, Case, Record]  # (controller, its trial, the log)
 MANY = 3  # from so many controllers on, a comparison leaves out the commands

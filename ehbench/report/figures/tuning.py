@@ -24,7 +24,6 @@ from ehbench.report.style import (
     canvas,
     legend,
 )
-from ehbench.report.tuning_words import function_names
 from ehbench.report.words import axis, number, shown, words
 
 _BLACK = "#111827"
@@ -38,6 +37,11 @@ class Equivalent:
     key: str
     quantity: str
     title: str
+
+
+def function_names(tuning: Table) -> list[str]:
+    """Working functions of a tuning, in its order."""
+    return list(dict.fromkeys(point["point"]["function"] for point in tuning["points"]))
 
 
 def equivalents(path: Path, rig: Rig, tuning: Table, what: Equivalent) -> None:

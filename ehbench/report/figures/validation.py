@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.report.figures.channels import title_of
 from ehbench.report.saved import Table
 from ehbench.report.style import CYCLE, MARKS, MUTED, RECORDED, canvas, legend
+from ehbench.report.words import title_of
 
 
 def correlations(path: Path, channels: Sequence[Table]) -> None:

@@ -2,245 +2,102 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from ehbench.config.rig import Rig
-from ehbench.report.blocks import Block, Cell, Grid, Part
-from ehbench.report.captions import range_of, span
-from ehbench.report.content import Pictures, SectionContent, StageReport, chip, num
+from ehbench.report.blocks import Part
+from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.figures import flow_maps as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table, read_points
-from ehbench.report.words import (
-    axis,
-    count,
-    estimate,
-    interval,
-    number,
-    pretty,
-    shown,
-    unit_of,
-    words,
-)
-
-_MAP_CAPTION = (
-    "Flow over pressure drop, one curve a command; below, readings minus curves. "
-    "Bands are 95 % intervals of the curves; between two measured drops they also hold a kink that "
-    "may hide in the gap, and so widen where readings lie far apart for the bend of the curve. "
-    "Dashed and pale where no readings surround the curve."
-)
-_LEVEL_CAPTION = (
-    "Flow over command, from a cylinder's speed without pressures, with its 95 % band; the "
-    "deadband's interval is grey. What flows at other loads than those measured this does not say."
-)
-_INVERSE_CAPTION = (
-    "Command that passes a flow, one curve a pressure drop; "
-    "the exact inverse of the flow map, with its 95 % band. The command axis begins at the "
-    "deadband's interval (grey); dashed and pale beyond the readings."
-)
+from ehbench.report.template import Template
+from ehbench.report.words import DASH, interval, number, pretty, shown, unit_of, words
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
-    """A figure a flow map, then one an inverse map."""
+    """A figure for each flow map, then one for each inverse map."""
     from ehbench.physics.flow_map import load_flow_maps
 
+    page = Template("flow_maps")
     maps, points = load_flow_maps(run.folder), read_points(run.folder / "points.csv")
+
+    def place(kind: str, title: str, caption: str, valve: str, direction: str):
+        about = FigureKey(kind, valve=valve, direction=direction)
+        key, title = f"{kind}_{valve}_{direction}", f"{title} of {valve}, {direction}"
+        return index.add(key, title, page.text(caption), about)
+
     for item in maps.each():
-        path = index.add(
-            f"flow_map_{item.valve}_{item.direction}",
-            f"Flow map of {item.valve}, {item.direction}",
-            _LEVEL_CAPTION if item.level else _MAP_CAPTION,
-            FigureKey("flow_map", valve=item.valve, direction=item.direction),
-        )
+        named = (item.valve, item.direction)
+        path = place("flow_map", "Flow map", "level" if item.level else "map", *named)
         picture = figures.level_map if item.level else figures.flow_map
-        picture(path, run.rig, item, points.of(item.valve, item.direction))
+        picture(path, run.rig, item, points.of(*named))
     for item in maps.each():
-        if item.level:
-            continue
-        path = index.add(
-            f"inverse_map_{item.valve}_{item.direction}",
-            f"Inverse map of {item.valve}, {item.direction}",
-            _INVERSE_CAPTION,
-            FigureKey("inverse_map", valve=item.valve, direction=item.direction),
-        )
-        figures.inverse_map(path, run.rig, item)
+        if not item.level:
+            path = place("inverse_map", "Inverse map", "inverse", item.valve, item.direction)
+            figures.inverse_map(path, run.rig, item)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Maps, inverse maps, deadbands, calibration, readings left out."""
-    rig, maps = run.rig, run.rows("summary.json")
-    calibration = [
-        _calibration_row(rig, item, point) for item in maps for point in item["calibration"]
-    ]
-    left_out = [_outlier_row(rig, item, reading) for item in maps for reading in item["outliers"]]
+    rig, maps, page = run.rig, run.rows("summary.json"), Template("flow_maps", run.rig)
+    calibration = [(item, point) for item in maps for point in item["calibration"]]
+    left_out = [(item, reading) for item in maps for reading in item["outliers"]]
+    ways = [row for item in maps for row in _ways(rig, item)]
+
+    def noise(item: Table) -> str:
+        return "; ".join(
+            f"{words(method)} {_in_unit(rig, 'flow', floor, 2)} {pretty(unit_of(rig, 'flow'))} "
+            f"and {number(100 * share, 2)} %"
+            for method, (floor, share) in item.get("noise", {}).items()
+        )
+
+    def drops(point: Table) -> str:
+        ends = [_in_unit(rig, "pressure_drop", point[f"drop_{end}"]) for end in ("low", "high")]
+        return " … ".join(dict.fromkeys(ends))
+
     parts = [
         Part("Flow maps", pictures(FigureKey("flow_map"))),
         Part("Inverse maps", pictures(FigureKey("inverse_map"))),
-        Part("Deadbands", _deadbands(rig, maps)),
+        Part("Deadbands", [page.table("deadbands", maps, noise=noise)]),
     ]
-    ways = [row for item in maps for row in _way_rows(rig, item)]
     if ways:
-        parts.append(Part("Beside the opening", [_ways(ways)]))
+        parts.append(Part("Beyond the opening", [page.table("ways", ways)]))
     if calibration:
-        parts.append(Part("Calibration", [_calibration(rig, calibration)]))
+        table = page.table("calibration", calibration, drops=drops)
+        parts.append(Part("Calibration", [table]))
     if left_out:
-        parts.append(Part("Readings left out", [_left_out(rig, left_out)]))
-    verdicts = [point["verdict"] for item in maps for point in item["calibration"]]
-    return SectionContent("done", _sentence(maps, len(left_out), verdicts), parts)
-
-
-def _sentence(maps: Sequence[Table], left_out: int, verdicts: Sequence[str]) -> str:
-    readings = sum(item["readings"] for item in maps) + left_out
-    valves = {item["valve"] for item in maps}
-    sentence = (
-        f"{count(len(maps), 'map')} of {count(len(valves), 'valve')} from {readings} readings, "
-        f"{left_out} left out; deadbands {span([item['deadband'] for item in maps])} V"
+        parts.append(Part("Readings left out", [page.table("outliers", left_out)]))
+    sentence = page.text(
+        "sentence",
+        maps=maps,
+        valves={item["valve"] for item in maps},
+        readings=sum(item["readings"] for item in maps) + len(left_out),
+        left_out=len(left_out),
+        verdicts=[point["verdict"] for _, point in calibration],
     )
-    if verdicts:
-        met = f"{verdicts.count('met')} of {count(len(verdicts), 'point')}"
-        sentence += f"; calibration met at {met}"
-    return sentence + "."
+    return SectionContent("done", sentence, parts)
 
 
-def _deadbands(rig: Rig, maps: Sequence[Table]) -> list[Block]:
-    head = [
-        "valve",
-        "direction",
-        "deadband [V]",
-        "95 % interval [V]",
-        "status",
-        "readings used",
-        "left out",
-        f"rms residual [{pretty(unit_of(rig, 'flow'))}]",
-        "noise of one reading",
-    ]
-    note = (
-        "The interval also holds where a flow would start that grows softly, so that it reaches "
-        "below the deadband; where it is lopsided, there is no ±."
-    )
-    return [Grid(head, [_deadband_row(rig, item) for item in maps], note)]
-
-
-def _deadband_row(rig: Rig, item: Table) -> list[Cell | str]:
-    rms = item.get("rms")
-    return [
-        item["valve"],
-        item["direction"],
-        num(estimate(item.number("deadband"), *item["deadband_interval"])),
-        num(interval(*item["deadband_interval"])),
-        chip(item.get("status", "estimated")),
-        num(number(item["readings"], 9)),
-        num(str(len(item["outliers"]))),
-        num(_flow(rig, rms, 2) if rms is not None else "–"),
-        "; ".join(
-            f"{words(method)} {_flow(rig, floor, 2)} {pretty(unit_of(rig, 'flow'))} "
-            f"and {number(100 * share, 2)} %"
-            for method, (floor, share) in item.get("noise", {}).items()
-        ),
-    ]
-
-
-def _way_rows(rig: Rig, item: Table) -> Iterator[list[Cell | str]]:
-    """Rows of what a valve does beside opening smoothly: leak, hysteresis, kinks, a fall."""
-
-    def row(what: str, value: str, ends: str) -> list[Cell | str]:
-        return [item["valve"], item["direction"], what, num(value), num(ends)]
-
-    flow = pretty(unit_of(rig, "flow"))
+def _ways(rig: Rig, item: Table) -> Iterator[tuple[Table, str, str, str]]:
+    """(map, what, value, interval) of what a valve does besides opening smoothly: leak, hysteresis,
+    kinks, a fall.
+    """
     leak, ends = item.get("leakage"), item.get("leakage_interval", (0.0, 0.0))
     if ends[0] > 0.0:
-        between = " … ".join(_flow(rig, end, 3) for end in ends)
-        yield row(f"leak below the deadband [{flow}]", _flow(rig, leak, 3), between)
-    if item.get("hysteresis") is not None:
-        lag = item["hysteresis"]
-        yield row("hysteresis [V]", number(lag, 3), interval(*item["hysteresis_interval"]))
+        between = " … ".join(_in_unit(rig, "flow", end, 3) for end in ends)
+        name = Template("flow_maps", rig).text("leak")
+        yield item, name, _in_unit(rig, "flow", leak, 3), between
+    if (lag := item.get("hysteresis")) is not None:
+        yield item, "hysteresis [V]", number(lag, 3), interval(*item["hysteresis_interval"])
     for value, low, high in item.get("kinks", ()):
-        yield row("kink at [V]", number(value, 4), interval(low, high))
+        yield item, "kink at [V]", number(value, 4), interval(low, high)
     if item.get("falls"):
-        yield row("falls from its largest flow [%]", number(100.0 * item["falls"], 2), "–")
+        yield item, "falls from its largest flow [%]", number(100.0 * item["falls"], 2), DASH
 
 
-def _ways(rows: Sequence[Sequence[Cell | str]]) -> Grid:
-    note = (
-        "Hysteresis: what rising commands lie above falling ones at the same flow; the map is the "
-        "middle of both. A flow that falls is inverted on its rising branch."
-    )
-    return Grid(["valve", "direction", "what", "value", "95 % interval"], rows, note)
-
-
-def _flow(rig: Rig, value: float, digits: int = 4) -> str:
-    """A flow [m³/s] as a number in the rig's unit."""
-    return number(float(shown(rig, "flow", value)), digits)
-
-
-def _drop(rig: Rig, value: float) -> str:
-    """A pressure drop [Pa] as a number in the rig's unit."""
-    return number(float(shown(rig, "pressure_drop", value)))
-
-
-def _calibration_row(rig: Rig, item: Table, point: Table) -> list[Cell | str]:
-    target = float(shown(rig, "flow", point["target"]))
-    measured = point["verdict"] != "not_measured"
-    return [
-        item["valve"],
-        item["direction"],
-        num(number(point["command"])),
-        num(f"{number(target)} ± {number(target * point['tolerance'], 2)}"),
-        num(_flow(rig, point["flow"], 3) if measured else "–"),
-        num(range_of(rig, "flow", (point["low"], point["high"])) if measured else "–"),
-        num(_drops(rig, point) if measured else "–"),
-        chip(point["verdict"]),
-    ]
-
-
-def _drops(rig: Rig, point: Table) -> str:
-    low, high = _drop(rig, point["drop_low"]), _drop(rig, point["drop_high"])
-    return low if low == high else f"{low} … {high}"
-
-
-def _calibration(rig: Rig, rows: Sequence[Sequence[Cell | str]]) -> Grid:
-    unit = pretty(unit_of(rig, "flow"))
-    head = [
-        "valve",
-        "direction",
-        "command [V]",
-        f"asked [{unit}]",
-        f"gives [{unit}]",
-        "95 % interval",
-        axis(rig, "pressure_drop", "over drops"),
-        "verdict",
-    ]
-    note = (
-        "Met or missed: the whole interval lies inside or outside of what is asked; "
-        "undecided: it straddles."
-    )
-    return Grid(head, rows, note)
-
-
-def _outlier_row(rig: Rig, item: Table, reading: Table) -> list[Cell | str]:
-    file, line = reading["file"], reading["line"]
-    return [
-        Cell(f"{file}:{line}" if file else f"line {line}", "code"),
-        item["valve"],
-        item["direction"],
-        num(number(reading["command"])),
-        num(_drop(rig, reading["pressure_drop"])),
-        num(_flow(rig, reading["flow"])),
-        num(f"{reading['sigmas']:+.1f}".replace("-", "−")),
-    ]
-
-
-def _left_out(rig: Rig, rows: Sequence[Sequence[Cell | str]]) -> Grid:
-    head = [
-        "reading",
-        "valve",
-        "direction",
-        "command [V]",
-        axis(rig, "pressure_drop"),
-        axis(rig, "flow"),
-        "sigmas from the map",
-    ]
-    return Grid(head, rows)
+def _in_unit(rig: Rig, name: str, value: float, digits: int = 4) -> str:
+    """An SI number in the rig's unit."""
+    return number(float(shown(rig, name, value)), digits)
 
 
 REPORT = StageReport(

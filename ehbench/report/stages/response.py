@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.report.blocks import Bullets, Cell, Grid, Part
-from ehbench.report.content import Pictures, SectionContent, StageReport, num
+from ehbench.report.blocks import Bullets, Grid, Part
+from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
+from ehbench.report.template import Template
 from ehbench.report.words import (
-    count,
     interval,
     number,
     pretty,
@@ -26,12 +26,8 @@ from ehbench.report.words import (
 )
 from ehbench.vocabulary.terms import Z95
 
-_CAPTION = (
-    "Gain, phase and coherence by Welch averaging, with 95 % intervals. "
-    "Grey: frequencies below the coherence asked for (dashed); they do not count."
-)
 # key of response.json, what it is called, its unit there and on the page, the factor between them
-_NUMBERS = (
+NUMBERS = (
     ("delay", "delay by the phase's slope", "ms", 1.0e3),
     ("bandwidth", "gain 3 dB below its first", "Hz", 1.0),
     ("quadrature", "phase passes −90°", "Hz", 1.0),
@@ -54,7 +50,8 @@ def draw(run: Saved, index: FigureIndex) -> None:
     """The Bode figure."""
     table = run.json("response.json")
     title = f"{table['output']} over {table['input']}"
-    path = index.add("response", title, _CAPTION, FigureKey("response"))
+    caption = Template("response").text("caption")
+    path = index.add("response", title, caption, FigureKey("response"))
     unit, factor = gain_unit(run.rig, table)
     columns = read_columns(run.folder / "response.csv")
     for name in ("gain", "gain_low", "gain_high"):
@@ -122,93 +119,45 @@ def _mark(ax, frequency: float, text: str) -> None:
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
-    """The figure, the numbers with their intervals, how it was averaged, what is to be said."""
-    table = run.json("response.json")
-    rows = [_number_row(table, *item) for item in _NUMBERS]
-    low, high = table["coherent_range"]
+    """The figure, the numbers with their intervals, how it was averaged, warnings."""
+    table, page = run.json("response.json"), Template("response")
     averaged = [
         ["logs", ", ".join(table["logs"])],
-        ["segments", f"{number(table['segment'], 4)} s, window {table['window']}"],
+        ["segments", page.text("segments", table=table)],
         ["independent averages", number(table["averages"], 4)],
-        [
-            "coherent frequencies",
-            f"{table['coherent']} of {table['frequencies']}, {number(low)} … {number(high)} Hz",
-        ],
-        ["coherence of noise alone", f"below {number(table['coherence_noise'], 2)} in 95 %"],
+        ["coherent frequencies", page.text("coherent", table=table)],
+        ["coherence of noise alone", page.text("noise", table=table)],
     ]
-    forms = [_forms(table["logs"], transfers)] if (transfers := table.get("transfers", [])) else []
+    forms = table.get("transfers", [])
+    uses = {"poles": _poles, "delay": _delay}
+    tables = [page.table("numbers", NUMBERS, table=table, ends=_ends)]
+    tables += [page.table("forms", forms, logs=table["logs"], **uses)] if forms else []
     parts = [
         Part("Bode diagram", pictures(FigureKey("response"))),
-        Part("Numbers", [Grid(["", "value", "95 % interval", "unit"], rows), *forms]),
+        Part("Numbers", tables),
         Part("How it was averaged", [Grid(["", ""], averaged)]),
     ]
     if warnings := table["warnings"]:
-        parts.append(Part("What is to be said", [Bullets(warnings, "warn")]))
-    return SectionContent("done", _sentence(table), parts)
+        parts.append(Part("Warnings", [Bullets(warnings, "warn")]))
+    form = next((form for form in forms if form["preferred"]), None)
+    sentence = page.text("sentence", table=table, numbers=NUMBERS, form=form, **uses)
+    return SectionContent("done", sentence, parts)
 
 
-def _forms(logs: Sequence[str], forms: Sequence[Table]) -> Grid:
-    """Transfer functions fitted in time, the preferred first."""
-    head = ["form", "poles [rad/s]", "delay [ms]", *(f"fit of {log} [%]" for log in logs), ""]
-    rows: list[list[Cell | str]] = []
-    for form in forms:
-        poles, delay = _poles_and_delay(form)
-        fits = [num(number(fit, 4)) for fit in form["fit_percent"]]
-        words = "preferred" if form["preferred"] else ""
-        rows.append([form["form"], num(poles), num(delay), *fits, words])
-    note = (
-        "Fitted to the logs in time, each with an offset of its own; ± is half the width of the "
-        "95 % interval. Preferred: of the forms within 1 % of the best fit those with the fewest "
-        "numbers, and of them the best."
-    )
-    return Grid(head, rows, note)
+def _poles(form: Table) -> str:
+    """Poles [rad/s] of a form, each with half its 95 % interval."""
+    pairs = zip(form["poles"], form["pole_stds"], strict=True)
+    return ", ".join(with_error(pole, Z95 * std) for pole, std in pairs)
 
 
-def _poles_and_delay(form: Table) -> tuple[str, str]:
-    """Poles [rad/s] and delay [ms] of a form, each with half its 95 % interval; – for no delay."""
-    poles = ", ".join(
-        with_error(w, Z95 * std) for w, std in zip(form["poles"], form["pole_stds"], strict=True)
-    )
-    if form.get("delay") is None:
-        return poles, "–"
-    return poles, with_error(1e3 * form["delay"], 1e3 * Z95 * form["delay_std"])
+def _delay(form: Table) -> str:
+    """Delay [ms] of a form with half its 95 % interval."""
+    return with_error(1e3 * form["delay"], 1e3 * Z95 * form["delay_std"])
 
 
-def _preferred(forms: Sequence[Table]) -> str:
-    """The form that is preferred, in words."""
-    item = next(form for form in forms if form["preferred"])
-    poles, delay = _poles_and_delay(item)
-    late = "" if delay == "–" else f" and {delay} ms"
-    fits = ", ".join(number(fit, 3) for fit in item["fit_percent"])
-    return f" Of the plain forms {item['form']} is preferred, {poles} rad/s{late}: fit {fits} %."
-
-
-def _number_row(table: Table, key: str, text: str, unit: str, factor: float) -> list[Cell | str]:
-    result = table.get(key)
-    if result is None:
-        return [text, num("–"), num("the data do not show it"), unit]
-    ends = [None if end is None else factor * end for end in result["interval"]]
-    return [text, num(number(factor * result["value"], 4)), num(_span(ends)), unit]
-
-
-def _span(ends: list[float | None]) -> str:
-    low, high = ends
+def _ends(ends: Sequence[float | None], factor: float) -> str:
+    low, high = (None if end is None else factor * end for end in ends)
     return f"below {number(high, 3)}" if low is None else interval(low, high)
-
-
-def _sentence(table: Table) -> str:
-    low, high = table["coherent_range"]
-    parts = [
-        f"{text} {number(factor * result['value'], 3)} {unit}"
-        for key, text, unit, factor in _NUMBERS
-        if (result := table.get(key)) is not None
-    ]
-    lead = (
-        f"{table['output']} over {table['input']} from {count(len(table['logs']), 'log')}, "
-        f"coherent from {number(low, 3)} to {number(high, 3)} Hz"
-    )
-    message = f"{lead}: {', '.join(parts)}." if parts else f"{lead}."
-    return message + (_preferred(forms) if (forms := table.get("transfers")) else "")
 
 
 REPORT = StageReport(

@@ -9,22 +9,20 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
-from ehbench.report.captions import capital, load_name
+from ehbench.report.captions import load_name
 from ehbench.report.cases import Case, cases_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, stopped_status
 from ehbench.report.energy_tables import saving_blocks
 from ehbench.report.figures import channels, sankey, tip
 from ehbench.report.figures import trial as figures
 from ehbench.report.index import FigureIndex, FigureKey
-from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved, Table
+from ehbench.report.standstill import standstill_caption
+from ehbench.report.template import Template
 from ehbench.report.trial_captions import (
     ESTIMATES,
     case_caption,
     estimates_caption,
-    sankey_caption,
-    sharing_caption,
-    tip_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import number, words
@@ -71,7 +69,7 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
     if case.row.get("tip"):
         _draw_tip(rig, index, case, record, title)
 
-    caption = case_caption(rig, case) + rest_caption(rig, [case], [record])
+    caption = f"{case_caption(rig, case)} {standstill_caption(rig, [case], [record])}".rstrip()
     path = index.add(f"trial_{case.stem}", title, caption, about("trial"))
     figures.controlled(path, rig, case, record)
     learnt = [name for word in ESTIMATES if (name := f"{case.cylinder}.{word}") in record]
@@ -84,7 +82,8 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
 
 def _draw_tip(rig: Rig, index: FigureIndex, case: Case, record: Record, title: str) -> None:
     """Where the tip went, and the oil that it took."""
-    text = f"{capital(tip_caption(rig, case.row))}. {sharing_caption(rig, case.row)}"
+    page = Template("trial", rig)
+    text = f"{page.text('tip', row=case.row)} {page.text('sharing', row=case.row)}"
     about = FigureKey("tip", case=case.row["case"])
     tip.tip(index.add(f"tip_{case.stem}", f"Tip: {title}", text, about), rig, case, record)
 
@@ -92,7 +91,7 @@ def _draw_tip(rig: Rig, index: FigureIndex, case: Case, record: Record, title: s
 def draw_sankey(index: FigureIndex, case: Case, key: str, title: str, about: FigureKey) -> None:
     """Where the energy of a trial went, if it has a ledger."""
     if (ledger := case.energy()) is not None:
-        caption = sankey_caption(ledger)
+        caption = Template("trial").text("sankey", ledger=ledger)
         path = index.add(key, f"Where the energy went: {title}", caption, about)
         sankey.sankey(path, ledger)
 

@@ -11,21 +11,20 @@ from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
 from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, folded, stopped_status
-from ehbench.report.energy_tables import saving_blocks
+from ehbench.report.energy_tables import saving_blocks, supply_blocks
 from ehbench.report.figures import trials as figures
 from ehbench.report.figures.energy_bars import bars
 from ehbench.report.figures.energy_map import energy_map
 from ehbench.report.index import FigureIndex, FigureKey
-from ehbench.report.rest_words import rest_caption
 from ehbench.report.saved import Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey
-from ehbench.report.supplies import supply_blocks
+from ehbench.report.standstill import standstill_caption
 from ehbench.report.trial_captions import (
     compared_caption,
     controller_captions,
     energy_caption,
     map_caption,
-    trajectory_words,
+    trajectory_caption,
     trials_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
@@ -55,7 +54,7 @@ def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> Non
     first = cases[0]
     payload, motion = first.row["payload"], first.row["motion"]
     records = [case.record() for case in cases]
-    caption = compared_caption(rig, cases) + rest_caption(rig, cases, records)
+    caption = f"{compared_caption(rig, cases)} {standstill_caption(rig, cases, records)}".rstrip()
     path = index.add(
         f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
         f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
@@ -72,7 +71,7 @@ def _draw_trajectories(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> N
     if first:
         shown = [(name, first[name], first[name].record()) for name in reversed(first)]
         spans = "; ".join(
-            f"{words(name)} {trajectory_words(rig, case, log)}" for name, case, log in shown
+            f"{words(name)} {trajectory_caption(rig, case, log)}" for name, case, log in shown
         )
         about = FigureKey("trajectories")
         title = f"Trajectories, on the {cases[0].row['on']}"

@@ -20,10 +20,9 @@ from ehbench.config.rig import Rig
 from ehbench.data.readers import suffixes
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.report.captions import capital
-from ehbench.report.figures.channels import title_of
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, read_points, read_series
-from ehbench.report.words import axis, number, pretty, row_of, shown, unit_of, words
+from ehbench.report.words import axis, number, pretty, row_of, shown, title_of, unit_of, words
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
