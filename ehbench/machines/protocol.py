@@ -50,6 +50,16 @@ class Inputs(NamedTuple):
         return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
 
 
+class Stamp(NamedTuple):
+    """When a sample was taken: ``time`` [s] since the start by the machine's clock, ``sequence``
+    counts its samples, ``age`` [s] is how long ago that was.
+    """
+
+    time: float
+    sequence: int
+    age: float
+
+
 class Machine(Protocol):
     """A machine that a trial runs on.
 
@@ -152,6 +162,11 @@ class Hidden(Protocol):
 def hidden_of(machine: Machine) -> Hidden | None:
     """What a machine knows of itself that its log does not hold; None of one that knows nothing."""
     return getattr(machine, "hidden", None)
+
+
+def stamp_of(machine: Machine) -> Stamp | None:
+    """The stamp of a machine's last sample; None of one whose ticks are time itself."""
+    return getattr(machine, "stamp", None)
 
 
 def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:

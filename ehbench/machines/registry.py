@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
+from ehbench.machines.faults import FaultyMachine
 from ehbench.machines.protocol import Machine
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.variation import varied
@@ -34,6 +35,12 @@ def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Mac
         rig.with_payload(recipe.payload)
     except InputError as error:
         raise InputError(error.message, **recipe.at("payload"), hint=error.hint) from None
-    if recipe.machine is not None:
-        return varied(recipe, rig, maps)
-    return MACHINES[recipe.on](recipe, rig, maps)
+    change = recipe.machine
+    machine = (
+        MACHINES[recipe.on](recipe, rig, maps) if change is None else varied(recipe, rig, maps)
+    )
+    faults = [(fault, recipe.at("fault", i)) for i, fault in enumerate(recipe.fault)]
+    if change is not None:
+        places = (recipe.at(*change.where, "fault", i) for i in range(len(change.fault)))
+        faults += zip(change.fault, places, strict=True)
+    return FaultyMachine(machine, faults, rig) if faults else machine

@@ -11,15 +11,40 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from ehbench.config.recipe import Limits
 from ehbench.control.law import Controller
 from ehbench.control.registry import tick
+from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.sample import OF, entry
-from ehbench.runtime.compiled import WITHIN, kernel
+from ehbench.runtime.compiled import WITHIN, kernel, part_kernel
 
-LIMITS = ("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max")
-NO_LIMITS = (math.inf, -math.inf, -math.inf, math.inf, math.inf)
+LIMITS = (
+    *("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max"),
+    *("command_rate", "pressure_range", "sample_age", "overrun", "following_time"),
+    *("following_error", "position_mismatch", "finite"),
+)
 PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
+COMMAND_RATE, PRESSURE_RANGE, AGE, OVERRUN, FOLLOWING_TIME = range(5, 10)
+FOLLOWING, MISMATCH, FINITE = range(10, 13)
+VACUUM = -1.5e5  # [Pa] gauge: a perfect vacuum, and half a bar of a sensor's offset
+
+
+class Checks(NamedTuple):
+    """What a sample is compared with beside the limits of all cylinders.
+
+    ``armed`` is [False] where nothing is checked, as after a stop; ``measured`` marks the channels
+    that the machine measures; ``cylinders`` are the rig's. ``desired`` strokes [m], shape (samples,
+    cylinders), nan where no law controls the stroke; ``following`` and ``mismatch`` their bounds
+    [m], shape (cylinders,); ``since`` the first row of a following error, −1 without one. ``stamp``
+    is (time [s], sequence, age [s], time [s] that the controller took) of the present sample."""
+
+    armed: np.ndarray
+    measured: np.ndarray
+    cylinders: np.ndarray
+    desired: np.ndarray
+    following: np.ndarray
+    mismatch: np.ndarray
+    since: np.ndarray
+    stamp: np.ndarray
 
 
 class Rows(NamedTuple):
@@ -28,8 +53,9 @@ class Rows(NamedTuple):
     ``t`` [s]; ``commands`` [V], shape (samples, valves), into which a controller writes its own;
     ``samples`` what was measured, shape (samples, channels); ``truth`` what only a simulation
     knows, its `Truth` or `Hidden`, shape (samples, width). ``sample`` is the present sample, which
-    no row holds yet. ``limits`` are in the order of LIMITS, SI; ``strokes`` the full strokes [m];
-    ``found`` says of a limit that was reached (which, cylinder or valve, entry of the sample)."""
+    no row holds yet. ``limits`` are in the order of LIMITS, SI, those of each cylinder apart;
+    ``strokes`` the full strokes [m]; ``reached`` says of a limit that was reached (which, cylinder
+    or valve, entry of the sample), ``by`` the value that reached it and its bound [SI]."""
 
     t: np.ndarray
     commands: np.ndarray
@@ -38,7 +64,9 @@ class Rows(NamedTuple):
     sample: np.ndarray
     limits: np.ndarray
     strokes: np.ndarray
-    found: np.ndarray
+    checks: Checks
+    reached: np.ndarray
+    by: np.ndarray
 
 
 class LawRows(NamedTuple):
@@ -54,41 +82,77 @@ class LawRows(NamedTuple):
 Controls = tuple[LawRows, ...]  # of a trial, one a cylinder
 
 
-def limit_array(limits: Limits) -> np.ndarray:
-    """A recipe's limits in the order of LIMITS, SI; infinite where there is none."""
-    given = (getattr(limits, name) for name in LIMITS)
-    return np.array(
-        [
-            none if value is None else float(value)
-            for value, none in zip(given, NO_LIMITS, strict=True)
-        ]
-    )
+@part_kernel
+def _stop(rows, which, index, entry, value, bound):
+    """Note a limit that was reached."""
+    rows.reached[0], rows.reached[1], rows.reached[2] = which, index, entry
+    rows.by[0], rows.by[1] = value, bound
+    return True
+
+
+@part_kernel
+def _of_cylinder(rows, i, c):
+    """Whether the present sample of a cylinder reached a limit of row ``i``."""
+    sample, limits, checks = rows.sample, rows.limits, rows.checks
+    for channel in (OF.p_head, OF.p_rod):
+        j = entry(c, channel)
+        p = sample[j]
+        if p > limits[PRESSURE_MAX]:
+            return _stop(rows, PRESSURE_MAX, c, j, p, limits[PRESSURE_MAX])
+        if p < limits[PRESSURE_MIN]:
+            return _stop(rows, PRESSURE_MIN, c, j, p, limits[PRESSURE_MIN])
+        if p > limits[PRESSURE_RANGE] or p < VACUUM:
+            bound = limits[PRESSURE_RANGE] if p > 0.0 else VACUUM
+            return _stop(rows, PRESSURE_RANGE, c, j, p, bound)
+    j = entry(c, OF.x)
+    x, far = sample[j], rows.strokes[c] - limits[MARGIN]
+    if x < limits[MARGIN] or x > far:
+        return _stop(rows, MARGIN, c, j, x, limits[MARGIN] if x < limits[MARGIN] else far)
+    j = entry(c, OF.v)
+    if abs(sample[j]) > limits[SPEED]:
+        return _stop(rows, SPEED, c, j, sample[j], limits[SPEED])
+    if checks.measured[entry(c, OF.q)]:
+        apart = x - linkage_of(checks.cylinders[c], sample[entry(c, OF.q)])[0]
+        if abs(apart) > checks.mismatch[c]:
+            return _stop(rows, MISMATCH, c, entry(c, OF.x), apart, checks.mismatch[c])
+    apart = x - checks.desired[i, c]
+    if not abs(apart) > checks.following[c]:
+        checks.since[c] = -1
+        return False
+    if checks.since[c] < 0:
+        checks.since[c] = i
+    if rows.t[i] - rows.t[checks.since[c]] >= limits[FOLLOWING_TIME]:
+        return _stop(rows, FOLLOWING, c, entry(c, OF.x), apart, checks.following[c])
+    return False
 
 
 @kernel
 def violated(rows, i):
-    """Whether the present sample or the command of row ``i`` reached a limit; ``rows.found`` then
-    says which.
+    """Whether the present sample or the command of row ``i`` reached a limit; ``rows.reached`` and
+    ``rows.by`` then say which. What is not finite has reached one.
     """
-    sample, command, limits, result = rows.sample, rows.commands[i], rows.limits, rows.found
+    sample, command, limits, checks = rows.sample, rows.commands[i], rows.limits, rows.checks
+    if not checks.armed[0]:
+        return False
+    for j in range(sample.shape[0]):
+        if checks.measured[j] and not math.isfinite(sample[j]):
+            return _stop(rows, FINITE, -1, j, sample[j], math.inf)
+    if checks.stamp[2] > limits[AGE]:
+        return _stop(rows, AGE, -1, -1, checks.stamp[2], limits[AGE])
+    if checks.stamp[3] > limits[OVERRUN]:
+        return _stop(rows, OVERRUN, -1, -1, checks.stamp[3], limits[OVERRUN])
     for c in range(rows.strokes.shape[0]):
-        for channel in (OF.p_head, OF.p_rod):
-            p = sample[entry(c, channel)]
-            if p > limits[PRESSURE_MAX] or p < limits[PRESSURE_MIN]:
-                result[0] = PRESSURE_MAX if p > limits[PRESSURE_MAX] else PRESSURE_MIN
-                result[1], result[2] = c, entry(c, channel)
-                return True
-        x = sample[entry(c, OF.x)]
-        if x < limits[MARGIN] or x > rows.strokes[c] - limits[MARGIN]:
-            result[0], result[1], result[2] = MARGIN, c, entry(c, OF.x)
-            return True
-        if abs(sample[entry(c, OF.v)]) > limits[SPEED]:
-            result[0], result[1], result[2] = SPEED, c, entry(c, OF.v)
+        if _of_cylinder(rows, i, c):
             return True
     for v in range(command.shape[0]):
+        if not math.isfinite(command[v]):
+            return _stop(rows, FINITE, v, -1, command[v], math.inf)
         if abs(command[v]) > limits[COMMAND]:
-            result[0], result[1], result[2] = COMMAND, v, -1
-            return True
+            return _stop(rows, COMMAND, v, -1, command[v], limits[COMMAND])
+        if i > 0:
+            rate = (command[v] - rows.commands[i - 1, v]) / (rows.t[i] - rows.t[i - 1])
+            if abs(rate) > limits[COMMAND_RATE]:
+                return _stop(rows, COMMAND_RATE, v, -1, rate, limits[COMMAND_RATE])
     return False
 
 

@@ -168,15 +168,24 @@ class SimulatedMachine:
             model_tick(own.y, fixed, own.plant, own.line, own.steps, own.k, own.work, sample)
         else:
             paced_tick(own, fixed, self._pace, sample)
+        self._must_be_finite()
+        return sample
+
+    def _must_be_finite(self) -> None:
         if not np.isfinite(self.state).all():
             raise SimulationError("the simulation left finite numbers", hint="take a smaller step")
-        return sample
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
         own, pace = self._own, self._pace
         run = bound(_advance, 0, 0, own, rows, law, pace) if often else _advance
-        return lambda first, stop: run(first, stop, own, rows, law, pace)
+
+        def through(first: int, stop: int) -> int:
+            row = run(first, stop, own, rows, law, pace)
+            self._must_be_finite()
+            return row
+
+        return through
 
     def close(self) -> None:
         """There is nothing to let go."""

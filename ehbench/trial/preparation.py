@@ -17,10 +17,11 @@ from ehbench.control.functions import RULES, pack_rules
 from ehbench.control.records import blank
 from ehbench.machines.protocol import Machine, carry_of, hidden_of, plays_of, seeded_of, truth_of
 from ehbench.machines.registry import open_machine
-from ehbench.machines.rows import COMMAND, LIMITS, MARGIN, Rows, limit_array, violated
+from ehbench.machines.rows import LIMITS, Checks, Rows, violated
 from ehbench.plant.model import Model
 from ehbench.runtime.memory import MOST_STEPS, refuse_beyond, rows_of
 from ehbench.trial import controllers
+from ehbench.trial.checks import checks_of, limit_array
 from ehbench.trial.code import refuse_code
 from ehbench.trial.commands import command_table
 from ehbench.trial.controllers import Compiled, Design, Laws
@@ -37,6 +38,15 @@ if TYPE_CHECKING:
     from ehbench.plant.build import Maps
 
 
+# quantities of what limits compare, where it is not that of the channel
+QUANTITY_OF = {
+    "command_rate": "command_rate",
+    "sample_age": "delay",
+    "overrun": "delay",
+    "following_error": "following_error",
+    "position_mismatch": "following_error",
+}
+OWN_SENTENCE = (*QUANTITY_OF, "finite", "pressure_range")
 RUN_OUT = 3.0  # [s] that are logged at most after a stop, valves at rest
 
 
@@ -117,7 +127,8 @@ class Prepared:
     ``machine`` is the one that the recipe names, not started; ``t`` [s], shape (samples,);
     ``table`` the open-loop commands [V], shape (samples, valves); ``limits`` as in
     `ehbench.machines.rows`; ``posture`` where it starts; ``loop`` None for open loop; ``payloads``
-    what it carries from which row on, where that changes. It may run again, and gives the same
+    what it carries from which row on, where that changes; ``cylinders`` are the rig's rows of the
+    plant. It may run again, and gives the same
     bytes."""
 
     recipe: TrialRecipe
@@ -130,6 +141,7 @@ class Prepared:
     posture: dict[str, str]
     loop: Loop | None
     payloads: dict[int, str | None]
+    cylinders: np.ndarray
 
     @property
     def duration(self) -> float:
@@ -199,7 +211,9 @@ class Prepared:
             sample,
             self.limits.copy(),
             machine.strokes,
+            self._checks(sample, t.size),
             np.zeros(3, dtype=np.int64),
+            np.zeros(2),
         )
         if violated(rows, 0):
             reached = self.reached(machine, rows, 0)
@@ -209,30 +223,32 @@ class Prepared:
             sample[machine.channels.index(channel)] += float(error)
         return rows
 
+    def _checks(self, sample: np.ndarray, rows: int) -> Checks:
+        """What every sample is compared with, from the first on."""
+        loop = self.loop
+        driven, laws = ((), None) if loop is None else (loop.driven, loop.laws)
+        return checks_of(self.recipe.limits, sample, self.cylinders, rows, driven, laws)
+
     def reached(self, machine: Machine, rows: Rows, row: int) -> Stop:
-        """The limit that `violated` found in a row."""
-        which, index, entry = (int(v) for v in rows.found)
-        bound, t = float(rows.limits[which]), float(rows.t[row])
-        if which == COMMAND:
+        """The limit that `violated` met in a row."""
+        which, index, entry = (int(v) for v in rows.reached)
+        (value, bound), t = rows.by.tolist(), float(rows.t[row])
+        limit, word = LIMITS[which], LIMITS[which]
+        channel = machine.channels[entry] if entry >= 0 else ""
+        if index >= 0 and entry < 0:
             channel = f"{machine.commands.names[index]}.command"
-            value = float(rows.commands[row, index])
-        else:
-            channel, value = machine.channels[entry], float(rows.sample[entry])
-        if which == MARGIN and value >= bound:  # it is the far end that is too near
-            bound = float(rows.strokes[index]) - bound
-        word = channel.rsplit(".", 1)[-1]
+        if limit in QUANTITY_OF:
+            word = QUANTITY_OF[limit]
+        elif channel:
+            word = channel.rsplit(".", 1)[-1]
         unit = self.rig.unit_of(word)
         shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
-        sentence = message(
-            "trial.limit_passed",
-            channel=channel,
-            value=shown,
-            unit=unit,
-            limit=LIMITS[which],
-            bound=edge,
-            t=t,
-        )
-        return Stop(LIMITS[which], channel, value, bound, t, sentence)
+        fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit, "t": t}
+        if limit in OWN_SENTENCE:
+            sentence = message(f"trial.stop_{limit}", bound=edge, **fields)
+        else:
+            sentence = message("trial.limit_passed", bound=edge, **fields)
+        return Stop(limit, channel, value, bound, t, sentence)
 
     def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool) -> Aftermath:
         """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
@@ -325,10 +341,14 @@ def prepare(
     t = np.arange(count) / rate
     table = command_table(recipe, rig, t, () if loop is None else _controlled_valves(loop))
     machine = open_machine(recipe, rig, maps)
-    limits = limit_array(recipe.limits)
+    limits = limit_array(recipe.limits, rig)
     _refuse_unknown_pressures(recipe, machine)
     payloads = _payloads(recipe, machine, t)
-    prepared = Prepared(recipe, rig, maps, machine, t, table, limits, posture, loop, payloads)
+    model = Model.of(rig, maps) if loop is None else loop.design.model
+    cylinders = model.plant.cylinders
+    prepared = Prepared(
+        recipe, rig, maps, machine, t, table, limits, posture, loop, payloads, cylinders
+    )
     if truth_of(machine) is not None:
         prepared.first_rows(machine, 1)
     else:

@@ -232,6 +232,9 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
 def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     recipe, law, stop, rate = prepared.recipe, session.law, session.stop, session.machine.rate
     warnings = [] if prepared.loop is None else list(prepared.loop.notes)
+    for channel, count in zip(session.machine.channels, session.gaps.tolist(), strict=True):
+        if count:
+            warnings.append(message("trial.sensor_gaps", channel=channel, count=count))
     measures = {}
     if isinstance(law, UserCode) and law.beyond:
         counts = {"count": law.beyond, "ticks": session.end}

@@ -16,13 +16,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ehbench.data.record import Record
-from ehbench.machines.protocol import Machine, advance_of, carry_of, hidden_of, truth_of
-from ehbench.machines.rows import NO_LIMITS, Controls, LawRows, Rows, control, violated
+from ehbench.machines.protocol import (
+    Machine,
+    advance_of,
+    carry_of,
+    hidden_of,
+    stamp_of,
+    truth_of,
+)
+from ehbench.machines.rows import Controls, LawRows, Rows, control, violated
+from ehbench.parts.sample import LineEntries
+from ehbench.runtime.interrupts import unbroken
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import HOLD
-from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
@@ -44,6 +53,7 @@ class SessionSettings:
 
 
 SESSION = SessionSettings()
+STAMPS = ("sample_time", "sample_sequence", "sample_age", "missed_ticks")
 # telemetry that is 0 after a stop, beside the edges' flows
 DEMANDS = (
     *("v_desired", "a_desired", "j_desired", "v_shaped"),
@@ -74,6 +84,9 @@ class Session:
             if prepared.rig.mechanism.kind != "slide" or not name.endswith((".q", ".qd"))
         ]
         self.rows = prepared.first_rows(machine)
+        measured = self.rows.checks.measured
+        self._logged = [item for item in self._logged if measured[item[0]]]
+        self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that were no numbers
         self.law = prepared.law(machine)
         self._packed = _packed(self.law)
         self._step = getattr(self.law, "step", None)
@@ -84,6 +97,10 @@ class Session:
         self.after: Aftermath | None = None
         self.end = prepared.t.size
         self._halted, self._next_look = 0, sys.maxsize
+        self._sent = machine.commands.rest.copy()  # the last command that the machine got
+        stamp = stamp_of(machine)
+        self._missed, self._real_time = 0.0, getattr(machine, "real_time", False)
+        self.stamps = None if stamp is None else np.zeros((prepared.t.size, len(STAMPS)))
         self._stretch = max(1, round(SESSION.look * machine.rate))
 
     def run(
@@ -103,10 +120,25 @@ class Session:
             InputError: a user's class raised, or gave no commands.
         """
         with self.law.watched() if isinstance(self.law, UserCode) else nullcontext():
-            self._run(log, progress)
+            try:
+                self._run(log, progress)
+            except BaseException:
+                self._let_valves_rest()
+                raise
+
+    def _let_valves_rest(self) -> None:
+        """Let the valves go to rest by the recipe's ramp, whatever ended the trial."""
+        rest = self.machine.commands.rest
+        ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
+        with unbroken():
+            for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
+                try:
+                    self.machine.tick((1.0 - share) * self._sent + share * rest)
+                except Exception:  # a machine that fails still gets the commands that follow
+                    continue
 
     def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
-        first, rate = 0, self.machine.rate
+        first = 0
         if isinstance(self.law, UserCode):
             self.law.start(self.rows.sample)
         begun = time.monotonic()
@@ -117,8 +149,6 @@ class Session:
             change = min((row for row in payloads if row > first), default=sys.maxsize)
             until = min(first + SESSION.chunk, self._next_look, self.end, change)
             stopped_at, upto = self._through(first, until)
-            if not np.isfinite(self.rows.sample).all():
-                raise SimulationError(message("trial.not_finite", t=upto / rate))
             if stopped_at >= 0:
                 self._halt(stopped_at)
             if log is not None:
@@ -151,14 +181,20 @@ class Session:
         """
         if self._advance is not None and self._step is None:
             row = self._advance(first, stop)
-            return row, stop if row < 0 else row
+            upto = stop if row < 0 else row
+            if upto > first:
+                self._sent = self.rows.commands[upto - 1].copy()
+            return row, upto
         rows, advance, step, packed = self.rows, self._advance, self._step, self._packed
         now, until = time.monotonic, time.monotonic() + SESSION.wait
         for i, t in enumerate(rows.t[first:stop].tolist(), first):
+            begun = now()
             if step is not None:
                 step(i, t, rows.sample, rows.commands[i])
             elif packed is not None:
                 control(packed, i, rows)
+            if self.stamps is not None and self._real_time:
+                rows.checks.stamp[3] = now() - begun
             if self._tick(i) if advance is None else advance(i, i + 1) >= 0:
                 return i, i
             if now() > until:
@@ -171,9 +207,22 @@ class Session:
         if violated(rows, i):
             return True
         rows.samples[i] = rows.sample
+        gaps = rows.checks.measured & ~np.isfinite(rows.sample)
+        if gaps.any():
+            rows.samples[i, gaps] = rows.samples[i - 1, gaps]
+            self.gaps += gaps
         if self._known is not None:
             self._known.read(rows.commands[i], rows.truth[i])
+        if self.stamps is not None:
+            if i >= len(self.stamps):
+                self.stamps = np.concatenate([self.stamps, np.zeros_like(self.stamps)])
+            self.stamps[i] = *rows.checks.stamp[:3], self._missed
+        self._sent = rows.commands[i].copy()
         rows.sample[:] = self.machine.tick(rows.commands[i])
+        stamp = stamp_of(self.machine)
+        if stamp is not None:
+            self._missed = max(stamp.sequence - rows.checks.stamp[1] - 1.0, 0.0)
+            rows.checks.stamp[:3] = stamp
         return False
 
     def _halt(self, row: int) -> None:
@@ -185,7 +234,7 @@ class Session:
         ramp = round(float(self.prepared.recipe.limits.ramp) * rate)
         self.end = row + 1 + ramp + round(RUN_OUT * rate)
         self.rows = rows = _with_room(self.rows, self.end, rate)
-        rows.limits[:] = NO_LIMITS
+        rows.checks.armed[0] = False
         before = rows.commands[row - 1].copy() if row else rest
         share = np.minimum(np.arange(1.0, self.end - row + 1) / (ramp + 1), 1.0)[:, None]
         shut = np.where(self.prepared.shut_at_once(self.stop, before), 1.0, share)
@@ -226,10 +275,13 @@ class Session:
         else:
             samples = rows.samples[part]
             channels = {name: samples[:, i].copy() for i, name in self._logged}
-            lines = {name: channels.pop(name) for name in ("p_supply", "p_tank")}
+            lines = {name: channels.pop(name) for name in LineEntries._fields if name in channels}
             valves = self.machine.commands.names
             channels |= {f"{name}.command": commands[:, i].copy() for i, name in enumerate(valves)}
             channels |= lines
+        if self.stamps is not None:
+            stamps = self.stamps[part]
+            channels |= {name: stamps[:, i].copy() for i, name in enumerate(STAMPS)}
         for law in _parts(self.law):
             telemetry = law.telemetry[part]
             channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}
@@ -307,7 +359,9 @@ def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
     """Telemetry after a stop: the last estimates and the desired stroke stay, nothing is asked for
     any more.
     """
-    retained = law.telemetry[min(row, len(law.telemetry) - 1)]
+    last = min(row, len(law.telemetry) - 1)
+    retained = law.telemetry[last]
+    retained = np.where(np.isfinite(retained), retained, law.telemetry[max(last - 1, 0)])
     law.telemetry = np.concatenate([law.telemetry[:row], np.tile(retained, (end - row, 1))])
     for column, name in enumerate(law.channels):
         word = name.rsplit(".", 1)[-1]

@@ -32,6 +32,7 @@ from ehbench.config.recipe.trial import (
     Command,
     Controller,
     CylinderMotion,
+    Fault,
     Limits,
     MachineChange,
     Motion,

@@ -66,14 +66,89 @@ class Limits(FileModel):
     """Where a trial stops safely. Pressures are of every chamber; ``stroke_margin`` is kept at both
     ends of every stroke. ``ramp`` is the time in which the valves then go to rest: shut at once,
     they would catch the moving load between them, and the pressure would rise far above its limit.
-    """
+
+    What is not finite always stops a trial, and so does a sensor that says what its machine cannot
+    do. A bound that is ``"auto"`` follows from the rig, see `ehbench.trial.checks`."""
 
     pressure_max: Annotated[Value, Q("pressure")] | None = None
     pressure_min: Annotated[Value, Q("pressure")] | None = None
     stroke_margin: Annotated[Value, Q("stroke")] | None = None
     speed_max: Annotated[Value, Q("v")] | None = None
     command_max: Annotated[Value, Q("command_max")] | None = None
+    command_rate: Annotated[Value, Q("command_rate")] | None = Field(
+        default=None, description="largest change of a command; none by default, as steps have none"
+    )
+    following_error: Annotated[Value | Literal["auto"], Q("following_error", word="auto")] = Field(
+        default="auto",
+        description="largest distance between the desired and the measured stroke under a law that "
+        "controls the stroke, for at most `following_time`; `auto` is 10 % of the stroke",
+    )
+    following_time: Annotated[Value, Q("hold")] = Field(
+        default=Value(0.1), description="that a following error may last"
+    )
+    position_mismatch: Annotated[Value | Literal["auto"], Q("following_error", word="auto")] = (
+        Field(
+            default="auto",
+            description="largest distance between the measured stroke and that of the measured "
+            "joint angle; `auto` is 5 % of the stroke",
+        )
+    )
+    pressure_range: Annotated[Value | Literal["auto"], Q("pressure", word="auto")] = Field(
+        default="auto",
+        description="largest pressure that a sound sensor can say; `auto` is three times the "
+        "highest pressure of supply and relief valves. The smallest is a vacuum",
+    )
+    sample_age: Annotated[Value, Q("delay")] = Field(
+        default=Value(0.02), description="of a machine that stamps its samples"
+    )
+    overrun: Annotated[Value, Q("delay")] = Field(
+        default=Value(0.02),
+        description="longest time that a controller takes for a command, on a machine in real time",
+    )
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
+
+
+class Fault(FileModel):
+    """Something that fails on the model or the virtual bench during a trial, from ``start`` to
+    ``stop``, by default to the end.
+
+    A sensor, ``target`` a channel such as ``boom.p_head`` or ``boom.x``: ``stuck`` at its last
+    value, ``offset`` by ``value``, ``drift`` by ``value`` each second, ``nan``, ``zero``,
+    ``dropouts`` (it repeats its last value for ``duration`` every ``period``), ``spikes`` (of
+    ``value`` for one sample every ``period``). A valve, ``target`` such as ``boom.hepc``:
+    ``stuck_open`` at ``value``, by default the end of its range, ``stuck_closed``, ``slow`` by a
+    lag of ``duration``. Without target: ``supply_lost``, ``link_delayed`` by ``duration``,
+    ``link_lost``, ``link_reordered``, ``controller_late`` by ``duration``."""
+
+    kind: Literal[
+        "stuck",
+        "offset",
+        "drift",
+        "nan",
+        "zero",
+        "dropouts",
+        "spikes",
+        "stuck_open",
+        "stuck_closed",
+        "slow",
+        "supply_lost",
+        "link_delayed",
+        "link_lost",
+        "link_reordered",
+        "controller_late",
+    ] = Field(description="how it fails")
+    target: str = Field(default="", description="a channel or a valve")
+    start: Annotated[Value, Q("start")] = Field(default=Value(0.0), description="of the fault")
+    stop: Annotated[Value, Q("stop")] | None = Field(
+        default=None, description="by default the end of the trial"
+    )
+    value: str | None = Field(default=None, description="in the unit of the target")
+    duration: Annotated[Value, Q("hold")] = Field(
+        default=Value(0.02), description="of a dropout, or by how much something is late or slow"
+    )
+    period: Annotated[Value, Q("hold")] = Field(
+        default=Value(0.5), description="of dropouts and spikes"
+    )
 
 
 class MachineChange(FileModel):
@@ -82,9 +157,10 @@ class MachineChange(FileModel):
     ``delay`` of all samples (on the model, whose sensors are exact, of all commands) and
     ``pressure_lag`` are added; ``valve_lag`` (the valves' periods), ``bulk_modulus``, ``friction``,
     ``flow`` of every edge and ``supply_pressure`` are factors; ``deadband`` is added to every
-    edge's."""
+    edge's. ``fault`` is what fails on it, as `Fault`."""
 
     name: str = ""
+    fault: tuple[Fault, ...] = Field(default=(), description="what fails on it, as `[[fault]]`")
     delay: Annotated[Value, Q("delay")] = Value(0.0)
     pressure_lag: Annotated[Value, Q("lag")] = Value(0.0)
     valve_lag: float = Field(default=1.0, gt=0.0, le=100.0)
@@ -402,6 +478,7 @@ class AnyTrial(Recipe):
     first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
+    fault: tuple[Fault, ...] = Field(default=(), description="what fails during it, `[[fault]]`")
     supply: OtherSupply = OtherSupply()
 
     @model_validator(mode="after")

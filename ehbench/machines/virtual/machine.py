@@ -258,6 +258,7 @@ class VirtualMachine:
             row = run(first, stop, own, rows, law, self.noise(stop - first))
             if row >= 0:  # noise that no tick used is the next one's, however long the call was
                 self._used -= stop - row
+            self._must_be_finite()
             return row
 
         return through

@@ -1,0 +1,97 @@
+"""The limits of a trial and what every sample is compared with, from its recipe and its rig."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ehbench.config.recipe import Limits
+from ehbench.config.rig import Rig
+from ehbench.machines.rows import LIMITS, Checks
+from ehbench.parts.sample import OF, entry
+from ehbench.vocabulary.settings import setting
+
+if TYPE_CHECKING:
+    from ehbench.trial.controllers import Laws
+    from ehbench.trial.coordination import Driven
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """Bounds of a trial that its recipe leaves ``auto``."""
+
+    following: float = setting(
+        0.1, "", "following error, as a share of the stroke", "five times that of a sound trial"
+    )
+    mismatch: float = setting(
+        0.05, "", "difference of two strokes, as a share of the stroke", "pins measured to 1 %"
+    )
+    range: float = setting(
+        3.0, "", "a pressure, in highest pressures of the rig", "a caught load doubles it"
+    )
+
+
+CHECKS = CheckSettings()
+
+
+def limit_array(limits: Limits, rig: Rig) -> np.ndarray:
+    """A recipe's limits in the order of LIMITS, SI; infinite where there is none.
+
+    Those of each cylinder by itself, the last of LIMITS, are in `checks_of`."""
+    highest = [float(rig.supply.pressure)]
+    highest += [float(c.relief_pressure) for c in rig.cylinder if c.relief_pressure is not None]
+    values = []
+    for name in LIMITS:
+        value = getattr(limits, name, None)
+        if value == "auto" and name == "pressure_range":
+            value = CHECKS.range * max(highest)
+        none = -math.inf if name in ("pressure_min", "stroke_margin") else math.inf
+        values.append(none if value is None or value == "auto" else float(value))
+    return np.array(values)
+
+
+def checks_of(
+    limits: Limits,
+    sample: np.ndarray,
+    cylinders: np.ndarray,
+    rows: int,
+    driven: Sequence[Driven] = (),
+    laws: Laws | None = None,
+) -> Checks:
+    """What the samples of a trial are compared with.
+
+    Args:
+        limits: of the recipe.
+        sample: the first [SI]; a channel that is not finite there is one that nobody measures.
+        cylinders: of the rig's plant.
+        rows: of the trial.
+        driven: the cylinders that it moves.
+        laws: of these, None of a user's class.
+    """
+    strokes = cylinders["stroke"]
+
+    def bound(given: object, share: float) -> np.ndarray:
+        return share * strokes if given == "auto" else np.full(len(strokes), float(given))  # type: ignore[arg-type]
+
+    desired = np.full((rows, len(strokes)), math.nan)
+    for number, item in enumerate(driven):
+        index = item.design.index
+        law = None if laws is None else laws.parts[number].controller
+        follows = law is not None and bool(law.observed[entry(index, OF.x)])
+        if follows or limits.following_error != "auto":
+            table = item.references.table
+            desired[: len(table), index] = table[:rows, 0]
+    return Checks(
+        np.ones(1, dtype=np.bool_),
+        np.isfinite(sample),
+        cylinders,
+        desired,
+        bound(limits.following_error, CHECKS.following),
+        bound(limits.position_mismatch, CHECKS.mismatch),
+        np.full(len(strokes), -1, dtype=np.int64),
+        np.zeros(4),
+    )
