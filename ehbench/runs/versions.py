@@ -21,7 +21,7 @@ METHODS: Mapping[str, int] = {
     "diagnosis": 1,
     "validation": 2,
     "control": 1,  # controllers
-    "tuning": 1,
+    "tuning": 2,
     "trial": 1,  # the loop and what is measured of it
     "ledger": 1,
     "sampling": 1,  # designs of studies and their statistics

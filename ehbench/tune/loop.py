@@ -1,10 +1,9 @@
 """An operating point under the pressure feedback, in linear form: its poles, its margins, bandwidth
-and stability limit, by python-control where it has them."""
+and stability limit."""
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -15,6 +14,7 @@ from ehbench.control.functions import HEAD, METERED, PATH_FLOWS, Circuit, couple
 from ehbench.tune.linear import LinearModel, are_rates, first_valve
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint
 from ehbench.tune.results import Margins
+from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
@@ -201,11 +201,14 @@ def margins(loop: Loop, gain: float) -> Margins:
     """Margins of the feedback loop and of the off-side loop, each with the other closed, and
     bandwidth at a gain [m³/(s·Pa)].
     """
-    least_gain, least_phase = math.inf, math.inf
-    for system in _open_loops(loop, gain):
-        g, p = _stability(system)
-        least_gain, least_phase = min(least_gain, g), min(least_phase, p)
-    return Margins(least_gain, least_phase, bandwidth(loop, gain))
+    loops = _open_loops(loop, gain)
+    if any(item.growth() > 0.0 for item in loops):
+        return Margins(0.0, 0.0, bandwidth(loop, gain))
+    return Margins(
+        min((gain_margin(item) for item in loops), default=math.inf),
+        min((phase_margin(item) for item in loops), default=math.inf),
+        bandwidth(loop, gain),
+    )
 
 
 def system_of(a: np.ndarray, b: np.ndarray, c: np.ndarray):
@@ -219,37 +222,13 @@ def speed_of(loop: Loop, gain: float):
     return system_of(loop.closed(gain), loop.d, np.eye(loop.a.shape[0])[0])
 
 
-def _open_loops(loop: Loop, gain: float) -> list:
-    """Loop transfer functions of the feedback, and of the off-side pressure control if there is
-    one.
-    """
-    systems = [system_of(loop.a, gain * loop.b, -loop.c)] if gain > 0 else []
+def _open_loops(loop: Loop, gain: float) -> list[OpenLoop]:
+    """The loop of the feedback, and of the off-side pressure control if there is one."""
+    loops = [OpenLoop(loop.a, gain * loop.b, -loop.c)] if gain > 0 else []
     u, s, v = np.linalg.svd(loop.off)
     if s[0] > 0:
-        systems.append(system_of(loop.closed(gain) - loop.off, s[0] * u[:, 0], -v[0]))
-    return systems
-
-
-def _stability(system) -> tuple[float, float]:
-    """(gain margin as a factor, phase margin [rad]); inf where there is none, 0 where the closed
-    loop is unstable.
-    """
-    import control
-
-    closed = np.linalg.eigvals(system.A - system.B @ system.C)
-    if damping_ratio(closed) < 0.0:
-        return 0.0, 0.0
-    with warnings.catch_warnings():
-        # python-control looks for roots of polynomials of widely spread coefficients, and says so
-        warnings.filterwarnings(
-            "ignore",
-            message=".*(ill-conditioned|badly conditioned|overflow|divide by zero|invalid value).*",
-        )
-        gains, phases, _, crossings, _, _ = control.stability_margins(system, returnall=True)
-    up = [g for g in np.atleast_1d(gains) if g > 1.0]
-    return min(up, default=math.inf), math.radians(
-        min(np.abs(np.atleast_1d(phases)), default=math.inf)
-    )
+        loops.append(OpenLoop(loop.closed(gain) - loop.off, s[0] * u[:, 0], -v[0]))
+    return loops
 
 
 def bandwidth(loop: Loop, gain: float) -> float:
