@@ -15,6 +15,7 @@ from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, 
 from ehbench.config.rig import NODES, Rig
 from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
 from ehbench.runtime.disk import impossible
+from ehbench.signals.oddities import oddities
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import with_orifices
 from ehbench.stages.notes import Notes, line_naming
@@ -219,6 +220,10 @@ def _log(path: Path, verbose: bool) -> Inspection:
         row = quantity(name)
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
         lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
+        odd = [] if name.endswith(".command") else oddities(from_si(values, row.display, row))
+        for kind, count, first, value in odd:
+            fields = {"count": count, "value": value, "where": f"t = {record.t[first]:.6g} s"}
+            lines.append(f"    {message(f'app.odd_{kind}', **fields)}")
     unfit, gaps, more = "", [], []
     if record.t.size < LEAST_SAMPLES:
         unfit = message("app.few_samples", samples=plural(record.t.size, "sample"))

@@ -61,6 +61,7 @@ _TABLE: tuple[tuple[str, float, str, bool], ...] = (
     ("gallon gal", 3.785411784e-3, "m^3", False),
     ("lpm", 1e-3 / 60.0, "m^3/s", False),
     ("gpm", 3.785411784e-3 / 60.0, "m^3/s", False),
+    ("igpm", 4.54609e-3 / 60.0, "m^3/s", False),
     ("Hz hertz cps", 1.0, "cycle/s", True),
     ("rpm", 2.0 * math.pi / 60.0, "rad/s", False),
     ("P poise", 0.1, "Pa*s", True),
@@ -97,8 +98,8 @@ _NO_UNIT = ("", "-", "1")
 _SPOKEN = {
     **dict.fromkeys(("volt", "volts", "vdc"), "V"),
     **dict.fromkeys(("amp", "amps", "ampere", "adc"), "A"),
-    **dict.fromkeys(("barg", "bard", "bar(d)", "bar(g)", "bar g", "bar_g", "bars"), "bar"),
-    **dict.fromkeys(("psig", "psid", "psi(g)", "psi(d)", "psi g", "lbf/in2"), "psi"),
+    **dict.fromkeys(("barg", "bard", "bar(d)", "bar(g)", "bar g", "bar_g", "bars", "bar"), "bar"),
+    **dict.fromkeys(("psi", "psig", "psid", "psi(g)", "psi(d)", "psi g", "lbf/in2"), "psi"),
     **dict.fromkeys(("kpa", "kpag", "kpa(g)"), "kPa"),
     **dict.fromkeys(("mpa", "mpag", "mpa(g)"), "MPa"),
     **dict.fromkeys(("pag", "pascal", "pascals"), "Pa"),
@@ -106,19 +107,24 @@ _SPOKEN = {
     **dict.fromkeys(("msec", "millisecond", "milliseconds"), "ms"),
     **dict.fromkeys(("usec", "µs", "μs", "microseconds"), "us"),
     **dict.fromkeys(("°/s", "deg/sec", "deg/s", "degrees/s", "dps"), "deg/s"),
-    **dict.fromkeys(("degrees", "grad", "°"), "deg"),
+    **dict.fromkeys(("deg", "degrees", "°"), "deg"),
     **dict.fromkeys(("mm/sec", "mm s-1"), "mm/s"),
     **dict.fromkeys(("m/sec", "m s-1"), "m/s"),
-    **dict.fromkeys(("l/min", "ltr/min", "l/m", "lit/min", "slpm"), "L/min"),
-    **dict.fromkeys(("gal/min", "usgpm", "us gpm", "gpm us", "gpm (us)", "us gal/min"), "gpm"),
-    **dict.fromkeys(("u/min", "1/min", "r/min", "rev/min"), "rpm"),
+    **dict.fromkeys(("lpm", "l/min", "ltr/min", "l/m", "lit/min", "slpm"), "L/min"),
+    **dict.fromkeys(("gpm", "gal/min", "usgpm", "us gpm", "gpm us", "gpm (us)"), "gpm"),
+    "us gal/min": "gpm",
+    **dict.fromkeys(("rpm", "u/min", "1/min", "r/min", "rev/min"), "rpm"),
     **dict.fromkeys(("percent", "pct", "prozent"), "%"),
-    **dict.fromkeys(("count", "cts", "digit", "lsb", "raw", "inc"), "counts"),
+    **dict.fromkeys(("igpm", "gpm (uk)", "uk gpm", "imp gpm", "imperial gpm"), "igpm"),
+    **dict.fromkeys(("bit", "bits", "count", "cts", "digit", "lsb", "raw", "inc"), "counts"),
     **dict.fromkeys(("deg c", "°c", "celsius", "degc"), "degC"),
     **dict.fromkeys(("deg f", "°f", "fahrenheit", "degf"), "degF"),
 }
 _ABSOLUTE = re.compile(r"(m?bar|psi|[km]?pa)[\s_]*\(?a(?:bs(?:ol\w*)?)?\.?\)?", re.I)
 _GAUGE = {unit.lower(): unit for unit in ("mbar", "bar", "psi", "Pa", "kPa", "MPa")}
+
+_GERMAN = {"Grad": "deg", "GRAD": "deg"}
+_TWO_MEANINGS = ("grad", "mPa")  # a degree or a gon; MPa, as nobody measures oil in mPa
 
 # how else to give a quantity that a data sheet has in another form
 _INSTEAD = {
@@ -252,6 +258,12 @@ def is_of(unit: str, row: Quantity) -> bool:
     return not isinstance(_conversion(unit, row.unit), Message)
 
 
+def is_share(unit: str) -> bool:
+    """Whether a unit has no dimension: counts, percents."""
+    result = _unit(unit)
+    return result is not None and not any(result.powers)
+
+
 def _unwrapped(text: str) -> str:
     """A text without the brackets or quotes about it."""
     plain = text.strip()
@@ -266,7 +278,9 @@ def named_unit(text: str) -> str:
     '' of one that is no unit.
     """
     plain = _unwrapped(text)
-    if spoken := _SPOKEN.get(plain.lower()):
+    if plain in _TWO_MEANINGS:
+        return ""
+    if spoken := _GERMAN.get(plain) or _SPOKEN.get(plain.lower()):
         return spoken
     if plain in (*_NO_UNIT, "dimensionless") or plain[:1].isdigit():
         return ""

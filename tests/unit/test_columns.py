@@ -539,7 +539,8 @@ def test_what_a_name_says_is_guessed(tmp_path):
     header = ";".join(["ms since start [ms]", *names])
     (tmp_path / "a.csv").write_text("\n".join([header, *rows]), encoding="utf-8")
     guesses = mapping.guessed(open_source(tmp_path / "a.csv"), None)
-    assert guesses["ms since start [ms]"] == mapping.Guess("t", "ms", True)
+    time = guesses["ms since start [ms]"]
+    assert (time.channel, time.unit, time.sure) == ("t", "ms", True)
     found = {name: guesses[name].channel for name in names}
     assert found == names
     assert not any(guess.sure for name, guess in guesses.items() if not guess.channel)

@@ -40,7 +40,7 @@ def test_a_sample_is_missing_from_one_and_a_half_steps_on():
         t = np.array([0.0, 1.0, 2.0, 3.0, 3.0 + step, 4.0 + step])
         assert bool(gaps(group(t), None)) == missing
     base = group(np.arange(0.0, 12.0, 0.25), "ram.v")
-    for step, lost in ((2.2, False), (2.8, True)):
+    for step, lost in ((6.2, False), (6.8, True)):
         slow = np.concatenate([np.arange(4.0), np.arange(3.0 + step, 12.0)])
         t, _, _ = joined([base, group(slow)], [])
         assert bool(((t > 3.0) & (t < 3.0 + step)).any()) != lost

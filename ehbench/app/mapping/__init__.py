@@ -14,7 +14,7 @@ import numpy as np
 from ehbench.app.mapping.guesses import CYLINDER, VALVE, Guess, guessed
 from ehbench.app.mapping.picture import draw
 from ehbench.app.mapping.readings import holds_readings, reading_guesses
-from ehbench.app.mapping.written import drafted, own_rows, range_of
+from ehbench.app.mapping.written import drafted, own_rows, range_of, remark
 from ehbench.config.recipe.columns import ENDING, load_columns
 from ehbench.config.rig import Rig
 from ehbench.data import read
@@ -22,8 +22,10 @@ from ehbench.data.channels import DAYS
 from ehbench.data.flowmeter import alike, read_flowmeter
 from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source, reader_of
 from ehbench.data.readers.clock import since_1970
+from ehbench.data.record import lost, recovered
 from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.runtime.disk import replacing, write_text
+from ehbench.signals.oddities import oddities
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -105,26 +107,50 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
         wide = min(max(map(len, own), default=0), 40)
         for name in own:
             column, guess = table.columns[names[name][1]], guesses[name]
-            text = _bad_text(column, rows[name])
+            text = _bad_text(column, rows[name], table)
             lines.append(f"  {name:<{wide}}  {range_of(column)}{text}  → {_guess_text(guess)}")
-        for name in table.words:
-            if name in guesses:
-                lines.append(f"  {name:<{wide}}  words  → {guesses[name].channel or '?'}")
+            lines += [f"    {note}" for note in _odd(column, guess, table)]
+        for name, cells in table.words.items():
+            row = next((row for row, cell in enumerate(cells) if cell), 0)
+            fields = {"cell": remark(cells[row] if cells else ""), "where": _where(table, row)}
+            text = message("app.no_numbers", **fields)
+            guess = guesses.get(name, Guess())
+            lines.append(f"  {name:<{wide}}  {text}  → {_guess_text(guess)}")
     return [*lines, *source.losses]
 
 
 def _guess_text(guess: Guess) -> str:
-    """What a column may be, with a question mark where that is not sure."""
+    """What a column may be, how certain that is, and why."""
     unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
-    mark = "?" if not (guess.sure and guess.channel) else ""
-    return f"{guess.channel}{unit}{mark}" + (f"  ({guess.remark})" if guess.remark else "")
+    reasons = ", ".join(filter(None, (*guess.why, guess.remark)))
+    return f"{guess.channel or '?'}{unit}  {guess.certainty}{reasons and ': ' + reasons}"
 
 
-def _bad_text(column: SourceColumn, own: np.ndarray) -> str:
+def _bad_text(column: SourceColumn, own: np.ndarray, table: SourceTable) -> str:
     """How many cells of a column hold no number, and in how many rows it stands."""
-    bad = int((~np.isfinite(column.values[own])).sum())
-    text = message("app.bad_in_column", count=bad) if bad else ""
+    bad = np.flatnonzero(~np.isfinite(column.values) & own)
+    text = message("app.bad_in_column", count=bad.size) if bad.size else ""
+    odd = next((int(row) for row in bad if column.odd.get(int(row))), None)
+    if odd is not None:
+        text += message("app.first_bad", cell=remark(column.odd[odd]), where=_where(table, odd))
     return text if own.all() else message("app.rows_of_a_rate", count=int(own.sum()), bad=text)
+
+
+def _where(table: SourceTable, row: int) -> str:
+    """Where a row stands in its file."""
+    return f"line {table.lines[row]}" if table.lines is not None else f"row {row + 1}"
+
+
+def _odd(column: SourceColumn, guess: Guess, table: SourceTable) -> list[str]:
+    """Notes on the odd samples of a column that is neither a time nor commanded."""
+    if guess.channel == "t" or guess.channel.endswith(".command"):
+        return []
+    return [
+        message(
+            f"app.odd_{odd.kind}", count=odd.count, value=odd.value, where=_where(table, odd.first)
+        )
+        for odd in oddities(column.values)
+    ]
 
 
 def _span(
@@ -184,7 +210,12 @@ def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) ->
         record = read(path, out)
     except EhbenchError as error:
         return [*lines, message("app.not_yet", error=error)]
-    lines.append(message("app.taken", record=repr(record)))
-    lines += [f"  {loss}" for loss in record.losses]
+    undecided = [name for name, guess in guesses.items() if not guess.sure]
+    fields = {"record": repr(record), "count": len(guesses) - len(undecided)}
+    if undecided:
+        names = ", ".join(f"'{remark(name)}'" for name in undecided)
+        fields |= {"columns": len(guesses), "undecided": names}
+    lines.append(message("app.taken_in_part" if undecided else "app.taken", **fields))
+    lines += [f"  {note}" for note in (*lost(record.losses), *recovered(path.name, record.losses))]
     lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
     return [*lines, _next(out)]

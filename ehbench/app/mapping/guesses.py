@@ -1,72 +1,123 @@
-"""What a column of a foreign log may be, by its unit, the words of its name and the rig's names."""
+"""What a column of a foreign log may be, by its unit, the words of its name and the rig's names.
+
+Each piece of evidence has a weight. A quantity or a place that words name in full is certain, a
+port's letter or number, or a unit alone, makes it likely. What contradicts, or fits several,
+leaves a column undecided."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.config.rig import Rig
-from ehbench.data.rates import SETTINGS, apart
+from ehbench.config.rig import Cylinder, Rig
+from ehbench.data.rates import SETTINGS, apart, is_bad
 from ehbench.data.readers import Source, SourceColumn, SourceTable
 from ehbench.data.readers.clock import since_1970
 from ehbench.preprocessing.sensors import ATMOSPHERE
+from ehbench.signals.timestamps import resolution, unrounded
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.units import from_si, is_of
+from ehbench.vocabulary.units import from_si, is_of, is_share, to_si
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
+CERTAIN, LIKELY, UNDECIDED = "certain", "likely", "undecided"
 AGAIN = 0.01  # share of the rows at most at which a clock begins again
 DAYS_TICK = 2e-5  # below which a count from 20 000 on is of days, not of seconds
 DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
 CURRENTS = {"mA", "A"}
+FULL, LETTER = 2, 1  # weight of a word, and of a port's letter or number
+# of valve drivers, in their unit
+_FULL_SCALES = (10, 20, 25, 30, 40, 50, 60, 75, 80, 100, 150, 200, 250, 300, 400, 500, 600, 800)
 
 
 with Path(__file__).with_name("words.toml").open("rb") as _file:
     WORDS = {key: set(words) for key, words in tomllib.load(_file).items()}
 _ENDS = ("p_supply", "p_tank", "p_rod", "p_head")
-_PORTS = {"p": "p_supply", "t": "p_tank"}  # beside another word for pressure: Druck P
 _LOOP = 25.0  # [mA] beyond which a current is no signal of 4 to 20 mA but that of a coil
 # what compounds are made of: Systemdruck, Ventilstrom, supplypressure
 _STEMS = tuple(
     word
     for key in (*_ENDS, "command", "pressure", "place", "angle", "speed", "time")
     for word in sorted(WORDS[key])
-    if len(word) >= 4
+    if len(word) >= 4 and word not in WORDS["whole"]
+)
+
+
+class _Row(NamedTuple):
+    """A quantity of a sensor: its words, and whether a unit alone may say so."""
+
+    channel: str
+    words: str
+    by_unit: bool = True
+
+
+_SENSORS = (
+    _Row("rod_force", "force"),
+    _Row("v", "speed"),
+    _Row("qd", "speed"),
+    _Row("x", "place"),
+    _Row("q", "angle"),
 )
 
 
 @dataclass(frozen=True)
 class Guess:
     """What a column may be: ``channel`` ('' where nothing is known), the unit of its numbers ('' of
-    none), whether it goes into the map by itself, a remark, two points where its numbers are no
-    volts, and the offset of an absolute pressure.
+    none), how certain that is, a remark, two points where its numbers are no volts, the offset of
+    an absolute pressure, and why.
     """
 
     channel: str = ""
     unit: str = ""
-    sure: bool = False
+    certainty: str = UNDECIDED
     remark: str = ""
     ends: tuple[str, str, str, str] | None = None
     offset: str = ""
+    why: tuple[str, ...] = ()
+
+    @property
+    def sure(self) -> bool:
+        """Whether it goes into the map by itself."""
+        return self.certainty != UNDECIDED
 
 
 def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
-    """A guess for each column, by name; a channel is given once."""
+    """A guess for each column, by name; of several columns for a channel the most certain one has
+    it, none where two are as certain.
+    """
     results: dict[str, Guess] = {}
-    taken: set[str] = set()
     for name, (i, j) in source.names().items():
         table = source.tables[i]
         guess = _guess(name, table.columns[j], table, rig)
-        if guess.channel in taken:
-            twice = message("app.as_well", channel=guess.channel)
-            guess = Guess(guess.channel, guess.unit, False, twice, guess.ends)
-        if guess.sure:
-            taken.add(guess.channel if guess.channel != "t" else f"t of {table.name}")
+        column, row = table.columns[j], guess.channel.rpartition(".")[2]
+        if column.doubt is not None:
+            guess = replace(guess, certainty=UNDECIDED, remark=column.doubt[1])
+        elif guess.sure and guess.channel != "t" and guess.ends is None and row in VOCABULARY:
+            values = to_si(column.values[np.isfinite(column.values)], guess.unit, VOCABULARY[row])
+            if np.mean(is_bad(guess.channel, values)) > AGAIN:
+                note = message("app.out_of_range", unit=guess.unit)
+                guess = replace(guess, certainty=UNDECIDED, remark=note)
         results[name] = guess
+    rank = {CERTAIN: 2, LIKELY: 1, UNDECIDED: 0}
+    best = Counter((guess.channel, rank[guess.certainty]) for guess in results.values())
+    for name, guess in results.items():
+        here = rank[guess.certainty]
+        above = any(best[guess.channel, more] for more in range(here + 1, 3))
+        if guess.sure and guess.channel != "t" and (above or best[guess.channel, here] > 1):
+            twice = message("app.as_well", channel=guess.channel)
+            results[name] = replace(guess, certainty=UNDECIDED, remark=twice)
+    for index, table in enumerate(source.tables):
+        times = [name for name, at in source.names().items() if at[0] == index]
+        for name, after in zip(times, times[1:]):  # two side by side: the nearer is the time
+            if results[name].channel == results[after].channel == "t" and results[after].sure:
+                note = message("app.time_known")
+                results[name] = replace(results[name], certainty=UNDECIDED, remark=note)
     return results
 
 
@@ -81,36 +132,66 @@ def _guess(name: str, column: SourceColumn, table: SourceTable, rig: Rig | None)
         return Guess(remark=message("app.no_number_held"))
     if is_time := _time(column, unit, words, table):
         return is_time
-    cylinder, sure = _cylinder(words, rig)
-    if channel := reading_of(unit, words):
-        place = channel if channel in ("p_supply", "p_tank") else f"{cylinder}.{channel}"
-        alone = channel in ("p_supply", "p_tank")
-        if not unit:
-            return Guess(place, "", False, message("app.which_unit"))
-        if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & WORDS["absolute"]):
-            offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
-            return Guess(place, unit, sure or alone, message("app.absolute"), None, offset)
-        return Guess(
-            place,
-            unit,
-            sure or alone,
-            message("app.push_positive") if channel == "rod_force" else "",
-        )
-    if words & WORDS["command"] or (unit in (*CURRENTS, "V", "%") and unit):
-        return command_guess(unit, words, known, (cylinder, sure), rig)
-    return Guess(remark="")
+    sensor = words & (WORDS["pressure"] | WORDS["angle"] | WORDS["force"] | WORDS["sensed"])
+    driven = unit in (*CURRENTS, "V", "%")
+    if driven and sensor and not words & WORDS["commanded"]:
+        return Guess(unit=unit, remark=message("app.sensor_signal", unit=unit))
+    channel, certainty, why = reading_of(unit, words)
+    if unit:
+        why = (message("app.why_unit", unit=unit), *why)
+    if channel:
+        return _placed(channel, certainty, why, (column, unit, words), rig)
+    if words & WORDS["command"] or (driven and words & WORDS["command_port"]):
+        return command_guess(unit, words, known, rig)
+    if is_share(unit) and sensor:
+        return Guess(unit=unit, remark=message("app.sensor_signal", unit=unit))
+    is_pressure = bool(unit) and is_of(unit, VOCABULARY["p_head"])
+    return Guess(unit=unit, remark=message("app.which_port" if is_pressure else "app.no_word"))
+
+
+def _placed(
+    channel: str,
+    certainty: str,
+    why: tuple[str, ...],
+    of: tuple[SourceColumn, str, set[str]],
+    rig: Rig | None,
+) -> Guess:
+    """A reading at its place on the rig."""
+    column, unit, words = of
+    if channel in ("p_supply", "p_tank"):
+        place, where = channel, ()
+    else:
+        cylinder, known, where = _cylinder(words, rig)
+        place = f"{cylinder}.{channel}"
+        certainty = known if CERTAIN == certainty or UNDECIDED == known else certainty
+    if not unit:
+        return Guess(place, "", UNDECIDED, message("app.which_unit"), why=(*why, *where))
+    remark, offset = "", ""
+    if VOCABULARY[channel].unit == "Pa" and (column.absolute or words & WORDS["absolute"]):
+        remark = message("app.absolute")
+        offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
+    if channel == "rod_force":
+        remark = message("app.push_positive")
+    if certainty == UNDECIDED and not remark and rig is not None:
+        names = ", ".join(cylinder.name for cylinder in rig.cylinder)
+        remark = message("app.which_cylinder", names=names)
+    return Guess(place, unit, certainty, remark, None, offset, (*why, *where))
 
 
 def words_of(name: str) -> set[str]:
     """The words of a name, small: of ``PT-101 cylA [bar]`` pt, 101, cyl, a; and those that a word
     begins or ends with: of ``Systemdruck`` system and druck too; of ``p_P``, pressure at
-    port P, pp.
+    port P, pp. A letter or number behind ``channel`` or ``AI`` counts the recorder's channels.
     """
     plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
     parts = re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain))
-    words = {part.lower() for part in parts}
-    words |= {"pp"} if [part.lower() for part in parts].count("p") > 1 else set()
+    parts = [part.lower() for part in parts]
+    parts = [part for at, part in enumerate(parts) if parts[at - 1 : at][:1] not in _COUNTED]
+    words = set(parts) | ({"pp"} if parts.count("p") > 1 else set())
     return words | {stem for stem in _STEMS for word in words if _made_of(word, stem)}
+
+
+_COUNTED = [[word] for word in WORDS["counted"]]
 
 
 def _made_of(word: str, stem: str) -> bool:
@@ -129,106 +210,144 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
     if steps.min() < 0.0:
         if not (is_time and words & WORDS["time"] and np.mean(steps < 0.0) < AGAIN):
             return None
-        return Guess("t", unit, False, message("app.time_goes_back"))
+        return Guess("t", unit, UNDECIDED, message("app.time_goes_back"))
     lvm = words >= {"x", "value"}
     if not (is_time or lvm or (words & WORDS["time"] and not unit)):
         even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
-        even &= column is table.columns[0] and table.t is None and not unit
-        return Guess("t", "s", False, message("app.rises_evenly")) if even else None
+        even = bool(even) and column is table.columns[0] and table.t is None and not unit
+        named = LIKELY if re.fullmatch(r"column \d+", column.name) else UNDECIDED
+        return Guess("t", "s", named, message("app.rises_evenly")) if even else None
     if table.t is not None:
         return Guess(remark=message("app.time_known"))
-    if np.mean(steps == 0.0) > SETTINGS.repeated:
+    even = unrounded(values, max(resolution(values)))
+    if even is values and np.mean(steps == 0.0) > SETTINGS.repeated:
         rate = (values.size - 1) / (values[-1] - values[0])
         note = message("app.time_rounded", rate=rate, unit=unit or "s")
-        return Guess("t", unit or "s", False, note)
+        return Guess("t", unit or "s", UNDECIDED, note)
     tick = float(np.median(steps))
     if not is_time and tick < DAYS_TICK and since_1970(86400.0 * float(values[0]), True):
-        return Guess("t", "d", True, message("app.days_guessed"))
+        return Guess("t", "d", LIKELY, message("app.days_guessed"))
     if not is_time:
         unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
-        return Guess("t", unit, True, message("app.unit_guessed"))
-    still = int((steps == 0.0).sum())
-    return Guess("t", unit, True, message("app.time_stands_still", count=still) if still else "")
+        return Guess("t", unit, LIKELY, message("app.unit_guessed"))
+    still = int((steps == 0.0).sum()) if even is values else 0
+    certainty = CERTAIN if words & WORDS["time"] else LIKELY
+    note = message("app.time_stands_still", count=still) if still else ""
+    return Guess("t", unit, certainty, note, why=(message("app.why_unit", unit=unit),))
 
 
-def reading_of(unit: str, words: set[str]) -> str:
-    """The quantity of a sensor, '' of none: by the unit, where it says none by the name."""
+def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
+    """(the quantity of a sensor, '' of none; how certain that is; why), by the unit and, where it
+    says none, by the name.
+    """
 
     def may(row: str, named: set[str]) -> bool:
-        if row == "q" and unit == "%":  # a share is no angle
+        if unit and is_share(unit):  # counts and percents are none
             return False
         return is_of(unit, VOCABULARY[row]) if unit else bool(words & named)
 
     if may("load_pressure", set()) and words & (WORDS["drop"] | WORDS["across"]):
-        return "load_pressure"
+        return "load_pressure", LIKELY, ()
     if may("p_head", WORDS["pressure"]):
-        named = (
-            words if words & WORDS["pressure"] else words - {"1", "2"}
-        )  # AI2 is no second chamber
-        named = named - {"pa"} if unit == "Pa" else named
-        ends = (end for end in _ENDS if named & WORDS[end])
-        ports = (end for letter, end in _PORTS.items() if {letter} < named)
-        return next(ends, next(ports, ""))
-    if unit and is_of(unit, VOCABULARY["command"]):
-        return ""
-    if may("rod_force", set()) and not words & WORDS["command"]:
-        return "rod_force"
-    for row, named in (
-        ("v", WORDS["speed"]),
-        ("qd", WORDS["speed"]),
-        ("x", WORDS["place"]),
-        ("q", WORDS["angle"]),
-    ):
-        if may(row, named) and (unit or row != "qd") and not words & WORDS["command"]:
-            return row
-    return ""
+        return _end(unit, words)
+    if unit and is_of(unit, VOCABULARY["command"]) or words & WORDS["command"]:
+        return "", UNDECIDED, ()
+    for row in _SENSORS:
+        named = WORDS[row.words] & words
+        if may(row.channel, named) and (unit or row.channel not in ("qd", "rod_force")):
+            why = tuple(message("app.why_word", word=word) for word in sorted(named))
+            return row.channel, CERTAIN if named else LIKELY, why
+    return "", UNDECIDED, ()
 
 
-def _cylinder(words: set[str], rig: Rig | None) -> tuple[str, bool]:
-    """(the cylinder that a name speaks of, whether that is sure)."""
+def _end(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
+    """Which pressure a name says, as `reading_of`; of the ends of which it names several the one
+    with the most weight.
+    """
+    pressure = words & WORDS["pressure"]
+    named = words if pressure else words - {"1", "2"}  # AI2 is no second chamber
+    ports = {end: named & WORDS[f"{end}_port"] for end in _ENDS}
+    if unit == "Pa":
+        ports["p_head"] = ports["p_head"] - {"pa"}
+    for end, letter in (("p_supply", "p"), ("p_tank", "t")):  # beside a word: Druck P
+        ports[end] = {letter} & words if pressure - {letter} else set()
+    weights = {end: FULL * bool(named & WORDS[end]) + LETTER * bool(ports[end]) for end in _ENDS}
+    first, second = sorted(weights, key=lambda end: -weights[end])[:2]
+    if weights[first] == weights[second]:
+        return "", UNDECIDED, ()
+    alone = weights[first] >= FULL and not weights[second]
+    found = sorted((named & WORDS[first]) | ports[first])
+    why = tuple(message("app.why_word", word=word) for word in found)
+    return first, CERTAIN if alone else LIKELY, why
+
+
+def _cylinder(words: set[str], rig: Rig | None) -> tuple[str, str, tuple[str, ...]]:
+    """(the cylinder that a name speaks of by its name or its joint's, how certain that is, why)."""
     if rig is None:
-        return CYLINDER, True
-    names = [cylinder.name for cylinder in rig.cylinder]
-    named = [name for name in names if words_of(name) <= words]
-    if len(named) == 1 or len(names) == 1:
-        return (named or names)[0], True
-    return names[0], False
+        return CYLINDER, LIKELY, ()
+
+    def weight(cylinder: Cylinder) -> int:
+        names = (words_of(cylinder.name), words_of(cylinder.joint))
+        return sum(all(any(w.startswith(n) for w in words) for n in item) for item in names)
+
+    weights = {cylinder.name: weight(cylinder) for cylinder in rig.cylinder}
+    best = [name for name, count in weights.items() if count == max(weights.values())]
+    if len(weights) == 1:
+        return best[0], CERTAIN, (message("app.why_only"),)
+    if len(best) == 1:
+        return best[0], CERTAIN, (message("app.why_word", word=best[0]),)
+    return CYLINDER, UNDECIDED, ()
 
 
-def command_guess(
-    unit: str, words: set[str], known: np.ndarray, of: tuple[str, bool], rig: Rig | None
-) -> Guess:
+def command_guess(unit: str, words: set[str], known: np.ndarray, rig: Rig | None) -> Guess:
     """A command to a valve: its numbers, where they are no volts, as two points of the driver."""
-    cylinder, sure = of
+    cylinder, certainty, why = _cylinder(words, rig)
     valve, low, high = VALVE, -10.0, 10.0
-    if rig is not None:
-        own = next(item for item in rig.cylinder if item.name == cylinder)
-        named = [item for item in own.valve if words_of(item.name) <= words]
-        sure &= len(named) == 1 or len(own.valve) == 1
-        if not own.valve:
-            return Guess(remark=message("app.command_guessed"))
-        chosen = (named or list(own.valve))[0]
+    if rig is not None and certainty != UNDECIDED:
+        own = rig.cylinder_named(cylinder).valve
+        named = [item for item in own if words_of(item.name) <= words]
+        if len(named) != 1 and len(own) > 1:
+            certainty = UNDECIDED
+        chosen = (named or list(own))[0]
         valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
-    word = "opening" if words & WORDS["spool"] else "command"
-    channel = f"{cylinder}.{valve}.{word}"
-    guessed_as = "app.opening_guessed" if word == "opening" else "app.command_guessed"
-    if any(unit and unit != "%" and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
-        return Guess(remark=message("app.commanded_position"))
+    if any(unit and not is_share(unit) and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
+        return Guess(unit=unit, remark=message("app.commanded_position"))
+    is_opening = bool(words & WORDS["spool"])
+    channel = f"{cylinder}.{valve}.{'opening' if is_opening else 'command'}"
+    remark = message("app.opening_guessed" if is_opening else "app.command_guessed")
+    spoken = words & WORDS["command"]
+    why = (message("app.why_unit", unit=unit or "-"), *why)
+    why += tuple(message("app.why_word", word=word) for word in sorted(spoken))
+    if not spoken:
+        certainty = UNDECIDED
+    elif not words & WORDS["commanded"] or is_opening:
+        certainty = LIKELY if certainty == CERTAIN else certainty
     if unit and is_of(unit, VOCABULARY["command"]):
-        return Guess(channel, unit, sure and bool(words & WORDS["command"]), message(guessed_as))
-    spans = {"mA": (4.0, 20.0), "A": (0.004, 0.02), "%": (-100.0, 100.0)}
-    if unit not in spans:
-        return Guess(
-            channel, unit, False, message("app.say_its_meaning", guess=message(guessed_as))
-        )
-    first, last = spans[unit]
-    if unit == "mA" and known.min() < 3.0:
-        first, last = (-20.0, 20.0) if known.min() < -0.5 else (0.0, 20.0)
-    if unit == "mA" and known.max() > _LOOP:
-        first, last = 50.0 * np.floor(known.min() / 50.0), 50.0 * np.ceil(known.max() / 50.0)
-        if first < 0.0:  # of either sign, so none of it is rest
-            first, last = -max(-first, last), max(-first, last)
-    if unit == "%" and low >= 0.0:
-        first = 0.0
+        remark = "" if certainty == CERTAIN else remark
+        return Guess(channel, unit, certainty, remark, why=why)
+    if unit not in (*CURRENTS, "%"):
+        note = message("app.say_its_meaning", guess=remark)
+        return Guess(channel, unit, UNDECIDED, note, why=why)
+    first, last = _span_of(unit, known, low)
     ends = (f"{first:g} {unit}", f"{last:g} {unit}", f"{low:g} V", f"{high:g} V")
-    return Guess(channel, unit, sure, message("app.range_guessed"), ends)
+    certainty = LIKELY if certainty == CERTAIN else certainty
+    return Guess(channel, unit, certainty, message("app.range_guessed"), ends, why=why)
+
+
+def _span_of(unit: str, known: np.ndarray, low: float) -> tuple[float, float]:
+    """The readings that may stand for the ends of a driver's range."""
+    if unit == "%":
+        return (0.0 if low >= 0.0 else -100.0), 100.0
+    scale = 1e-3 if unit == "A" else 1.0
+    minimum, maximum = float(known.min()) / scale, float(known.max()) / scale
+    reach = max(-minimum, maximum)
+    whole = next((item for item in _FULL_SCALES if reach <= item), 50.0 * np.ceil(reach / 50.0))
+    if reach <= _LOOP and minimum >= 3.0:
+        first, last = 4.0, 20.0
+    elif minimum < -0.5:  # of either sign, so none of it is rest
+        first, last = -max(whole, 20.0), max(whole, 20.0)
+    elif reach > _LOOP:
+        first, last = 50.0 * np.floor(minimum / 50.0), 50.0 * np.ceil(maximum / 50.0)
+    else:
+        first, last = 0.0, 20.0
+    return first * scale, last * scale

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ehbench.app.mapping.guesses import (
+    CERTAIN,
     CURRENTS,
     DIFFERENTIAL,
+    UNDECIDED,
     WORDS,
     Guess,
     command_guess,
@@ -30,7 +32,7 @@ def holds_readings(source: Source) -> bool:
     def has(row: str) -> bool:
         return any(item.known_unit and is_of(item.known_unit, VOCABULARY[row]) for item in columns)
 
-    ends = {reading_of(item.known_unit, words_of(item.name)) for item in columns}
+    ends = {reading_of(item.known_unit, words_of(item.name))[0] for item in columns}
     timed = has("t") or any(table.t is not None for table in source.tables)
     log = ({"p_head", "p_rod"} <= ends and timed) or bool(ends & {"x", "v", "q", "qd"})
     return len(source.tables) == 1 and has("flow") and not log
@@ -50,11 +52,11 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
     for name, guess in results.items():
         if guess.sure and given.count(guess.channel) > 1:
             results[name] = Guess(
-                guess.channel, guess.unit, False, message("app.or_another"), guess.ends
+                guess.channel, guess.unit, UNDECIDED, message("app.or_another"), guess.ends
             )
     for name in table.words:
         what = next((item for item in READING_WORDS if words_of(name) & WORDS[item]), "")
-        results[name] = Guess(what, "", bool(what), "words")
+        results[name] = Guess(what, "", CERTAIN if what else UNDECIDED, "words")
     return results
 
 
@@ -63,9 +65,11 @@ def _drop_of(guess: Guess, given: list[str]) -> Guess:
     sides = ("upstream_pressure", "downstream_pressure")
     if guess.channel == "pressure":
         alone = not any(side in given for side in sides)
-        return Guess("pressure_drop", guess.unit, alone, "" if alone else message("app.which_side"))
+        if not alone:
+            return Guess("pressure_drop", guess.unit, UNDECIDED, message("app.which_side"))
+        return Guess("pressure_drop", guess.unit, CERTAIN)
     if guess.channel in sides and not all(side in given for side in sides):
-        return Guess(guess.channel, guess.unit, False, message("app.needs_both_sides"))
+        return Guess(guess.channel, guess.unit, UNDECIDED, message("app.needs_both_sides"))
     return guess
 
 
@@ -75,22 +79,22 @@ def _guess(name: str, column: SourceColumn, rig: Rig | None) -> Guess:
     if not known.size:
         return Guess(remark=message("app.no_number_held"))
     if unit and is_of(unit, VOCABULARY["flow"]):
-        return Guess("flow", unit, True)
+        return Guess("flow", unit, CERTAIN)
     if unit and is_of(unit, VOCABULARY["pressure_drop"]):
         if words & WORDS["drop"] or column.unit.strip("()[]").lower() in DIFFERENTIAL:
-            return Guess("pressure_drop", unit, True)
+            return Guess("pressure_drop", unit, CERTAIN)
         if words & WORDS["upstream"]:
-            return Guess("upstream_pressure", unit, True)
+            return Guess("upstream_pressure", unit, CERTAIN)
         if words & WORDS["downstream"]:
-            return Guess("downstream_pressure", unit, True)
-        return Guess("pressure", unit, False)
+            return Guess("downstream_pressure", unit, CERTAIN)
+        return Guess("pressure", unit, UNDECIDED)
     if unit and is_of(unit, VOCABULARY["temperature"]):
-        return Guess("temperature", unit, True)
+        return Guess("temperature", unit, CERTAIN)
     if words & WORDS["trial"] and np.all(known == np.round(known)) and known.min() > 0.0:
-        return Guess("trial", "", True)
-    if words & WORDS["command"] or (unit in (*CURRENTS, "V", "%") and unit):
-        of = (rig.cylinder[0].name, True) if rig is not None else ("", True)
-        guess = command_guess(unit, words, known, of, rig)
-        sure = guess.sure or unit in (*CURRENTS, "V", "%")
-        return Guess("command", guess.unit, sure, guess.remark, guess.ends)
+        return Guess("trial", "", CERTAIN)
+    driven = unit in (*CURRENTS, "V", "%")
+    if words & (WORDS["command"] | WORDS["command_port"]) or driven:
+        guess = command_guess(unit, words, known, rig)
+        certainty = CERTAIN if driven else guess.certainty
+        return Guess("command", guess.unit, certainty, guess.remark, guess.ends)
     return Guess(remark="")

@@ -122,8 +122,10 @@ def _line(name: str, guess: Guess, column: SourceColumn) -> str:
         )
     else:
         value = _quoted((guess.channel or "?") + unit)
-    message = ", ".join(part for part in (range_of(column), guess.remark) if part)
-    return f"{'' if guess.sure else '# '}{key} = {value}    # {message}"
+    about = ", ".join(part for part in (range_of(column), *guess.why, guess.remark) if part)
+    return (
+        f"{'' if guess.sure else '# '}{key} = {value}    # {guess.certainty}: {remark(about, 300)}"
+    )
 
 
 def range_of(column: SourceColumn) -> str:

@@ -24,8 +24,10 @@ _UNIT_LAST = (
     r"\s(?:/|in)\s+(\S+)\s*$",
     r",\s*(\S+)$",
     # at the end of words only such as are hardly anything else
-    r"[\s_](m?bar|psi|[kM]Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
+    r"[\s_](m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
+    r"^(?:t|time|zeit)_(m?s|us)$",
 )
+_PER_SECOND = re.compile(r"[\s_](deg|rad|[cm]?m)_s$")
 WIDEST = 256  # columns that a matrix may have
 
 
@@ -33,6 +35,8 @@ def unit_in(name: str) -> str:
     """The unit that a column's name ends in, '' where it says none: of ``p [bar]``, ``p (bar)``,
     ``p / bar``, ``p in bar``, ``p_bar``.
     """
+    if result := _PER_SECOND.search(name):
+        return f"{result[1]}/s"
     for pattern in _UNIT_LAST:
         if (result := re.search(pattern, name)) and (unit := named_unit(result[1])):
             return unit

@@ -1,0 +1,84 @@
+"""What a sensor cannot have seen: sentinels, an angle that wraps, jumps of a single sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.vocabulary.settings import setting
+
+
+@dataclass(frozen=True)
+class OdditySettings:
+    """From when on samples are odd."""
+
+    share: float = setting(0.05, "", "share of samples that sentinels take at most", "else values")
+    jump: float = setting(8.0, "", "steps of the 99th percentile that are a jump", "noise has none")
+    span: float = setting(0.2, "", "share of the other samples' span that a jump is", "visible")
+    wrap: float = setting(0.1, "", "share of a turn by which a step is less where it wraps", "fast")
+
+
+SETTINGS = OdditySettings()
+_FEWEST = 20  # samples that show what is usual
+_TURNS = (360.0, 2.0 * np.pi, 2.0**12, 2.0**16, 2.0**32)  # [deg, rad, counts]
+
+
+class Oddity(NamedTuple):
+    """A ``kind`` ("sentinel", "wrap" or "jump") of odd samples, how many there are, the row of the
+    first, and its value.
+    """
+
+    kind: str
+    count: int
+    first: int
+    value: float
+
+
+def oddities(values: np.ndarray) -> list[Oddity]:
+    """The odd samples of a signal, shape (samples,), in its own unit; NaN is none."""
+    rows = np.flatnonzero(np.isfinite(values))
+    y = values[rows]
+    if y.size < _FEWEST or not np.ptp(y) > 0.0:
+        return []
+    steps = np.diff(y)
+    if (wraps := _wraps(y, steps)).size:
+        return [Oddity("wrap", wraps.size, int(rows[wraps[0] + 1]), float(y[wraps[0] + 1]))]
+    results = []
+    usual = float(np.percentile(np.abs(steps), 99))
+    for end in (float(y.min()), float(y.max())):
+        at = np.flatnonzero(y == end)
+        others = y[y != end]
+        span = float(np.ptp(others)) if others.size else 0.0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], y == end, [False]])))
+        sides = [
+            np.abs(end - y[i])
+            for a, b in edges.reshape(-1, 2)
+            for i in (a - 1, b)
+            if 0 <= i < y.size
+        ]
+        apart = float(np.min(np.abs(others - end))) if others.size else 0.0
+        minimum = max(SETTINGS.jump * usual, SETTINGS.span * span)
+        far = apart > SETTINGS.span * span
+        if at.size > 1 and at.size <= SETTINGS.share * y.size and far and min(sides) > minimum:
+            results.append(Oddity("sentinel", at.size, int(rows[at[0]]), end))
+    gone = np.isin(y, [item.value for item in results])
+    left, right = y[1:-1] - y[:-2], y[1:-1] - y[2:]
+    least = np.where(left * right > 0.0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+    span = float(np.ptp(np.sort(y)[1:-1]))
+    odd = (least > max(SETTINGS.jump * usual, SETTINGS.span * span)) & ~gone[1:-1]
+    if odd.any() and odd.mean() < SETTINGS.share:
+        at = np.flatnonzero(odd) + 1
+        results.append(Oddity("jump", at.size, int(rows[at[0]]), float(y[at[0]])))
+    return results
+
+
+def _wraps(y: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """After which samples a signal begins again at the other end of a turn."""
+    for turn in _TURNS:
+        near = np.abs(np.abs(steps) - turn) < SETTINGS.wrap * turn
+        small = np.abs(steps[~near]) < SETTINGS.wrap * turn
+        if near.any() and near.mean() < SETTINGS.share and np.ptp(y) <= turn * 1.01 and small.all():
+            return np.flatnonzero(near)
+    return np.zeros(0, dtype=int)
