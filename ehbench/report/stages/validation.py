@@ -94,6 +94,10 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
         blocks.append(Text(unjudged, "note"))
     rows = [{"log": log, "result": _result(log)} for log in table["logs"]]
     blocks.append(page.table("logs", rows))
+    beside = [(log, item) for log in table["logs"] for item in log.get("channels", [])]
+    beside = [row for row in beside if row[1].get("baseline_percent") is not None]
+    if beside:
+        blocks.append(page.table("black_box", beside, box=table["black_box"]))
     checks = [(log, check) for log in table["logs"] for check in log.get("checks", [])]
     if checks:
         title = page.text("checks", checks=checks)
@@ -192,5 +196,5 @@ REPORT = StageReport(
     standing=2,
     shows=("Verdict",),
     columns=("log", "check", "result"),
-    numbers=("validation.json", ("accepted", "reasons", "thresholds")),
+    numbers=("validation.json", ("accepted", "reasons", "reservations", "black_box", "thresholds")),
 )
