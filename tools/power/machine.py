@@ -227,9 +227,9 @@ def start_of(machine: Machine, rng: np.random.Generator) -> np.ndarray:
     return run(n, y, still, TICK, machine.substeps)[-1]
 
 
-def test_of(machine: Machine, kind: str, rng: np.random.Generator) -> Test:
-    """A test that keeps the machine off its stops, its chambers off cavitation and below the
-    supply: no oil flows back into the pump's line, whose pressure is constant here.
+def test_of(machine: Machine, kind: str, rng: np.random.Generator) -> tuple[Test, np.ndarray]:
+    """(a test, the machine's states in it). It keeps off the stops, and its chambers off cavitation
+    and below the supply: no oil flows back into the pump's line, whose pressure is constant here.
 
     Raises:
         NotDriven: none does.
@@ -245,7 +245,7 @@ def test_of(machine: Machine, kind: str, rng: np.random.Generator) -> Test:
         if inside and low > SAFE and high < 0.98 * machine.supply:
             if np.ptp(x) < 0.01 * machine.stroke:
                 break
-            return test
+            return test, states
         size *= 0.8
     raise NotDriven(f"{machine.kind}: {kind}")
 
@@ -257,8 +257,10 @@ def simulated(machine: Machine, test: Test) -> np.ndarray:
 
 def strokes(machine: Machine, q: np.ndarray) -> np.ndarray:
     """Strokes [m] at the joint's coordinates."""
-    n = machine.numbers
-    return np.array([stroke_of(n, float(value))[0] for value in q])
+    if machine.kind == "slide":
+        return q
+    l_a, l_b, theta = machine.l_a, machine.l_b, q + machine.phase
+    return np.sqrt(l_a**2 + l_b**2 - 2.0 * l_a * l_b * np.cos(theta)) - machine.retracted
 
 
 def channels(machine: Machine, states: np.ndarray, rate: bool = True) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -70,7 +70,7 @@ ERRORS = {
     ),
     "no friction": Error(partial(scaled, coulomb=0.0, static=0.0), "friction"),
     "Stribeck 1.8 missing": Error(
-        partial(scaled, static=1.0 / 1.8), "friction|stribeck", partial(scaled, static=1.8)
+        lambda m: replace(m, static=m.coulomb), "friction|stribeck", partial(scaled, static=1.8)
     ),
     "bore +0.5 %": Error(partial(scaled, bore=1.005), "bore|area"),
 }
@@ -116,37 +116,52 @@ class Case(NamedTuple):
 
 def case_of(trial: Trial) -> Case | str:
     """A trial's rig file and log, or why there is none."""
-    rng = np.random.default_rng(trial.seed)
-    drawn = draw(rng, *KINDS[trial.seed % len(KINDS)])
-    error = ERRORS.get(trial.error, Error(lambda m: m, ""))
+    drawn, error = _drawn(trial.seed), ERRORS.get(trial.error, Error(lambda m: m, ""))
     machine = error.machine(drawn)
     model = error.model(machine)
-    if trial.error and (
-        machine == model or trial.error.startswith("Stribeck") and not drawn.coulomb
-    ):
+    if trial.error and model == machine:
         return "the machine has no such number"
-    rng = np.random.default_rng([trial.seed, WAVES.index(trial.wave)])
+    tests = _tests(trial.seed, trial.wave, machine)
+    if isinstance(tests, str):
+        return tests
+    rng = np.random.default_rng([trial.seed, WAVES.index(trial.wave), NOISES.index(trial.noise)])
     rate = bool(rng.random() < 0.6)
-    try:
-        test = test_of(machine, trial.wave, rng)
-        others = [test_of(machine, wave, rng) for wave in TRAINING]
-    except NotDriven as reason:
-        return str(reason)
-    log, *training = (_noisy_log(machine, item, rate, trial.noise, rng) for item in (test, *others))
-    shows = not trial.error or _shows(machine, model, test, rate, trial.noise)
+    shows = not trial.error or _shows(model, tests[0], rate, trial.noise)
+    log, *training = (_noisy_log(item, rate, trial.noise, rng) for item in tests)
     return Case(rig_text(model), log, shows, tuple(training))
 
 
-def _noisy_log(
-    machine: Machine, test: Test, rate: bool, noise: float, rng: np.random.Generator
-) -> str:
-    signals = channels(machine, simulated(machine, test), rate)
+class Recording(NamedTuple):
+    """What a machine does in a test."""
+
+    machine: Machine
+    test: Test
+    states: np.ndarray
+
+
+def _drawn(seed: int) -> Machine:
+    return draw(np.random.default_rng(seed), *KINDS[seed % len(KINDS)])
+
+
+@lru_cache(4)  # all errors of a machine share it
+def _tests(seed: int, wave: str, machine: Machine) -> list[Recording] | str:
+    """A test in a wave and those in `TRAINING`, or why there is none."""
+    rng = np.random.default_rng([seed, WAVES.index(wave)])
+    try:
+        return [Recording(machine, *test_of(machine, name, rng)) for name in (wave, *TRAINING)]
+    except NotDriven as reason:
+        return str(reason)
+
+
+def _noisy_log(done: Recording, rate: bool, noise: float, rng: np.random.Generator) -> str:
+    signals = channels(done.machine, done.states, rate)
     draws = {name: noise * QUIET[name] * rng.standard_normal(len(y)) for name, y in signals.items()}
-    return log_text(machine, test, signals, draws)
+    return log_text(done.machine, done.test, signals, draws)
 
 
-def _shows(machine: Machine, model: Machine, test: Test, rate: bool, noise: float) -> bool:
-    there, here = (channels(item, simulated(item, test), rate) for item in (machine, model))
+def _shows(model: Machine, done: Recording, rate: bool, noise: float) -> bool:
+    there = channels(done.machine, done.states, rate)
+    here = channels(model, simulated(model, done.test), rate)
     return LIKELY < sum(
         float(np.sum(((here[name] - y) / (noise * QUIET[name])) ** 2)) for name, y in there.items()
     )
@@ -160,9 +175,9 @@ def miss(trial: Trial) -> float:
     from ehbench.data import read
     from ehbench.plant.model import Model
 
-    drawn = draw(np.random.default_rng(trial.seed), *KINDS[trial.seed % len(KINDS)])
-    test = test_of(drawn, trial.wave, np.random.default_rng(trial.seed))
-    signals = channels(drawn, simulated(drawn, test))
+    drawn = _drawn(trial.seed)
+    test, states = test_of(drawn, trial.wave, np.random.default_rng(trial.seed))
+    signals = channels(drawn, states)
     with tempfile.TemporaryDirectory() as name:
         rig, log = Path(name) / "rig.toml", Path(name) / "log.csv"
         rig.write_text(rig_text(drawn), encoding="utf-8")
@@ -237,7 +252,9 @@ def outcomes(trials: Sequence[Trial], workers: int = 0) -> Iterator[Outcome]:
 
     judged(Trial(0, "steps", 1.0))  # compiles what the workers share
     with one_thread(), ProcessPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        yield from (item for item in pool.map(judged, trials, chunksize=4) if not item.skipped)
+        yield from (
+            item for item in pool.map(judged, trials, chunksize=len(ERRORS)) if not item.skipped
+        )
 
 
 def _share(some: Sequence[bool]) -> str:
