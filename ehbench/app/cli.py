@@ -28,10 +28,11 @@ from ehbench.runtime.disk import write_text
 from ehbench.runtime.interrupts import Terminated, ended, listen
 from ehbench.vocabulary.commands import COMMANDS, Command
 from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.text import folded, shortened_path
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.text import shortened_path
 
 if TYPE_CHECKING:
-    from ehbench.workflow import Outcome
+    from ehbench.report.terminal import Answer
 
 
 class _Commands(TyperGroup):
@@ -82,7 +83,7 @@ Loud = Annotated[
     typer.Option(
         "--verbose/--quiet",
         "-v/-q",
-        help="All tables with all their columns; or no progress, and only the run's path.",
+        help="All tables, steps and notes; or no progress, and only the run's path.",
         show_default=False,
     ),
 ]
@@ -133,6 +134,7 @@ Insecure = Annotated[
 Resume = Annotated[
     bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
 ]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="All tables, steps and notes.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
 
 
@@ -173,10 +175,12 @@ def init(
 ) -> None:
     """Make a workspace: a commented rig file and recipes that run as they are."""
     from ehbench.app import starter
+    from ehbench.report.terminal import Answer
 
     built = starter.init(folder)
-    print(f"made {built}/")
-    print(f"next: ehbench check {built}/rig.toml, then the commands in {built}/README.md")
+    keys = ("steps.check_rig", "steps.identify", "steps.validate")
+    steps = [message(key, folder=built) for key in keys]
+    _say(Answer(f"made {built}/", steps=steps), Says())
 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
@@ -184,9 +188,8 @@ def check(
     file: Annotated[
         Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
     ],
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="List each gap and bad sample of a log.")
-    ] = False,
+    verbose: Verbose = False,
+    as_json: AsJson = False,
 ) -> None:
     """Check a rig, recipe, map, data file or log without running anything.
 
@@ -195,8 +198,10 @@ def check(
     from ehbench.app import inspection
 
     result = inspection.check(file, verbose=verbose)
-    for line in result.lines:
-        print(line)
+    if verbose:
+        print("\n".join(result.lines))
+    else:
+        _say(result.answer(file), Says(as_json=as_json))
     for error in result.errors:
         print(f"error: {error}", file=sys.stderr)
     raise typer.Exit(result.code)
@@ -297,14 +302,18 @@ for _command in COMMANDS:
 def report(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
     out: Out = None,
-    quiet: Quiet = False,
+    loud: Loud = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write one self-contained HTML report over finished runs, from their saved files only."""
     from ehbench import workflow
+    from ehbench.report.terminal import report_answer
 
-    with _progress(quiet) as tell:
+    says = Says.of(loud, as_json)
+    with _progress(says.quiet) as tell:
         built = workflow.report(runs, workflow.Session(out=out, progress=tell))
-    _leave(built, Says(quiet), "report.html")
+    _say(report_answer(built.folder, built.notes, built.code), says)
+    raise typer.Exit(built.code)
 
 
 @app.command(epilog="Example:  ehbench reproduce thesis")
@@ -316,26 +325,31 @@ def reproduce(
         Path | None,
         typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False),
     ] = None,
-    quiet: Quiet = False,
+    loud: Loud = None,
+    as_json: AsJson = False,
     allow_code: AllowCode = False,
 ) -> None:
     """Run a whole campaign and write its report; runs that stand already are not run again."""
     from ehbench import workflow
     from ehbench.app import starter
+    from ehbench.report.terminal import report_answer
 
+    says = Says.of(loud, as_json)
     recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
-    with _progress(quiet) as tell:
+    with _progress(says.quiet) as tell:
         built = workflow.run(
             recipe,
             workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
         )
-    _leave(built, Says(quiet), "report.html")
+    _say(report_answer(built.folder, built.notes, built.code), says)
+    raise typer.Exit(built.code)
 
 
 @app.command(epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b")
 def compare(
     first: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same stage.")],
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """Say which inputs, parameters and verdicts of two runs differ, and by how many intervals; exit
@@ -343,13 +357,7 @@ def compare(
     from ehbench.report import compare as runs
 
     result = runs.compare(first, second)
-    if as_json:
-        import json
-
-        print(json.dumps(result.as_json(), ensure_ascii=False, indent=1))
-    else:
-        width = shutil.get_terminal_size((100, 24)).columns
-        print("\n".join(runs.lines(result, runs.rig_of(first), width)))
+    _say(runs.answer(result, runs.rig_of(first)), Says(verbose=verbose, as_json=as_json))
     raise typer.Exit(3 if result.changes else 0)
 
 
@@ -375,14 +383,7 @@ def next_test(
     _say_first(quiet)
     with _progress(quiet) as tell:
         result = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
-    if as_json:
-        import json
-
-        print(json.dumps(result.as_json(), ensure_ascii=False, indent=1))
-    else:
-        print("\n".join(result.lines(shutil.get_terminal_size((100, 24)).columns)))
-        if out is not None:
-            print(out)
+    _say(result.answer(run, out), Says(quiet, as_json=as_json))
 
 
 @app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
@@ -395,17 +396,12 @@ def why(
 ) -> None:
     """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
     rig line; exit 3 where these have changed."""
-    from ehbench.report.terminal import table
+    from ehbench.report.terminal import Answer
     from ehbench.report.why import origin
-    from ehbench.runs.rundir import plain
 
     result = origin(name, run)
-    if as_json:
-        import json
-
-        print(json.dumps(plain(result.as_json()), ensure_ascii=False, indent=1))
-    else:
-        print("\n".join([result.headline, "", *table(result.table(), (), sys.maxsize)]))
+    values = result.as_json()
+    _say(Answer(result.headline, [result.table()], values=values), Says(as_json=as_json), wide=True)
     raise typer.Exit(3 if result.changes else 0)
 
 
@@ -450,6 +446,8 @@ def map_columns(
             show_default=False,
         ),
     ] = None,
+    loud: Loud = None,
+    as_json: AsJson = False,
 ) -> None:
     """Look at a file of your own recorder and draft a map of its columns, with a picture of each.
 
@@ -460,9 +458,7 @@ def map_columns(
     if rig is None and Path("rig.toml").is_file():
         rig = Path("rig.toml")
     built = mapping.draft(file, out, None if rig is None else load_rig(rig))
-    print("\n".join(built.lines))
-    print(built.picture)
-    print(built.path)
+    _say(built.answer(), Says.of(loud, as_json))
 
 
 class Format(StrEnum):
@@ -516,7 +512,11 @@ def _run(
             built = workflow.run(recipe, session)
         else:
             built = workflow.profile(recipe, profile, session)
-    _leave(built, says)
+    from ehbench.report.terminal import answer
+
+    losses = built.code == workflow.INCOMPLETE
+    _say(answer(built.folder, built.notes, built.code, losses), says)
+    raise typer.Exit(built.code)
 
 
 def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
@@ -526,15 +526,7 @@ def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
     _say_first(says.quiet)
     with _progress(says.quiet) as tell:
         result = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
-    if says.as_json:
-        import json
-
-        rows = [row.as_json() for row in result.rows]
-        print(json.dumps({"rows": rows, "untried": result.untried}, ensure_ascii=False, indent=1))
-    else:
-        print("\n".join(result.lines(len(result.rows)) if says.verbose else result.lines()))
-    if out is not None and not says.as_json:
-        print(out / recipe.path.name)
+    _say(result.answer(file, None if out is None else out / recipe.path.name), says)
 
 
 _BESIDE: list[subprocess.Popen] = []  # it ends by itself, at the latest soon after the run
@@ -554,27 +546,15 @@ def _say_first(quiet: bool) -> None:
         _BESIDE.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
 
 
-def _leave(built: Outcome, says: Says, page: str = "") -> None:
-    """Say what the run noted on stderr, what it found and where it lies on stdout, and leave with
-    its code.
-    """
-    from ehbench.report import terminal
-
-    # a campaign's notes begin with their run: what follows may be of another trial
-    each = says.verbose or bool(page)
-    for note in dict.fromkeys(built.notes) if each else folded(built.notes):
-        print(f"note: {note}", file=sys.stderr)
+def _say(answer: Answer, says: Says, wide: bool = False) -> None:
+    """Print what a command says; the place of what it wrote alone when quiet."""
     if says.as_json:
-        import json
-
-        about = {"folder": str(built.folder), "code": built.code, "notes": list(built.notes)}
-        print(json.dumps(about | terminal.values(built.folder), ensure_ascii=False, indent=1))
-        raise typer.Exit(built.code)
-    if not (says.quiet or page):
-        width = shutil.get_terminal_size((100, 24)).columns
-        print("\n".join(terminal.lines(built.folder, width, says.verbose)))
-    print(built.folder / page)
-    raise typer.Exit(built.code)
+        print(answer.as_json())
+    elif not says.quiet:
+        width = sys.maxsize if wide else shutil.get_terminal_size((100, 24)).columns
+        print("\n".join(answer.lines(width, says.verbose)))
+    elif answer.place is not None:
+        print(answer.place)
 
 
 @contextmanager

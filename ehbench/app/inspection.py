@@ -14,8 +14,11 @@ import numpy as np
 from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, load_rig
 from ehbench.config.rig import NODES, Rig
 from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
+from ehbench.report.blocks import Grid
+from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import impossible
 from ehbench.signals.oddities import oddities
+from ehbench.stages import Stage, stage_of
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.inputs import with_orifices
 from ehbench.stages.notes import Notes, line_naming
@@ -39,6 +42,27 @@ class Inspection:
     code: int = 0
     errors: tuple[EhbenchError, ...] = ()
     notes: Notes | None = None
+
+    def answer(self, path: Path) -> Answer:
+        """What the command says of a file: a row for each thing it holds, and how to run it."""
+        words = ("note", "not checked")
+        rows = [line.strip().partition(": ") for line in self.lines[1:] if line.startswith(" ")]
+        held = [row for row in rows if row[0] not in words]
+        steps = []
+        if self.notes is not None and not self.errors and not self.notes.refused:
+            stage = stage_of(self.notes.recipe)
+            if isinstance(stage, Stage):
+                fields = {"command": stage.command, "recipe": path}
+                steps.append(message("steps.run_recipe", **fields))
+        state = plural(len(self.errors), "error") if self.errors else "ok"
+        state += ", with losses" if self.code == 3 else ""
+        return Answer(
+            f"{state}: {self.lines[0]}",
+            [Grid(["", ""], [row[::2] if row[1] else ("", row[0]) for row in held])],
+            steps,
+            [row[2] for row in rows if row[0] in words],
+            values={"code": self.code, "lines": self.lines, "errors": list(map(str, self.errors))},
+        )
 
 
 def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> Inspection:

@@ -115,8 +115,8 @@ def _free(names: Sequence[str], known: Mapping[str, Value]) -> Words:
     if all(known[name].sure == "identified" for name in names):
         are = "are" if len(names) > 1 else "is"
         return lambda delta: (
-            f"{', '.join(names)} {are} fitted already: the fit's logs say otherwise, or the model "
-            "lacks something else; fit to a log like this one too, or ask identify --suggest"
+            f"{', '.join(names)} {are} fitted already: fit to a log like this one too, or ask "
+            "ehbench identify --suggest what else the model lacks"
         )
     quoted = ", ".join(f'"{name}"' for name in names)
     return lambda delta: f"add {quoted} to parameters of the identify recipe"
@@ -308,7 +308,7 @@ def _late(
             + (f"{more} of {whole}" if d > 0.0 else f"{', '.join(given)} was written late")
         ),
         lambda d: (
-            f'late = "{-1e3 * d:.2g} ms" of that column in the map, or as much more'
+            f'late = "{-1e3 * d:.2g} ms" to that column in the map, or as much more'
             if d <= 0.0
             else line(d)
             if delays

@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from textwrap import wrap
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,11 @@ from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_f
 from ehbench.identification.problem import Problem, initial, problem_of
 from ehbench.identification.search import of_sensors
 from ehbench.identification.simulator import Log, Simulator
+from ehbench.report.blocks import Cell, Grid
+from ehbench.report.terminal import Answer
 from ehbench.signals.series import white_noise
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
 SECONDS = 120.0  # of trying, by default
@@ -34,7 +37,6 @@ LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how man
 HEAD = 10.0  # [s] of a log at least that is looked at
 STEPS = 25  # of a descent
 FINE = 0.005  # share of a channel's spread below which an error does not matter
-SHOWN, WIDE = 10, 96  # rows of the table in a terminal, its width
 COSTLY = ("mount", "sway")  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
@@ -122,28 +124,34 @@ class Suggestions:
     setups: tuple[Setup, ...]
     untried: tuple[str, ...]
 
-    def lines(self, maximum: int = SHOWN) -> list[str]:
-        """The table as people read it, what to write below its first row."""
-        table = ["what windows left out show, mean square relative to the recipe as it is:", ""]
-        table.append(f"{'left out':>16}  {'numbers':>7}  what")
-        for row in self.rows[:maximum]:
-            mark = "*" if row.not_worse else " "
-            off = f" ± {100.0 * row.std:.2g}" if row.std else ""
-            size = f"{100.0 * row.misfit:.3g}{off} %"
-            table.append(f"{mark}{size:>15}  {row.freedom:>7}  {row.words}")
-            if row is self.rows[0]:
-                table += [f"{'':>27}recipe  {line}" for line in row.recipe_lines]
-                table += [f"{'':>27}rig     {line}" for line in row.rig_lines]
-        table.append("")
-        table.append("* not worse than the best; the simplest of these first")
-        if len(self.rows) > maximum:
-            table.append(f"{len(self.rows) - maximum} more rows: --json")
-        if len(self.rows) == 1:
-            table.append("the recipe's own fit leaves nothing but noise: nothing else was tried")
-        if self.untried:
-            untried = "no time for " + ", ".join(self.untried) + "; --seconds gives more"
-            table += wrap(untried, WIDE, subsequent_indent="  ", break_on_hyphens=False)
-        return table
+    def answer(self, recipe: Path, written: Path | None = None) -> Answer:
+        """What the command says: the rows by what they leave, the lines of the first as a step.
+
+        Args:
+            recipe: that the suggestions are for.
+            written: the recipe that has the first suggestion, if it was written.
+        """
+        rows = []
+        for row in self.rows:
+            error = f" ± {100.0 * row.std:.2g}" if row.std else ""
+            left = Cell(f"{100.0 * row.misfit:.3g}{error} %", "number")
+            freedom = Cell(str(row.freedom), "number")
+            rows.append([left, freedom, "" if row.not_worse else "yes", row.words])
+        best = self.rows[0]
+        lines = "\n".join([*best.recipe_lines, *best.rig_lines])
+        steps = [message("steps.write_lines", lines=lines)] if lines else []
+        if lines and written is None:
+            steps.append(message("steps.write_suggested", recipe=recipe))
+        untried = ", ".join(self.untried)
+        key = "guidance.best" if lines else "guidance.nothing_better"
+        return Answer(
+            message(key, left=f"{100.0 * best.misfit:.3g}"),
+            [Grid(["left out", "numbers", "worse", "what"], rows)],
+            steps,
+            [message("guidance.untried", names=untried)] if untried else [],
+            written,
+            {"rows": [row.as_json() for row in self.rows], "untried": self.untried},
+        )
 
 
 def suggest(

@@ -18,7 +18,7 @@ from ehbench.report.content import num
 from ehbench.report.headlines import findings_of
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
-from ehbench.report.terminal import found, table
+from ehbench.report.terminal import Answer, found
 from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
@@ -176,33 +176,30 @@ def _distance(
     return abs(b - a) / whole if whole > 0.0 else None
 
 
-def lines(result: Comparison, rig: Rig | None, width: int = 100) -> list[str]:
-    """What differs between two runs, for a terminal, in the units of a rig."""
-    before, after = (words(status) for status in result.verdicts)
-    out = [message("report.unsupported", change=change) for change in result.changes]
-    out += [
-        f"{words(result.stage)}: {before} in both" if before == after else f"{before} → {after}"
+def answer(result: Comparison, rig: Rig | None) -> Answer:
+    """What differs between two runs, in the units of a rig: parameters first, then other numbers,
+    then inputs.
+    """
+    head = ["parameter", "first", "second", "unit", "intervals apart"]
+    inputs, numbers = (
+        [[item.what, _short(item.first), _short(item.second)] for item in items]
+        for items in (result.inputs, result.numbers)
+    )
+    tables = [
+        Grid(head, [_row(rig, parameter) for parameter in result.parameters]),
+        Grid(["number", "first", "second"], numbers),
+        Grid(["input", "first", "second"], inputs),
     ]
-    if result.inputs:
-        rows = [[item.what, _short(item.first), _short(item.second)] for item in result.inputs]
-        out += ["", *table(Grid(["input", "first", "second"], rows), width=width)]
-    else:
-        out.append("the inputs are the same")
-    if result.parameters:
-        head = ["parameter", "first", "second", "unit", "intervals apart"]
-        out += ["", "above 1 interval apart, the runs do not agree:"]
-        out += [
-            "",
-            *table(
-                Grid(head, [_row(rig, parameter) for parameter in result.parameters]), width=width
-            ),
-        ]
-    if result.same:
-        out += ["", f"{result.same} parameters are the same"]
-    if result.numbers:
-        rows = [[item.what, item.first or "–", item.second or "–"] for item in result.numbers]
-        out += ["", *table(Grid(["number", "first", "second"], rows), width=width)]
-    return out
+    before, after = (words(status) for status in result.verdicts)
+    fields = {"stage": words(result.stage), "inputs": len(inputs), "same": result.same}
+    verdict = before if before == after else f"{before} → {after}"
+    key = "report.compared_changed" if result.changes else "report.compared"
+    return Answer(
+        message(key, verdict=verdict, **fields, changed=len(result.parameters)),
+        [table for table in tables if table.rows],
+        notes=[message("report.unsupported", change=change) for change in result.changes],
+        values=result.as_json(),
+    )
 
 
 def rig_of(folder: Path) -> Rig | None:

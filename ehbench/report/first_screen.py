@@ -11,26 +11,28 @@ from ehbench.report.captions import capital, sentence
 from ehbench.report.content import Pictures, SectionContent, StageReport, chip
 from ehbench.report.headlines import (
     OFTEN,
-    ON_MACHINE,
     SAVED,
     STEPS,
     TRACKING,
     Findings,
     Headline,
     findings_of,
+    names,
 )
 from ehbench.report.saved import Saved
 from ehbench.report.words import count, words
+from ehbench.vocabulary.messages import Message, message, ranked
 
 MANY = 5  # numbers on the first screen
 MEASURED = (TRACKING, SAVED, STEPS)  # ranks of numbers that trials give
 SHOWN = 4  # reasons and next steps on it
 # what makes a chain whole, in its order, and how to go on where it ends
 _CHAIN = {
-    "flow_map": "identify the hydraulics with these maps: ehbench identify",
-    "hydraulics": "judge the identified rig on logs that were not fitted to: ehbench validate",
-    "validation": "choose gains on the validated rig: ehbench tune",
-    "tuning": "try the controller: ehbench run-trial",
+    "flow_map": "steps.with_maps",
+    "hydraulics": "steps.judge",
+    "validation": "steps.tune",
+    "tuning": "steps.try_gains",
+    "arc_tuning": "steps.try_gains",
 }
 
 
@@ -50,9 +52,20 @@ def first_screen(
         blocks.append(Cards(cards))
     blocks += _verdict(runs, contents, results)
     blocks += _figure(runs, results, pictures)
-    if steps := _next(runs, contents, results):
-        blocks += [Text("What to do next", "head"), Bullets([sentence(step) for step in steps])]
+    if steps := next_steps(runs, contents, results)[:SHOWN]:
+        texts = [f"{capital(step)}: {step.hint}" if step.hint else sentence(step) for step in steps]
+        blocks += [Text("What to do next", "head"), Bullets(texts)]
     return blocks
+
+
+def summary(
+    runs: Sequence[Saved], contents: Sequence[SectionContent]
+) -> tuple[str, Grid, list[Message]]:
+    """Verdict, main numbers and next steps over several runs."""
+    results = [findings_of(run) for run in runs]
+    verdict = next((b.text for b in _verdict(runs, contents, results) if isinstance(b, Text)), "")
+    rows = [[card.label, card.value, card.about] for card in _cards(runs, results)]
+    return verdict, Grid(["number", "value", "about"], rows), next_steps(runs, contents, results)
 
 
 def chapters(
@@ -182,11 +195,11 @@ def _again(picture: Picture, title: str) -> Picture:
     return replace(picture, svg=svg, id=f"{prefix}figure", caption=where, paper=True)
 
 
-def _next(
+def next_steps(
     runs: Sequence[Saved], contents: Sequence[SectionContent], result: Sequence[Findings]
-) -> list[str]:
-    """What the runs ask for, then the next link of the chain."""
-    steps = list(dict.fromkeys(step for item in result for step in item.next))[:SHOWN]
+) -> list[Message]:
+    """What the runs ask for, and the next link of the chain, the most valuable first."""
+    steps = [step for item in result for step in item.next]
     kinds = {run.what for run in runs}
     on_machine = any(
         number.rank in MEASURED and not number.on_model
@@ -194,14 +207,12 @@ def _next(
         for number in item.numbers
     )
     if on_machine:
-        steps = [step for step in steps if step != ON_MACHINE]
+        steps = [step for step in steps if step.key != "steps.on_machine"]
     failing = any(content.status in ("rejected", "missed", "stopped") for content in contents)
     last = next((kind for kind in reversed(_CHAIN) if kind in kinds), None)
     if last is not None and not failing and not kinds & {"trial", "trials"}:
-        steps.append(_CHAIN[last])
+        run = next(run for run in reversed(runs) if run.what == last)
+        steps.append(message(_CHAIN[last], **names(run)))
     if not steps and on_machine and kinds & {"validation"}:
-        steps.append(
-            "nothing is open here; before other loads, speeds or oil temperatures are asked of "
-            "the model, validate it on a log of them"
-        )
-    return [capital(step) for step in steps]
+        steps.append(message("steps.other_conditions"))
+    return ranked(steps)

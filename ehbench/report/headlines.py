@@ -4,6 +4,7 @@ that shows them, and what to do next.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -23,10 +24,10 @@ from ehbench.report.energy_tables import Saving, four_way, savings_of
 from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.words import count, interval, number, pretty, shown, title_of, unit_of, words
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.terms import BEYOND
 
 DOUBTFUL = "estimated, doubtful"  # as it leans on a held number that the logs deny
-ON_MACHINE = "run the same trials on the machine"
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,15 @@ class Findings:
     numbers: Sequence[Headline] = ()
     figures: Sequence[FigureKey] = ()
     against: Sequence[str] = ()
-    next: Sequence[str] = ()
+    next: Sequence[Message] = ()
+
+
+def names(run: Saved) -> dict[str, str]:
+    """What steps call a run: its folder ``run``, its ``recipe``, and the ``name`` that a recipe
+    beside it takes for the run.
+    """
+    recipe = run.facts["recipe"]["path"]
+    return {"run": run.folder.name, "recipe": recipe, "name": recipe}
 
 
 def findings_of(run: Saved) -> Findings:
@@ -82,8 +91,8 @@ def _flow_maps(run: Saved) -> Findings:
         if point["verdict"] != "met"
     )
     against = list(dict.fromkeys(missing))
-    nexts = ["take more readings at the calibration points, or set the driver anew"]
-    return Findings(numbers, [FigureKey("flow_map")], against, nexts if against else [])
+    steps = [message("steps.calibrate", **names(run))] if against else []
+    return Findings(numbers, [FigureKey("flow_map")], against, steps)
 
 
 def _hydraulics(run: Saved) -> Findings:
@@ -99,14 +108,13 @@ def _hydraulics(run: Saved) -> Findings:
     against = [lean["sentence"] for lean in leans[:1]] + [left] * bool(left)
     weak = [item for item in weak if item["status"] != DOUBTFUL]  # said by what it leans on
     against += [f"{item['name']} is {words(item['status'])}" for item in weak]
-    cures = [f"measure {lean['name']}, or {lean['cure']}" for lean in leans[:1]]
-    cures += ["ask ehbench identify --suggest what the fitted model lacks"] * bool(left)
-    return Findings(
-        numbers,
-        [FigureKey("parameters")],
-        against,
-        cures + [_cure(item) for item in weak],
-    )
+    steps = [_cure_step(lean["cure"]) for lean in leans[:1]]
+    steps += [message("steps.suggest", **names(run))] if left else []
+    first = {item["status"]: item["name"] for item in reversed(weak)}
+    for status, parameter in first.items():
+        key = "steps.bound" if status == "at_bound" else "steps.settle"
+        steps.append(message(key, **names(run), parameter=parameter))
+    return Findings(numbers, [FigureKey("parameters")], against, steps)
 
 
 def estimates_of(fit: Table) -> list[Table]:
@@ -123,16 +131,15 @@ def estimates_of(fit: Table) -> list[Table]:
     ]
 
 
-_CURES = {
-    "at_bound": "widen the bounds of {} or ask what else could take its part",
-    "not_excited": "record a log that excites {}, or hold it at a known value",
-    "correlated": "record a log that tells {} apart from what it goes along with, or hold one",
-}
-
-
-def _cure(item: Table) -> str:
-    text = _CURES.get(item["status"], "see why {} is " + words(item["status"]))
-    return text.format(item["name"])
+def _cure_step(cure: str) -> Message:
+    """The step that a cure asks for, with the line to paste where it names one."""
+    if freed := re.match(r'add ("[^\[\]]+") to parameters', cure):
+        return message("steps.free", line=freed[1])
+    if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", cure):
+        return message("steps.sense", line=sensed[1].replace(", ", "\n"))
+    if written := re.match(r'(\w+ = "[^"]+") (.+)', cure):
+        return message("steps.write", line=written[1], where=written[2])
+    return message("steps.cure", cure=cure)
 
 
 def _parameter(rig: Rig, item: Table, rank: int) -> Headline:
@@ -169,19 +176,15 @@ def _validation(run: Saved) -> Findings:
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [FigureKey("validation", log=log), *figures]
     cures = [finding["cure"] for finding in (table.get("structure") or {}).get("findings", [])]
-    likely = list(dict.fromkeys(cure for cure in cures if cure))[:3]
-    requested = ["likeliest to cure what the residuals follow: " + ", or ".join(likely)] * bool(
-        likely
-    )
-    if not table["accepted"] and not requested:
-        requested = [
-            "see which channel fails, and free what it depends on: " + "; ".join(_failed(logs))
-        ]
+    steps = [_cure_step(cure) for cure in dict.fromkeys(filter(None, cures))][:3]
+    if not table["accepted"] and not steps:
+        checks = "; ".join(_failed(logs))
+        steps = [message("steps.failing", **names(run), checks=checks)]
     return Findings(
         numbers,
         figures,
         table["reasons"] or [*table.get("reservations", []), *left_over(table)],
-        requested,
+        steps,
     )
 
 
@@ -264,11 +267,12 @@ def _tuning(run: Saved) -> Findings:
         Headline(OFTEN, "Feedback gain K_p", gain),
     ]
     against = [] if tuning["met"] else ["target or demands of the tuning are not met"]
-    nexts = ["ask less damping or allow another law: see what else was tried"] if against else []
+    reached = number(tuning["damping_ratio"], 2)
+    steps = [message("steps.less_damping", reached=reached)] if against else []
     share = draws["share"] if draws["draws"] else 1.0
     if share < 1.0:
         against.append(f"{percent(1.0 - share)} of the draws miss the target")
-    return Findings(numbers, [FigureKey("damping")], against, nexts)
+    return Findings(numbers, [FigureKey("damping")], against, steps)
 
 
 def _arc_tuning(run: Saved) -> Findings:
@@ -282,8 +286,9 @@ def _arc_tuning(run: Saved) -> Findings:
         Headline(OFTEN, label, measure(rig, "delay_margin", tuning["delay_margin"], 2), about)
     ]
     against = [] if tuning["met"] else ["the demanded margins are not kept"]
-    nexts = ["ask smaller margins, or take faster valves or sensors"] if against else []
-    return Findings(numbers, [FigureKey("margins")], against, nexts)
+    reached = measure(rig, "delay_margin", tuning["delay_margin"], 2)
+    steps = [message("steps.smaller_margins", reached=reached)] if against else []
+    return Findings(numbers, [FigureKey("margins")], against, steps)
 
 
 def _trials(run: Saved) -> Findings:
@@ -292,10 +297,10 @@ def _trials(run: Saved) -> Findings:
     against = [f"{case.row['case']}: stopped, {case.row['stopped']}" for case in stopped]
     numbers = [*_tracked(rig, cases), *_saved(cases), *_damped(cases)]
     kinds = ("energy", "compare", "trial")
-    nexts = ["see why a trial met its limit before the next one runs"] if stopped else []
+    steps = [message("steps.stopped", **names(run))] if stopped else []
     if cases and all(case.row["on"] == MODEL for case in cases):
-        nexts.append(ON_MACHINE)
-    return Findings(numbers, [FigureKey(kind) for kind in kinds], against, nexts)
+        steps.append(message("steps.on_machine"))
+    return Findings(numbers, [FigureKey(kind) for kind in kinds], against, steps)
 
 
 def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
@@ -391,7 +396,8 @@ def _trial(run: Saved) -> Findings:
     label = f"Trial on the {facts['on']}"
     payload = load_name(facts.get("payload", "none"))
     numbers = [Headline(OFTEN, label, f"{number(facts['duration'])} s", payload)]
-    return Findings(numbers, [FigureKey("trial")], against)
+    key = "steps.stopped" if stopped else "steps.fit_log"
+    return Findings(numbers, [FigureKey("trial")], against, [message(key, **names(run))])
 
 
 _RESPONSE = (
@@ -425,8 +431,12 @@ def _study(run: Saved) -> Findings:
         for word, n in study["status"].items()
         if word in _LOST
     ]
-    nexts = [f"see why samples {words(word)}" for word in study["status"] if word in _LOST]
-    return Findings(numbers, figures, lost, nexts)
+    steps = [
+        message("steps.lost_samples", **names(run), status=words(word))
+        for word in study["status"]
+        if word in _LOST
+    ]
+    return Findings(numbers, figures, lost, steps)
 
 
 _LOST = ("failed", "refused", "late")

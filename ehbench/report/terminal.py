@@ -1,24 +1,103 @@
-"""What a run found, as lines for a terminal and as plain values for scripts: the first part of its
-section of the report, from the run's saved files only.
+"""What a command says, as lines for a terminal and as plain values for scripts. What a run says is
+the first part of its section of the report, from the run's saved files only.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
+from ehbench.report.captions import capital
 from ehbench.report.content import SectionContent
+from ehbench.report.first_screen import next_steps, summary
+from ehbench.report.headlines import findings_of, names
+from ehbench.report.provenance import TracedRun
 from ehbench.report.saved import Saved
 from ehbench.report.stages import report_of
 from ehbench.report.words import words
-from ehbench.runs.rundir import read_json
+from ehbench.runs.rundir import plain, read_json
+from ehbench.vocabulary.messages import Message, message, ranked
+from ehbench.vocabulary.notebook import plural
+from ehbench.vocabulary.text import folded
 
 GAP = "  "
 QUIET = ("done", "partly_estimated")  # statuses that are no verdict
+MOST_STEPS = 3
+MOST_WORDS = 60  # besides tables
+READABLE = 20  # characters to which a column of words may be cut
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command says.
+
+    ``tables``: the most telling first, of it the ``columns`` (none: all). ``steps``: what to do
+    next, the most valuable first. ``notes``: all else worth knowing. ``place``: what was written.
+    ``values``: the same for scripts.
+    """
+
+    verdict: str
+    tables: Sequence[Grid] = ()
+    steps: Sequence[Message] = ()
+    notes: Sequence[str] = ()
+    place: Path | None = None
+    values: Mapping[str, Any] = field(default_factory=dict)
+    columns: Sequence[str] = ()
+    notes_in: str = "with -v"
+
+    def lines(self, width: int = 100, whole: bool = False) -> list[str]:
+        """Verdict, table, numbered next steps, the number of notes, and the place.
+
+        Args:
+            width: of the terminal, in characters; columns that do not fit are left out, the last
+                first.
+            whole: all tables with all their columns, all steps and notes.
+        """
+        verdict, short = self.verdict, self.verdict.split()[: MOST_WORDS // 2]
+        if not whole and len(short) < len(verdict.split()):
+            verdict = " ".join([*short, "…"])
+        out = textwrap.wrap(verdict, width)
+        for note in self.notes if whole else ():
+            out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")
+        for item in self.tables if whole else self.tables[:1]:
+            columns = () if whole else self.columns
+            out += ["", *table(item, columns, sys.maxsize if whole else width), ""]
+        last = [plural(len(self.notes), "note") + f" {self.notes_in}"] if self.notes else []
+        last = [] if whole else last
+        last += [] if self.place is None else [str(self.place)]
+        words = len(" ".join([verdict, *last]).split())
+        for number, step in enumerate((s for s in self.steps if whole or s.hint), 1):
+            shown = _step(number, step, width)
+            words += len(" ".join(shown).split())
+            if not whole and number > 1 and (number > MOST_STEPS or words > MOST_WORDS):
+                break
+            out += shown
+        return [*out, *last]
+
+    def as_json(self) -> str:
+        """The values with verdict, steps and notes; messages with their keys."""
+        steps = [{"key": step.key, "text": step, "line": step.hint} for step in self.steps]
+        steps = [item | {"text": str(item["text"])} for item in steps]
+        notes = [{"key": getattr(note, "key", ""), "text": str(note)} for note in self.notes]
+        about = {"verdict": self.verdict, "steps": steps, "notes": notes}
+        if self.place is not None:
+            about["folder"] = str(self.place)
+        return json.dumps(plain({**about, **self.values}), ensure_ascii=False, indent=1)
+
+
+def _step(number: int, step: Message, width: int) -> list[str]:
+    """A numbered step; the line to paste is not broken."""
+    indent = " " * len(f"{number}. ")
+    text = f"{number}. {capital(step)}" + (":" if step.hint else "")
+    lines = textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
+    return [*lines, *(f"{indent}{line}" for line in step.hint.splitlines())]
 
 
 def found(folder: Path) -> tuple[Saved, SectionContent]:
@@ -31,34 +110,65 @@ def found(folder: Path) -> tuple[Saved, SectionContent]:
     return run, report_of(run).section(run, lambda key: [])
 
 
-def lines(folder: Path, width: int = 100, whole: bool = False) -> list[str]:
-    """What a run found: a status where there is a verdict, one sentence, what speaks against it,
-    and its table.
-
-    Args:
-        folder: of the run.
-        width: of the terminal, in characters; columns that do not fit are left out, the last
-            first.
-        whole: show all tables of that part, with all their columns.
+def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool = False) -> Answer:
+    """What a run says: its verdict, its table, what to do next, and what speaks against it.
 
     Raises:
         InputError: as `found`.
     """
     run, content = found(folder)
     blocks = _shown(run, content)
-    out = textwrap.wrap(_headline(content), width)
-    for block in blocks:
-        if isinstance(block, Bullets):
-            out += _bullets(block, width)
+    bullets = [item for block in blocks if isinstance(block, Bullets) for item in block.items]
+    steps = [message("steps.lost", **names(run))] if losses else []
+    steps += next_steps([run], [content], [findings_of(run)])
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
-    for item in tables if whole else tables[:1]:
-        columns = () if whole else report_of(run).columns
-        out += ["", *table(item, columns, sys.maxsize if whole else width), ""]
-    return out
+    return Answer(
+        _headline(content),
+        tables,
+        _placed(ranked(steps), [folder]),
+        list(dict.fromkeys([*bullets, *folded(notes)])),
+        folder,
+        {"code": code, **values(folder)},
+        report_of(run).columns,
+    )
+
+
+def report_answer(folder: Path, notes: Sequence[str] = (), code: int = 0) -> Answer:
+    """What a report says: the verdict over its runs, their main numbers, and what to do next.
+
+    Raises:
+        InputError: as `found`.
+    """
+    places = [item.place for item in TracedRun(folder).sources if item.role == "run"]
+    runs = [place for place in places if place is not None]
+    saved = [found(run) for run in runs]
+    verdict, grid, steps = summary(*zip(*saved))
+    return Answer(
+        verdict,
+        [grid],
+        _placed(steps, runs),
+        list(dict.fromkeys(notes)),
+        folder / "report.html",
+        {"code": code, "folder": str(folder), "numbers": _rows(grid)},
+        notes_in="in the report",
+    )
+
+
+def _placed(steps: Sequence[Message], folders: Sequence[Path]) -> list[Message]:
+    """Steps whose lines name a run and its recipe by where they are from here."""
+    places = {}
+    for folder in folders:
+        recipe = TracedRun(folder).recipe
+        where = recipe.name if recipe.place is None else os.path.relpath(recipe.place)
+        places[folder.name] = {"run": os.path.relpath(folder), "recipe": where}
+    return [
+        message(step.key, **{**step.fields, **places.get(step.fields.get("run", ""), {})})
+        for step in steps
+    ]
 
 
 def values(folder: Path) -> dict[str, Any]:
-    """The same as plain values: ``status``, ``sentence``, ``results`` (the rows of the tables by
+    """A run as plain values: ``status``, ``sentence``, ``results`` (the rows of the tables by
     their head, as text in the rig file's units), ``numbers`` [SI] and the ``files`` of the run.
 
     Raises:
@@ -107,27 +217,36 @@ def _shown(run: Saved, content: SectionContent) -> Sequence[Block]:
     return next((parts[title] for title in report_of(run).shows if title in parts), ())
 
 
-def _bullets(block: Bullets, width: int) -> Iterator[str]:
-    for item in block.items:
-        yield from textwrap.wrap(item, width, initial_indent="- ", subsequent_indent="  ")
-
-
 def table(grid: Grid, columns: Sequence[str] = (), width: int = 100) -> Iterator[str]:
     """A table in columns of one width each: those that are named (none: all), as many as fit."""
     at = [grid.head.index(name) for name in columns if name in grid.head] or range(len(grid.head))
-    cells = [[grid.head[i] for i in at], *([_text(row[i]) for i in at] for row in grid.rows)]
+    head = [[grid.head[i] for i in at]] if any(grid.head) else []
+    cells = [*head, *([_text(row[i]) for i in at] for row in grid.rows)]
     digits = [all(_is_number(row[i]) for row in grid.rows) for i in at]
     wide = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
-    while sum(wide) + len(GAP) * (len(wide) - 1) > width and len(wide) > 2:
-        wide.pop()
+    while (over := sum(wide) + len(GAP) * (len(wide) - 1) - width) > 0 and len(wide) > 1:
+        if not digits[len(wide) - 1] and wide[-1] - over >= READABLE:  # words may be cut
+            wide[-1] -= over
+            cells = [[*row[: len(wide) - 1], _cut(row[len(wide) - 1], wide[-1])] for row in cells]
+        elif len(wide) == 2:
+            break
+        else:
+            wide.pop()
+    rule = GAP.join("─" * size for size in wide)
+    if not head:
+        yield rule
     for number, row in enumerate(cells):
         placed = (
             text.rjust(size) if right else text.ljust(size)
             for text, size, right in zip(row, wide, digits, strict=False)
         )
         yield GAP.join(placed).rstrip()
-        if number == 0:
-            yield GAP.join("─" * size for size in wide)
+        if head and number == 0:
+            yield rule
+
+
+def _cut(text: str, size: int) -> str:
+    return text if len(text) <= size else text[: size - 1] + "…"
 
 
 def _is_number(cell: Cell | str) -> bool:

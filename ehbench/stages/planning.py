@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose,
 from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import TracedRun
-from ehbench.report.terminal import table
+from ehbench.report.terminal import Answer
 from ehbench.report.words import estimate, interval, number, pretty, shown, unit_of
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
@@ -38,13 +37,17 @@ class NextTest:
     proposals: tuple[Proposal, ...]
     rig_file: Path
 
-    def lines(self, width: int) -> Iterator[str]:
-        """As a table."""
+    def answer(self, run: Path, written: Path | None) -> Answer:
+        """What the command says.
+
+        Args:
+            run: of the fit.
+            written: the recipe of the first test, if it was written.
+        """
         name, unit = self.known.name, pretty(unit_of(self.rig, self.known.name))
         now = self._text(self.known.interval)
         then = self._text(self.proposals[0].interval)
-        yield message("stages.next_test", name=name, now=now, then=then, unit=unit).rstrip()
-        yield ""
+        verdict = message("stages.next_test", name=name, now=now, then=then, unit=unit)
         head = ["cylinder", "test", "amplitude [V]", "starts at [mm]", "payload"]
         head += [f"95 % interval then [{unit}]" if unit else "95 % interval then", "of now"]
         rows = [
@@ -59,7 +62,10 @@ class NextTest:
             ]
             for proposal in self.proposals[:_SHOWN]
         ]
-        yield from table(Grid(head, rows), (), width)
+        step = message("steps.write_test", run=run, parameter=name)
+        if written is not None:
+            step = message("steps.run_test", recipe=written)
+        return Answer(verdict, [Grid(head, rows)], [step], place=written, values=self.as_json())
 
     def _shown(self, value: float) -> float:
         return float(shown(self.rig, self.known.name, value))

@@ -161,7 +161,7 @@ def unrequested(
     results: Sequence[ChannelResult], requested: Thresholds, rig: Rig, record: Record
 ) -> Iterator[Message]:
     """What is poor although no threshold asks for it: a position that is followed badly, a level
-    that is off, residuals outside of their bands.
+    that is off.
     """
     for result in results:
         yield from _level_note(result, rig)
@@ -175,16 +175,6 @@ def unrequested(
             wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
             if wish in record:
                 yield message("validation.was_controlled", channel=wish)
-    for required, key, of in _residual_kinds(requested):
-        outside = {
-            result.channel: max(item.outside_percent for item in of(result))
-            for result in results
-            if of(result)
-        }
-        far = {name: share for name, share in outside.items() if share > requested.outside_percent}
-        if far and not required:
-            shares = ", ".join(f"{name} {share:.0f} %" for name, share in far.items())
-            yield message("validation.residuals", kind=_KINDS[key], shares=shares, word=key)
 
 
 def _level_note(result: ChannelResult, rig: Rig) -> Iterator[Message]:

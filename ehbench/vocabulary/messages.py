@@ -8,7 +8,7 @@ named fields, or a table with the template as ``text`` and what would be right a
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -61,3 +61,13 @@ def message(key: str, /, **fields: Any) -> Message:
     entry = templates(part)[name]
     hint = entry.get("hint", "").format(**fields)
     return Message(entry["text"].format(**fields), key, fields, hint)
+
+
+def ranked(messages: Iterable[Message]) -> list[Message]:
+    """Messages of one file of the catalogue, each once, in the order of that file."""
+
+    def place(item: Message) -> int:
+        part, _, name = item.key.partition(".")
+        return list(templates(part)).index(name)
+
+    return sorted(dict.fromkeys(messages), key=place)

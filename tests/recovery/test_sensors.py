@@ -211,7 +211,8 @@ def test_sensors_of_a_recipe_are_shown_with_its_parameters(undrawn, tmp_path):
     made = workflow.run(tmp_path / "fit.toml", workflow.Session(root=tmp_path / "runs"))
     (saved,) = read_json(made.folder / "parameters.json")["sensors"]
     assert saved["value"] == pytest.approx(2e5, abs=3e3)
-    (shown,) = (line for line in terminal.lines(made.folder) if "offset of press.p_head" in line)
+    told = terminal.answer(made.folder).lines()
+    (shown,) = (line for line in told if "offset of press.p_head" in line)
     assert "2.0" in shown and "bar" in shown
 
 

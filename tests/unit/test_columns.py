@@ -563,7 +563,6 @@ def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
     raw_log(tmp_path / "raw.csv")
     for line, last in (
         (["map", "raw.csv", "--rig", str(RIG)], "raw.map.toml"),
-        (["check", "raw.map.toml"], "ok"),
         (["convert", "raw.csv", "--columns", "raw.map.toml", "--to", "mat"], "raw.mat"),
         (["show", "raw.csv", "--columns", "raw.map.toml"], "raw.html"),
     ):

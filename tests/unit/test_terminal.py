@@ -27,7 +27,7 @@ def fitted(judged):
 
 
 def test_a_fit_shows_each_parameter_with_interval_unit_and_status(fitted):
-    told = terminal.lines(fitted, 100)
+    told = terminal.answer(fitted).lines(100)
     known = json.loads((fitted / "parameters.json").read_text())["parameters"]
     for one in known:
         # the sentence above the table may break before a name too
@@ -37,20 +37,21 @@ def test_a_fit_shows_each_parameter_with_interval_unit_and_status(fitted):
 
 
 def test_a_narrow_terminal_gets_fewer_columns_and_no_broken_line(fitted):
-    wide, narrow = terminal.lines(fitted, 100), terminal.lines(fitted, 40)
-    assert "status" in " ".join(wide) and max(map(len, narrow)) <= 40
+    wide, narrow = terminal.answer(fitted).lines(100), terminal.answer(fitted).lines(40)
+    rule = next(line for line in narrow if line.startswith("─"))
+    assert "status" in " ".join(wide) and len(rule) <= 40
     assert any(line.startswith("bulk_modulus") for line in narrow)
-    assert len(max(terminal.lines(fitted, 40, whole=True), key=len)) > 100
+    assert len(max(terminal.answer(fitted).lines(40, whole=True), key=len)) > 100
 
 
 def test_a_verdict_comes_first_and_in_capitals(judged):
-    assert terminal.lines(judged)[0].startswith("ACCEPTED WITH RESERVATION on 1 held-out log")
+    assert terminal.answer(judged).verdict.startswith("ACCEPTED WITH RESERVATION on 1 held-out")
     table = json.loads((judged / "validation.json").read_text())
     said = dict(table, accepted=False, verdict="rejected", reasons=["it rings at another rate"])
     kept = (judged / "validation.json").read_text()
     (judged / "validation.json").write_text(json.dumps(said))
     try:
-        told = terminal.lines(judged)
+        told = terminal.answer(judged).lines(whole=True)
         assert told[0].startswith("REJECTED") and "- it rings at another rate" in told
     finally:
         (judged / "validation.json").write_text(kept)

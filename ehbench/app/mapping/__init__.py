@@ -24,6 +24,8 @@ from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source,
 from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import lost, recovered
 from ehbench.preprocessing.plausibility import outside_stroke
+from ehbench.report.blocks import Grid
+from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import replacing, write_text
 from ehbench.signals.oddities import oddities
 from ehbench.vocabulary.errors import EhbenchError, InputError
@@ -44,6 +46,23 @@ class Draft:
     path: Path
     picture: Path
     lines: tuple[str, ...]
+    rows: tuple[tuple[str, str, str], ...] = ()
+    sure: int = 0
+
+    def answer(self) -> Answer:
+        """What the command says: a row a column, what the file holds as notes."""
+        step = message("steps.name_map", map=self.path.name)
+        if open_ := [name for name, _, guess in self.rows if guess == "?"]:
+            step = message("steps.complete_map", map=self.path, column=open_[0])
+        counts = {"map": self.path, "sure": self.sure, "count": len(self.rows)}
+        return Answer(
+            message("app.drafted", **counts),
+            [Grid(["column", "range", "channel"], self.rows)],
+            [step],
+            self.lines,
+            self.path,
+            {"columns": [list(row) for row in self.rows], "picture": self.picture},
+        )
 
 
 def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
@@ -78,15 +97,18 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
             draw(picture_part, source, guesses)
     except OSError as error:
         raise InputError(message("app.unwritable", reason=error.strerror), file=out) from None
-    lines = _overview(path, source, guesses)
+    lines, rows = _overview(path, source, guesses)
     others = ", ".join(f"'{table.name}'" for table in sheets[1:])
     lines += [message("app.same_columns", tables=others)] if many else []
     tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
-    return Draft(out, picture, (*lines, *tried))
+    sure = sum(guess.sure and bool(guess.channel) for guess in guesses.values())
+    return Draft(out, picture, (*lines, *tried), tuple(rows), sure)
 
 
-def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str]:
-    """What the file holds, a line a column."""
+def _overview(
+    path: Path, source: Source, guesses: dict[str, Guess]
+) -> tuple[list[str], list[tuple[str, str, str]]]:
+    """What the file holds: a line a column, and the same as (name, range, guess)."""
     names, dialect = source.names(), source.dialect
     lines = [f"{path.name}: {reader_of(path).name}"]
     if dialect.separator is not None:
@@ -98,7 +120,7 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
             line=(dialect.skip or 0) + 1,
             units=message("app.units_below") if dialect.unit_row else "",
         )
-    rows = own_rows(source, guesses)
+    rows, columns = own_rows(source, guesses), []
     for index, table in enumerate(source.tables):
         title = f"table '{table.name}'" if table.name else "table"
         span = _span(table, index, names, guesses)
@@ -107,16 +129,17 @@ def _overview(path: Path, source: Source, guesses: dict[str, Guess]) -> list[str
         wide = min(max(map(len, own), default=0), 40)
         for name in own:
             column, guess = table.columns[names[name][1]], guesses[name]
-            text = _bad_text(column, rows[name], table)
-            lines.append(f"  {name:<{wide}}  {range_of(column)}{text}  → {_guess_text(guess)}")
+            text = range_of(column) + _bad_text(column, rows[name], table)
+            columns.append((name, text, _guess_text(guess)))
+            lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
             lines += [f"    {note}" for note in _odd(column, guess, table)]
         for name, cells in table.words.items():
             row = next((row for row, cell in enumerate(cells) if cell), 0)
             fields = {"cell": remark(cells[row] if cells else ""), "where": _where(table, row)}
             text = message("app.no_numbers", **fields)
-            guess = guesses.get(name, Guess())
-            lines.append(f"  {name:<{wide}}  {text}  → {_guess_text(guess)}")
-    return [*lines, *source.losses]
+            columns.append((name, text, _guess_text(guesses.get(name, Guess()))))
+            lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
+    return [*lines, *source.losses], columns
 
 
 def _guess_text(guess: Guess) -> str:

@@ -4,6 +4,7 @@ and the fit to each log.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -72,7 +73,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     weak = [parameter for parameter in parameters if parameter["status"] != "estimated"]
     method = _METHODS.get(fit["method"], words(fit["method"]))
     first = next((parameter for parameter in parameters if parameter not in weak), parameters[0])
-    fields = {"parameters": parameters, "logs": fit["logs"], "first": first, "weak": weak}
+    weakness = Counter(item["status"] for item in weak)
+    fields = {"parameters": parameters, "logs": fit["logs"], "first": first, "weak": weakness}
     sentence = page.text("sentence", method=method, **fields)
     return SectionContent("partly_estimated" if weak else "done", sentence, parts)
 

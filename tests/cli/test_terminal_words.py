@@ -1,0 +1,120 @@
+"""What a command prints: a verdict, a table, at most three steps with a line to paste."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from itertools import takewhile
+from pathlib import Path
+
+import pytest
+
+from ehbench.config.recipe import load_recipe
+from ehbench.report.terminal import MOST_STEPS, MOST_WORDS, answer
+from ehbench.stages import Stage, stage_of
+from ehbench.vocabulary.commands import COMMANDS
+
+ROOT = Path(__file__).parents[2]
+LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
+LINE = re.compile(r'ehbench |[\w"] = |^ +".+",$', re.MULTILINE)
+
+
+def without_tables(text: str) -> list[str]:
+    """The lines that are part of no table: one reaches from its head to the next blank line."""
+    lines, rest = text.splitlines(), []
+    while lines:
+        block = list(takewhile(str.strip, lines))
+        lines = lines[len(block) + 1 :]
+        rest += [] if any(line.startswith("─") for line in block) else block
+    return rest
+
+
+def short(text: str) -> list[str]:
+    """The steps of an output, after its words are counted."""
+    lines = without_tables(text)
+    assert len(" ".join(lines).split()) <= MOST_WORDS, lines
+    steps = re.split(r"(?m)^(?=\d\. )", "\n".join(lines))[1:]
+    assert len(steps) <= MOST_STEPS
+    for number, step in enumerate(steps, 1):
+        assert step.startswith(f"{number}. ") and LINE.search(step), step
+    return steps
+
+
+@pytest.fixture(scope="module")
+def place(slide_runs, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("words")
+    shutil.copytree(slide_runs, folder / "reports")
+    for name in ("recipes", "datasets"):
+        (folder / name).symlink_to(ROOT / name)
+    return folder
+
+
+def test_a_new_workspace_is_identified_and_accepted_without_a_note(inside, undrawn, tmp_path):
+    assert len(short(inside("init", "ws", cwd=tmp_path).stdout)) == 3
+    for command in ("identify", "validate"):
+        done = inside(command, f"ws/recipes/{command}.toml", cwd=tmp_path)
+        assert done.returncode == 0 and "note: " not in done.stderr, done.stderr
+        assert short(done.stdout)
+        again = inside(command, f"ws/recipes/{command}.toml", "--json", cwd=tmp_path)
+        known = json.loads(again.stdout)
+        assert not [note for note in known["notes"] if "counts on" not in note["text"]]
+        assert known["status"] == {"identify": "done", "validate": "accepted"}[command]
+    shown = next((tmp_path / "reports").glob("identify_*/parameters.json"))
+    rows = json.loads(shown.read_text())["parameters"]
+    assert {row["status"] for row in rows} == {"estimated"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("check", "recipes/rigs/thesis_arm.toml"),
+        ("check", LOG),
+        ("check", "recipes/thesis/campaign.toml"),
+        ("map", LOG, "--rig", "recipes/rigs/slide_servo.toml"),
+        ("convert", LOG, "--to", "mat"),
+        ("show", LOG),
+        ("reproduce", "slide_servo"),
+        ("next", "hydraulics"),
+        ("why", "bulk_modulus", "hydraulics"),
+        ("compare", "hydraulics", "hydraulics"),
+        ("report", "hydraulics", "validation"),
+    ],
+    ids=lambda words: " ".join(str(Path(word).name) for word in words[:2]),
+)
+def test_each_command_is_short(words, place, inside, undrawn):
+    runs = {run.name.rpartition("_")[0]: run for run in (place / "reports").iterdir()}
+    done = inside(*(runs.get(word, word) for word in words), cwd=place)
+    assert done.returncode == 0, done.stderr
+    short(done.stdout)
+    assert not re.search("(?m)^note: ", done.stderr)
+
+
+CHEAP = (
+    *("slide_servo/hydraulics", "slide_servo/validation", "slide_servo/response"),
+    *("slide_servo/tuning", "slide_servo/arc_tuning", "trials/velocity_steps"),
+    *("boom_four_valve/flow_maps", "boom_four_valve/hydraulics", "boom_four_valve/validation"),
+    *("crane_proportional/hydraulics", "crane_proportional/validation"),
+    *("pump_cylinder/hydraulics", "pump_cylinder/validation", "trials/multisine"),
+    *("studies/stopping_trial", "trials/arc_slow", "robust/slide_servo_model"),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHEAP)
+def test_each_cheap_recipe_is_short(name, place, inside, undrawn, unlocused):
+    path = Path("recipes") / f"{name}.toml"
+    stage = stage_of(load_recipe(ROOT / path))
+    assert isinstance(stage, Stage) and stage.command in {item.name for item in COMMANDS}
+    done = inside(stage.command, path, "--json", cwd=place)
+    values = json.loads(done.stdout)
+    assert all(step["key"].startswith("steps.") for step in values["steps"])
+    assert {"verdict", "notes", "folder", "code"} <= values.keys()
+    notes = [note["text"] for note in values["notes"]]
+    short("\n".join(answer(place / values["folder"], notes, values["code"]).lines()))
+    assert not re.search("(?m)^note: ", done.stderr)
+
+
+def test_quiet_prints_the_folder_alone(place, inside, undrawn):
+    done = inside("validate", "recipes/slide_servo/validation.toml", "-q", cwd=place)
+    assert (place / done.stdout.strip() / "validation.json").is_file() and not done.stderr
