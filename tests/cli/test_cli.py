@@ -311,7 +311,7 @@ def test_two_runs_are_compared_as_a_table_and_as_json(inside, tmp_path):
     table["parameters"][0]["value"] = 2.8e8
     (other / "parameters.json").write_text(json.dumps(table))
     done = inside("compare", run, other)
-    assert done.returncode == 0 and re.search(r"bulk_modulus .* MPa .*0\.61", done.stdout)
+    assert done.returncode == 3 and re.search(r"bulk_modulus .* MPa .*0\.61", done.stdout)
     done = inside("compare", run, other, "--json")
     assert [one["name"] for one in json.loads(done.stdout)["parameters"]] == ["bulk_modulus"]
     done = inside("compare", run, flow_map_run(tmp_path))
