@@ -1,5 +1,5 @@
-"""Work in a child process with bounded memory and time, for libraries that a damaged or hostile
-file may bring down."""
+"""Work in a child process with bounded memory, time and files, for libraries that a damaged or
+hostile file may bring down."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ import os
 import resource
 import select
 import signal
+import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
+from ehbench.runtime.landlock import restrict, system_paths
 from ehbench.runtime.memory import held
 
 _PIECE = 1 << 20  # bytes that a pipe hands over at once
@@ -48,30 +52,49 @@ class Ended(Exception):
         return signal.Signals(self.number).name if self.number else "no word"
 
 
-def confined(work: Callable[[BinaryIO], None], bounds: Bounds) -> bytearray:
+def confined(
+    work: Callable[[BinaryIO], None], bounds: Bounds, readable: Iterable[Path] = ()
+) -> bytearray:
     """What a piece of work writes into the pipe that it is given.
 
     It runs in a fork of this process: what is imported here is imported there. It prints nothing
-    and changes nothing here.
+    and changes nothing here; where the system knows how, it opens no other files.
+
+    Args:
+        work: what is done, in an empty folder.
+        bounds: what it may use.
+        readable: whole paths of files and folders that it may read.
 
     Raises:
         Ended: it crashed, or took longer than its bounds.
     """
-    reading, writing = os.pipe()
-    with warnings.catch_warnings():
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the child starts no thread of these
+        reading, writing = os.pipe()
         child = os.fork()
-    if child == 0:
-        code = 1
-        try:
-            os.close(reading)
-            _confine(bounds)
-            with os.fdopen(writing, "wb") as pipe:
-                work(pipe)
-            code = 0
-        finally:
-            os._exit(code)
-    os.close(writing)
+        if child == 0:
+            code = 1
+            try:
+                os.close(reading)
+                _confine(bounds)
+                tempfile.tempdir = folder
+                os.chdir(folder)
+                restrict([*system_paths(), *readable], Path(folder))
+                with os.fdopen(writing, "wb") as pipe:
+                    work(pipe)
+                code = 0
+            finally:
+                os._exit(code)
+        os.close(writing)
+        return _outcome(child, reading, bounds)
+
+
+def _outcome(child: int, reading: int, bounds: Bounds) -> bytearray:
+    """What a child writes until it ends.
+
+    Raises:
+        Ended: as `confined`.
+    """
     try:
         result = _received(reading, bounds)
     except BaseException:

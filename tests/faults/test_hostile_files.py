@@ -17,6 +17,7 @@ import pytest
 from ehbench.data import readers
 from ehbench.data.readers import READERS, Reader, open_source
 from ehbench.runtime.confined import Bounds, Ended, confined
+from ehbench.runtime.landlock import restrict
 from ehbench.vocabulary.errors import LogError
 
 SMALL = Bounds(memory=5e8, seconds=2.0, wait=20.0)
@@ -134,3 +135,28 @@ def test_a_child_prints_nothing_and_hands_over_what_it_writes(capfd):
 
     assert confined(work, SMALL) == bytes(3_000_000)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_child_opens_its_file_and_no_other(tmp_path):
+    """As a file may name others that lie beside it, or anywhere."""
+    (tmp_path / "given").write_text("given")
+    (tmp_path / "other").write_text("other")
+
+    def work(pipe: io.BufferedIOBase) -> None:
+        Path("beside").write_text("what a library packs out")
+        pipe.write((tmp_path / "given").read_bytes())
+        for path in (tmp_path / "other", Path.home(), tmp_path):
+            try:
+                pipe.write(path.read_bytes() if path.is_file() else bytes(os.listdir(path)))
+            except PermissionError:
+                pipe.write(b" refused")
+        try:
+            (tmp_path / "new").write_text("new")
+        except PermissionError:
+            pipe.write(b" refused")
+
+    result = confined(work, SMALL, [tmp_path / "given"])
+    if confined(lambda pipe: pipe.write(bytes(restrict([], tmp_path))), SMALL) == b"":
+        pytest.skip("this system has no Landlock")
+    assert result == b"given refused refused refused refused"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["given", "other"]

@@ -9,10 +9,8 @@ from __future__ import annotations
 import stat
 import warnings
 import zipfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import filter as filter_names
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -165,8 +163,7 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
             raise LogError(text, file=path) from None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        read = partial(_read, reader, path, dialect or Dialect())
-        source = _confined(reader, read, path) if reader.magic else read()
+        source = (_confined if reader.magic else _read)(reader, path, dialect or Dialect())
     requested = dialect.table if dialect else None
     if requested is not None and len(source.tables) > 0 and source.tables[0].name:
         there = ", ".join(f"'{table.name}'" for table in source.tables)
@@ -181,7 +178,7 @@ def open_source(path: Path, dialect: Dialect | None = None) -> Source:
     return source
 
 
-def _confined(reader: Reader, read: Callable[[], Source], path: Path) -> Source:
+def _confined(reader: Reader, path: Path, dialect: Dialect) -> Source:
     """What a reader makes of a file, in a child process.
 
     Raises:
@@ -191,17 +188,19 @@ def _confined(reader: Reader, read: Callable[[], Source], path: Path) -> Source:
 
     def work(pipe: BinaryIO) -> None:
         try:
-            result = read()
+            result = _read(reader, whole, dialect)
         except EhbenchError as error:
             result = error
         send(pipe, result)
 
+    whole = path.absolute()  # the child works in another folder
     files = path.rglob("*") if path.is_dir() else (path,)
-    size = sum(file.stat().st_size for file in files)
+    size = sum(file.lstat().st_size for file in files)
     memory = min(SETTINGS.memory + SETTINGS.swells * size, SHARE * available())
     seconds = SETTINGS.seconds + SETTINGS.slowness * size
     try:
-        return received(confined(work, Bounds(memory, seconds, SETTINGS.patience * seconds)), path)
+        bounds = Bounds(memory, seconds, SETTINGS.patience * seconds)
+        return received(confined(work, bounds, [whole]), path)
     except Ended as end:
         about = {"format": reader.name, "package": reader.package or "its library"}
         if end.late:

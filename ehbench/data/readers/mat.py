@@ -92,7 +92,9 @@ def _add_struct(
     vectors = [field for field, item in content.items() if _is_vector(item)]
     clocks = np.atleast_1d(np.asarray(known.get("x"), object))
     for field, item in content.items():
-        if field.lower() in _DATA and _is_vector(item):
+        if field == "time" and "signals" in known and _is_vector(item):  # Simulink's, in seconds
+            gathered.add(name, f"{name}.{field}", item, "s")
+        elif field.lower() in _DATA and _is_vector(item):
             where, label = place if len(vectors) == 1 else name, text_of(_NAMES)
             if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNITS)):
                 losses.append(message("data.not_read", name=f"{name}.{field}"))
