@@ -59,8 +59,8 @@ class _Row(NamedTuple):
 
 _SENSORS = (
     _Row("rod_force", "force"),
-    _Row("v", "speed"),
-    _Row("qd", "speed"),
+    _Row("v", "speed", False),
+    _Row("qd", "speed", False),
     _Row("x", "place"),
     _Row("q", "angle"),
 )
@@ -163,7 +163,10 @@ def _placed(
     else:
         cylinder, known, where = _cylinder(words, rig)
         place = f"{cylinder}.{channel}"
-        certainty = known if CERTAIN == certainty or UNDECIDED == known else certainty
+        if UNDECIDED in (certainty, known):
+            certainty = UNDECIDED
+        elif certainty == CERTAIN:
+            certainty = known
     if not unit:
         return Guess(place, "", UNDECIDED, message("app.which_unit"), why=(*why, *where))
     remark, offset = "", ""
@@ -172,7 +175,7 @@ def _placed(
         offset = f"{from_si(-ATMOSPHERE, unit, VOCABULARY[channel]):.4g} {unit}"
     if channel == "rod_force":
         remark = message("app.push_positive")
-    if certainty == UNDECIDED and not remark and rig is not None:
+    if certainty == UNDECIDED and not remark and place.startswith(f"{CYLINDER}.") and rig:
         names = ", ".join(cylinder.name for cylinder in rig.cylinder)
         remark = message("app.which_cylinder", names=names)
     return Guess(place, unit, certainty, remark, None, offset, (*why, *where))
@@ -256,7 +259,8 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
         named = WORDS[row.words] & words
         if may(row.channel, named) and (unit or row.channel not in ("qd", "rod_force")):
             why = tuple(message("app.why_word", word=word) for word in sorted(named))
-            return row.channel, CERTAIN if named else LIKELY, why
+            alone = LIKELY if row.by_unit else UNDECIDED
+            return row.channel, CERTAIN if named else alone, why
     return "", UNDECIDED, ()
 
 

@@ -194,6 +194,10 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
     strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
     if strict is None:
         raise LogError(message("data.no_rows_of_numbers"))
+    window = range(strict, min(strict + _HEADS, len(at)))
+    words = [i for i in window if not fits(at[i], 0.5)]
+    if words and words[0] - strict <= 2 and words[-1] + 1 < len(at):  # numbers among the facts
+        strict = words[-1] + 1
     while strict > 0 and fits(at[strict - 1], 0.5):  # a row with a broken cell is a row still
         strict -= 1
     first = at[strict]
@@ -249,9 +253,14 @@ def _heads(
             wide.append(filled)
             at.append(n)
     for index, cells in enumerate(wide[:-1]):
-        own = cells[1:] if cells[0].strip(": ").lower() in _UNIT_HEADS else cells
+        head = cells[0].strip(": ").lower().removeprefix("trace_")
+        own = cells[1:] if head in _UNIT_HEADS else cells
         if own and (_are_units(own, wide[index + 1]) or all(map(_BRACKETED.fullmatch, own))):
-            return at[index + 1], at[index]
+            names = index + 1
+            if len(set(wide[names])) < len(wide[names]):  # another row tells the columns apart
+                others = (i for i, row in enumerate(wide) if len(set(row)) == len(row))
+                names = next((i for i in others if i != index), names)
+            return at[names], at[index]
     return (at[0], None) if at else (None, None)
 
 
