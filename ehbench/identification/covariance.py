@@ -23,13 +23,16 @@ class Block:
     """What one log says of its ``channels``: sensitivities of its scaled residuals to the
     parameters (samples, channels, parameters) and to its start's nuisances (samples, channels,
     nuisances), the residuals (samples, channels), where the nuisances stand [prior standard
-    deviations]."""
+    deviations]; where channels read in counts, their ``readings`` (samples, channels) and the
+    standard error of a resting one (channels,), in units of the residuals' scales."""
 
     channels: tuple[str, ...]
     jacobian: np.ndarray
     start_jacobian: np.ndarray
     residuals: np.ndarray
     shifts: np.ndarray
+    readings: np.ndarray | None = None
+    coarse: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +97,8 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Covariance:
-    """Covariances of the search coordinates: ``hac`` and ``acf``, and where the logs disagree
-    ``jackknife``.
+    """Covariances of the search coordinates: ``hac`` and ``acf``, ``counts`` by the resolution of
+    the readings alone, and where the logs disagree ``jackknife``.
 
     ``alone`` is the standard error each parameter would have if all the others were known,
     ``quantile`` that of the 95 % interval by ``hac`` and ``acf``, ``from_data`` the share of each
@@ -104,6 +107,7 @@ class Covariance:
 
     hac: np.ndarray
     acf: np.ndarray
+    counts: np.ndarray
     jackknife: np.ndarray | None
     logs: int
     alone: np.ndarray
@@ -119,7 +123,7 @@ class Covariance:
 
         results = [
             (math.sqrt(max(matrix[k, k], 0.0)), self.quantile, source)
-            for matrix, source in ((self.hac, "hac"), (self.acf, "acf"))
+            for matrix, source in ((self.hac, "hac"), (self.acf, "acf"), (self.counts, "counts"))
         ]
         if self.jackknife is not None:
             quantile = float(stdtrit(self.logs - 1, 0.5 + 0.5 * LEVEL))
@@ -143,6 +147,9 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     (Kiefer & Vogelsang 2005). Where the scores of three logs or more disagree by more than their
     long-run covariance explains, each log is left out in turn, one Gauss–Newton step
     (``jackknife``); directions that one log alone informs are left to the sandwich.
+
+    Readings in counts Δ without noise are all off alike where they read alike: M is then
+    ``Σ gᵀg Δ²/12`` over the values of each channel, g the sum of J at one of them (``counts``).
     """
     solved = [eliminate(block, prior.weight) for block in blocks]
     data = np.sum([item.normal for item in solved], axis=0)
@@ -171,6 +178,7 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     return Covariance(
         inverse @ hac @ inverse,
         inverse @ acf @ inverse,
+        inverse @ (_by_counts(free, blocks) + np.sum(own, axis=0) + known) @ inverse,
         _jackknife(solved, root) if _disagree(pulls, meats) else None,
         len(blocks),
         np.sqrt(np.maximum(np.diag(hac), 0.0)) / informed,
@@ -284,6 +292,26 @@ def _by_autocovariance(slopes: Sequence[np.ndarray], blocks: Sequence[Block]) ->
         ]
         weights = _flat_top([left for _, left in having])
         result += np.sum([_weighed(part, weights[: len(part)]) for part, _ in having], axis=0)
+    return result
+
+
+def _by_counts(free: Sequence[np.ndarray], blocks: Sequence[Block]) -> np.ndarray:
+    """``Σ gᵀg Δ²/12`` over channels and the values that they read, all logs together."""
+    p = free[0].shape[-1]
+    result = np.zeros((p, p))
+    for channel in sorted({channel for block in blocks for channel in block.channels}):
+        values, columns, error = [], [], 0.0
+        for part, block in zip(free, blocks, strict=True):
+            if channel in block.channels and block.readings is not None:
+                i = block.channels.index(channel)
+                values.append(block.readings[:, i])
+                columns.append(part[:, i])
+                error = max(error, 0.0 if block.coarse is None else float(block.coarse[i]))
+        if error > 0.0:
+            which = np.unique(np.concatenate(values), return_inverse=True)[1]
+            whole = np.concatenate(columns)
+            sums = np.stack([np.bincount(which, column) for column in whole.T], axis=-1)
+            result += error**2 * sums.T @ sums
     return result
 
 

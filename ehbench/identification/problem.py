@@ -449,8 +449,12 @@ def linearised(
     columns = jacobian(problem, state, which)
     starts = start_jacobian(problem, state) if start_columns is None else start_columns
     residuals = scaled(problem, state, state.here.residuals)
-    each = zip(problem.logs, columns, starts, residuals, state.here.shifts, strict=True)
-    return [Block(log.channels, *rest) for log, *rest in each]
+    blocks = []
+    for k, log in enumerate(problem.logs):
+        size, shifts = by_channel(state.scales, log), state.here.shifts[k]
+        given = columns[k], starts[k], residuals[k], shifts
+        blocks.append(Block(log.channels, *given, log.recorded / size, log.coarse / size))
+    return blocks
 
 
 def weighed(problem: Problem, state: State, scales: bool = True) -> State:

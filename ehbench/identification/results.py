@@ -40,10 +40,11 @@ SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 class FittedParameter:
     """One fitted number, SI. ``std`` and ``interval`` (95 %) are None where the data give none;
     ``error_from`` says which standard error it is: ``hac`` or ``acf`` (coloured residuals within
-    each log), ``jackknife`` (leaving out one log at a time), ``windows``, or ``range``: the
-    interval is what the logs do not deny, and ``std`` a share of its width. ``from_data`` is the
-    share of what is known of it that is not its ``prior``'s (a standard deviation, None for none),
-    ``from_starts`` the share of its variance that it has because the logs' starts are estimated."""
+    each log), ``counts`` (resolution of the readings), ``jackknife`` (leaving out one log at a
+    time), ``windows``, or ``range``: the interval is what the logs do not deny, and ``std`` a share
+    of its width. ``from_data`` is the share of what is known of it that is not its ``prior``'s (a
+    standard deviation, None for none), ``from_starts`` the share of its variance that it has
+    because the logs' starts are estimated."""
 
     name: str
     unit: str

@@ -25,6 +25,7 @@ from ehbench.preprocessing.observations import (
     alternatives,
     channels_asked,
     column,
+    count_error,
     least_change,
     payload_of,
 )
@@ -97,6 +98,16 @@ class Log:
                 share * white_noise(record[c]) if known and c in record else 0.0
                 for c in self.channels
             ]
+        )
+
+    @cached_property
+    def coarse(self) -> np.ndarray:
+        """Standard error [SI] of a resting reading that is recorded in counts, shape (channels,);
+        zero where the log is compared otherwise than by its readings.
+        """
+        record, known = self.record, self.band is None
+        return np.array(
+            [count_error(record[c]) if known and c in record else 0.0 for c in self.channels]
         )
 
     @property

@@ -24,11 +24,12 @@ from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.model import Model, Seen, Start, seen_of
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.plant.trim import settle_parts
-from ehbench.preprocessing.observations import column
+from ehbench.preprocessing.observations import column, count_error
 from ehbench.preprocessing.plausibility import moving_at_first, on_at_first
 from ehbench.preprocessing.sensors import Bias, Term, corrected, sensed
 from ehbench.signals.series import LEAST_LINE, autocorrelation, correlation_time, rms
 from ehbench.vocabulary.errors import SimulationError
+from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.settings import setting
 
 SUPPLY_CHANNEL, TANK_CHANNEL = "p_supply", "p_tank"
@@ -263,6 +264,10 @@ def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Unce
             continue
         y = record[channel]
         std = rms(y - np.mean(y)) if moves else mean_error(y, rest)
+        if not np.any(y != y[0]):  # readings of the same unit tell how fine it is
+            unit = quantity(channel).unit
+            alike = [item for c, item in record.channels.items() if quantity(c).unit == unit]
+            std = max(map(count_error, alike))
         if channel == SUPPLY_CHANNEL:
             std = max(std, SETTINGS.supply * maximum)
             result.append(_uncertain(channel, model.plant.at.supply, std, maximum))
@@ -295,9 +300,13 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
     show too little of their correlation time τ, so that at least that of a first-order process
     counts whose pole ρ is the first autocorrelation without its bias, −(2 + 4ρ)/n about a line
     (Kendall 1954): τ = (1 + ρ)/(1 − ρ).
+
+    A reading in counts is known no better than `count_error`.
     """
+    coarse = count_error(y)
     if rest < LEAST_LINE:
-        return float(1.5 * np.median(np.abs(np.diff(y)))) / math.sqrt(rest), 0.0
+        error = float(1.5 * np.median(np.abs(np.diff(y)))) / math.sqrt(rest)
+        return math.hypot(error, coarse), 0.0
     z = np.linspace(-0.5, 0.5, rest)
     line = np.polyfit(z, y[:rest], 1)
     noise = y[:rest] - np.polyval(line, z)
@@ -305,7 +314,7 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
     pole = min(pole + (2.0 + 4.0 * pole) / rest, 1.0 - 2.0 / rest)
     time = max(correlation_time(noise), (1.0 + pole) / (1.0 - pole))
     error = math.sqrt(time / rest) / max(1.0 - 2.0 * time / rest, SETTINGS.residual)
-    return rms(noise) * min(1.0, error), abs(float(line[0]))
+    return math.hypot(rms(noise) * min(1.0, error), coarse), abs(float(line[0]))
 
 
 def _uncertain(name: str, state: int, std: float, span: float, valve: int = -1) -> Uncertain:

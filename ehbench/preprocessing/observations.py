@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -68,6 +69,20 @@ def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
         return None
     smooth = lowpass(record[position], record.sample_time, SETTINGS.rate_cutoff)
     return np.gradient(smooth, record.sample_time)
+
+
+def count_error(y: np.ndarray) -> float:
+    """Standard error of a resting reading in counts, in its unit; zero of one that never changes.
+
+    It is Δ/√12 of a count Δ, the smallest step between its values; noise σ makes it less by
+    exp(−2(πσ/Δ)²), the first harmonic of the bias of a dithered mean (Widrow & Kollár 2008).
+    """
+    steps = np.diff(np.unique(y))
+    if not steps.size:
+        return 0.0
+    count = float(steps.min())
+    noise = max(white_noise(y) ** 2 - count**2 / 12.0, 0.0)
+    return count / math.sqrt(12.0) * math.exp(-2.0 * noise * (math.pi / count) ** 2)
 
 
 def noise_of(record: Record, channel: str) -> float:

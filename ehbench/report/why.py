@@ -21,7 +21,7 @@ from ehbench.vocabulary.messages import Message, message
 
 # kinds of runs and of intervals whose method the catalogue describes
 _KINDS = "flow_map hydraulics profile response validation tuning trial trials".split()
-_ERRORS = ("hac", "acf", "jackknife", "range")
+_ERRORS = ("hac", "acf", "counts", "jackknife", "range")
 
 
 @dataclass(frozen=True)

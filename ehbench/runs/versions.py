@@ -15,7 +15,7 @@ METHODS: Mapping[str, int] = {
     "plant": 1,  # equations of the plant, its parts and their integration
     "bench": 1,  # virtual bench: delays, noise, quantisation
     "flow_maps": 2,
-    "output_error": 1,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 2,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
     "diagnosis": 1,

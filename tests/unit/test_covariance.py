@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import t as student
 
 from ehbench.identification.covariance import Block, Covariance, Prior, covariance_of, eliminate
+from ehbench.preprocessing.observations import count_error
 
 NONE = Prior(np.zeros(2), np.zeros(2), 1.0)
 
@@ -150,12 +153,41 @@ def test_logs_that_disagree_are_jackknifed():
     assert quantile == pytest.approx(student.ppf(0.975, 5), rel=1e-9)
 
 
+def test_readings_in_counts_are_off_alike_where_they_read_alike():
+    count, rng, errors = 0.7, np.random.default_rng(19), []
+    columns = np.column_stack([np.linspace(0.0, 1.0, 600), np.ones(600)])
+    for _ in range(400):
+        true = np.repeat(rng.uniform(-5.0, 5.0, 3), 200)  # rests at three levels
+        read = count * np.round(true / count)
+        block = solved(columns, read - true)
+        block = replace(block, readings=read[:, None], coarse=np.full(1, count / np.sqrt(12.0)))
+        result = covariance_of([block], NONE)
+        errors.append(np.linalg.lstsq(columns, read - true, rcond=None)[0])
+    assert np.sqrt(np.diag(result.counts)) == pytest.approx(np.std(errors, axis=0), rel=0.1)
+    assert result.error(0)[2] == "counts"
+
+
+@pytest.mark.parametrize(("noise", "error"), [(0.0, 1.0), (0.5, 0.01), (1.0, 0.0)])
+def test_a_count_is_an_error_of_a_reading_without_noise(noise, error):
+    """The first harmonic of the dithered mean's bias: exp(−2(πσ/Δ)²)."""
+    rng = np.random.default_rng(23)
+    true = np.concatenate([np.full(2000, 3.1), np.linspace(3.1, 9.0, 20)])
+    read = 0.5 * np.round((true + 0.5 * noise * rng.standard_normal(2020)) / 0.5)
+    assert count_error(read) == pytest.approx(error * 0.5 / np.sqrt(12.0), abs=0.012)
+
+
 @pytest.mark.parametrize(
-    ("hac", "acf", "jackknife", "source", "std"),
-    [(4.0, 1.0, None, "hac", 2.0), (1.0, 4.0, None, "acf", 2.0), (4.0, 4.0, 9.0, "jackknife", 3.0)],
+    ("variances", "jackknife", "source", "std"),
+    [
+        ((4.0, 1.0, 1.0), None, "hac", 2.0),
+        ((1.0, 4.0, 1.0), None, "acf", 2.0),
+        ((1.0, 2.0, 9.0), None, "counts", 3.0),
+        ((4.0, 4.0, 1.0), 9.0, "jackknife", 3.0),
+    ],
 )
-def test_the_widest_interval_is_taken(hac, acf, jackknife, source, std):
+def test_the_widest_interval_is_taken(variances, jackknife, source, std):
     one = np.ones(1)
     wide = None if jackknife is None else np.array([[jackknife]])
-    result = Covariance(np.array([[hac]]), np.array([[acf]]), wide, 3, one, 1.96, one, one)
+    hac, acf, counts = (np.array([[value]]) for value in variances)
+    result = Covariance(hac, acf, counts, wide, 3, one, 1.96, one, one)
     assert result.error(0)[::2] == (std, source)
