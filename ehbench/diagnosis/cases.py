@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ehbench.config.rig import Rig
 from ehbench.data.record import Record
+from ehbench.diagnosis.faults.hypothesis import Hypothesis
 from ehbench.plant.build import Maps
 from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
@@ -41,26 +41,35 @@ class Case:
     terms: tuple[Term, ...] = ()
     bias: Mapping[str, float] = field(default_factory=dict)
 
-    def varied(self, rig: Rig) -> Model:
-        """The model of another rig, with the same maps."""
-        return Model.of(rig, self.maps)
-
-    def simulated(self, model: Model, record: Record) -> Record:
-        """What a model does on a record, the case's own or a corrected one, from the estimated
-        initial state; as its sensors show it.
+    def simulated(self, fault: Hypothesis | None = None, delta: float = 0.0) -> Record:
+        """What the model does on the record from the estimated initial state, as its sensors show
+        it; with a fault of size δ.
         """
-        run = self.run_of(model, record)
-        return self.seen(run.model.replay(run.record, start=run.start))
+        run = self.run_of(fault, delta)
+        return self.seen(run.model.replay(run.record, start=run.start), fault, delta)
 
-    def run_of(self, model: Model, record: Record) -> Replay:
-        """(a model, a record as sound sensors would have it, the start) of `simulated`."""
-        true = corrected(record, self.terms, self.bias)
+    def run_of(self, fault: Hypothesis | None = None, delta: float = 0.0) -> Replay:
+        """(the model, the record as sound sensors would have it, the start) of `simulated`.
+
+        Raises:
+            EhbenchError, ValueError: there is no such rig.
+        """
+        model, record = self.model, self.record
+        terms, bias = self.terms, self.bias
+        if fault is not None:
+            rig = fault.rig(model.rig, delta)
+            model = model if rig is model.rig else Model.of(rig, self.maps)
+            record = fault.record(record, delta)
+            terms, bias = fault.terms(terms, bias, delta)
+        true = corrected(record, terms, bias)
         start = self._start if true is self._start.record else replace(self._start, record=true)
         return Replay(model, true, start.at(model, self._shifts))
 
-    def seen(self, replayed: Record) -> Record:
+    def seen(self, replayed: Record, fault: Hypothesis | None = None, delta: float = 0.0) -> Record:
         """A simulation as the log's sensors show it."""
-        return sensed(replayed, self.terms, self.bias)
+        if fault is None:
+            return sensed(replayed, self.terms, self.bias)
+        return sensed(replayed, *fault.terms(self.terms, self.bias, delta))
 
     @cached_property
     def _start(self) -> InitialState:

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.recipe.sensor import WORDS
+from ehbench.config.recipe.sensor import WORDS, Sensor
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.guidance.changes import TURNED, Change, changes, merged
+from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.identification.basins import descend, foreseen, nearest_basin
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
 from ehbench.identification.problem import Problem, initial, problem_of
@@ -37,7 +37,6 @@ LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how man
 HEAD = 10.0  # [s] of a log at least that is looked at
 STEPS = 25  # of a descent
 FINE = 0.005  # share of a channel's spread below which an error does not matter
-COSTLY = ("mount", "sway")  # kinds that are tried where nothing else helps
 ROUNDS = 5  # changes on top of one another, at most
 QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
 WORTH = 0.05  # share of what is left out, by which a change must lessen it to be worth its numbers
@@ -50,6 +49,16 @@ IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
 UNSURE = 1.0  # standard errors within which a fit is not worse than the best
 
 
+def merged(sensors: Sequence[Sensor], more: Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Sensors with what others say of them, one table a channel."""
+    results = {sensor.channel: sensor for sensor in sensors}
+    for item in more:
+        given = {key: getattr(item, key) for key in item.model_fields_set}
+        old = results.get(item.channel)
+        results[item.channel] = item if old is None else old.model_copy(update=given)
+    return tuple(results.values())
+
+
 @dataclass(frozen=True)
 class Setup:
     """A fit to try: its rig, parameters and options, and the changes that made it."""
@@ -57,9 +66,9 @@ class Setup:
     rig: Rig
     parameters: tuple[str, ...]
     options: FitOptions
-    changes: tuple[Change, ...] = ()
+    changes: tuple[Hypothesis, ...] = ()
 
-    def with_change(self, change: Change) -> Setup:
+    def with_change(self, change: Hypothesis) -> Setup:
         """This with one change more.
 
         Raises:
@@ -210,6 +219,7 @@ class _Trials:
         self.tried: list[Tried] = []
         self.spread: dict[str, float] = {}
         self.noise: dict[str, float] = {}
+        self.rows: list[Hypothesis] = []
 
     def run(self, rounds: int) -> Suggestions:
         """All rounds, and the table."""
@@ -232,10 +242,10 @@ class _Trials:
         where that did not help: a promise is to first order.
         """
         left = self._changes(now)
-        promised, untried = self._promised(now, [c for c in left if c.kind not in COSTLY])
+        promised, untried = self._promised(now, [c for c in left if not c.row.costly])
         reached = self._tries(now, promised, untried)
         if not self._any_better(reached, now):
-            costly, late = self._promised(now, [c for c in left if c.kind in COSTLY])
+            costly, late = self._promised(now, [c for c in left if c.row.costly])
             untried += late
             reached += self._tries(now, costly, untried, hope=0.0)
         if now is self.tried[0] and not self._any_better(reached, now):
@@ -247,7 +257,7 @@ class _Trials:
     def _tries(
         self,
         now: Tried,
-        promised: Sequence[tuple[float, Change]],
+        promised: Sequence[tuple[float, Hypothesis]],
         untried: list[str],
         hope: float = HOPE,
     ) -> list[Tried]:
@@ -275,13 +285,13 @@ class _Trials:
         return any(self._better(item, now) for item in reached)
 
     def _promised(
-        self, now: Tried, left: Sequence[Change]
-    ) -> tuple[list[tuple[float, Change]], list[str]]:
+        self, now: Tried, left: Sequence[Hypothesis]
+    ) -> tuple[list[tuple[float, Hypothesis]], list[str]]:
         """(by how much changes on top of a fit should lessen what it leaves, were all linear: mean
         square with the change relative to that without, the least first; the names of those that
         there was no time to look at).
         """
-        results: list[tuple[float, Change]] = []
+        results: list[tuple[float, Hypothesis]] = []
         untried, without = [], self._foreseen(now, now.setup, ({},))
         for change in left:
             spent = time.monotonic() - self.begun
@@ -311,7 +321,7 @@ class _Trials:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
         fit itself where there are none.
         """
-        parts = [self._try(now, item) for item in best.setup.changes[-1].apart()]
+        parts = [self._try(now, item) for item in best.setup.changes[-1].parts(self.rows)]
         results = [part for part in parts if part is not None]
         self.tried += results
         retained = [item for item in results if self._not_worse(item, best)]
@@ -332,26 +342,29 @@ class _Trials:
         self.tried.append(first)
         return first
 
-    def _changes(self, now: Tried) -> list[Change]:
+    def _changes(self, now: Tried) -> list[Hypothesis]:
         """What may be tried on top of a fit."""
         records, setup = [record for _, record in self.records], now.setup
         result = now.found[int(np.argmin(now.costs))]
         fitted = setup.rig.with_values({name: result[name] for name in setup.parameters})
-        given = (self.live, self.channels, records, setup.parameters, setup.options.upper)
         estimated = {
             (sensor.channel, w) for sensor in setup.options.sensors for w in WORDS if sensor[w]
         }
         used = {change.name for change in setup.changes}
         astray = any(size > self.spread[c] ** 2 for c, size in self._levels(now).items())
+        rows = hypotheses(fitted, self.live, self.channels, records, self.maps)
+        rest = [item.without(setup.parameters, setup.options.upper) for item in rows]
+        self.rows = list({(c.kind, c.parameters, c.sensors): c for c in rest if c.freedom}.values())
         return [
             change
-            for change in changes(fitted, *given)
-            if change.name not in used
+            for change in self.rows
+            if change.level > 0
+            and change.name not in used
             and not estimated & {(s.channel, w) for s in change.sensors for w in WORDS if s[w]}
-            and (change.kind != TURNED or astray)
+            and (not change.kind.endswith("sign") or astray)
         ]
 
-    def _try(self, now: Tried, change: Change) -> Tried | None:
+    def _try(self, now: Tried, change: Hypothesis) -> Tried | None:
         """A change on top of a fit; None where there is no such rig, or no such fit.
 
         A fold that gains much less than the other is begun again where that ended: it may have come
@@ -366,7 +379,7 @@ class _Trials:
                 best = min(range(len(each)), key=lambda k: each[k].cost)
                 folds.append(each[best])
                 starts = starts[best : best + 1]
-                if which == 0 and change.kind in COSTLY and not self._gains(now, folds[0]):
+                if which == 0 and change.row.costly and not self._gains(now, folds[0]):
                     return None
             gains = [old - fold.cost for old, fold in zip(now.costs, folds, strict=True)]
             less = int(np.argmin(gains))
@@ -489,7 +502,7 @@ class _Trials:
                     self._difference(self.tried[i], best)[1] * misfits[i],
                     fine[i],
                     tuple(line for c in setup.changes for line in c.recipe_lines(setup.rig)),
-                    tuple(line for c in setup.changes for line in c.rig_lines),
+                    tuple(line for c in setup.changes for line in c.rig_lines(setup.rig)),
                 )
             )
         return Suggestions(tuple(rows), tuple(map(_begun, (self.tried[i] for i in order))), untried)

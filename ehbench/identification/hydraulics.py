@@ -32,7 +32,6 @@ from ehbench.identification.means import Decimate, refuse_few
 from ehbench.identification.problem import problem_of
 from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
-from ehbench.identification.sensitivity import watched
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
 from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
@@ -327,27 +326,20 @@ def run_fit(
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
     item, requested = prepared, prepared.options
-    fixed = []
-    if requested.method == "output_error":
-        fixed = watched(item.rig, item.parameters, item.flow_maps)
-    simulator = simulator_of(item, item.logs, fixed)
+    simulator = simulator_of(item, item.logs)
     tell = progress or (lambda sentence, share: None)
     maximum = requested.max_iterations
     if requested.method == "thesis":
         return Matching(simulator, item.search, tell, maximum).fit()
-    problem = problem_of(simulator, item.search, tell, maximum, requested.cutoff, fixed, journal)
+    problem = problem_of(simulator, item.search, tell, maximum, requested.cutoff, journal=journal)
     return fit(problem)
 
 
-def simulator_of(
-    prepared: PreparedFit, logs: Sequence[Log], held: Sequence[Coordinate] = ()
-) -> Simulator:
-    """Logs simulated at the parameters of a fit, what is shared of their sensors, and the held
-    ones that are watched.
-    """
+def simulator_of(prepared: PreparedFit, logs: Sequence[Log]) -> Simulator:
+    """Logs simulated at the parameters of a fit and at what is shared of their sensors."""
     item, requested = prepared, prepared.options
     sensors = of_sensors(logs[0].start.terms)
-    names = [*item.parameters, *(c.name for c in (*sensors, *held))]
+    names = [*item.parameters, *(c.name for c in sensors)]
     return Simulator(item.rig, logs, names, item.flow_maps, requested.workers, requested.step)
 
 

@@ -111,7 +111,7 @@ class Problem:
     Args:
         simulator: of the logs; its parameters are those of ``search`` in the same order.
         search: the ``requested`` parameters, then the sensor terms that all logs share (up to
-            ``fitted``), then fixed numbers whose sensitivity is asked at the end.
+            ``fitted``).
         spread: rms [SI] of each channel about its mean.
         averaged: rms [SI] of the noise that block averages leave out, by channel.
         cutoff: of the low-pass on the residuals [Hz].
@@ -170,11 +170,10 @@ def problem_of(
     report: Progress | None = None,
     max_iterations: int = 100,
     cutoff: float | None = None,
-    fixed: Sequence[Coordinate] = (),
     journal: Journal | None = None,
 ) -> Problem:
-    """The problem of fitting ``search``, and what the logs' sensors share, to the simulator's logs;
-    ``fixed`` are numbers whose sensitivity is asked.
+    """The problem of fitting ``search``, and what the logs' sensors share, to the simulator's
+    logs.
     """
     sensors, logs = of_sensors(simulator.logs[0].start.terms), simulator.logs
     names = sorted({channel for log in logs for channel in log.channels})
@@ -182,7 +181,7 @@ def problem_of(
     averaged = [np.tile(log.within, (len(log.recorded), 1)) for log in logs]
     return Problem(
         simulator,
-        (*search, *sensors, *fixed),
+        (*search, *sensors),
         len(search),
         len(search) + len(sensors),
         {c: pooled(logs, c, about) for c in names},

@@ -145,7 +145,7 @@ class Moved:
 class Lean:
     """A held number ``name`` that the logs would have at ``there`` ± ``std`` in place of ``here``
     [SI], the share of the squares that are left which that explains, the estimates that ``moved``
-    with it, the most by its interval first, the ``cure``, a line of the recipe or the rig file that
+    with it, the most by its interval first, the ``remedy``, a line of recipe or rig file that
     frees it, and a ``sentence`` on all that. What a sensor or a driver is taken to have none of has
     the name of its channel and of that, such as ``press.v.lag``."""
 
@@ -155,7 +155,7 @@ class Lean:
     std: float
     explains: float
     moved: tuple[Moved, ...]
-    cure: str
+    remedy: str
     sentence: str = ""
 
     @property

@@ -1,9 +1,11 @@
-"""What a fit leans on: numbers that it holds, that its logs would have otherwise, and without which
-its estimates would come out beyond their intervals.
+"""Sensitivity to fixed parameters: what a fit took as known, what the logs favour instead, and the
+estimates that would then leave their intervals.
 
-An interval is of noise and starts. A held number that is wrong by Δ moves the estimates by
-``−(JᵀJ)⁻¹ Jᵀj Δ``, J being their sensitivities and j that of the held number, whatever the noise;
-where that is more than their intervals and the logs deny the number, they are surely wrong."""
+Every row of the fault table that the fit does not estimate is asked. An interval is of noise and
+initial states. A fixed number that is wrong by Δ moves the estimates by ``−(JᵀJ)⁻¹ Jᵀj Δ``, J being
+their sensitivities and j that of the number (Ljung, System Identification, 2nd ed., 9.4). Where the
+logs favour another value, and an estimate would leave its interval for it, the number is freed in a
+further fit before it is reported."""
 
 from __future__ import annotations
 
@@ -12,108 +14,244 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.config.rig import Rig
+from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.identification.covariance import Block, Prior, gains_of, release_of
 from ehbench.identification.descent import solve
-from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.identification.problem import (
     Problem,
     State,
     by_channel,
     cost,
-    effects,
     evaluate,
-    jacobian,
+    initial,
     prior_of,
+    problem_of,
+    squares,
 )
 from ehbench.identification.results import Lean, Moved
-from ehbench.identification.search import Coordinate, coordinates
+from ehbench.identification.search import coordinates
+from ehbench.identification.simulator import Log, Simulator
 from ehbench.identification.uncertainty import Errors, errors_of
-from ehbench.parts.edge import edge_law
-from ehbench.plant.build import Maps, map_of
-from ehbench.preprocessing.observations import position_of
-from ehbench.preprocessing.sensors import Term
+from ehbench.preprocessing.sensors import VAGUE, Term
+from ehbench.signals.series import white_noise
+from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import BEYOND, Z95
 
-# a held number is surely wrong if the logs would move it by so many standard errors, and to the
-# benefit of this share of the squares that are left; a gain is named from this share of it on
-SURELY, WORTH, GAIN_OFF = 4.0, 0.05, 0.01
-NEAR = 0.9  # share of what the likeliest explains from which another is as likely
-TRIED = 3  # suspects that are freed in a fit of their own, the likeliest first
-LATE = 1.0e-4  # [s] by which a command is delayed for a difference
-GAINS = ("flow_gain", "map_factor")
-TIMES = ("natural_frequency", "damping_ratio", "lag", "corner", "delay")
+IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
+
+
+@dataclass(frozen=True)
+class SensitivitySettings:
+    """Numbers of the sensitivity to fixed parameters."""
+
+    surely: float = setting(
+        4.0,
+        "",
+        "standard errors by which the logs must favour another value",
+        "one in 16 000 by chance: fifty rows are asked of each fit",
+    )
+    worth: float = setting(
+        0.05,
+        "",
+        "share of the squares that another value must explain",
+        "less does not show in a fit percentage",
+    )
+    alike: float = setting(
+        0.9,
+        "",
+        "share of what the best explains from which another is as likely",
+        "closer than this the logs do not tell them apart",
+    )
+    looked: int = setting(
+        8,
+        "",
+        "rows that promise most, of which a standard error is asked",
+        "an error costs as much as ten simulations",
+    )
+    confirmed: int = setting(
+        3, "", "rows that are freed in a further fit", "each costs a tenth of the fit's time"
+    )
+
+
+SETTINGS = SensitivitySettings()
 
 
 @dataclass(frozen=True, eq=False)
 class _Suspect:
-    """A held number: its name and value ``here``, by how much a ``unit`` [SI] of it changes what is
-    left of each log, shape (samples, channels), the line that frees it, where it can be searched
-    its index, and the smallest that it may be.
+    """A row with by how much δ changes the scaled residuals of each log, shape (samples,
+    channels), the share of the squares that its best δ explains, that δ and its standard error, and
+    the estimates that would move.
     """
 
-    name: str
-    here: float
+    row: Hypothesis
     columns: list[np.ndarray]
-    unit: float
-    cure: str
-    index: int | None = None
-    least: float = 0.0
+    explains: float = 0.0
+    delta: float = 0.0
+    std: float = 0.0
+    moved: tuple[Moved, ...] = ()
 
-
-def watched(rig: Rig, parameters: Sequence[str], flow_maps: Maps | None) -> list[Coordinate]:
-    """Numbers of a rig that shape its motion and are not among the parameters: gains of metering
-    edges or factors of their maps, what the dynamics of valves have, oil volumes, moving masses.
-    """
-    known, names = rig.parameters(), []
-    for edge_name, edge in rig.all_edges().items():
-        law = edge_law(edge.law)
-        if map_of(flow_maps, edge_name) is not None:
-            names.append(f"{edge_name}.map_factor")
-        elif law.metering and law.needs:
-            names.append(f"{edge_name}.{law.needs[0]}")
-    for cylinder in rig.cylinder:
-        names += [f"{item}.{key}" for v in cylinder.valve for item in v.series for key in TIMES]
-        names += [f"{cylinder.name}.{key}" for key in ("volume_head", "volume_rod")]
-        names += [f"{cylinder.name}.{line.name}.volume" for line in cylinder.line]
-        names.append(f"{cylinder.joint}.mass")
-    fixed = [
-        name
-        for name in dict.fromkeys(names)
-        if name in known and name not in parameters and float(known[name]) > 0.0
-    ]
-    return coordinates(rig, fixed) if fixed else []
+    @property
+    def beyond(self) -> float:
+        return self.moved[0].halves if self.moved else 0.0
 
 
 def doubts_of(fit: Problem, state: State, result: Errors) -> tuple[list[str], tuple[Lean, ...]]:
-    """(a warning of the held gain whose release would better the fit most, if it is surely wrong:
-    the recipe's line that frees it; what the fit leans on, the likeliest first).
+    """(a warning of the fixed gain that the logs deny most; the fixed numbers with which estimates
+    would leave their intervals, the likeliest first).
     """
-    live, total = state.live, cost(fit, state)
-    prior, minimum = prior_of(fit, state, live), WORTH * total
-    known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
-    gains, suspects = [], []
-    every = [*_searched(fit, result), *_late_commands(fit, result), *_late_sensors(fit, result)]
-    promised = gains_of(_with(result, every), prior)
-    for one in [one for one, gain in zip(every, promised, strict=True) if gain >= minimum]:
-        release = release_of(_with(result, [one]), known, minimum)
-        there, share = one.here + one.unit * release.move, release.gain / total
-        if not abs(release.move) > SURELY * release.std:
+    if _only_noise(fit, state):
+        return [], ()
+    suspects = _promising(fit, result, list(_columns(fit, state, _asked(fit, state))))
+    rig = fit.simulator.rig
+    warnings: list[str] = [
+        message(
+            "identification.gain_fixed",
+            name=", ".join(item.row.parameters),
+            move=100.0 * item.delta,
+            half=100.0 * Z95 * item.std,
+            share=item.explains,
+            remedy=item.row.remedy(rig, item.delta),
+        )
+        for item in [item for item in suspects if item.row.kind == "gain"][:1]
+    ]
+    if not any(item.beyond > BEYOND for item in suspects):
+        return warnings, ()
+    tried = (_confirmed(fit, result, item) for item in suspects[: SETTINGS.confirmed])
+    confirmed = [pair for pair in tried if pair is not None]
+    best = max((item.explains for _, item in confirmed), default=0.0)
+    likely = [
+        (row, item)
+        for row, item in confirmed
+        if item.explains >= SETTINGS.alike * best and item.beyond > BEYOND
+    ]
+    likely.sort(key=lambda pair: (pair[0].certainty, -pair[1].explains))
+    return warnings, tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
+
+
+def _only_noise(fit: Problem, state: State) -> bool:
+    """Whether white noise of the readings makes so much of the residual that nothing else can
+    explain what is worth a report.
+    """
+    if fit.cutoff or any(log.band is not None for log in fit.logs):
+        return False
+    noise = 0.0
+    for log in fit.logs:
+        own = [white_noise(y) for y in log.recorded.T] / by_channel(state.scales, log)
+        noise += float(np.sum(own**2 * np.count_nonzero(log.counts, axis=0)))
+    left = squares(fit, state)
+    return left - noise < SETTINGS.worth * left
+
+
+def _asked(fit: Problem, state: State) -> list[Hypothesis]:
+    """The rows of the fault table that a fit takes as known."""
+    simulator, logs = fit.simulator, fit.logs
+    values = {n: v for n, v in fit.by_name(state.theta).items() if n in simulator.known}
+    cylinders = list(dict.fromkeys(name for log in logs for name in log.asked))
+    channels = list(dict.fromkeys(name for log in logs for name in log.channels))
+    records, rig = [log.record for log in logs], simulator.rig.with_values(values)
+    terms = {(term.channel, term.word) for log in logs for term in log.start.terms}
+    spectra = any(log.band is not None for log in logs)
+    return [
+        row
+        for row in hypotheses(rig, cylinders, channels, records, simulator.maps)
+        if row.row.step != 0.0
+        and (row.level > 0 or row.kind == "gain")
+        and row.kind != "drift"
+        and not {*row.parameters} & {*simulator.names}
+        and not {(channel, word) for channel, word, _ in row.readings} & terms
+        and not (spectra and row.readings)
+    ]
+
+
+def _terms(rows: Sequence[Hypothesis], std: bool = False) -> tuple[Term, ...]:
+    """What is asked of sensors, with a wide prior where it is to be fitted."""
+    every = {(c, w): unit for row in rows for c, w, unit in row.readings}
+    return tuple(
+        Term(c, w, 0.0, 1.0, (VAGUE[w] * (4.0 * unit if w == "offset" else 1.0)) * std, False)
+        for (c, w), unit in every.items()
+    )
+
+
+def _with_terms(logs: Sequence[Log], terms: Sequence[Term]) -> list[Log]:
+    return [
+        replace(log, start=replace(log.start, terms=(*log.start.terms, *terms))) for log in logs
+    ]
+
+
+def _columns(fit: Problem, state: State, rows: Sequence[Hypothesis]) -> Iterator[_Suspect]:
+    """The rows that change something: those of numbers that the rig has at once, those of sensors
+    at once, each of those that alter the rig by itself.
+    """
+    numbers = [row for row in rows if not row.edits and row.numbers]
+    sensors = [row for row in rows if row.readings and row not in numbers]
+    for group in [numbers, sensors, *([row] for row in rows if row.edits and not row.readings)]:
+        if not group:
             continue
-        if one.name.rpartition(".")[2] in GAINS and abs(there - one.here) > GAIN_OFF * one.here:
-            gains.append(
-                (share, one.name, there / one.here - 1.0, one.unit * release.std / one.here)
-            )
-        if there >= one.least:
-            moved = _moved(fit, result, state.theta[list(live)] + release.follow, live)
-            std = one.unit * release.std
-            lean = Lean(one.name, one.here, there, std, share, moved, one.cure)
-            suspects.append((lean, one.index))
-    return _gain_warnings(gains), _leans(fit, result, suspects)
+        simulator, here, alters = fit.simulator, state.here, group not in (numbers, sensors)
+        each = {n.name: n for row in group for n in row.numbers if group is not sensors}
+        terms = _terms(group) if group is sensors else ()
+        names = [*simulator.names, *each, *(term.name for term in terms)]
+        logs = _with_terms(fit.logs, terms)
+        try:
+            rig = group[0].altered(simulator.rig) if alters else simulator.rig
+        except IMPOSSIBLE:
+            continue
+        built = Simulator(rig, logs, names, simulator.maps, simulator.workers, simulator.step)
+        points, keys = [], []
+        for row in group:
+            changed = {n.name: n.at(row.inside) for n in row.numbers}
+            changed |= {f"{c}.{w}": row.inside * unit for c, w, unit in row.readings}
+            vector = [
+                *fit.values(here.theta),
+                *(changed.get(name, number.here) for name, number in each.items()),
+                *(changed.get(term.name, 0.0) for term in terms),
+            ]
+            which = [k for k, log in enumerate(logs) if row.cylinder in ("", *log.asked)]
+            points += [(vector, k, here.shifts[k]) for k in which]
+            keys += [(row, k) for k in which]
+        steps = None if alters else here.mesh.steps
+        columns = {row: [np.zeros_like(left) for left in here.residuals] for row in group}
+        for (row, k), simulated in zip(keys, built.each(points, steps), strict=True):
+            if simulated is None:
+                columns.pop(row, None)
+            elif row in columns:
+                change = fit.residual(fit.logs[k], simulated) - here.residuals[k]
+                columns[row][k] = change / (row.inside * by_channel(state.scales, fit.logs[k]))
+        yield from (_Suspect(r, parts) for r, parts in columns.items() if any(map(np.any, parts)))
+
+
+def _promising(fit: Problem, result: Errors, every: Sequence[_Suspect]) -> list[_Suspect]:
+    """Those by which the logs surely would be followed better, to first order: the likeliest first,
+    of those that are as likely the less sure number first.
+    """
+    if not every:
+        return []
+    state = result.state
+    live, total = list(state.live), cost(fit, state)
+    prior, minimum = prior_of(fit, state, live), SETTINGS.worth * total
+    known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
+    suspects = []
+    for k in np.argsort(-gains_of(_with(result, every), prior))[: SETTINGS.looked]:
+        item, release = every[k], release_of(_with(result, [every[k]]), known, minimum)
+        low, high = item.row.bounds
+        delta = min(max(release.move, low), high)
+        if delta == 0.0 or not abs(release.move) > SETTINGS.surely * release.std:
+            continue
+        moved, share = _moved(fit, result, state.theta[live] + release.follow), release.gain / total
+        suspects.append(replace(item, explains=share, delta=delta, std=release.std, moved=moved))
+    best = SETTINGS.alike * max((item.explains for item in suspects), default=0.0)
+    return sorted(
+        suspects,
+        key=lambda s: (
+            (0, s.row.certainty, -s.explains) if s.explains >= best else (1, 0, -s.explains)
+        ),
+    )
 
 
 def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
-    """What each log says, with some held numbers behind those that are fitted."""
+    """What each log says, with some fixed numbers after those that are fitted."""
     return [
         replace(
             block,
@@ -125,129 +263,12 @@ def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
     ]
 
 
-def _leans(
-    fit: Problem, result: Errors, suspects: Sequence[tuple[Lean, int | None]]
-) -> tuple[Lean, ...]:
-    """Those suspects that explain most and with which estimates come out beyond their intervals.
-
-    Nothing is said where no suspect promises to move an estimate that far; else those that promise
-    to explain most are freed in fits of their own."""
-    promising = sorted(suspects, key=lambda pair: -pair[0].explains)[:TRIED]
-    if not any(item.beyond > BEYOND for item, _ in suspects):
-        return ()
-    tried = [
-        lean if index is None else _refitted(fit, result, lean, index) for lean, index in promising
-    ]
-    leans = sorted(filter(None, tried), key=lambda entry: -entry.explains)
-    rig = fit.simulator.rig
-    return tuple(
-        replace(item, sentence=_sentence(rig, item))
-        for item in leans
-        if item.explains >= NEAR * leans[0].explains and item.beyond > BEYOND
-    )
-
-
-def _gain_warnings(gains: Sequence[tuple[float, str, float, float]]) -> list[str]:
-    """What is said of the gain that would better the fit most."""
-    if not gains:
-        return []
-    less, name, move, std = max(gains)
-    return [
-        f"{name} is held, and these logs would have it {100.0 * move:+.1f} ± "
-        f"{100.0 * std:.1f} % off: what is left would fall by {100.0 * less:.0f} %. "
-        f'Add "{name}" to parameters, with [prior] "{name}" = "3 %"'
-    ]
-
-
-def _searched(fit: Problem, result: Errors) -> Iterator[_Suspect]:
-    """The held numbers of the rig that change something."""
-    which = list(range(fit.fitted, len(fit.search)))
-    names = {item.name for item in fit.simulator.rig.cylinder}
-    state = result.state
-    influence = state.influence.copy()
-    for i in which:  # what belongs to a cylinder changes nothing where that stands
-        owner = fit.search[i].name.partition(".")[0]
-        influence[i] = [owner not in names or owner in log.asked for log in fit.simulator.logs]
-    slopes = jacobian(fit, replace(state, influence=influence), which) if which else []
-    sizes = effects(fit, state, slopes) if which else []
-    for n, i in enumerate(which):
-        c, theta = fit.search[i], float(state.theta[i])
-        if sizes[n] >= PROBLEM.faint:
-            columns = [part[..., n] for part in slopes]
-            here = c.at(theta)
-            cure = f'add "{c.name}" to parameters'
-            yield _Suspect(c.name, here, columns, here if c.log else c.unit, cure, i, c.lower)
-
-
-def _late_commands(fit: Problem, result: Errors) -> Iterator[_Suspect]:
-    """A delay of the commands of each cylinder, of whose valves the rig file has none."""
-    rig, logs, here = fit.simulator.rig, fit.simulator.logs, result.state.here
-    known = rig.parameters()
-    for cylinder in rig.cylinder:
-        series = [item for valve in cylinder.valve for item in valve.series]
-        given = [f"{cylinder.name}.{valve.name}.command" for valve in cylinder.valve]
-        terms = {f"{term.channel}.{term.word}" for log in logs for term in log.start.terms}
-        delays = {
-            f"{item}.delay" for item in series if float(known.get(f"{item}.delay", 0.0)) > 0.0
-        }
-        if delays or not given or terms & {f"{item}.delay" for item in given}:
-            continue
-        late = tuple(Term(item, "delay", LATE, 1.0, 0.0, False) for item in given)
-        moved = fit.simulator.over(
-            [
-                replace(log, start=replace(log.start, terms=(*log.start.terms, *late)))
-                for log in logs
-            ]
-        )
-        which = [k for k, log in enumerate(logs) if cylinder.name in log.asked]
-        built = moved.each(
-            [(fit.values(here.theta), k, here.shifts[k]) for k in which], here.mesh.steps
-        )
-        columns = [np.zeros_like(left) for left in here.residuals]
-        for k, simulated in zip(which, built, strict=True):
-            if simulated is not None:
-                left = fit.residual(logs[k], simulated)
-                columns[k] = (left - here.residuals[k]) / (
-                    LATE * by_channel(result.state.scales, logs[k])
-                )
-        entry = f'add [[sensor]] channel = "{given[0]}", delay = "estimate"'
-        several = f'put kind = "delay" among the dynamics of the valves of {cylinder.name}'
-        about = given[0] if len(given) == 1 else f"{cylinder.name}.command"
-        yield _Suspect(f"{about}.delay", 0.0, columns, 1.0, entry if len(given) == 1 else several)
-
-
-def _late_sensors(fit: Problem, result: Errors) -> Iterator[_Suspect]:
-    """A lag of the sensor of each channel that is compared, which the recipe does not have."""
-    logs, here = fit.simulator.logs, result.state.here
-    if any(log.band is not None for log in logs):
-        return
-    values = fit.values(here.theta)
-    built = fit.simulator.each(
-        [(values, k, shift) for k, shift in enumerate(here.shifts)], here.mesh.steps
-    )
-    known = {term.channel for log in logs for term in log.start.terms if term.word != "scale"}
-    for channel in dict.fromkeys(name for log in logs for name in log.channels):
-        if channel in known or position_of(channel) in known:
-            continue
-        columns = [np.zeros_like(left) for left in here.residuals]
-        for k, (log, simulated) in enumerate(zip(logs, built, strict=True)):
-            if simulated is not None and channel in log.channels:
-                i = log.channels.index(channel)
-                late = simulated.copy()
-                late[:, i] -= LATE * np.gradient(simulated[:, i], log.sample_time)
-                columns[k] = fit.residual(log, late) - fit.residual(log, simulated)
-                columns[k] /= LATE * by_channel(result.state.scales, log)
-        seen = channel if all(channel in log.record for log in logs) else position_of(channel)
-        cure = f'add [[sensor]] channel = "{seen}", lag = "estimate"'
-        yield _Suspect(f"{seen}.lag", 0.0, columns, 1.0, cure)
-
-
-def _moved(
-    fit: Problem, result: Errors, theta: np.ndarray, live: Sequence[int]
-) -> tuple[Moved, ...]:
-    """How far estimates would be off by their intervals with other search coordinates."""
+def _moved(fit: Problem, result: Errors, theta: np.ndarray) -> tuple[Moved, ...]:
+    """How far estimates would be off by their intervals with other search coordinates of what is
+    live.
+    """
     moved = []
-    for i, there in zip(live, theta, strict=True):
+    for i, there in zip(result.state.live, theta, strict=True):
         error, c = result.by_index[i], fit.search[i]
         if i >= fit.requested or error.kind == "not_excited" or error.std <= 0.0:
             continue
@@ -258,36 +279,75 @@ def _moved(
     return tuple(sorted(moved, key=lambda item: -item.halves))
 
 
-def _refitted(fit: Problem, result: Errors, lean: Lean, index: int) -> Lean | None:
-    """What a fit leans on by a fit in which it is free; None where that has it otherwise."""
-    live = result.state.live
-    state, _ = solve(fit, replace(result.state, free=(*live, index), at_bound=()), 1e-4)
-    there = errors_of(fit, evaluate(fit, state))
-    after, before = cost(fit, there.state), cost(fit, result.state)
-    c, error = fit.search[index], there.by_index[index]
-    moved = _moved(fit, result, there.state.theta[list(live)], live)
-    off = abs(float(there.state.theta[index] - result.state.theta[index]))
-    if off <= SURELY * error.std or before - after < WORTH * before:
+def _confirmed(fit: Problem, result: Errors, item: _Suspect) -> tuple[Hypothesis, Lean] | None:
+    """A row by a fit in which it is free; None where that has it otherwise."""
+    row, old, state = item.row, fit.simulator, result.state
+    sensor = len(row.readings) == 1 and (bool(row.edits) or not row.numbers)
+    terms = _terms([row], True) if sensor else ()
+    starts = {} if sensor else {n.name: n.begin(item.delta) for n in row.numbers}
+    try:
+        rig = old.rig if sensor else row.altered(old.rig)
+        more = coordinates(rig, [*starts], starts, upper=row.upper) if starts else []
+        names = [*old.names[: fit.requested], *starts, *old.names[fit.requested :]]
+        names += [term.name for term in terms]
+        logs = _with_terms(fit.logs, terms)
+        simulator = Simulator(rig, logs, names, old.maps, old.workers, old.step)
+        search = [*fit.search[: fit.requested], *more]
+        freed = problem_of(simulator, search, None, fit.max_iterations, fit.cutoff)
+        index = {c.name: i for i, c in enumerate(freed.search)}
+        live = [index[fit.search[i].name] for i in state.live]
+        new = [index[name] for name in (*starts, *(term.name for term in terms))]
+        begin = initial(freed)
+        for c, theta in zip(fit.search, state.theta, strict=True):
+            begin.theta[index[c.name]] = theta
+        if sensor:
+            begin.theta[new[0]] = freed.search[new[0]].of(item.delta * row.readings[0][2])
+        begin = replace(
+            begin,
+            shifts=state.shifts,
+            scales=state.scales,
+            free=tuple(sorted((*live, *new))),
+            prior_weight=state.prior_weight,
+            coarse=False,
+        )
+        end, _ = solve(freed, begin, 1e-4)
+        there = errors_of(freed, evaluate(freed, end))
+    except IMPOSSIBLE:
         return None
-    value = c.at(there.state.theta[index])
-    std = (value if c.log else c.unit) * error.std
-    return Lean(lean.name, lean.here, value, std, 1.0 - after / before, moved, lean.cure)
+    after, before = cost(freed, there.state), cost(fit, state)
+    number = next((n for n in row.numbers if n.unit != 0.0), None)
+    at = new[0] if sensor or number is None else index[number.name]
+    c, here = freed.search[at], 0.0 if sensor or number is None else number.here
+    value = c.at(there.state.theta[at])
+    std = (value if c.log else c.unit) * there.by_index[at].std
+    if abs(value - here) <= SETTINGS.surely * std or before - after < SETTINGS.worth * before:
+        return None
+    moved = _moved(fit, result, there.state.theta[live])
+    remedy = row.remedy(old.rig, item.delta)
+    return row, Lean(c.name, here, value, std, 1.0 - after / before, moved, remedy)
 
 
-def _sentence(rig: Rig, item: Lean) -> str:
-    """What a fit leans on, what becomes of its estimates without, and what to do."""
-    maximum = item.moved[0]
-    if item.name in rig.parameters():
-        fixed = f"{item.name} is held at {rig.shown(item.name, item.here, 4)}"
-        wide = 100.0 * Z95 * item.std / abs(item.there)
-        would = f"{rig.shown(item.name, item.there, 4)} (± {wide:.2g} %)"
-    else:
-        channel, _, word = item.name.rpartition(".")
-        fixed = f"{channel} is held to have no {word}"
-        would = f"one of {1e3 * item.there:.2g} ± {1e3 * Z95 * item.std:.1g} ms"
-    return (
-        f"{fixed}, and these logs would have {would}: {maximum.name} would then come out "
-        f"{rig.shown(maximum.name, maximum.there, 4)} in place of "
-        f"{rig.shown(maximum.name, maximum.here, 4)}, "
-        f"{maximum.halves:.2g} times as far off as its interval allows. Measure it, or {item.cure}"
-    )
+def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:
+    """A fixed number, what the logs favour, what becomes of the estimates, and what to do."""
+    rig, maximum = fit.simulator.rig, item.moved[0]
+    channel, _, word = item.name.rpartition(".")
+    fields = {
+        "estimate": maximum.name,
+        "instead": rig.shown(maximum.name, maximum.there, 4),
+        "here": rig.shown(maximum.name, maximum.here, 4),
+        "halves": maximum.halves,
+        "remedy": item.remedy,
+        "half": 100.0 * Z95 * item.std / abs(item.there),
+    }
+    if item.name in row.parameters:
+        fields["value"] = rig.shown(item.name, item.there, 4)
+        if item.name not in rig.parameters():
+            return message("identification.absent_fixed", name=row.name, **fields)
+        name, fixed = ", ".join(row.parameters), rig.shown(item.name, item.here, 4)
+        return message("identification.number_fixed", name=name, fixed=fixed, **fields)
+    timed = word in ("lag", "delay")
+    fields |= {"channel": channel, "word": word, "value": item.there * (1e3 if timed else 1.0)}
+    fields["half"] = Z95 * item.std * (1e3 if timed else 1.0)
+    if timed:
+        return message("identification.time_fixed", **fields)
+    return message("identification.sensor_fixed", **fields)

@@ -150,10 +150,7 @@ def result_of(
             shifts=state.shifts,
             groups=groups,
             leans=leans,
-            held=[
-                *(problem.search[i].at(state.theta[i]) for i in shared),
-                *(c.start for c in problem.search[problem.fitted :]),
-            ],
+            held=[problem.search[i].at(state.theta[i]) for i in shared],
             sensors=_sensors(problem, errors),
         ),
     )

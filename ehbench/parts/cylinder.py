@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.nodes import node_pressure
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
@@ -202,3 +203,25 @@ def chamber_pressure_rate(row, pressure, volume, inflow):
 def chamber_makeup(row, pressure, inflow):
     """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber."""
     return makeup_flow(inflow, pressure, row.cavitation_pressure)
+
+
+FAULTS = (
+    *(
+        Fault(
+            "leakage",
+            (key,),
+            unit="leakage",
+            step=0.01,
+            high=30.0,
+            upper=Amount((30.0,), "leakage"),
+        )
+        for key in ("leakage_internal", "leakage_head", "leakage_rod")
+    ),
+    Fault("volume", ("volume_head",), step=0.05, rank=5),
+    Fault("volume", ("volume_rod",), step=0.05, rank=5),
+    Fault("area", ("bore",), step=0.002, low=-0.1, high=0.1, rank=5),
+    Fault("area", ("rod",), step=0.005, low=-0.1, high=0.1, rank=5),
+    Fault("area", ("area_head",), step=0.005, low=-0.2, high=0.2, rank=5),
+    Fault("area", ("area_rod",), step=0.005, low=-0.2, high=0.2, rank=5),
+    Fault("bulk modulus", ("bulk_modulus",), trials=(-0.3, -0.15, 0.15, 0.4), rank=2),
+)

@@ -11,6 +11,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ehbench.parts.cylinder import chamber_pressure_rate, chamber_slope
 from ehbench.parts.edge.orifice import ORIFICE_DROP
+from ehbench.parts.fault import Fault
 from ehbench.parts.nodes import node_pressure
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 from ehbench.runtime.compiled import part_kernel, record
@@ -118,3 +119,10 @@ def drop_for(flow: float, row) -> float:
             break
         drop = result
     return drop
+
+
+FAULTS = (
+    Fault("volume", ("volume",), step=0.05, rank=5),
+    Fault("line", ("resistance",), step=0.1, rank=5),
+    Fault("line", ("orifice_gain",), step=0.05, rank=5),
+)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.runtime.compiled import part_kernel, record
 
@@ -94,3 +95,14 @@ def force_fields(item: Any) -> dict[str, float]:
     else:
         both = 0.0, 0.0
     return dict(zip(("extending", "retracting"), both, strict=True))
+
+
+# of what a cylinder moves, and of forces on its rod
+FAULTS = (
+    Fault("damping", ("joint_damping",), step=0.1, wide=True, start=Amount((1.0,), "unit")),
+    Fault("damping", ("damping",), step=0.1, wide=True, start=Amount((1.0,), "unit")),
+    Fault("load", ("mass",), step=0.05, trials=(-0.3, -0.15, 0.15, 0.4), rank=4, wide=True),
+    Fault("force", ("force",), step=0.05, rank=5),
+    Fault("force", ("force_extending", "force_retracting"), step=0.05, rank=5),
+    Fault("spring", ("stiffness",), step=0.05, rank=5),
+)

@@ -18,6 +18,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from ehbench.parts.cylinder import chamber_of
 from ehbench.parts.end_stop import stop_force
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.nodes import node_pressure
 from ehbench.runtime.compiled import Generic, kernel, part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
@@ -152,3 +153,17 @@ def mount_held(row, y):
 def mount_loss(row, slip, v):
     """Power [W] that a mount takes where piston and linkage have speeds [m/s]: c (dδ/dt)²."""
     return row.mount_damping * (slip - v) * (slip - v)
+
+
+# a mount that is stiffer than the oil behind it by some
+FAULTS = (
+    Fault(
+        "mount",
+        ("mount.stiffness",),
+        step=0.0,
+        table="mount",
+        adds={"stiffness": Amount((4.0,), "spring", "N/m", (1.0e-3, 10.0))},
+        costly=True,
+    ),
+    Fault("mount", ("mount.stiffness",), step=0.05, rank=5),
+)

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.physics.cylinder import ATMOSPHERE
 from ehbench.runtime.compiled import part_kernel
 
@@ -71,3 +72,18 @@ def held(row, pressure):
         dense = math.exp(top - _squeezed(s, solid, air, exponent))
         total += _WEIGHTS[i] * p * s / bulk(s, solid, air, exponent) * dense
     return half * total
+
+
+FAULTS = (
+    Fault("bulk modulus", ("bulk_modulus",), trials=(-0.3, -0.15, 0.15, 0.4), rank=2, wide=True),
+    Fault(
+        "air",
+        ("air_fraction",),
+        step=0.0,
+        wide=True,
+        upper=Amount((0.1,), "unit"),
+        table="air_fraction",
+        adds={"air_fraction": Amount((0.005,), "unit")},
+    ),
+    Fault("air", ("air_fraction",), step=0.1, wide=True, rank=5),
+)

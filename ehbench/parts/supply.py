@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.accumulator import gas_capacity
+from ehbench.parts.fault import Fault
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 from ehbench.runtime.compiled import part_kernel, record
 
@@ -125,3 +126,6 @@ def pump_flow(p_supply, demand, set_pressure, supply):
     if supply.gas_volume > 0.0:
         required += gas_capacity(p_supply, supply) / time * missing
     return min(max(required, 0.0), supply.flow_limit)
+
+
+FAULTS = (Fault("supply", ("pressure",), rank=5, wide=True),)

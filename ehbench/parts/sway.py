@@ -14,6 +14,7 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -81,3 +82,22 @@ def sway_loss(row, v, y):
     """Power [W] that its damper takes: c (w − v)²."""
     ahead = y[row.sway_state + 1] - v
     return row.sway_damping * ahead * ahead
+
+
+# part of the load on a spring that is as stiff as the oil, or by some softer or stiffer; a stiffer
+# spring and a lighter mass would only move with the rest, in ever shorter steps
+FAULTS = (
+    Fault(
+        "sway",
+        ("sway.mass", "sway.stiffness", "sway.damping"),
+        step=0.0,
+        table="sway",
+        adds={
+            "mass": Amount((0.3,), "load", "kg", (0.1, 1.0e3)),
+            "stiffness": Amount((1.0, 0.3, 3.0), "spring", "N/m", (1.0e-3, 10.0)),
+            "damping": Amount((0.11, 0.06, 0.19), "damper", "N*s/m", (1.0e-3, 10.0)),
+        },
+        costly=True,
+    ),
+    Fault("sway", ("sway.stiffness",), step=0.05, rank=5),
+)

@@ -108,7 +108,7 @@ def _hydraulics(run: Saved) -> Findings:
     against = [lean["sentence"] for lean in leans[:1]] + [left] * bool(left)
     weak = [item for item in weak if item["status"] != DOUBTFUL]  # said by what it leans on
     against += [f"{item['name']} is {words(item['status'])}" for item in weak]
-    steps = [_cure_step(lean["cure"]) for lean in leans[:1]]
+    steps = [_remedy_step(lean["remedy"]) for lean in leans[:1]]
     steps += [message("steps.suggest", **names(run))] if left else []
     first = {item["status"]: item["name"] for item in reversed(weak)}
     for status, parameter in first.items():
@@ -131,15 +131,15 @@ def estimates_of(fit: Table) -> list[Table]:
     ]
 
 
-def _cure_step(cure: str) -> Message:
-    """The step that a cure asks for, with the line to paste where it names one."""
-    if freed := re.match(r'add ("[^\[\]]+") to parameters', cure):
+def _remedy_step(remedy: str) -> Message:
+    """The step that a remedy asks for, with the line to paste where it names one."""
+    if freed := re.match(r'add ("[^\[\]]+") to parameters', remedy):
         return message("steps.free", line=freed[1])
-    if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", cure):
+    if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", remedy):
         return message("steps.sense", line=sensed[1].replace(", ", "\n"))
-    if written := re.match(r'(\w+ = "[^"]+") (.+)', cure):
+    if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):
         return message("steps.write", line=written[1], where=written[2])
-    return message("steps.cure", cure=cure)
+    return message("steps.remedy", remedy=remedy)
 
 
 def _parameter(rig: Rig, item: Table, rank: int) -> Headline:
@@ -175,8 +175,8 @@ def _validation(run: Saved) -> Findings:
         label = f"Worst fit on {count(len(logs), 'held-out log')}"
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [FigureKey("validation", log=log), *figures]
-    cures = [finding["cure"] for finding in (table.get("structure") or {}).get("findings", [])]
-    steps = [_cure_step(cure) for cure in dict.fromkeys(filter(None, cures))][:3]
+    remedies = [finding["remedy"] for finding in (table.get("structure") or {}).get("findings", [])]
+    steps = [_remedy_step(item) for item in dict.fromkeys(filter(None, remedies))][:3]
     if not table["accepted"] and not steps:
         checks = "; ".join(_failed(logs))
         steps = [message("steps.failing", **names(run), checks=checks)]
@@ -190,14 +190,14 @@ def _validation(run: Saved) -> Findings:
 
 def left_over(table: Table) -> list[str]:
     """What the likeliest fault is that the residuals of a validation show, in a sentence with its
-    cure; none where they show none, or a reservation gives it.
+    remedy; none where they show none, or a reservation gives it.
     """
     reservations = " ".join(table.get("reservations", []))
     findings = (table.get("structure") or {}).get("findings", [])
     results = [finding for finding in findings if finding["sentence"] not in reservations]
     return [
         f"{percent(item['explains'])} of what is left over has one likely cause: "
-        f"{item['sentence']}; {item['cure']}"
+        f"{item['sentence']}; {item['remedy']}"
         for item in results[:1]
     ]
 

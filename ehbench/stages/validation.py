@@ -139,7 +139,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         if verdict.accepted:
             return work
         causes = [
-            f"{finding.sentence}; {finding.cure}" for finding in verdict.structure.findings[:2]
+            f"{finding.sentence}; {finding.remedy}" for finding in verdict.structure.findings[:2]
         ]
         return Work(work.facts, [*verdict.reasons, *causes], REJECTED)
 

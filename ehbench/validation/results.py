@@ -246,7 +246,7 @@ class Validation:
                 "validation.cause",
                 share=cause.explains,
                 cause=cause.sentence,
-                cure=cause.cure,
+                remedy=cause.remedy,
             )
             for cause in structure.findings
             if cause.dominant

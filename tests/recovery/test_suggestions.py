@@ -15,7 +15,7 @@ from ehbench import workflow
 from ehbench.config.recipe import load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
-from ehbench.guidance.changes import changes
+from ehbench.diagnosis.faults import hypotheses
 from ehbench.guidance.suggestions import suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.parts.sway import Sway
@@ -133,71 +133,71 @@ def test_a_fit_that_begins_at_that_of_a_part_ends_no_worse():
     assert level[1] < level[0] + 0.01
 
 
-def test_valves_with_one_dynamics_share_its_changes():
+VALVES = ("ht", "sh", "sr", "rt")
+T = np.arange(200) * 0.01
+STEPPED = 3.0 * (T > 0.5) - 1.5 * (T > 1.5)
+
+
+def rows_of(rig, cylinder, log):
+    return {row.name: row for row in hypotheses(rig, [cylinder], [], [log])}
+
+
+def boom_rows(rig, *still):
+    given = {f"boom.{v}.command": STEPPED * (v not in still) for v in VALVES}
+    return rows_of(rig, "boom", Record(T, given))
+
+
+def test_valves_with_one_dynamics_share_its_rows():
     """Of four poppets their common lag and one delay for all are tried, and each once."""
     rig = rig_of("boom_four_valve")
-    t = np.arange(200) * 0.01
-    moved = {f"boom.{valve}.command": 3.0 * (t > 0.5) for valve in ("ht", "sh", "sr", "rt")}
-    log = Record(t, moved | {f"boom.{one}": t for one in ("qd", "p_head", "p_rod")})
-    found = changes(rig, ["boom"], ["boom.qd", "boom.p_head", "boom.p_rod"], [log], (), {})
-    lags = [one.parameters for one in found if one.kind == "lag"]
-    assert lags == [("poppet.natural_frequency",)]
-    (delay,) = [one for one in found if one.kind == "delay"]
-    assert delay.parameters == ("boom_delay.delay",)
-    altered = delay.altered(rig)
-    assert {one.series for one in altered.cylinder[0].valve} == {("poppet", "boom_delay")}
-    still = Record(t, {**log.channels, "boom.ht.command": 0.0 * t})
-    (fewer,) = [one for one in changes(rig, ["boom"], [], [still], (), {}) if one.kind == "delay"]
-    assert (
-        fewer.about == "boom.sh+sr+rt" and len(fewer.altered(rig).cylinder[0].valve[0].series) == 1
-    )
+    rows = boom_rows(rig)
+    assert [row.parameters for row in rows.values() if row.kind == "lag"] == [
+        ("poppet.natural_frequency",)
+    ]
+    altered = rows["delay of boom.ht+sh+sr+rt"].altered(rig)
+    assert {item.series for item in altered.cylinder[0].valve} == {("poppet", "boom_delay")}
+    fewer = boom_rows(rig, "ht")["delay of boom.sh+sr+rt"].altered(rig)
+    assert len(fewer.cylinder[0].valve[0].series) == 1
 
 
-def test_what_all_valves_may_have_alike_is_one_change():
+def test_what_all_valves_may_have_alike_is_one_row():
     """Four poppets on one driver saturate together: tried one by one none of them would help."""
     rig = rig_of("boom_four_valve")
-    t = np.arange(200) * 0.01
-    steps = 3.0 * (t > 0.5) - 1.5 * (t > 1.5)
-    log = Record(t, {f"boom.{valve}.command": steps for valve in ("ht", "sh", "sr", "rt")})
-    found = {one.name: one for one in changes(rig, ["boom"], [], [log], (), {})}
-    whole = found["saturation of boom.ht+sh+sr+rt"]
-    assert whole.freedom == 4 and len(whole.starts) == 2 and len(whole.rig_lines) == 4
+    rows = boom_rows(rig)
+    whole = rows["saturation of boom.ht+sh+sr+rt"]
+    assert whole.freedom == 4 and len(whole.starts) == 2 and len(whole.rig_lines(rig)) == 4
     assert {e.law for v in whole.altered(rig).cylinder[0].valve for e in v.edge} == {"saturating"}
-    assert all(one.keys() == set(whole.parameters) for one in whole.starts)
-    assert found["gain of boom.ht+sh+sr+rt"].freedom == 4
-    drives = found["saturation of the drive of boom.ht+sh+sr+rt"]
+    assert all(start.keys() == set(whole.parameters) for start in whole.starts)
+    assert rows["gain of boom.ht+sh+sr+rt"].freedom == 4
+    drives = rows["saturation of the drive of boom.ht+sh+sr+rt"]
     limits = [float(v.drive_limit or 0.0) for v in drives.altered(rig).cylinder[0].valve]
-    assert drives.freedom == 4 and limits == pytest.approx([0.85 * 3.0] * 4)
-    assert "saturation of the drive of boom.sh" in found
-    assert not [one for one in changes(rig_of(), ["press"], [], [], (), {}) if "+" in one.about]
+    assert limits == pytest.approx([0.85 * 3.0] * 4)
+    assert "saturation of the drive of boom.sh" in rows
 
 
 def test_a_pump_s_drive_may_give_no_more():
-    rig = rig_of("pump_cylinder")
-    log = Record(np.arange(9) * 0.01, {"lift.drive.command": np.arange(9.0)})
-    found = {one.name: one for one in changes(rig, ["lift"], [], [log], (), {})}
-    drive = found["saturation of the drive of lift.drive"]
-    assert drive.parameters == ("lift.drive.drive_limit",) and drive.upper == {
-        "lift.drive.drive_limit": pytest.approx(1.2 * 8.0)
-    }
-    again = changes(drive.altered(rig), ["lift"], [], [log], (), {})
-    assert not [one for one in again if one.kind == "saturation"]
-    alike = Record(log.t, {"lift.drive.command": 8.0 * np.sign(np.arange(9.0) - 4.0)})
-    given = (rig, ["lift"], [], [alike], (), {})  # a lower gain would do as much
-    assert not [one for one in changes(*given) if one.kind == "saturation"]
+    rig, t = rig_of("pump_cylinder"), np.arange(9) * 0.01
+
+    def drives(rig, command):
+        rows = rows_of(rig, "lift", Record(t, {"lift.drive.command": command}))
+        return [row for row in rows.values() if row.kind == "saturation"]
+
+    (drive,) = drives(rig, np.arange(9.0))
+    assert drive.upper == {"lift.drive.drive_limit": pytest.approx(1.2 * 8.0)}
+    assert drives(drive.altered(rig), np.arange(9.0)) == []
+    assert drives(rig, 8.0 * np.sign(np.arange(9.0) - 4.0)) == []  # a lower gain would do as much
 
 
 def test_losses_of_a_pump_s_cylinder_go_by_the_pressure_that_its_pump_makes():
     """Its charge line has 8 bar, by which dry friction could not reach what its seals have."""
     rig = rig_of("pump_cylinder")
-    fault = next(one for one in faults("pump_cylinder", rig) if one.kind == "friction")
-    log = Record(np.arange(9) * 0.01, {"lift.drive.command": np.arange(9.0)})
-    found = {one.kind: one for one in changes(rig, ["lift"], [], [log], (), {})}
+    fault = next(item for item in faults("pump_cylinder", rig) if item.kind == "friction")
+    rows = rows_of(rig, "lift", Record(T[:9], {"lift.drive.command": np.arange(9.0)}))
     built = float(fault.machine.parameters()["lift.friction_coulomb"])
-    assert found["friction law"].upper["lift.friction_static"] > 3.0 * built
-    assert next(found["friction law"].apart()) is found["friction"]  # of which it is an elaboration
-    known = changes(rig, ["lift"], [], [log], ("lift.friction_coulomb",), {})
-    assert next(one for one in known if one.kind == "friction law").simpler is None
+    law = rows["friction law of lift"]
+    assert law.upper["lift.friction_static"] > 3.0 * built
+    assert law.parts([*rows.values()]) == [rows["friction of lift"]]  # which it elaborates
+    assert law.without(["lift.friction_coulomb"], []).parts([*rows.values()]) == []
 
 
 def test_what_promises_little_beside_the_best_is_not_tried():

@@ -208,10 +208,14 @@ def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
     folder = tmp_path / "judged"
     shutil.copytree(folders[1], folder)
     table = json.loads((folder / "validation.json").read_text())
-    cures = [{"cure": "free the gain of hect"}, {"cure": "free the gain of hect"}, {"cure": "b"}]
+    cures = [
+        {"remedy": "free the gain of hect"},
+        {"remedy": "free the gain of hect"},
+        {"remedy": "b"},
+    ]
     write_json(folder / "validation.json", table | {"structure": {"findings": cures}})
     steps = findings_of(Saved(folder)).next
-    assert [step.fields["cure"] for step in steps] == ["free the gain of hect", "b"]
+    assert [step.fields["remedy"] for step in steps] == ["free the gain of hect", "b"]
 
 
 def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folders, tmp_path):
@@ -219,8 +223,8 @@ def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folde
     shutil.copytree(folders[1], folder)
     table = json.loads((folder / "validation.json").read_text())
     found = [
-        {"sentence": "boom.p_head reads low", "cure": "add an offset", "explains": 0.46},
-        {"sentence": "lag", "cure": "add a lag", "explains": 0.3},
+        {"sentence": "boom.p_head reads low", "remedy": "add an offset", "explains": 0.46},
+        {"sentence": "lag", "remedy": "add a lag", "explains": 0.3},
     ]
     cause = "46 % of what is left over has one likely cause: boom.p_head reads low; add an offset"
     judged = table | {"accepted": True, "reasons": []}
@@ -238,7 +242,7 @@ LEAN = {
         {"name": "bulk_modulus", "halves": 3.0},
         {"name": "boom.joint_damping", "halves": 0.5},
     ],
-    "cure": 'add "late.delay" to parameters',
+    "remedy": 'add "late.delay" to parameters',
     "sentence": "late.delay is held at 1 ms, and these logs would have 2.5 ms",
 }
 

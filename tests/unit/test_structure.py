@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_rig
+from ehbench.config.rig import Rig
 from ehbench.diagnosis import Case, ask
-from ehbench.diagnosis.cures import cures
-from ehbench.parts.valve.delay import Delay
+from ehbench.diagnosis.faults import hypotheses
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
 from ehbench.validation import prepare_validation, run_validation
@@ -41,7 +41,7 @@ def test_a_built_fault_is_named_first_or_second(name, kind):
     found = asked(name, rig, fault, 7, **QUICK)
     assert fault.named(found), found.findings
     first = found.findings[0]
-    assert first.explains > 0.7 and first.cure and first.sentence
+    assert first.explains > 0.7 and first.remedy and first.sentence
     assert found.follows, "and its residuals follow something"
 
 
@@ -94,45 +94,61 @@ def test_a_cause_of_most_of_the_residual_is_a_reservation(name, factor):
     assert name in reservation
 
 
-def test_sizes_and_lines_of_the_cure():
+def test_size_and_remedy_of_a_gain():
     rig = rig_of("slide_servo")
-    fault = next(one for one in faults("slide_servo", rig) if one.words == "one gain 8 % down")
+    fault = next(item for item in faults("slide_servo", rig) if item.words == "one gain 8 % down")
     first = asked("slide_servo", rig, fault, 3, **QUICK).findings[0]
     assert first.about == "press.servo_supply_head" and first.size == pytest.approx(-0.08, abs=0.01)
-    assert "slower than the model whatever the command" in first.sentence
-    assert first.cure == (
-        'add "press.servo_supply_head.flow_gain" to parameters of the identify recipe'
-    )
+    assert first.sentence.key == "faults.gain_less" and first.remedy.key == "faults.free"
+    assert first.remedy.fields["quoted"] == '"press.servo_supply_head.flow_gain"'
 
 
-def test_lines_of_what_was_fitted_already_and_of_a_late_command():
+def rows_of(rig, kind):
+    """The rows of a kind for the slide's logs."""
+    log = clean_log("slide_servo", rig_of("slide_servo"), "steps", duration=1.0)
+    rows = hypotheses(rig, ["press"], ["press.v", "press.p_head"], [log])
+    return [row for row in rows if row.kind == kind]
+
+
+def test_remedies_of_what_was_fitted_and_of_a_late_command():
     rig = rig_of("slide_servo")
     names = [name for name in rig.parameters() if name.endswith("flow_gain")]
     fitted = rig.with_values({n: replace(rig.parameters()[n], sure="identified") for n in names})
-    for one, says in ((rig, "to parameters of the identify recipe"), (fitted, "fitted already")):
-        found = cures(one, ["press"], ["press.v"], False)
-        lines = [cure.line(0.1) for cure in found if cure.kind == "gain"]
-        assert lines and all(says in line for line in lines)
-    delay = next(cure for cure in cures(rig, ["press"], ["press.v"], False) if cure.kind == "delay")
-    assert "dynamics" in delay.line(0.01) and 'late = "10 ms"' in delay.line(-0.01)
-    assert "earlier" in delay.says(-0.01) and "press.servo.command" in delay.says(-0.01)
+    for given, key in ((rig, "faults.free"), (fitted, "faults.fitted")):
+        assert {row.remedy(given, 0.1).key for row in rows_of(given, "gain")} == {key}
+    (delay,) = rows_of(rig, "delay")
+    assert delay.remedy(rig, 0.01).key == "faults.free_sensor"
+    assert delay.remedy(rig, -0.01).fields["ms"] == pytest.approx(10.0)
+    assert delay.sentence(rig, -0.01).fields["channels"] == "press.servo.command"
 
 
 def test_a_delay_that_the_rig_file_has_is_to_be_freed():
+    tables = rig_of("slide_servo").as_toml()
+    tables["dynamics"]["bus"] = {"kind": "delay", "delay": "1 ms"}
+    press = dict(tables["cylinder"][0])
+    press["valve"] = [{**press["valve"][0], "dynamics": ["spool", "bus"]}]
+    rig = Rig.model_validate({**tables, "cylinder": [press]})
+    (row,) = rows_of(rig, "delay")
+    assert row.parameters == ("bus.delay",) and row.remedy(rig, 0.01).key == "faults.free"
+    assert row.remedy(rig, -0.01).key == "faults.written_late"
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "delta", "value"),
+    [
+        ("leakage", "press.leakage_internal", 0.5, 0.5 * 0.01 / 1.4e7 * np.pi / 4 * 0.05**2),
+        ("area", "press.bore", 0.005, 0.05 * 1.005),
+        ("friction law", "press.friction_static", 0.1, 0.1 * 1.4e7 * np.pi / 4 * 0.05**2),
+        ("load", "carriage.mass", -0.1, 225.0),
+        ("preload", "press.servo_rod_tank.cracking_pressure", 0.1, 1.4e6),
+    ],
+)
+def test_a_row_moves_its_number(kind, name, delta, value):
+    """Also one that is 0 or missing in the rig file."""
     rig = rig_of("slide_servo")
-    cylinder = rig.cylinder[0]
-    valve = cylinder.valve[0]
-    series = valve.model_copy(update={"dynamics": ("bus", *valve.series)})
-    bus = Delay.model_validate({"kind": "delay", "delay": "1 ms"})
-    late = rig.model_copy(
-        update={
-            "cylinder": (cylinder.model_copy(update={"valve": (series,)}),),
-            "dynamics": {**rig.dynamics, "bus": bus},
-        }
-    )
-    cure = next(one for one in cures(late, ["press"], ["press.v"], False) if one.kind == "delay")
-    assert cure.line(0.01) == 'add "bus.delay" to parameters of the identify recipe'
-    assert "more delay of press.servo" in cure.says(0.01) and "late =" in cure.line(-0.01)
+    row = next(row for row in rows_of(rig, kind) if name in row.parameters)
+    assert float(row.rig(rig, delta).parameters()[name]) == pytest.approx(value)
+    assert float(row.altered(rig).parameters()[name]) >= 0.0
 
 
 def test_stroke_and_angle_are_held_against_the_pins():

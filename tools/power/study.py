@@ -218,7 +218,7 @@ def judged(trial: Trial) -> Outcome:
     prepared = replace(prepared, training=tuple(records[1:]))
     result = run_validation(prepared, workers=1)
     result = result.with_structure(ask(prepared.cases(result.logs)))
-    findings = [f"{item.sentence} → {item.cure}" for item in result.structure.findings]
+    findings = [f"{item.sentence} → {item.remedy}" for item in result.structure.findings]
     pattern = ERRORS[trial.error].cause if trial.error else "$^"
     return Outcome(
         trial,

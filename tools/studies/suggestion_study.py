@@ -27,8 +27,7 @@ from ehbench.vocabulary.fields import Value
 from tests.virtual_logs import DRIVES, RIGS
 from tools.studies.structure_study import ALSO, KINDS, LONG, Fault, faults, log_of
 
-# what goes by another name here; bulk modulus and damping are parameters of the recipe itself
-NAMES = {"sensor sign": "sign"}
+# parameters of the recipe itself
 OWN = ("bulk modulus", "damping")
 OPTIONS = ("rounds=", "seeds=")
 ENOUGH = 600.0  # [s] of the clock, so that a machine with other work ends no sooner
@@ -77,7 +76,7 @@ def right(result: Suggestions, fault: Fault) -> bool:
     kinds = {name.partition(" of ")[0] for name in result.rows[0].changes}
     if fault.kind in ("none", *OWN):
         return not kinds
-    also = {NAMES.get(fault.kind, fault.kind), *ALSO.get(fault.kind, ())}
+    also = {fault.kind, *ALSO.get(fault.kind, ())}
     return bool(kinds & also)
 
 

@@ -342,7 +342,7 @@ class Rig(FileModel):
             raise InputError(str(error)) from None
         return self.model_copy(update={"supply": supply})
 
-    def _parts(self) -> Iterator[tuple[str, tuple[str | int, ...], Any]]:
+    def parts(self) -> Iterator[tuple[str, tuple[str | int, ...], Any]]:
         """(what its parameters' names begin with, where it is, the table) of each part of the rig,
         a part before those inside it.
         """
@@ -386,7 +386,7 @@ class Rig(FileModel):
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         results: dict[str, Value] = {}
-        for prefix, _, part in self._parts():
+        for prefix, _, part in self.parts():
             numbers = part.parameters() if isinstance(part, DynamicsTable) else dict(scalars(part))
             if isinstance(part, Valve):
                 numbers = {key: value for key, value in numbers.items() if key == "drive_limit"}
@@ -420,7 +420,7 @@ class Rig(FileModel):
                 else replace(known[name], value=float(value), text=None)
             )
         rig = self
-        for prefix, place, part in self._parts():
+        for prefix, place, part in self.parts():
             update = new.get(prefix, {})
             if isinstance(part, DynamicsTable):
                 changed = part.with_values(update)

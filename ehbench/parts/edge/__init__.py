@@ -14,9 +14,11 @@ from ehbench.parts.edge.compensated import CompensatedFields
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.measured import leaks
 from ehbench.parts.edge.orifice import OrificeFields
+from ehbench.parts.edge.preload import FAULTS as PRELOAD
 from ehbench.parts.edge.preload import metered, preload
 from ehbench.parts.edge.pump import FixedPumpFields, PumpFields
 from ehbench.parts.edge.saturating import SaturatingFields
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.nodes import node_pressure
 from ehbench.runtime.compiled import choice, kernel, part_kernel, record
 
@@ -28,6 +30,34 @@ LAWS = (
     flow_control.LAW,
     pump.LAW,
     check.LAW,
+)
+FAULTS = (
+    *(row for law in (orifice, compensated, measured) for row in law.FAULTS),
+    *(row for law in (saturating, flow_control, pump, check) for row in law.FAULTS),
+    Fault(
+        "deadband",
+        ("deadband",),
+        unit="command",
+        step=0.01,
+        high=0.4,
+        start=Amount((0.01,), "reach"),
+        upper=Amount((0.5,), "reach"),
+        joined=True,
+    ),
+    Fault("underlap", ("underlap",), unit="command", step=0.01, high=0.4, joined=True),
+    Fault(
+        "underlap",
+        ("underlap",),
+        unit="command",
+        step=0.01,
+        low=0.0,
+        high=0.4,
+        upper=Amount((0.5,), "reach"),
+        table="underlap",
+        adds={"underlap": Amount((0.05,), "reach", "V")},
+        joined=True,
+    ),
+    *PRELOAD,
 )
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
 ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import ORIFICE_DROP, root
+from ehbench.parts.fault import Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -100,4 +101,9 @@ LAW = EdgeLaw(
     slope=slope,
     metering=False,
     commanded=False,
+)
+
+FAULTS = (
+    Fault("check valve", ("orifice_gain",), step=0.1, rank=5, law="check"),
+    Fault("check valve", ("cracking_pressure",), step=0.1, rank=5, law="check"),
 )

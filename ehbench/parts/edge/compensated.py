@@ -6,6 +6,7 @@ import math
 from typing import Annotated, Any
 
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.fault import Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -56,4 +57,11 @@ LAW = EdgeLaw(
     pack=pack,
     needs=("compensated_gain",),
     takes=("compensation_drop",),
+)
+
+FAULTS = (
+    Fault(
+        "gain", ("compensated_gain",), low=-0.6, high=1.5, rank=1, law="compensated", joined=True
+    ),
+    Fault("compensator", ("compensation_drop",), step=0.1, rank=4, law="compensated", joined=True),
 )

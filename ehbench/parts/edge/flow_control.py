@@ -9,6 +9,7 @@ import math
 from ehbench.parts.edge.compensated import pack
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import root
+from ehbench.parts.fault import Fault
 from ehbench.runtime.compiled import part_kernel
 
 
@@ -47,4 +48,11 @@ LAW = EdgeLaw(
     pack=pack,
     needs=("compensated_gain",),
     takes=("compensation_drop",),
+)
+
+FAULTS = (
+    Fault(
+        "gain", ("compensated_gain",), low=-0.6, high=1.5, rank=1, law="flow_control", joined=True
+    ),
+    Fault("compensator", ("compensation_drop",), step=0.1, rank=4, law="flow_control", joined=True),
 )

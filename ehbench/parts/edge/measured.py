@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.fault import Fault
 from ehbench.physics.flow_map import map_command, map_flow, map_leaks
 from ehbench.runtime.compiled import part_kernel
 
@@ -58,3 +59,5 @@ LAW = EdgeLaw(
     pack=pack,
     has_deadband=False,
 )
+
+FAULTS = (Fault("gain", ("map_factor",), low=-0.6, high=1.5, rank=1, law="map", joined=True),)

@@ -6,6 +6,7 @@ import math
 from typing import Annotated, Any
 
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -52,4 +53,17 @@ LAW = EdgeLaw(
     opening=opening,
     pack=pack,
     needs=("flow_gain",),
+)
+
+FAULTS = (
+    Fault("gain", ("flow_gain",), low=-0.6, high=1.5, rank=1, law="orifice", joined=True),
+    Fault(
+        "saturation",
+        ("opening_max",),
+        step=0.0,
+        law="orifice",
+        upper=Amount((1.2,), "reach"),
+        adds={"law": "saturating", "opening_max": Amount((0.85, 0.6), "reach", "V")},
+        joined=True,
+    ),
 )

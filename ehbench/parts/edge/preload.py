@@ -4,6 +4,7 @@ preload.
 
 from __future__ import annotations
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 
 
@@ -21,3 +22,18 @@ def metered(drop, edge):
     0 up to there.
     """
     return drop - min(max(drop, 0.0), preload(edge))
+
+
+# of a metering edge that leads to the tank
+FAULTS = (
+    Fault(
+        "preload",
+        ("cracking_pressure",),
+        unit="pressure",
+        step=0.01,
+        high=0.8,
+        start=Amount((0.05,), "pressure"),
+        upper=Amount((0.5,), "pressure"),
+        joined=True,
+    ),
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -70,4 +71,17 @@ LAW = EdgeLaw(
     has_deadband=False,
     slope=slope,
     metering=False,
+)
+
+FAULTS = (
+    Fault("gain", ("displacement",), low=-0.6, high=1.5, rank=1, law="pump", joined=True),
+    Fault(
+        "leakage",
+        ("slip",),
+        unit="leakage",
+        step=0.01,
+        high=30.0,
+        law="pump",
+        upper=Amount((30.0,), "leakage"),
+    ),
 )

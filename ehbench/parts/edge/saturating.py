@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from ehbench.parts.edge.law import EdgeLaw
 from ehbench.parts.edge.orifice import root
+from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -92,4 +93,19 @@ LAW = EdgeLaw(
     needs=("flow_gain", "opening_max"),
     takes=("saturation_softness",),
     odd=odd,
+)
+
+FAULTS = (
+    Fault("gain", ("flow_gain",), low=-0.6, high=1.5, rank=1, law="saturating", joined=True),
+    Fault("opening", ("opening_max",), low=-0.6, high=1.0, rank=5, law="saturating"),
+    Fault(
+        "softness",
+        ("saturation_softness",),
+        step=0.0,
+        law="saturating",
+        upper=Amount((0.5,), "travel"),
+        table="saturation_softness",
+        adds={"saturation_softness": Amount((0.1,), "travel", "V")},
+        joined=True,
+    ),
 )

@@ -10,6 +10,7 @@ from ehbench.runtime.compiled import choice, part_kernel
 
 LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW)
 TABLES = tuple(law.table for law in LAWS)
+FAULTS = (*coulomb_viscous.FAULTS, *stribeck.FAULTS, *lugre.FAULTS)
 COLUMNS = tuple(dict.fromkeys(column for law in LAWS for column in law.columns))
 
 _steady = choice("steady", [law.steady for law in LAWS], "row, v")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
 from ehbench.physics.friction import coulomb_viscous
 from ehbench.runtime.compiled import part_kernel
@@ -44,4 +45,25 @@ LAW = FrictionLaw(
     columns=(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
     steady=steady,
     fastest=fastest,
+)
+
+FAULTS = (
+    Fault(
+        "friction",
+        ("friction_coulomb",),
+        unit="force",
+        step=0.01,
+        high=30.0,
+        start=Amount((0.006,), "force"),
+        upper=Amount((0.3,), "force"),
+    ),
+    Fault(
+        "viscous friction",
+        ("friction_viscous",),
+        unit="damper",
+        step=0.01,
+        high=30.0,
+        rank=4,
+        upper=Amount((1.0,), "damper"),
+    ),
 )

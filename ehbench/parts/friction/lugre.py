@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
@@ -139,4 +140,23 @@ LAW = FrictionLaw(
     settle=settle,
     advance=advance,
     held=held,
+)
+
+# bristles that bend by a tenth of a millimetre before the rod slides
+FAULTS = (
+    Fault(
+        "sticking",
+        ("friction_coulomb", "friction_static"),
+        step=0.0,
+        start=Amount((0.006,), "force"),
+        upper=Amount((0.3,), "force"),
+        table="friction",
+        adds={
+            "law": "lugre",
+            "friction_static": Amount((1.5,), "friction", "N"),
+            "stribeck_speed": "20 mm/s",
+            "bristle_stiffness": Amount((1.0e4,), "friction", "N/m"),
+        },
+        costly=True,
+    ),
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
 from ehbench.physics.friction import stribeck
 from ehbench.runtime.compiled import part_kernel
@@ -57,4 +58,27 @@ LAW = FrictionLaw(
     ),
     steady=steady,
     fastest=fastest,
+)
+
+# break-away friction above the friction in motion
+FAULTS = (
+    Fault(
+        "friction law",
+        ("friction_coulomb", "friction_static"),
+        unit="force",
+        step=0.01,
+        low=0.0,
+        high=1.0,
+        trials=(0.02,),
+        start=Amount((0.006,), "force"),
+        upper=Amount((0.3,), "force"),
+        table="friction",
+        adds={
+            "law": "stribeck",
+            "friction_static": Amount((1.5,), "friction", "N"),
+            "stribeck_speed": "20 mm/s",
+        },
+        moved=("friction_static",),
+        neutral=Amount((1.0,), "coulomb"),
+    ),
 )

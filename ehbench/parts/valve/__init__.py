@@ -9,12 +9,30 @@ from __future__ import annotations
 
 import math
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.valve import delay, first_order, second_order
 from ehbench.runtime.compiled import choice, part_kernel, record
 
 LAWS = (second_order.LAW, first_order.LAW)
 ELEMENTS = tuple(law.table for law in LAWS)
 TABLES = (*ELEMENTS, delay.Delay)
+FAULTS = (
+    Fault(
+        "saturation",
+        ("drive_limit",),
+        unit="reach",
+        step=-0.05,
+        low=-0.8,
+        high=0.0,
+        trials=(-0.1, -0.25, -0.4, -0.55),
+        rank=5,
+        upper=Amount((1.2,), "reach"),
+        table="drive_limit",
+        adds={"drive_limit": Amount((0.85, 0.6), "reach", "V")},
+        neutral=Amount((1.0,), "reach"),
+        joined=True,
+    ),
+)
 SHARE = 0.25  # of its fastest period over 2π, over which a series of elements is integrated
 
 # A valve. ``lowest, highest`` command of its driver [V]; the ``delay`` [s] with which it feels a

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
@@ -93,3 +94,30 @@ def line_push(line, command):
         for i in range(line.past.shape[1]):
             line.past[line.count[0] % depth, i] = command[i]
         line.count[0] += 1
+
+
+LONGEST = Amount((0.1,), "second")
+# a lag or a delay that stands behind the elements that a valve has
+FAULTS = (
+    Fault(
+        "delay",
+        ("delay",),
+        unit="second",
+        step=0.001,
+        low=-0.05,
+        high=0.2,
+        trials=(0.005, 0.01, 0.02, 0.04),
+        rank=5,
+        upper=LONGEST,
+        adds={"kind": "delay", "delay": Amount((0.003,), "second", "s")},
+        joined=True,
+    ),
+    Fault(
+        "lag",
+        ("lag",),
+        step=0.0,
+        upper=LONGEST,
+        adds={"kind": "first_order", "lag": Amount((0.01,), "second", "s")},
+        joined=True,
+    ),
+)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import model_validator
 
+from ehbench.parts.fault import Fault
 from ehbench.parts.valve.law import DynamicsTable, ValveElement
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value, scalars
@@ -108,3 +109,5 @@ LAW = ValveElement(
     recover=recover,
     lag=lag,
 )
+
+FAULTS = (Fault("lag", ("lag",), step=0.05, trials=(0.5, 1.5), rank=4, wide=True),)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
+from ehbench.parts.fault import Fault
 from ehbench.parts.valve.law import DynamicsTable, ValveElement
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value, scalars
@@ -190,4 +191,17 @@ LAW = ValveElement(
     finish=finish,
     recover=recover,
     lag=lag,
+)
+
+FAULTS = (
+    Fault(
+        "lag",
+        ("natural_frequency",),
+        step=-0.05,
+        high=2.0,
+        trials=(-0.6, -0.4, -0.2, 0.5),
+        rank=4,
+        wide=True,
+    ),
+    Fault("damping ratio", ("damping_ratio",), step=0.05, high=2.0, rank=5, wide=True),
 )

@@ -1,0 +1,331 @@
+"""A row of the fault table applied to a rig: what a fault of size δ makes of rig and sensors, and
+the lines that free it in a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ehbench.config.recipe.sensor import ESTIMATE, Sensor
+from ehbench.config.rig import Rig
+from ehbench.data.record import Record
+from ehbench.diagnosis.faults.scales import Scales
+from ehbench.parts.fault import Fault
+from ehbench.preprocessing.sensors import Term
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import Message, message, templates
+
+# how sure a number of the rig file is by its source, the least sure first
+CERTAINTY = ("assumed", "restored", "companion", "datasheet", "printed", "identified")
+Edit = tuple[tuple[Any, ...], str, dict[str, Any], dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the rig that a fault moves [SI]: what it is at δ = 0, by how much a unit of δ
+    moves it, where searches begin and end.
+    """
+
+    name: str
+    here: float
+    unit: float
+    starts: tuple[float, ...]
+    upper: float | None
+    sure: str
+
+    @classmethod
+    def of(cls, fault: Fault, key: str, name: str, known: Value | None, scales: Scales) -> Number:
+        """A number of a row; ``known`` is that of the rig file, if it has one."""
+        added = fault.adds.get(key.rpartition(".")[2])
+        here = float(known) if known is not None else scales.of(fault.neutral)
+        unit = here if fault.unit == "share" else scales[fault.unit]
+        if fault.moved and key not in fault.moved:
+            unit = 0.0
+        if added is not None and not isinstance(added, str):
+            starts = tuple(scales.of(added, k) for k in range(len(added.factors)))
+        else:
+            starts = (max(here, scales.of(fault.start)) if fault.start else here,)
+        upper = scales.of(fault.upper) if fault.upper is not None else None
+        upper = None if known is not None and known.upper is not None else upper
+        return cls(name, here, unit, starts, upper, "assumed" if known is None else known.sure)
+
+    def at(self, delta: float) -> float:
+        """Its value with a fault of size δ; of what is not negative no less than zero."""
+        value = self.here + delta * self.unit
+        return value if self.here < 0.0 else max(value, 0.0)
+
+    def begin(self, delta: float) -> float:
+        """Where a search begins [SI] that a slope says to end at δ."""
+        value = self.at(delta) if self.unit else max(self.here, *self.starts, 0.0)
+        return value if self.upper is None else min(value, 0.9 * self.upper)
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A fault that a machine may have: a row of the table, what it is ``about``, the ``numbers``
+    that it moves, the ``readings`` (channel, word of a sensor, SI per δ), the ``edits`` of the rig
+    file's tables, and the ``cylinder`` whose logs it changes, empty for all. ``level`` is 0 of a
+    part among several alike, 1 of a valve or another part, 2 of all valves of a cylinder."""
+
+    row: Fault
+    about: str
+    numbers: tuple[Number, ...] = ()
+    readings: tuple[tuple[str, str, float], ...] = ()
+    edits: tuple[Edit, ...] = ()
+    cylinder: str = ""
+    level: int = 1
+
+    @property
+    def kind(self) -> str:
+        return self.row.kind
+
+    @property
+    def name(self) -> str:
+        """Such as ``deadband of press.servo``."""
+        return f"{self.kind} of {self.about}"
+
+    @property
+    def rank(self) -> int:
+        """Of two that explain alike the one of lower rank comes first: several alike before one."""
+        return self.row.rank - (len(self.numbers) > 1)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the numbers."""
+        return tuple(number.name for number in self.numbers)
+
+    @property
+    def certainty(self) -> int:
+        """How sure the present numbers are: 0 of what is assumed, more of what was measured."""
+        sure = [number.sure for number in self.numbers if number.unit != 0.0]
+        ranks = [CERTAINTY.index(s) if s in CERTAINTY else len(CERTAINTY) for s in sure]
+        return min(ranks, default=0)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The smallest and the largest δ."""
+        low, high = self.row.low, self.row.high
+        for number in self.numbers:
+            if number.unit > 0.0 and number.here >= 0.0 and not self.readings:
+                low = max(low, -number.here / number.unit)
+        return low, high
+
+    @property
+    def inside(self) -> float:
+        """The step δ of a difference, to the side that its bounds allow."""
+        step, (low, high) = self.row.step, self.bounds
+        return step if low <= step <= high else -step
+
+    def rig(self, rig: Rig, delta: float) -> Rig:
+        """A rig with the fault.
+
+        Raises:
+            EhbenchError, ValueError: there is no such rig.
+        """
+        moved = {n.name: n.at(delta) for n in self.numbers} if not self.readings else {}
+        return (self.altered(rig) if moved else rig).with_values(moved) if moved else rig
+
+    def altered(self, rig: Rig) -> Rig:
+        """A rig with the parts and laws that the fault adds, as where a search begins.
+
+        Raises:
+            ValueError: there is no such rig.
+        """
+        if not self.edits:
+            return rig
+        tables = _mutable(rig.as_toml())
+        for place, table, content, also in self.edits:
+            target = tables
+            for key in place:
+                target = target.setdefault(key, {}) if isinstance(target, dict) else target[key]
+            target |= dict(content) if not table or table in content else {table: dict(content)}
+            target |= also
+        return Rig.model_validate(tables)
+
+    def record(self, record: Record, delta: float) -> Record:
+        """A log whose commands do more at its end, which only drift makes."""
+        if self.kind != "drift":
+            return record
+        grows = 1.0 + delta * (record.t - record.t[0]) / max(float(np.ptp(record.t)), 1.0e-9)
+        names = [name for name, _, _ in self.readings if name in record]
+        given = {name: record[name] * grows for name in names}
+        return replace(record, channels=record.channels | given)
+
+    def terms(self, terms: Sequence[Term], bias: Mapping[str, float], delta: float) -> Any:
+        """(the terms of sensors, their bias) of a log with the fault."""
+        known = {term.name for term in terms}
+        more = [Term(c, w, 0.0, 1.0, 0.0, False) for c, w, _ in self.readings if w != "drift"]
+        bias = dict(bias)
+        for channel, word, unit in self.readings:
+            name = f"{channel}.{word}"
+            bias[name] = bias.get(name, 0.0) + delta * unit
+        return (*terms, *(term for term in more if term.name not in known)), bias
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """What a recipe estimates of sensors."""
+        if self.numbers or self.kind == "drift":
+            return ()
+        return tuple(
+            Sensor(channel=channel, sign=-1)
+            if self.kind.endswith("sign")
+            else Sensor.model_validate({"channel": channel, word: ESTIMATE})
+            for channel, word, _ in self.readings
+        )
+
+    @cached_property
+    def starts(self) -> tuple[dict[str, float], ...]:
+        """Where searches begin, by name [SI]."""
+        count = max((len(number.starts) for number in self.numbers), default=1)
+        return tuple(
+            {n.name: n.starts[min(k, len(n.starts) - 1)] for n in self.numbers}
+            for k in range(count)
+        )
+
+    @property
+    def upper(self) -> dict[str, float]:
+        """Upper bounds of the search by name [SI]."""
+        return {n.name: n.upper for n in self.numbers if n.upper is not None}
+
+    @property
+    def freedom(self) -> int:
+        """How many numbers it frees."""
+        return len(self.numbers) or len(self.sensors)
+
+    def without(self, names: Collection[str], bounded: Collection[str]) -> Hypothesis:
+        """It without numbers that are free already, and without bounds that a recipe has."""
+        rest = tuple(n for n in self.numbers if n.name not in names)
+        return replace(
+            self, numbers=tuple(replace(n, upper=None) if n.name in bounded else n for n in rest)
+        )
+
+    def parts(self, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Those of others that it is made of or an elaboration of."""
+        own = {*self.parameters}
+        return [o for o in others if o.numbers and {*o.parameters} < own and not o.edits]
+
+    def sentence(self, rig: Rig, delta: float) -> Message:
+        """What a fault of size δ is, and how it shows."""
+        return message(self._key(delta), **self._fields(rig, delta))
+
+    def remedy(self, rig: Rig, delta: float) -> Message:
+        """The line of the recipe, the rig file or the map of columns that frees it or puts it
+        right.
+        """
+        fields = self._fields(rig, delta)
+        if self.kind == "drift":
+            return message("faults.fit_apart")
+        if self.kind == "delay" and delta <= 0.0:
+            return message("faults.written_late", **fields)
+        if self.edits and len(self.readings) != 1:
+            return message("faults.add_lines", lines="; ".join(self.rig_lines(rig)))
+        if self.edits or not self.numbers:
+            key = "turn_sensor" if self.kind.endswith("sign") else "free_sensor"
+            return message(f"faults.{key}", **fields)
+        if all(number.sure == "identified" for number in self.numbers):
+            return message("faults.fitted", **fields)
+        return message("faults.free", **fields)
+
+    def _key(self, delta: float) -> str:
+        """The key of its message: one for either sign of δ, or one for both."""
+        name = self.kind.replace(" ", "_")
+        signed = f"{name}_{'more' if delta > 0.0 else 'less'}"
+        return f"faults.{signed if signed in templates('faults') else name}"
+
+    def _fields(self, rig: Rig, delta: float) -> dict[str, Any]:
+        """What its messages name."""
+        number = next((n for n in self.numbers if n.unit != 0.0), None)
+        channel, word, unit = self.readings[0] if self.readings else ("", "", 0.0)
+        fields = {
+            "about": self.about,
+            "names": ", ".join(self.parameters),
+            "quoted": ", ".join(f'"{name}"' for name in self.parameters),
+            "channel": channel,
+            "channels": ", ".join(reading[0] for reading in self.readings),
+            "word": word,
+            "percent": 100.0 * abs(delta),
+            "rest": 100.0 * (1.0 - abs(delta)),
+            "ms": 1e3 * abs(delta),
+            "volts": delta * unit,
+        }
+        if number is not None:
+            by, there = abs(delta * number.unit), number.at(delta)
+            shown = {"by": rig.shown(number.name, by, 3), "value": rig.shown(number.name, there, 3)}
+            return fields | shown
+        return fields | {"by": "", "value": ""}
+
+    def recipe_lines(self, rig: Rig) -> tuple[str, ...]:
+        """What it adds to the recipe."""
+        lines = []
+        if self.parameters:
+            quoted = ", ".join(f'"{name}"' for name in self.parameters)
+            lines.append(message("faults.parameters_line", quoted=quoted))
+        for name, value in self.upper.items():
+            lines.append(f'[upper] "{name}" = "{rig.shown(name, value, 5)}"')
+        for sensor in self.sensors:
+            word = next((w for c, w, _ in self.readings if c == sensor.channel), "")
+            given = f'{word} = "{ESTIMATE}"' if sensor.sign > 0 else "sign = -1"
+            lines.append(f'[[sensor]] channel = "{sensor.channel}", {given}')
+        return tuple(lines)
+
+    def rig_lines(self, rig: Rig) -> tuple[str, ...]:
+        """What it adds to the rig file."""
+        return tuple(
+            f"[{_where(rig, place, table if table not in content else '')}] "
+            + ", ".join(f"{key} = {_toml(value)}" for key, value in (content | also).items())
+            for place, table, content, also in self.edits
+        )
+
+
+def joined(several: Sequence[Hypothesis], about: str, level: int) -> Hypothesis:
+    """Faults of one kind together."""
+    if len(several) == 1:
+        return replace(several[0], about=about, level=level)
+    return replace(
+        several[0],
+        about=about,
+        numbers=tuple(number for item in several for number in item.numbers),
+        edits=tuple(edit for item in several for edit in item.edits),
+        level=level,
+    )
+
+
+def _mutable(tables: Any) -> Any:
+    """Nested plain values whose tables and lists can be altered."""
+    if isinstance(tables, Mapping):
+        return {key: _mutable(value) for key, value in tables.items()}
+    return [_mutable(table) for table in tables] if isinstance(tables, list | tuple) else tables
+
+
+def _where(rig: Rig, place: Sequence[Any], table: str) -> str:
+    """A place of the rig file by names, such as ``cylinder press friction``."""
+    words: list[str] = []
+    part: Any = rig
+    for key in place:
+        if isinstance(key, int):
+            part = part[key]
+            words.append(str(getattr(part, "name", None) or key + 1))
+        else:
+            part = getattr(part, key) if not isinstance(part, Mapping) else part
+            words.append(key)
+    return ".".join([*words, table] if table else words)
+
+
+def _toml(value: Any) -> str:
+    """A value in a line of TOML, numbers to five digits."""
+    if isinstance(value, Mapping):
+        return _toml(value["value"])
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if not isinstance(value, str):
+        return f"{value:.5g}"
+    number, _, unit = value.partition(" ")
+    try:
+        return f'"{float(number):.5g} {unit}"' if math.isfinite(float(number)) else f'"{value}"'
+    except ValueError:
+        return f'"{value}"'
