@@ -181,7 +181,7 @@ class ValidateRecipe(Recipe):
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
     structure: bool = Field(
         default=True,
-        description="whether the residuals are asked what they follow, and the likeliest cures of "
+        description="whether the residuals are asked what they follow, and the likeliest faults of "
         "the model are named",
     )
     thresholds: Thresholds = Thresholds()
