@@ -16,7 +16,7 @@ _KEYS = {
 
 
 def disagreements(cases: Sequence[Case]) -> Iterator[tuple[str, str, str, float]]:
-    """(cylinder, sentence, remedy, by how much [m]) of each that disagrees, the worst log of each."""
+    """(cylinder, sentence, remedy, error [m]) of each that disagrees, the worst log of each."""
     worst: dict[str, tuple[float, str]] = {}
     for case in cases:
         for name, apart in off_pins(case.record, case.model).items():
