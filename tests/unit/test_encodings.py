@@ -59,6 +59,9 @@ def hdf5(path: Path) -> READ:
         packing = {"compression": "gzip", "shuffle": True, "chunks": (4,), "fletcher32": True}
         file.create_dataset("packed", data=counts, **packing)
         file.create_dataset("rounded", data=counts, scaleoffset=0, chunks=(8,))
+        unknown = {"compression": 32001, "allow_unknown_filter": True, "chunks": (8,)}
+        blosc = file.create_dataset("blosc", (8,), "i2", **unknown)
+        blosc.id.write_direct_chunk((0,), b"packed")
         kind = h5py.enum_dtype({"OFF": 0, "ON": 1})
         file.create_dataset("enumeration", data=[0, 1] * 4, dtype=kind)
         file["words"] = ["a"] * 8
@@ -71,7 +74,7 @@ def hdf5(path: Path) -> READ:
         other = [(str(path.parent / "other"), 0, 64)]
         file.create_dataset("external", (8,), "f8", external=other)
         file["linked"] = h5py.ExternalLink("other.h5", "int16")
-    rest = dict.fromkeys(("enumeration", "words", "virtual", "external", "linked"))
+    rest = dict.fromkeys(("enumeration", "words", "virtual", "external", "linked", "blosc"))
     times = {"time": [60.0 * n for n in range(8)]}
     both = {"packed": PLAIN, "rounded": PLAIN, **times, **rest}
     return {name: read for name, (_, _, read) in sets.items()} | both
@@ -255,6 +258,31 @@ def excel(path: Path) -> READ:
     }
 
 
+def bag(path: Path) -> READ:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store, small = get_typestore(Stores.ROS2_JAZZY), [*COUNTS[:-1], 100]
+    kinds = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
+    kinds += ["float32", "float64"]
+    lines = [f"{kind} a_{kind}" for kind in kinds]
+    lines += ["bool logical", "float32[2] fixed", "float64[] several", "string word", "int32 ON=1"]
+    store.register(get_types_from_msg("\n".join(lines), "a_msgs/msg/All"))
+    content = store.types["a_msgs/msg/All"]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as file:
+        topic = file.add_connection("/all", content.__msgtype__, typestore=store)
+        for n, (count, half) in enumerate(zip(small, HALVES, strict=True)):
+            numbers = {f"a_{kind}": count for kind in kinds}
+            fixed, rest = np.array([count, half], "f4"), {"several": np.array([half]), "word": "a"}
+            given = content(**numbers, logical=count > 2, fixed=fixed, **rest)
+            file.write(topic, 10**9 * n, store.serialize_cdr(given, content.__msgtype__))
+    numbers = [*PLAIN[:-1], 100.0]
+    expected: dict[str, Sequence[float] | None] = {f"a_{kind}": numbers for kind in kinds}
+    expected |= {"logical": [0.0] * 3 + [1.0] * 5, "fixed.0": numbers, "fixed.1": HALVES}
+    return expected | {"several.0": HALVES}
+
+
 def npz(path: Path) -> READ:
     small = np.array([*COUNTS[:-1], 100])
     kinds = ("i1", ">u2", "<i4", "u8", "f2", ">f4", "f8")
@@ -286,6 +314,7 @@ def npy(path: Path) -> READ:
 
 
 WRITERS = {
+    "a_bag": bag,
     "a.npz": npz,
     "workbook.xlsx.npz": npz,
     "a.npy": npy,

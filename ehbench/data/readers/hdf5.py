@@ -3,7 +3,7 @@ numbers, a table for those of one group and length."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +21,9 @@ _UNITS = ("unit", "units", "Unit", "Units", "UNIT", "UNITS")
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The data sets of a file, converted as their attributes say, with the units of these."""
-    gathered, losses, sets = Gathered(), [], []
+    gathered, losses = Gathered(), []
     with h5py.File(path, "r") as file:
-
-        def take(name: str, item: Any) -> None:
-            if isinstance(item, h5py.Dataset) and not name.startswith("#"):
-                sets.append((name, item))
-
-        def take_link(name: str, link: Any) -> None:
-            if isinstance(link, h5py.ExternalLink):
-                losses.append(message("data.in_other_file", name=name))
-
-        file.visititems(take)
-        file.visititems_links(take_link)
+        sets = list(_data_sets(file, "", {file.id}, losses))
         sizes = (float(item.size or 0) * max(item.dtype.itemsize, 8) for _, item in sets)
         refuse_beyond(3.0 * sum(sizes), "reading it")
         for name, item in sets:
@@ -46,13 +36,34 @@ def read(path: Path, dialect: Dialect) -> Source:
                 try:
                     values = converted(item[()], item.attrs)
                     values, unit = since(values, unit)
-                except EhbenchError as error:
-                    losses.append(message("data.not_converted", name=name, reason=error.message))
+                except (EhbenchError, OSError) as error:  # damaged, or packed by an unknown filter
+                    reason = getattr(error, "message", None) or str(error)
+                    losses.append(message("data.not_converted", name=name, reason=reason))
                     continue
             if values is None or not gathered.add(place, last, values, unit):
                 if (item.size or 0) > 1:
                     losses.append(message("data.not_read", name=name))
     return Source(gathered.tables(), losses=tuple(losses))
+
+
+def _data_sets(
+    group: Any, place: str, seen: set[Any], losses: list[str]
+) -> Iterator[tuple[str, Any]]:
+    """(name, data set) of all in a group and those below it, each once, by its first name."""
+    for key in group:
+        name, link = f"{place}{key}", group.get(key, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            losses.append(message("data.in_other_file", name=name))
+        if key.startswith("#") or not isinstance(link, h5py.HardLink):
+            continue
+        item = group[key]
+        if item.id in seen:
+            continue
+        seen.add(item.id)
+        if isinstance(item, h5py.Dataset):
+            yield name, item
+        elif isinstance(item, h5py.Group):
+            yield from _data_sets(item, f"{name}/", seen, losses)
 
 
 def _of_numbers(item: Any) -> bool:
