@@ -15,9 +15,9 @@ from ehbench.config.rig import Rig
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.captions import plus, range_of
 from ehbench.report.content import num
-from ehbench.report.headlines import findings_of
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
+from ehbench.report.stages import report_of
 from ehbench.report.terminal import Answer, found
 from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
 from ehbench.runs.rundir import read_json
@@ -90,7 +90,8 @@ def compare(first: Path, second: Path) -> Comparison:
     changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
     numbered = item.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
     heads = [
-        {n.label: n.value for n in findings_of(run).numbers if numbered} for run in (item, two)
+        {n.label: n.value for n in report_of(run).findings(run).numbers if numbered}
+        for run in (item, two)
     ]
     return Comparison(
         item.what or item.stage,

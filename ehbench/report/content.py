@@ -4,6 +4,7 @@ made of.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from ehbench.report.blocks import Block, Cell, Fold, Part, Picture
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.words import count, number, shown, words
+from ehbench.vocabulary.messages import Message, message
 
 Pictures = Callable[[FigureKey], list[Picture]]  # the run's figures that answer a question
 _LOOKS = {
@@ -38,6 +40,35 @@ _LOOKS = {
 
 
 @dataclass(frozen=True)
+class Headline:
+    """A number that people ask for. ``rank``: its place among those of a report, which shows one
+    of each rank below `OFTEN`; ``on_model``: of the model, so that a machine's wins.
+    """
+
+    rank: int
+    label: str
+    value: str
+    about: str = ""
+    on_model: bool = False
+
+
+OFTEN = 6  # the first rank of which a report may show several
+PARAMETER, FIT, DAMPING, TRACKING, SAVED, STEPS = range(6)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a run gives to the first screen: numbers, the figures to choose from (the first that is
+    there), what speaks against its result, and what to do next.
+    """
+
+    numbers: Sequence[Headline] = ()
+    figures: Sequence[FigureKey] = ()
+    against: Sequence[str] = ()
+    next: Sequence[Message] = ()
+
+
+@dataclass(frozen=True)
 class SectionContent:
     """What a stage tells of a run: a status word, one sentence, the parts of the section, and
     more sentences, each of one controller.
@@ -61,10 +92,30 @@ class StageReport:
     label: str
     section: Callable[[Saved, Pictures], SectionContent]
     draw: Callable[[Saved, FigureIndex], None]
+    findings: Callable[[Saved], Findings] = lambda run: Findings()
     standing: int = 0
     shows: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     numbers: tuple[str, tuple[str, ...]] = ("", ())
+
+
+def names(run: Saved) -> dict[str, str]:
+    """What steps call a run: its folder ``run``, its ``recipe``, and the ``name`` that a recipe
+    next to it takes for the run.
+    """
+    recipe = run.facts["recipe"]["path"]
+    return {"run": run.folder.name, "recipe": recipe, "name": recipe}
+
+
+def remedy_step(remedy: str) -> Message:
+    """The step that a remedy asks for, with the line to paste where it names one."""
+    if freed := re.match(r'add ("[^\[\]]+") to parameters', remedy):
+        return message("steps.free", line=freed[1])
+    if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", remedy):
+        return message("steps.sense", line=sensed[1].replace(", ", "\n"))
+    if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):
+        return message("steps.write", line=written[1], where=written[2])
+    return message("steps.remedy", remedy=remedy)
 
 
 def look_of(status: str) -> str:

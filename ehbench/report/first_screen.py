@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ehbench.report.blocks import Block, Bullets, Card, Cards, Cell, Grid, Picture, Text
+from ehbench.report.blocks import Block, Bullets, Card, Cards, Cell, Grid, Text
 from ehbench.report.captions import capital, sentence
-from ehbench.report.content import Pictures, SectionContent, StageReport, chip
-from ehbench.report.headlines import (
+from ehbench.report.content import (
     OFTEN,
     SAVED,
     STEPS,
     TRACKING,
     Findings,
     Headline,
-    findings_of,
+    Pictures,
+    SectionContent,
+    StageReport,
+    chip,
     names,
 )
 from ehbench.report.saved import Saved
-from ehbench.report.words import count, words
+from ehbench.report.stages import report_of
+from ehbench.report.template import Template
+from ehbench.report.words import words
 from ehbench.vocabulary.messages import Message, message, ranked
 
-MANY = 5  # numbers on the first screen
-MEASURED = (TRACKING, SAVED, STEPS)  # ranks of numbers that trials give
-SHOWN = 4  # reasons and next steps on it
-# what makes a chain whole, in its order, and how to go on where it ends
+_PAGE = Template("headlines")
+# kinds of runs in their order, and how to go on where they end
 _CHAIN = {
     "flow_map": "steps.with_maps",
     "hydraulics": "steps.judge",
@@ -36,126 +38,118 @@ _CHAIN = {
 }
 
 
-def first_screen(
-    runs: Sequence[Saved], contents: Sequence[SectionContent], pictures: Sequence[Pictures]
-) -> list[Block]:
-    """Cards, verdict, figure, next steps, and the table of the chapters.
+def chapters_of(runs: Sequence[Saved], pictures: Sequence[Pictures]) -> list[Chapter]:
+    """The runs of a page with what their sections say, in their order; their figures by run."""
+    chapters = []
+    for place, (run, drawn) in enumerate(zip(runs, pictures, strict=True), 1):
+        stage = report_of(run)
+        content, findings = stage.section(run, drawn), stage.findings(run)
+        chapters.append(Chapter(run, stage, content, drawn, findings, f"run-{place}"))
+    return chapters
 
-    Args:
-        runs: in the order of the page; their anchors are ``run-1``, ``run-2``, ….
-        contents: what each of them tells.
-        pictures: the figures of each.
-    """
-    results = [findings_of(run) for run in runs]
-    blocks: list[Block] = []
-    if cards := _cards(runs, results):
-        blocks.append(Cards(cards))
-    blocks += _verdict(runs, contents, results)
-    blocks += _figure(runs, results, pictures)
-    if steps := next_steps(runs, contents, results)[:SHOWN]:
+
+@dataclass(frozen=True)
+class Chapter:
+    """A run of the page with what its section says and its figures; its anchor is ``run-1``, …."""
+
+    run: Saved
+    stage: StageReport
+    content: SectionContent
+    pictures: Pictures
+    findings: Findings
+    anchor: str
+
+    @property
+    def has_rig(self) -> bool:
+        """Whether it left a rig."""
+        return (self.run.folder / "rig.toml").is_file()
+
+
+def first_screen(chapters: Sequence[Chapter], maximum: int = 4) -> list[Block]:
+    """Cards, verdict, figure and next steps; at most so many reasons and steps."""
+    cards = _cards(chapters)
+    blocks: list[Block] = [Cards(cards)] if cards else []
+    blocks += _verdict(chapters, maximum)
+    blocks += _figure(chapters)
+    if steps := next_steps(chapters)[:maximum]:
         texts = [f"{capital(step)}: {step.hint}" if step.hint else sentence(step) for step in steps]
-        blocks += [Text("What to do next", "head"), Bullets(texts)]
+        blocks += [Text(_PAGE.text("next_head"), "head"), Bullets(texts)]
     return blocks
 
 
-def summary(
-    runs: Sequence[Saved], contents: Sequence[SectionContent]
-) -> tuple[str, Grid, list[Message]]:
+def summary(chapters: Sequence[Chapter]) -> tuple[str, Grid, list[Message]]:
     """Verdict, main numbers and next steps over several runs."""
-    results = [findings_of(run) for run in runs]
-    verdict = next((b.text for b in _verdict(runs, contents, results) if isinstance(b, Text)), "")
-    rows = [[card.label, card.value, card.about] for card in _cards(runs, results)]
-    return verdict, Grid(["number", "value", "about"], rows), next_steps(runs, contents, results)
+    verdict = next((b.text for b in _verdict(chapters, 0) if isinstance(b, Text)), "")
+    rows = [[card.label, card.value, card.about] for card in _cards(chapters)]
+    return verdict, Grid(["number", "value", "about"], rows), next_steps(chapters)
 
 
-def chapters(
-    runs: Sequence[Saved], contents: Sequence[SectionContent], reports: Sequence[StageReport]
-) -> Grid:
+def overview(chapters: Sequence[Chapter]) -> Grid:
     """A row a run: its stage, its status and its first numbers."""
     rows: list[list[Cell | str]] = []
-    for place, (run, content, stage) in enumerate(zip(runs, contents, reports, strict=True), 1):
-        numbers = findings_of(run).numbers[:2]
-        results = "; ".join(
-            f"{number.label[:1].lower()}{number.label[1:]} {number.value}" for number in numbers
+    for item in chapters:
+        numbers = "; ".join(
+            f"{number.label[:1].lower()}{number.label[1:]} {number.value}"
+            for number in item.findings.numbers[:2]
         )
-        link = Cell(run.title, link=f"#run-{place}")
-        rows.append([link, stage.label, chip(content.status), results or content.sentence])
+        link = Cell(item.run.title, link=f"#{item.anchor}")
+        status = chip(item.content.status)
+        rows.append([link, item.stage.label, status, numbers or item.content.sentence])
     return Grid(["run", "stage", "status", "in short"], rows, look="stack")
 
 
-def _cards(runs: Sequence[Saved], result: Sequence[Findings]) -> list[Card]:
-    """One number a rank, from a machine where one was found on it and from the run that others
-    build on, then others of the last ranks.
+def _cards(chapters: Sequence[Chapter], maximum: int = 5) -> list[Card]:
+    """One number of each rank, from a machine where one has it and from the run that others build
+    on, then others of the last ranks.
     """
-    used = {
-        Path(item["path"]).name
-        for run in runs
-        if run.what == "validation"
-        for item in run.facts["inputs"]
-    }
-    rigs = {run.rig.name for run in runs if _has_rig(run)}
-    best: dict[int, tuple[tuple[bool, bool, int], int, Headline]] = {}
-    others: list[tuple[int, Headline]] = []
-    for place, (run, findings) in enumerate(zip(runs, result, strict=True), 1):
-        for number in findings.numbers:
-            weight = (not number.on_model, run.folder.name in used, place)
+    inputs = [i for c in chapters if c.run.what == "validation" for i in c.run.facts["inputs"]]
+    used = {Path(item["path"]).name for item in inputs}
+    best: dict[int, tuple[tuple[bool, bool, int], Chapter, Headline]] = {}
+    others: list[tuple[Chapter, Headline]] = []
+    for place, chapter in enumerate(chapters):
+        for number in chapter.findings.numbers:
+            weight = (not number.on_model, chapter.run.folder.name in used, place)
             if number.rank >= OFTEN:
-                others.append((place, number))
+                others.append((chapter, number))
             elif number.rank not in best or weight >= best[number.rank][0]:
-                best[number.rank] = (weight, place, number)
-    chosen = [(place, item) for _, (_, place, item) in sorted(best.items())]
-    chosen = (chosen + others)[:MANY]
-    return [
-        Card(
-            item.label,
-            item.value,
-            item.about
-            if len(rigs) < 2 or not _has_rig(runs[place - 1])
-            else f"{words(runs[place - 1].rig.name)}: {item.about}",
-            f"#run-{place}",
-        )
-        for place, item in chosen
-    ]
+                best[number.rank] = (weight, chapter, number)
+    chosen = [(chapter, item) for _, (_, chapter, item) in sorted(best.items())]
+    several = len({chapter.run.rig.name for chapter in chapters if chapter.has_rig}) > 1
+    cards = []
+    for chapter, item in (chosen + others)[:maximum]:
+        rig = f"{words(chapter.run.rig.name)}: " if several and chapter.has_rig else ""
+        cards.append(Card(item.label, item.value, rig + item.about, f"#{chapter.anchor}"))
+    return cards
 
 
-def _has_rig(run: Saved) -> bool:
-    return (run.folder / "rig.toml").is_file()
-
-
-def _verdict(
-    runs: Sequence[Saved], contents: Sequence[SectionContent], result: Sequence[Findings]
-) -> list[Block]:
+def _verdict(chapters: Sequence[Chapter], maximum: int) -> list[Block]:
     """What validation says of the model, then what speaks against any result."""
-    judged = [
-        (run, content)
-        for run, content in zip(runs, contents, strict=True)
-        if run.what == "validation"
-    ]
+    judged = [chapter for chapter in chapters if chapter.run.what == "validation"]
+    statuses = {chapter.run.title: chapter.content.status for chapter in judged}
+    rejected = [title for title, status in statuses.items() if status == "rejected"]
     if not judged:
-        text, look = "No verdict: no model was judged on held-out logs in these runs.", "warn"
-    elif rejected := [run.title for run, content in judged if content.status == "rejected"]:
-        text, look = f"Model rejected: {', '.join(rejected)}.", "bad"
+        text, look = _PAGE.text("no_verdict"), "warn"
+    elif rejected:
+        text, look = _PAGE.text("rejected", names=rejected), "bad"
     else:
-        logs = set().union(*(_held_out(run) for run, _ in judged))
-        text = f"Model accepted on {count(len(logs), 'log')} that it was not fitted to."
-        look = "good"
-        reserved = [run.title for run, content in judged if content.status != "accepted"]
-        if reserved:
-            text, look = f"{text[:-1]}, with reservation: {', '.join(reserved)}.", "warn"
-    doubts, message = [], set()
-    for run, findings in zip(runs, result, strict=True):
-        # what a fit leans on is a reservation of its validations too
-        against = [item for item in findings.against if item not in message]
-        message |= set(against)
+        logs = set().union(*(_held_out(chapter.run) for chapter in judged))
+        reserved = [title for title, status in statuses.items() if status != "accepted"]
+        text = _PAGE.text("accepted", count=len(logs), names=reserved)
+        look = "warn" if reserved else "good"
+    doubts: list[str] = []
+    stated: set[str] = set()
+    for chapter in chapters:
+        # what a fit is sensitive to is a reservation of its validations too
+        against = [item for item in chapter.findings.against if item not in stated]
+        stated |= set(against)
         if against:
-            more = f"; {len(against) - 2} more" if len(against) > 2 else ""
-            doubts.append(f"{run.title}: {'; '.join(against[:2])}{more}")
+            doubts.append(_PAGE.text("against", name=chapter.run.title, reasons=against))
     blocks: list[Block] = []
-    if any(run.what != "study" for run in runs):
+    if any(chapter.run.what != "study" for chapter in chapters):
         blocks.append(Text(text, look))
     if doubts:
-        blocks.append(Text("Against it, or open", "head"))
-        blocks.append(Bullets([sentence(doubt) for doubt in doubts[:SHOWN]], "warn"))
+        items = [sentence(doubt) for doubt in doubts[:maximum]]
+        blocks += [Text(_PAGE.text("against_head"), "head"), Bullets(items, "warn")]
     return blocks
 
 
@@ -173,46 +167,38 @@ def _held_out(run: Saved) -> set[str]:
     }
 
 
-def _figure(
-    runs: Sequence[Saved], result: Sequence[Findings], pictures: Sequence[Pictures]
-) -> list[Block]:
-    """The first figure of the furthest run that has one, of a machine where one ran."""
-    order = [i for i, item in enumerate(result) if item.figures]
-    machine = [i for i in order if not any(number.on_model for number in result[i].numbers)]
-    for i in [*reversed(machine), *reversed(order)]:
-        for key in result[i].figures:
-            if drawn := pictures[i](key):
-                return [_again(drawn[0], runs[i].title)]
+def _figure(chapters: Sequence[Chapter], prefix: str = "first-") -> list[Block]:
+    """The first figure of the furthest run that has one, of a machine where one ran, under ids of
+    its second place.
+    """
+    order = [chapter for chapter in chapters if chapter.findings.figures]
+    machine = [c for c in order if not any(number.on_model for number in c.findings.numbers)]
+    for chapter in [*reversed(machine), *reversed(order)]:
+        for key in chapter.findings.figures:
+            for picture in chapter.pictures(key)[:1]:
+                svg = picture.svg
+                for text in ('id="', 'href="#', "url(#"):
+                    svg = svg.replace(text, text + prefix)
+                caption = _PAGE.text("again", name=chapter.run.title)
+                return [
+                    replace(picture, svg=svg, id=f"{prefix}figure", caption=caption, paper=True)
+                ]
     return []
 
 
-def _again(picture: Picture, title: str) -> Picture:
-    """A figure that stands a second time, under ids of its own."""
-    prefix = "first-"
-    svg = picture.svg.replace('id="', f'id="{prefix}').replace('href="#', f'href="#{prefix}')
-    svg = svg.replace("url(#", f"url(#{prefix}")
-    where = f"From the chapter '{title}'."
-    return replace(picture, svg=svg, id=f"{prefix}figure", caption=where, paper=True)
-
-
-def next_steps(
-    runs: Sequence[Saved], contents: Sequence[SectionContent], result: Sequence[Findings]
-) -> list[Message]:
+def next_steps(chapters: Sequence[Chapter]) -> list[Message]:
     """What the runs ask for, and the next link of the chain, the most valuable first."""
-    steps = [step for item in result for step in item.next]
-    kinds = {run.what for run in runs}
-    on_machine = any(
-        number.rank in MEASURED and not number.on_model
-        for item in result
-        for number in item.numbers
-    )
+    steps = [step for chapter in chapters for step in chapter.findings.next]
+    kinds = {chapter.run.what: chapter.run for chapter in chapters}
+    numbers = [number for chapter in chapters for number in chapter.findings.numbers]
+    measured = (TRACKING, SAVED, STEPS)  # ranks of numbers that trials give
+    on_machine = any(number.rank in measured and not number.on_model for number in numbers)
     if on_machine:
         steps = [step for step in steps if step.key != "steps.on_machine"]
-    failing = any(content.status in ("rejected", "missed", "stopped") for content in contents)
+    failing = any(c.content.status in ("rejected", "missed", "stopped") for c in chapters)
     last = next((kind for kind in reversed(_CHAIN) if kind in kinds), None)
-    if last is not None and not failing and not kinds & {"trial", "trials"}:
-        run = next(run for run in reversed(runs) if run.what == last)
-        steps.append(message(_CHAIN[last], **names(run)))
-    if not steps and on_machine and kinds & {"validation"}:
+    if last is not None and not failing and not {"trial", "trials"} & {*kinds}:
+        steps.append(message(_CHAIN[last], **names(kinds[last])))
+    if not steps and on_machine and "validation" in kinds:
         steps.append(message("steps.other_conditions"))
     return ranked(steps)

@@ -30,14 +30,14 @@ from ehbench.report.blocks import (
     prose,
     slug,
 )
-from ehbench.report.content import SectionContent, chip
+from ehbench.report.content import chip
 from ehbench.report.dark import dark
-from ehbench.report.first_screen import chapters, first_screen
+from ehbench.report.first_screen import Chapter, chapters_of, first_screen, overview
 from ehbench.report.index import FigureKey
 from ehbench.report.provenance import TracedRun, unsupported
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
-from ehbench.report.stages import place_of, report_of
+from ehbench.report.stages import place_of
 from ehbench.report.stages.campaign import Titles, campaign_sections, heading
 from ehbench.report.svg import sound
 from ehbench.report.words import count, words
@@ -81,25 +81,22 @@ def _is_ours(folder: Path) -> bool:
 def _built(folders: Sequence[Path], campaign: Campaign | None) -> str:
     runs = sorted((Saved(folder) for folder in folders), key=place_of)
     titles, looks = Titles(campaign), {}
-    anchors = [f"run-{place}" for place in range(1, len(runs) + 1)]
-    pictures = [RunPictures(*item, titles, looks) for item in zip(runs, anchors, strict=True)]
-    stages = [report_of(run) for run in runs]
-    contents = [
-        stage.section(run, drawn) for stage, run, drawn in zip(stages, runs, pictures, strict=True)
-    ]
-    sections = [_run_section(*item, titles) for item in zip(runs, anchors, contents, strict=True)]
+    pictures = [RunPictures(run, f"run-{i}", titles, looks) for i, run in enumerate(runs, 1)]
+    chapters = chapters_of(runs, pictures)
+    sections = [_run_section(chapter, titles) for chapter in chapters]
     titles.refuse_unused()
     before = [
-        Section("At a glance", first_screen(runs, contents, pictures), "glance"),
-        Section("Chapters", [chapters(runs, contents, stages)], "chapters"),
+        Section("At a glance", first_screen(chapters), "glance"),
+        Section("Chapters", [overview(chapters)], "chapters"),
         *campaign_sections(campaign),
     ]
-    rigs = [run.rig for run in runs if (run.folder / "rig.toml").is_file()]
+    rigs = [chapter.run.rig for chapter in chapters if chapter.has_rig]
     title, note = heading(campaign, rigs)
-    return _render(title, note, [*before, *sections, *_rigs(runs), _provenance(runs)], looks)
+    return _render(title, note, [*before, *sections, *_rigs(chapters), _provenance(runs)], looks)
 
 
-def _run_section(run: Saved, anchor: str, content: SectionContent, titles: Titles) -> Section:
+def _run_section(chapter: Chapter, titles: Titles) -> Section:
+    run, anchor, content = chapter.run, chapter.anchor, chapter.content
     parts = [
         Part(
             part.title,
@@ -193,23 +190,22 @@ def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
     return pieces
 
 
-def _rigs(runs: Sequence[Saved]) -> list[Section]:
+def _rigs(chapters: Sequence[Chapter]) -> list[Section]:
     """The machine as far as the runs brought it: for each rig, the last one judged, else
     identified, else given.
     """
-    furthest: dict[str, Saved] = {}
-    for run in runs:
-        if (run.folder / "rig.toml").is_file():
-            fixed = furthest.get(run.rig.name)
-            if fixed is None or report_of(run).standing >= report_of(fixed).standing:
-                furthest[run.rig.name] = run
+    furthest: dict[str, Chapter] = {}
+    for chapter in (chapter for chapter in chapters if chapter.has_rig):
+        fixed = furthest.get(chapter.run.rig.name)
+        if fixed is None or chapter.stage.standing >= fixed.stage.standing:
+            furthest[chapter.run.rig.name] = chapter
     fits = [
         parameter
-        for run in runs
-        if (run.folder / "parameters.json").is_file()
-        for parameter in run.json("parameters.json")["parameters"]
+        for chapter in chapters
+        if (chapter.run.folder / "parameters.json").is_file()
+        for parameter in chapter.run.json("parameters.json")["parameters"]
     ]
-    return [_rig_section(name, run, fits) for name, run in furthest.items()]
+    return [_rig_section(name, chapter.run, fits) for name, chapter in furthest.items()]
 
 
 def _rig_section(name: str, run: Saved, fits: Sequence[Table]) -> Section:

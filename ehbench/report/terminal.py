@@ -15,9 +15,8 @@ from typing import Any
 
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
 from ehbench.report.captions import capital
-from ehbench.report.content import SectionContent
-from ehbench.report.first_screen import next_steps, summary
-from ehbench.report.headlines import findings_of, names
+from ehbench.report.content import SectionContent, names
+from ehbench.report.first_screen import chapters_of, next_steps, summary
 from ehbench.report.provenance import TracedRun
 from ehbench.report.saved import Saved
 from ehbench.report.stages import report_of
@@ -120,7 +119,7 @@ def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool 
     blocks = _shown(run, content)
     bullets = [item for block in blocks if isinstance(block, Bullets) for item in block.items]
     steps = [message("steps.lost", **names(run))] if losses else []
-    steps += next_steps([run], [content], [findings_of(run)])
+    steps += next_steps(chapters_of([run], [lambda key: []]))
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
     return Answer(
         _headline(content),
@@ -141,8 +140,8 @@ def report_answer(folder: Path, notes: Sequence[str] = (), code: int = 0) -> Ans
     """
     places = [item.place for item in TracedRun(folder).sources if item.role == "run"]
     runs = [place for place in places if place is not None]
-    saved = [found(run) for run in runs]
-    verdict, grid, steps = summary(*zip(*saved))
+    chapters = chapters_of([Saved(run) for run in runs], [lambda key: []] * len(runs))
+    verdict, grid, steps = summary(chapters)
     return Answer(
         verdict,
         [grid],

@@ -16,11 +16,13 @@ import pytest
 from ehbench.config.recipe import load_rig
 from ehbench.report import build, terminal
 from ehbench.report.blocks import Cell, Grid
+from ehbench.report.content import Findings, Headline, SectionContent, StageReport
 from ehbench.report.dark import dark
-from ehbench.report.first_screen import _cards, _held_out
-from ehbench.report.headlines import Findings, Headline, findings_of, silence
+from ehbench.report.first_screen import Chapter, _cards, _held_out
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
+from ehbench.report.stages import report_of
+from ehbench.report.stages.validation import silence
 from ehbench.report.words import estimate, shown
 from ehbench.runs.rundir import write_json
 from ehbench.vocabulary.codes import LIMITS, LIMITS_MEAN
@@ -28,6 +30,11 @@ from tests.unit.test_report import fill
 
 FOLLOWS = {"follows": []}
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+
+
+def findings_of(folder: Path) -> Findings:
+    run = Saved(folder)
+    return report_of(run).findings(run)
 
 
 def section(text: str, name: str) -> str:
@@ -88,12 +95,16 @@ def test_no_row_of_the_chapters_is_a_wall_of_numbers(folders):
 
 
 def test_five_numbers_one_a_rank_the_machine_before_the_model(folders):
-    runs = [Saved(folder) for folder in folders]
     found = [
         Findings([Headline(0, "a", "1"), Headline(3, "machine", "2"), Headline(6, "x", "9")]),
         Findings([Headline(3, "model", "3", on_model=True)] + [Headline(6, "y", "8")] * 4),
     ]
-    cards = _cards(runs, found)
+    stage, none = StageReport("", None, None), SectionContent("", "", [])  # pyright: ignore[reportArgumentType]
+    chapters = [
+        Chapter(Saved(folder), stage, none, lambda key: [], item, f"run-{place}")
+        for place, (folder, item) in enumerate(zip(folders, found, strict=True), 1)
+    ]
+    cards = _cards(chapters)
     assert [card.label for card in cards] == ["a", "machine", "x", "y", "y"]
     assert cards[0].link == "#run-1" and cards[-1].link == "#run-2"
 
@@ -208,13 +219,9 @@ def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
     folder = tmp_path / "judged"
     shutil.copytree(folders[1], folder)
     table = json.loads((folder / "validation.json").read_text())
-    cures = [
-        {"remedy": "free the gain of hect"},
-        {"remedy": "free the gain of hect"},
-        {"remedy": "b"},
-    ]
+    cures = [{"remedy": text} for text in ("free the gain of hect", "free the gain of hect", "b")]
     write_json(folder / "validation.json", table | {"structure": {"findings": cures}})
-    steps = findings_of(Saved(folder)).next
+    steps = findings_of(folder).next
     assert [step.fields["remedy"] for step in steps] == ["free the gain of hect", "b"]
 
 
@@ -226,13 +233,13 @@ def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folde
         {"sentence": "boom.p_head reads low", "remedy": "add an offset", "explains": 0.46},
         {"sentence": "lag", "remedy": "add a lag", "explains": 0.3},
     ]
-    cause = "46 % of what is left over has one likely cause: boom.p_head reads low; add an offset"
+    cause = "46 % of the residual has one likely cause: boom.p_head reads low; add an offset"
     judged = table | {"accepted": True, "reasons": []}
     write_json(folder / "validation.json", judged | {"structure": {"findings": found} | FOLLOWS})
-    assert list(findings_of(Saved(folder)).against) == [cause]
+    assert list(findings_of(folder).against) == [cause]
     assert list(terminal.answer(folder).notes) == [cause]
     write_json(folder / "validation.json", judged | {"structure": {"findings": []} | FOLLOWS})
-    assert not findings_of(Saved(folder)).against
+    assert not findings_of(folder).against
     assert not terminal.answer(folder).notes
 
 
@@ -250,9 +257,9 @@ LEAN = {
 def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):
     folder = tmp_path / "fit"
     shutil.copytree(folders[0], folder)
-    table, before = json.loads((folder / "parameters.json").read_text()), findings_of(Saved(folder))
+    table, before = json.loads((folder / "parameters.json").read_text()), findings_of(folder)
     write_json(folder / "parameters.json", table | {"leans": [LEAN]})
-    found = findings_of(Saved(folder))
+    found = findings_of(folder)
     assert list(found.against) == [LEAN["sentence"], *before.against]
     assert found.next[0].hint == '"late.delay",'
     told = terminal.answer(folder).lines(200, whole=True)
@@ -271,7 +278,7 @@ def test_a_sensitive_fit_gives_a_reservation(folders, tmp_path):
     write_json(folder / "validation.json", table | reserves)
     told = terminal.answer(folder).lines(200, whole=True)
     assert told[0].startswith("ACCEPTED WITH RESERVATION on ") and f"- {LEAN['sentence']}" in told
-    assert findings_of(Saved(folder)).against[0] == LEAN["sentence"]
+    assert findings_of(folder).against[0] == LEAN["sentence"]
     glance = words_of(section(build([folder]), "glance"))
     assert "that it was not fitted to, with reservation: " in glance
     fit = tmp_path / "fit"  # in a report with the fit behind it, told of that alone
@@ -286,9 +293,9 @@ def test_what_a_fit_leaves_over_speaks_against_it(folders, tmp_path):
     folder = tmp_path / "fit"
     shutil.copytree(folders[0], folder)
     table = json.loads((folder / "parameters.json").read_text())
-    before = findings_of(Saved(folder))
+    before = findings_of(folder)
     said = "the model leaves 27 % of boom.p_rod in a, 3 times its noise"
     write_json(folder / "parameters.json", table | {"left_over": f"{said}: something is missing"})
-    found = findings_of(Saved(folder))
+    found = findings_of(folder)
     assert list(found.against) == [said, *before.against]
     assert "--suggest" in found.next[0].hint and list(found.next[1:]) == list(before.next)

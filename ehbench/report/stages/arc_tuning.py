@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from ehbench.report.blocks import Block, Fold, Part, Text
-from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.captions import measure
+from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
 from ehbench.report.figures import arc_tuning as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.stages.tuning import supply_blocks
 from ehbench.report.template import Template
 from ehbench.report.words import count, words
+from ehbench.vocabulary.messages import message
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 
@@ -39,10 +41,21 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     return SectionContent("met" if met else "missed", sentence, parts)
 
 
+def findings(run: Saved) -> Findings:
+    page, tuning = Template("headlines", run.rig), run.json("tuning.json")
+    label = f"Delay margin, stated, {words(tuning['cylinder'])}"
+    value = measure(run.rig, "delay_margin", tuning["delay_margin"], 2)
+    numbers = [Headline(OFTEN, label, value, page.text("margins", tuning=tuning))]
+    against = [] if tuning["met"] else [page.text("margins_missed")]
+    steps = [message("steps.smaller_margins", reached=value)] if against else []
+    return Findings(numbers, [FigureKey("margins")], against, steps)
+
+
 REPORT = StageReport(
     "tuning",
     section,
     draw,
+    findings,
     shows=("The bandwidths",),
     numbers=("tuning.json", ("met", "gains", *_MARGINS)),
 )

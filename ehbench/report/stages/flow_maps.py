@@ -6,12 +6,21 @@ from collections.abc import Iterator
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Part
-from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.content import (
+    OFTEN,
+    Findings,
+    Headline,
+    Pictures,
+    SectionContent,
+    StageReport,
+    names,
+)
 from ehbench.report.figures import flow_maps as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table, read_points
 from ehbench.report.template import Template
-from ehbench.report.words import DASH, interval, number, pretty, shown, unit_of, words
+from ehbench.report.words import DASH, count, interval, number, pretty, shown, unit_of, words
+from ehbench.vocabulary.messages import message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -100,6 +109,27 @@ def _in_unit(rig: Rig, name: str, value: float, digits: int = 4) -> str:
     return number(float(shown(rig, name, value)), digits)
 
 
+def findings(run: Saved) -> Findings:
+    maps, page = run.rows("summary.json"), Template("headlines", run.rig)
+    value, about = page.text("deadbands", maps=maps), count(len(maps), "flow map")
+    missing = [
+        page.text("calibration", item=item, point=point)
+        for item in maps
+        for point in item["calibration"]
+        if point["verdict"] != "met"
+    ]
+    against = list(dict.fromkeys(missing))
+    steps = [message("steps.calibrate", **names(run))] if against else []
+    numbers = [Headline(OFTEN, "Deadbands", value, about)]
+    return Findings(numbers, [FigureKey("flow_map")], against, steps)
+
+
 REPORT = StageReport(
-    "flow maps", section, draw, standing=1, shows=("Deadbands",), numbers=("summary.json", ())
+    "flow maps",
+    section,
+    draw,
+    findings,
+    standing=1,
+    shows=("Deadbands",),
+    numbers=("summary.json", ()),
 )

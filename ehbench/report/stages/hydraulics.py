@@ -11,18 +11,31 @@ from typing import Any
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Grid, Heat, Part, Text
-from ehbench.report.captions import as_fitted
+from ehbench.report.captions import as_fitted, capital
 from ehbench.report.comparisons import draw_comparisons, ringing_table
-from ehbench.report.content import Pictures, SectionContent, StageReport, folded, num
+from ehbench.report.content import (
+    OFTEN,
+    PARAMETER,
+    Findings,
+    Headline,
+    Pictures,
+    SectionContent,
+    StageReport,
+    remedy_step,
+    folded,
+    names,
+    num,
+)
 from ehbench.report.figures import hydraulics as figures
 from ehbench.report.figures.sweeps import CAPTION, sweeps
-from ehbench.report.headlines import estimates_of
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.template import Template
 from ehbench.report.words import DASH, axis, interval, number, row_of, words
-from ehbench.vocabulary.terms import CORRELATED, Z95
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.terms import BEYOND, CORRELATED, Z95
 
+DOUBTFUL = "estimated, doubtful"  # as it is sensitive to a fixed number that the logs deny
 _METHODS = {"thesis": "matching frequency and decay"}
 
 
@@ -170,10 +183,51 @@ def _dynamics_rows(page: Template, variants: Sequence[Table]) -> Iterator[dict[s
         yield {"text": axis(page.rig, name, name), "cells": cells}
 
 
+def findings(run: Saved) -> Findings:
+    page, fit = Template("headlines", run.rig), run.json("parameters.json")
+    sensitive, parameters = fit.get("leans", [])[:1], estimates_of(fit)
+    known = [parameter for parameter in parameters if parameter.number("value") is not None]
+    known.sort(key=lambda entry: (entry["status"] != "estimated", entry["name"] != "bulk_modulus"))
+    numbers = []
+    for place, item in enumerate(known):
+        name = item["name"]
+        label = "effective bulk modulus" if name == "bulk_modulus" else words(name)
+        value, about = page.text("parameter_value", item=item), page.text("parameter", item=item)
+        rank = OFTEN if place else PARAMETER
+        numbers.append(Headline(rank, capital(label.replace(".", " ")), value, about))
+    residual = str(fit.get("left_over") or "").partition(":")[0]  # its meaning is in the chapter
+    # a doubtful one is explained by the number that it is sensitive to
+    weak = [item for item in parameters if item["status"] not in ("estimated", DOUBTFUL)]
+    against = [item["sentence"] for item in sensitive] + [residual] * bool(residual)
+    against += [page.text("weak", item=item) for item in weak]
+    steps = [remedy_step(item["remedy"]) for item in sensitive]
+    steps += [message("steps.suggest", **names(run))] * bool(residual)
+    first = {item["status"]: item["name"] for item in reversed(weak)}
+    for status, parameter in first.items():
+        key = "steps.bound" if status == "at_bound" else "steps.settle"
+        steps.append(message(key, **names(run), parameter=parameter))
+    return Findings(numbers, [FigureKey("parameters")], against, steps)
+
+
+def estimates_of(fit: Table) -> list[Table]:
+    """The parameters of a fit; those estimated are doubtful that would come out beyond their
+    intervals if a fixed number were as the logs would have it.
+    """
+    moved = [item for lean in fit.get("leans", []) for item in lean["moved"]]
+    far = {item["name"] for item in moved if item["halves"] > BEYOND}
+    return [
+        parameter.having("status", DOUBTFUL)
+        if parameter["name"] in far and parameter["status"] == "estimated"
+        else parameter
+        for parameter in fit["parameters"]
+    ]
+
+
 REPORT = StageReport(
     "identification",
     section,
     draw,
+    findings,
     standing=1,
     shows=("Parameters",),
     columns=("parameter", "value", "unit", "95 % interval", "status", "bounds"),

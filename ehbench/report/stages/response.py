@@ -11,7 +11,8 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Bullets, Grid, Part
-from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.captions import capital
+from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
@@ -160,6 +161,17 @@ def _ends(ends: Sequence[float | None], factor: float) -> str:
     return f"below {number(high, 3)}" if low is None else interval(low, high)
 
 
+def findings(run: Saved) -> Findings:
+    table, numbers = run.json("response.json"), []
+    for key, label, unit, factor in NUMBERS:
+        if (result := table.get(key)) is not None:
+            ends = [None if end is None else factor * end for end in result["interval"]]
+            about = Template("headlines").text("interval", ends=ends, unit=unit)
+            value = f"{number(factor * result['value'], 3)} {unit}"
+            numbers.append(Headline(OFTEN, capital(label), value, about))
+    return Findings(numbers, [FigureKey("response")], table["warnings"])
+
+
 REPORT = StageReport(
-    "frequency response", section, draw, shows=("Numbers",), numbers=("response.json", ())
+    "frequency response", section, draw, findings, shows=("Numbers",), numbers=("response.json", ())
 )

@@ -4,15 +4,27 @@ worst samples.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Part
-from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.captions import capital
+from ehbench.report.content import (
+    OFTEN,
+    Findings,
+    Headline,
+    Pictures,
+    SectionContent,
+    StageReport,
+    names,
+)
 from ehbench.report.figures import study as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.template import Template
 from ehbench.report.words import number, pretty, words
+from ehbench.vocabulary.messages import message
 
 _ENDED = ("done", "incomplete", "rejected")
 
@@ -182,4 +194,33 @@ def _worst(page: Template, study: Table) -> list[Block]:
     return [table] if table.rows else []
 
 
-REPORT = StageReport("study", section, draw, shows=("Results",), numbers=("study.json", ()))
+def findings(run: Saved, lost: Sequence[str] = ("failed", "refused", "late")) -> Findings:
+    study, page = run.json("study.json"), Template("headlines")
+    numbers = []
+    for target in study["targets"]:
+        value = f"{number(100.0 * target['share'], 3)} %"
+        label, about = (page.text(key, target=target) for key in ("target", "share"))
+        numbers.append(Headline(OFTEN, label, value, about))
+    aimed = [target["measure"] for target in study["targets"]]
+    spread = [item for item in study["measures"] if item.get("quantiles")]
+    for item in spread:
+        if item["name"] not in aimed:
+            unit = f" {pretty(item['unit'])}" if item["unit"] else ""
+            quantiles = {q["share"]: q["value"] for q in item["quantiles"]}
+            label = f"{capital(words(item['name']))}, median"
+            about = page.text("spread", item=item, upper=quantiles[0.95], unit=unit)
+            numbers.append(Headline(OFTEN, label, f"{number(quantiles[0.5], 3)}{unit}", about))
+    figures = [FigureKey("spread", case=name) for name in aimed]
+    figures += [FigureKey("map"), *(FigureKey("spread", case=item["name"]) for item in spread)]
+    ended = {word: n for word, n in study["status"].items() if word in lost}
+    samples = study["samples"]
+    against = [
+        page.text("lost", count=n, samples=samples, status=word) for word, n in ended.items()
+    ]
+    steps = [message("steps.lost_samples", **names(run), status=words(word)) for word in ended]
+    return Findings(numbers, figures, against, steps)
+
+
+REPORT = StageReport(
+    "study", section, draw, findings, shows=("Results",), numbers=("study.json", ())
+)

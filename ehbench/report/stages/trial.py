@@ -11,7 +11,16 @@ from ehbench.data.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
 from ehbench.report.captions import load_name
 from ehbench.report.cases import Case, cases_of
-from ehbench.report.content import Pictures, SectionContent, StageReport, stopped_status
+from ehbench.report.content import (
+    OFTEN,
+    Findings,
+    Headline,
+    Pictures,
+    SectionContent,
+    StageReport,
+    names,
+    stopped_status,
+)
 from ehbench.report.energy_tables import saving_blocks
 from ehbench.report.figures import channels, sankey, tip
 from ehbench.report.figures import trial as figures
@@ -24,8 +33,10 @@ from ehbench.report.trial_captions import (
     case_caption,
     estimates_caption,
 )
+from ehbench.report.trial_headlines import trials_findings
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import number, words
+from ehbench.vocabulary.messages import message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -51,12 +62,12 @@ def _draw_cylinders(
     run: Saved, index: FigureIndex, record: Record, but: Collection[str] = ()
 ) -> None:
     """Commands, motion and pressures of the cylinders that moved, but for some."""
-    for cylinder, names in channels.live(run.rig, record).items():
+    for cylinder, drawn in channels.live(run.rig, record).items():
         if cylinder not in but:
             title, about = f"{run.title}: {cylinder}", FigureKey("trial", cylinder=cylinder)
             caption = "Commands, motion and pressures."
             path = index.add(f"trial_{cylinder}", title, caption, about)
-            channels.trial(path, run.rig, record, cylinder, names)
+            channels.trial(path, run.rig, record, cylinder, drawn)
 
 
 def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title: str) -> None:
@@ -151,10 +162,23 @@ def _controlled_section(run: Saved, facts: Table, pictures: Pictures) -> Section
     return SectionContent(stopped_status(stopped), case_caption(rig, case), parts)
 
 
+def findings(run: Saved) -> Findings:
+    facts = run.json("trial.json")
+    if facts.get("controller"):
+        return trials_findings(run)
+    stopped, page = facts.get("stopped", ""), Template("headlines")
+    against = [page.text("stopped", name=run.title, reason=stopped)] if stopped else []
+    value, payload = f"{number(facts['duration'])} s", load_name(facts.get("payload", "none"))
+    numbers = [Headline(OFTEN, f"Trial on the {facts['on']}", value, payload)]
+    step = message("steps.stopped" if stopped else "steps.fit_log", **names(run))
+    return Findings(numbers, [FigureKey("trial")], against, [step])
+
+
 REPORT = StageReport(
     "trial",
     section,
     draw,
+    findings,
     shows=("Measures", "Trial"),
     numbers=("trial.json", ("duration", "stopped", "measures")),
 )

@@ -27,6 +27,7 @@ from ehbench.report.trial_captions import (
     trajectory_caption,
     trials_caption,
 )
+from ehbench.report.trial_headlines import trials_findings
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import pretty, shown, unit_of, words
 
@@ -176,5 +177,5 @@ def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block],
 
 
 REPORT = StageReport(
-    "trials", section, draw, shows=("Measures",), numbers=("table.json", ("rows",))
+    "trials", section, draw, trials_findings, shows=("Measures",), numbers=("table.json", ("rows",))
 )

@@ -12,7 +12,16 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Part, Text
 from ehbench.report.captions import capital, measure
-from ehbench.report.content import Pictures, SectionContent, StageReport, folded
+from ehbench.report.content import (
+    DAMPING,
+    OFTEN,
+    Findings,
+    Headline,
+    Pictures,
+    SectionContent,
+    StageReport,
+    folded,
+)
 from ehbench.report.figures import root_locus
 from ehbench.report.figures import tuning as figures
 from ehbench.report.figures.circuit import circuit, flow_words
@@ -20,8 +29,9 @@ from ehbench.report.figures.tuning import Equivalent, function_names
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.template import Template
-from ehbench.report.words import count, words
+from ehbench.report.words import count, number, words
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.vocabulary.messages import message
 
 _EQUIVALENTS = {
     "equivalent_mass": Equivalent("mass", "mass", "Equivalent mass"),
@@ -252,10 +262,30 @@ def _draws(page: Template, tuning: Table, pictures: Pictures) -> list[Block]:
     return [*pictures(FigureKey("draws")), drawn]
 
 
+def findings(run: Saved) -> Findings:
+    page, tuning = Template("headlines", run.rig), run.json("tuning.json")
+    draws = tuning["robustness"]
+    about = page.text("damping", tuning=tuning, draws=draws)
+    label = f"Worst damping ratio, {words(tuning['cylinder'])}"
+    gain = page.text("gain", gains=sorted(set(tuning["feedback_gain"].values())))
+    numbers = [
+        Headline(DAMPING, label, number(tuning["damping_ratio"], 2), about),
+        Headline(OFTEN, "Feedback gain K_p", gain),
+    ]
+    against = [] if tuning["met"] else [page.text("missed")]
+    reached = number(tuning["damping_ratio"], 2)
+    steps = [message("steps.less_damping", reached=reached)] if against else []
+    share = draws["share"] if draws["draws"] else 1.0
+    if share < 1.0:
+        against.append(page.text("missed_draws", share=1.0 - share))
+    return Findings(numbers, [FigureKey("damping")], against, steps)
+
+
 REPORT = StageReport(
     "tuning",
     section,
     draw,
+    findings,
     shows=("The gain",),
     numbers=(
         "tuning.json",

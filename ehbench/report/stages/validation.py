@@ -6,14 +6,24 @@ from __future__ import annotations
 
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
 from ehbench.report.comparisons import draw_comparisons, ringing_table
-from ehbench.report.content import Pictures, SectionContent, StageReport, look_of
+from ehbench.report.content import (
+    FIT,
+    Findings,
+    Headline,
+    Pictures,
+    SectionContent,
+    StageReport,
+    remedy_step,
+    look_of,
+    names,
+)
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.sweeps import CAPTION, sweeps
-from ehbench.report.headlines import held_out, left_over, silence
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.template import Template
-from ehbench.report.words import words
+from ehbench.report.words import number, words
+from ehbench.vocabulary.messages import message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -189,10 +199,89 @@ def _sensors(values: Table) -> list[tuple[str, str, str, float]]:
     ]
 
 
+def findings(run: Saved) -> Findings:
+    table, page = run.json("validation.json"), Template("headlines", run.rig)
+    logs = held_out(table)
+    fits = [
+        (item["fit_percent"], item["channel"], log["name"])
+        for log in logs
+        for item in log.get("channels", [])
+        if item.get("fit_percent") is not None
+    ]
+    numbers, figures = [], [FigureKey("validation")]
+    if fits:
+        worst, channel, log = min(fits)
+        is_judged = channel.rpartition(".")[2] in judged(table)
+        fields = {"channel": channel, "log": log, "best": max(fits)[0], "judged": is_judged}
+        label, about = page.text("worst_fit_label", logs=logs), page.text("worst_fit", **fields)
+        numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
+        figures = [FigureKey("validation", log=log), *figures]
+    remedies = [finding["remedy"] for finding in (table.get("structure") or {}).get("findings", [])]
+    steps = [remedy_step(item) for item in dict.fromkeys(filter(None, remedies))][:3]
+    if not table["accepted"] and not steps:
+        checks = (check for log in logs for check in log.get("checks", []))
+        failed = dict.fromkeys(check["what"] for check in checks if not check["passed"])
+        text = "; ".join([*failed][:3]) or page.text("not_judged")
+        steps = [message("steps.failing", **names(run), checks=text)]
+    against = table["reasons"] or [*table.get("reservations", []), *left_over(table)]
+    return Findings(numbers, figures, against, steps)
+
+
+def held_out(table: Table) -> list[Table]:
+    """The logs that a verdict goes by."""
+    return [log for log in table["logs"] if log["status"] == "held_out"]
+
+
+def left_over(table: Table) -> list[str]:
+    """The likeliest fault that the residuals of a validation show, in a sentence with its remedy;
+    none where they show none, or a reservation gives it.
+    """
+    reservations = " ".join(table.get("reservations", []))
+    findings = (table.get("structure") or {}).get("findings", [])
+    results = [finding for finding in findings if finding["sentence"] not in reservations]
+    return [Template("headlines").text("residual", item=item) for item in results[:1]]
+
+
+def judged(table: Table) -> list[str]:
+    """The channels whose fit or error a verdict goes by."""
+    limits = table.get("thresholds", {})
+    return [word for key in ("fit_percent", "max_error") for word in limits.get(key, {})]
+
+
+def silence(table: Table) -> str:
+    """What a verdict does not go by, with what it would have given there; empty if it goes by
+    all.
+    """
+    page, limits = Template("headlines"), table.get("thresholds", {})
+    channels = [channel for log in held_out(table) for channel in log.get("channels", [])]
+    fits: dict[str, list[float]] = {}
+    for channel in channels:
+        word = channel["channel"].rpartition(".")[2]
+        if channel.get("fit_percent") is not None and word not in judged(table):
+            fits.setdefault(word, []).append(channel["fit_percent"])
+    parts = [page.text("silent_fit", word=word, fits=fit) for word, fit in fits.items()]
+    limit = limits.get("outside_percent")
+    for key in ("whiteness", "independence"):
+        tested = [shares for channel in channels if (shares := _outside(channel, key))]
+        beyond = sum(max(shares) > limit for shares in tested) if limit is not None else 0
+        if beyond and not limits.get(key):
+            fields = {"key": key, "limit": limit, "beyond": beyond, "tested": len(tested)}
+            parts.append(page.text("silent_test", **fields))
+    return page.text("silence", parts=parts)
+
+
+def _outside(item: Table, key: str) -> list[float]:
+    """Shares [%] of the lags at which a residual correlates beyond its band."""
+    if key == "whiteness":
+        return [item["autocorrelation"]["outside_percent"]] if item.get("autocorrelation") else []
+    return [other["outside_percent"] for other in item.get("cross_correlation", [])]
+
+
 REPORT = StageReport(
     "validation",
     section,
     draw,
+    findings,
     standing=2,
     shows=("Verdict",),
     columns=("log", "check", "result"),
