@@ -16,6 +16,8 @@ from ehbench.runtime.disk import write_text
 if TYPE_CHECKING:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
 INK = "#1f2937"
@@ -166,6 +168,31 @@ def spread(places: Sequence[float], gap: float, low: float, high: float) -> list
             moved[order[rank]] = first + rank * gap
             rank += 1
     return moved
+
+
+def cycled(index: int, **more: Any) -> Look:
+    """Colour and dashes of the curve with this number."""
+    return {"color": CYCLE[index % len(CYCLE)], "linestyle": MARKS[index % len(MARKS)]} | more
+
+
+def key(label: str, **look: Any) -> Line2D:
+    """An entry of a legend that stands for a line or a marker."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=label, **look)
+
+
+def swatch(label: str, colour: str, **look: Any) -> Patch:
+    """An entry of a legend that stands for an area."""
+    from matplotlib.patches import Patch
+
+    return Patch(color=colour, label=label, **look)
+
+
+def legend_right(ax, handlelength: float = 1.8) -> None:
+    """The legend of a panel, right of it."""
+    where = {"loc": "center left", "bbox_to_anchor": (1.005, 0.5), "borderaxespad": 0.0}
+    ax.legend(handlelength=handlelength, **where)
 
 
 def legend(figure, handles: Sequence, **kwargs) -> None:

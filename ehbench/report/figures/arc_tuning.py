@@ -13,8 +13,6 @@ from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas
 from ehbench.report.words import axis, shown
 
-_FRAME = 2.2  # of the characteristic loci, about the origin
-
 
 def margins(path: Path, rig: Rig, tuning: Table) -> None:
     """The stated delay margin and the gain margin at the worst points over the sum of bandwidths,
@@ -32,14 +30,9 @@ def _over_sum(ax, rig: Rig, tuning: Table) -> None:
     tried = tuning["candidates"]
     x = np.asarray(shown(rig, "position_bandwidth", np.array([item["sum"] for item in tried])))
     gains = np.array([item.get("gain_margin") or np.nan for item in tried], float)
-    chosen = float(
-        shown(
-            rig,
-            "position_bandwidth",
-            sum(tuning["gains"][f"{name}_bandwidth"] for name in ("position", "speed", "force")),
-        )
-    )
-    delays = np.array([_number(item.get("delay_margin")) for item in tried])
+    bandwidths = (tuning["gains"][f"{name}_bandwidth"] for name in ("position", "speed", "force"))
+    chosen = float(shown(rig, "position_bandwidth", sum(bandwidths)))
+    delays = np.array([item.get("delay_margin", np.inf) for item in tried], float)
     y = np.asarray(shown(rig, "delay_margin", delays))
     minimum = float(shown(rig, "delay_margin", tuning["constraints"]["delay_margin"]))
     ax.plot(x, y, "o-", color=CYCLE[0], markersize=3.5, label="delay margin, stated")
@@ -57,10 +50,6 @@ def _over_sum(ax, rig: Rig, tuning: Table) -> None:
     other.set_ylim(0.0, 6.0 * tuning["constraints"]["gain_margin"])
 
 
-def _number(value: float | None) -> float:
-    return np.inf if value is None else float(value)
-
-
 def _loci(ax, tuning: Table) -> None:
     """The characteristic loci of the worst point, the unit circle and the critical point."""
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
@@ -69,8 +58,8 @@ def _loci(ax, tuning: Table) -> None:
         ax.plot(real, imag, color=CYCLE[index % len(CYCLE)], linewidth=1.2)
     ax.plot([-1.0], [0.0], "x", color=ACCENT, markersize=7)
     ax.annotate("swings", (-1.0, 0.0), (-4, 6), textcoords="offset points", fontsize=8, ha="right")
-    ax.set_xlim(-_FRAME, _FRAME)
-    ax.set_ylim(-_FRAME, _FRAME)
+    ax.set_xlim(-2.2, 2.2)
+    ax.set_ylim(-2.2, 2.2)
     ax.set_aspect("equal")
     ax.set_xlabel("real part")
     ax.set_ylabel("imaginary part")

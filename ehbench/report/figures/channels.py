@@ -10,17 +10,16 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.report.style import ACCENT, BUCKETS, CYCLE, MARKS, canvas, thin
+from ehbench.report.style import ACCENT, BUCKETS, canvas, cycled, legend_right, thin
 from ehbench.report.words import axis, shown, title_of
 from ehbench.vocabulary.quantities import GAUGES
 
-_STILL = 0.01  # share of the stroke that a cylinder without commands must travel to be drawn
 _PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
 
 
-def live(rig: Rig, record: Record) -> dict[str, list[str]]:
-    """Channels to draw by cylinder: those with a changing command or some travel; all of them if
-    none has.
+def live(rig: Rig, record: Record, travel: float = 0.01) -> dict[str, list[str]]:
+    """Channels to draw by cylinder: those with a changing command or that travel a share of the
+    stroke; all of them if none does.
     """
     groups: dict[str, list[str]] = {}
     for channel in record.channels:
@@ -32,7 +31,7 @@ def live(rig: Rig, record: Record) -> dict[str, list[str]]:
         stroke = f"{name}.x"
         commanded = any(c.endswith(".command") and np.ptp(record[c]) > 0.0 for c in groups[name])
         return commanded or (
-            stroke in record and np.ptp(record[stroke]) > _STILL * strokes.get(name, 0.0)
+            stroke in record and np.ptp(record[stroke]) > travel * strokes.get(name, 0.0)
         )
 
     moved = [name for name in groups if moves(name)]
@@ -50,7 +49,7 @@ def trial(path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequenc
             ax.set_title(axis(rig, names[0], text))
             ax.margins(y=0.1)
             if len(names) > 1:
-                ax.legend(loc="center left", bbox_to_anchor=(1.005, 0.5), borderaxespad=0.0)
+                legend_right(ax, 2.6)
         stop_line(axes[:, 0], record, offset=(3, -2), va="top")
         axes[-1, 0].set_xlabel("time [s]")
 
@@ -71,11 +70,7 @@ def _panels(record: Record, cylinder: str, channels: Sequence[str]) -> list[tupl
 
 
 def _line(ax, rig: Rig, record: Record, name: str, index: int, label: str) -> None:
-    look: dict[str, Any] = {
-        "color": CYCLE[index % len(CYCLE)],
-        "linestyle": MARKS[index % len(MARKS)],
-        "linewidth": 1.2,
-    }
+    look = cycled(index, linewidth=1.2)
     if name.endswith(".command"):
         look["drawstyle"] = "steps-post"
     ax.plot(*thin(record.t, shown(rig, name, record[name]), 2 * BUCKETS), label=label, **look)

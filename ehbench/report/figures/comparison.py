@@ -9,10 +9,11 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.saved import Series
-from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend, thin
+from ehbench.report.style import MUTED, RECORDED, SIMULATED, Look, canvas, key, legend, thin
 from ehbench.report.words import axis, shown, title_of
 
-_DASHES = (0, (4, 1.6))
+_RECORDED: Look = {"color": RECORDED, "linewidth": 0.9}
+_SIMULATED: Look = {"color": SIMULATED, "linewidth": 1.7, "linestyle": (0, (4, 1.6))}
 
 
 def comparison(path: Path, rig: Rig, series: Series, channels: Sequence[str]) -> None:
@@ -36,11 +37,13 @@ def comparison(path: Path, rig: Rig, series: Series, channels: Sequence[str]) ->
                 continue
             last = place + columns >= len(channels)
             _panel(cells, rig, series, channels[place], last)
-        legend(figure, _handles(series))
+        handles = [key("recorded", **_RECORDED | {"linewidth": 1.0})] if series.recorded else []
+        handles += [key("simulated", **_SIMULATED)] if series.simulated else []
+        legend(figure, handles)
 
 
 def _panel(cells: np.ndarray, rig: Rig, series: Series, channel: str, last: bool) -> None:
-    """One channel, above its error if it has one; the time axis is told in the last of a column."""
+    """One channel, above its error if it has one; the last of a column names the time axis."""
     _overlay(cells[0], rig, series, channel)
     bottom = cells[0]
     if channel in series.recorded and channel in series.simulated:
@@ -66,32 +69,10 @@ def _error(ax, rig: Rig, series: Series, channel: str) -> None:
     ax.locator_params(axis="y", nbins=3)
 
 
-def _handles(series: Series) -> list:
-    from matplotlib.lines import Line2D
-
-    handles = []
-    if series.recorded:
-        handles.append(Line2D([], [], color=RECORDED, linewidth=1.0, label="recorded"))
-    if series.simulated:
-        look = {"color": SIMULATED, "linewidth": 1.7, "linestyle": _DASHES}
-        handles.append(Line2D([], [], label="simulated", **look))
-    return handles
-
-
 def _overlay(ax, rig: Rig, series: Series, channel: str) -> None:
-    if channel in series.recorded:
-        ax.plot(
-            *thin(series.t, shown(rig, channel, series.recorded[channel])),
-            color=RECORDED,
-            linewidth=0.9,
-        )
-    if channel in series.simulated:
-        ax.plot(
-            *thin(series.t, shown(rig, channel, series.simulated[channel])),
-            color=SIMULATED,
-            linewidth=1.7,
-            linestyle=(0, (4, 1.6)),
-            alpha=0.95,
-        )
+    for side, look in ((series.recorded, _RECORDED), (series.simulated, _SIMULATED)):
+        if channel in side:
+            alpha = 0.95 if look is _SIMULATED else None
+            ax.plot(*thin(series.t, shown(rig, channel, side[channel])), alpha=alpha, **look)
     ax.set_title(axis(rig, channel, title_of(channel)))
     ax.margins(y=0.08)

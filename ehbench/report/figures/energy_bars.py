@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.report.figures.energy import Ledger, Unit, energy_text, half_of, part_of, unit_for
-from ehbench.report.style import ACCENT, INK, MUTED, canvas
+from ehbench.report.style import ACCENT, INK, MUTED, canvas, key, swatch
 from ehbench.report.words import DASH, number
 
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
-_INNER, _OUTER = 0.28, 0.46  # half the height of a bar; how far the mark of a bound reaches
-_EMPTY = 0.01  # share of the longest bar below which a trial drew next to nothing
-_ROOM = 0.065  # share of the axis from which a part has room for its number
 _PARTS = {
     "load": ("load", "#2e7d5b"),
     "mechanical": ("friction, damping, end stops", "#b59f3b"),
@@ -57,12 +54,12 @@ def bars(
     with canvas(path, size=(7.4, 0.72 * len(ledgers) + 1.7)) as (figure, ax):
         for i, (_, ledger) in enumerate(ledgers):
             parts = {key: stacks[i][key] for key in drawn}
-            ahead = _draw_stack(ax, i, parts, _ROOM * (reach - minimum))
-            _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < _EMPTY * maximum)
-            for key, value in limits[i].items():
-                look = {"color": INK, "linestyle": _LIMITS[key][1], "linewidth": 1.6, "zorder": 5}
+            ahead = _draw_stack(ax, i, parts, 0.065 * (reach - minimum))
+            _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < 0.01 * maximum)
+            for kind, value in limits[i].items():
+                look = {"color": INK, "linestyle": _LIMITS[kind][1], "linewidth": 1.6, "zorder": 5}
                 for side in (-1, 1):  # above and below the bar, whose numbers stay free
-                    ax.plot([value] * 2, [i + side * _INNER, i + side * _OUTER], **look)
+                    ax.plot([value] * 2, [i + side * 0.28, i + side * 0.46], **look)
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
         ax.set_ylim(len(ledgers) - 0.45, -0.55)
@@ -71,7 +68,12 @@ def bars(
         ax.set_xlabel(
             f"energy [{unit[1]}]; the bar, less what lies left of zero, is what the supply gave"
         )
-        handles = _handles(drawn, limits)
+        handles: list = [swatch(*_PARTS[name]) for name in drawn]
+        handles += [
+            key(f"bound: {name}", color=INK, linestyle=style)
+            for kind, (name, style) in _LIMITS.items()
+            if any(kind in limit for limit in limits)
+        ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
 
@@ -89,10 +91,10 @@ def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> floa
     """The parts of a bar, each with its number where it is longer than ``room``; gives where the
     bar ends.
     """
-    ahead, behind = 0.0, 0.0
-    for key, value in parts.items():
-        start = ahead if value >= 0.0 else behind
-        colour = _PARTS[key][1]
+    right, left = 0.0, 0.0
+    for kind, value in parts.items():
+        start = right if value >= 0.0 else left
+        colour = _PARTS[kind][1]
         edge = {"edgecolor": "white", "linewidth": 0.6, "zorder": 2}
         ax.barh(place, value, left=start, height=0.56, color=colour, **edge)
         if abs(value) > room:
@@ -100,10 +102,10 @@ def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> floa
             box = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}
             ax.text(start + 0.5 * value, place, number(value, 3), bbox=box, **look)
         if value >= 0.0:
-            ahead += value
+            right += value
         else:
-            behind += value
-    return ahead
+            left += value
+    return right
 
 
 def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: bool) -> None:
@@ -136,24 +138,13 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
         ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=label, fontsize=7.5, bbox=box, **look)
 
 
-def _handles(drawn: Sequence[str], limits: Sequence[Mapping[str, float]]) -> list:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list = [Patch(color=_PARTS[key][1], label=_PARTS[key][0]) for key in drawn]
-    for key, (name, style) in _LIMITS.items():
-        if any(key in limit for limit in limits):
-            handles.append(Line2D([], [], color=INK, linestyle=style, label=f"bound: {name}"))
-    return handles
-
-
 def _sum_of(bounds: Sequence[Mapping[str, Any]], unit: Unit) -> dict[str, float]:
     """Bounds of several cylinders added up, in the unit; one that a cylinder has not is left
     out.
     """
     sums = {}
-    for key in _LIMITS:
-        values = [value for bound in bounds if (value := bound.get(key)) is not None]
+    for kind in _LIMITS:
+        values = [value for bound in bounds if (value := bound.get(kind)) is not None]
         if values and len(values) == len(bounds):
-            sums[key] = float(sum(values)) / unit[0]
+            sums[kind] = float(sum(values)) / unit[0]
     return sums

@@ -11,9 +11,6 @@ import numpy as np
 from ehbench.report.style import INK, canvas
 from ehbench.report.words import number
 
-SHADES = 1.0  # share above the least from which a cell is as dark as can be
-COLUMNS = 2
-
 
 def energy_map(
     path: Path,
@@ -21,6 +18,8 @@ def energy_map(
     loads: Sequence[str],
     speeds: Sequence[str],
     unit: str,
+    columns: int = 2,
+    darkest: float = 1.0,
 ) -> None:
     """Cells of load × speed: the energy, and in per cent how far it lies above the least that any
     controller takes there, which is its shade.
@@ -30,12 +29,14 @@ def energy_map(
         panels: (controller, energies as shown, shape (loads, speeds), NaN where there is none).
         loads, speeds: what rows and columns are of.
         unit: of the energies.
+        columns: of panels.
+        darkest: share above the minimum from which a cell is as dark as can be.
     """
     minimum = np.fmin.reduce([energies for _, energies in panels])
-    rows = math.ceil(len(panels) / COLUMNS)
+    rows = math.ceil(len(panels) / columns)
     size = (7.4, rows * (0.42 * len(loads) + 0.75) + 0.5)
     shape = {"sharex": True, "sharey": True, "squeeze": False}
-    with canvas(path, rows, COLUMNS, size, **shape) as (_, axes):
+    with canvas(path, rows, columns, size, **shape) as (_, axes):
         for ax in axes.flat[len(panels) :]:
             ax.set_visible(False)
         for ax, (title, energies) in zip(axes.flat, panels, strict=False):
@@ -43,10 +44,10 @@ def energy_map(
             ax.pcolormesh(
                 np.arange(len(speeds) + 1) - 0.5,
                 np.arange(len(loads) + 1) - 0.5,
-                np.minimum(above, SHADES),
+                np.minimum(above, darkest),
                 cmap="Oranges",
                 vmin=0.0,
-                vmax=2.0 * SHADES,  # so that numbers stay readable
+                vmax=2.0 * darkest,  # so that numbers stay readable
                 edgecolor="white",
             )
             for (row, column), energy in np.ndenumerate(energies):

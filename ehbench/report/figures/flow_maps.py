@@ -10,12 +10,23 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.physics.flow_map import FlowMap
+from ehbench.report.captions import measure
 from ehbench.report.saved import Points
-from ehbench.report.style import ACCENT, INK, MUTED, Look, canvas, legend, shades, spread
-from ehbench.report.words import axis, number, pretty, shown, unit_of
+from ehbench.report.style import (
+    ACCENT,
+    INK,
+    MUTED,
+    Look,
+    canvas,
+    key,
+    legend,
+    shades,
+    spread,
+    swatch,
+)
+from ehbench.report.words import axis, number, shown
 from ehbench.vocabulary.terms import Z95
 
-_LABEL = 0.034  # height of an end label as a share of the axis
 _MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
 
 Ends = dict[str, tuple[float, Any]]  # label of a curve → (where it ends, its colour)
@@ -54,8 +65,6 @@ def flow_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
 
 def level_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
     """Flow over command of a map without pressures, with readings, outliers and band."""
-    from matplotlib.patches import Patch
-
     command = np.unique(np.append(np.linspace(0.0, item.command_max, 241), item.deadband))
     flow = shown(rig, "flow", item.flow(item.drop_max, command))
     band = shown(rig, "flow", Z95 * item.flow_std(item.drop_max, command))
@@ -72,7 +81,7 @@ def level_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
         ax.set_xlim(0.0, 1.01 * item.command_max)
         ax.set_xlabel("command [V]")
         ax.set_ylabel(axis(rig, "flow"))
-        legend(figure, [Patch(color=colour, alpha=0.3, linewidth=0, label="95 % band")])
+        legend(figure, [swatch("95 % band", colour, alpha=0.3, linewidth=0)])
 
 
 def _curves(
@@ -102,13 +111,10 @@ def _curves(
 
 def _band_handles(beyond: bool) -> list:
     """Legend handles of bands, and of curves beyond the readings."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list = [Patch(color=MUTED, alpha=0.3, linewidth=0, label="95 % band")]
+    handles: list = [swatch("95 % band", MUTED, alpha=0.3, linewidth=0)]
     if beyond:
         look: Look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
-        handles.append(Line2D([], [], label="beyond the readings", **look))
+        handles.append(key("beyond the readings", **look))
     return handles
 
 
@@ -119,53 +125,30 @@ def inverse_map(path: Path, rig: Rig, item: FlowMap) -> None:
     with canvas(path, size=(7.2, 4.2)) as (figure, ax):
         beyond = False
         for i, (drop, colour) in enumerate(zip(drops, shades(len(drops)), strict=True)):
-            flow, std, inside = (
-                item.flow(drop, span),
-                item.flow_std(drop, span),
-                item.inside(drop, span),
-            )
-            x, band = shown(rig, "flow", flow), shown(rig, "flow", Z95 * std)
+            inside = item.inside(drop, span)
+            x = shown(rig, "flow", item.flow(drop, span))
+            band = shown(rig, "flow", Z95 * item.flow_std(drop, span))
             ax.fill_betweenx(
                 span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0
             )
-            _in_and_out(ax, x, span, inside, colour, ("-", (0, (6, 1, 1, 1)))[i % 2])
+            look: Look = {"color": colour, "linestyle": ("-", (0, (6, 1, 1, 1)))[i % 2]}
+            _in_and_out(ax, x, span, inside, colour, look["linestyle"])
             beyond |= not inside.all()
-            unit = pretty(unit_of(rig, "pressure_drop"))
-            ax.plot(
-                [],
-                [],
-                color=colour,
-                linestyle=("-", (0, (6, 1, 1, 1)))[i % 2],
-                label=f"{number(float(shown(rig, 'pressure_drop', drop)), 3)} {unit}",
-            )
+            ax.plot([], [], label=measure(rig, "pressure_drop", drop), **look)
         ax.axhspan(*item.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
         ax.axhline(item.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
-        ax.annotate(
-            f"deadband {number(item.deadband, 3)} V",
-            (1.0, item.deadband),
-            (0, 2),
-            ("axes fraction", "data"),
-            "offset points",
-            ha="right",
-            va="bottom",
-            color=MUTED,
-            fontsize=8,
-        )
+        where = ("axes fraction", "data")
+        text, look = f"deadband {number(item.deadband, 3)} V", {"color": MUTED, "fontsize": 8}
+        look |= {"ha": "right", "va": "bottom"}
+        ax.annotate(text, (1.0, item.deadband), (0, 2), where, "offset points", **look)
         low = 0.94 * min(item.deadband_interval[0], item.deadband)
         ax.set_ylim(low, item.command_max + 0.02 * (item.command_max - low))
         ax.set_xlim(left=0.0)
         ax.set_xlabel(axis(rig, "flow"))
         ax.set_ylabel("command [V]")
-        figure.legend(
-            handles=_band_handles(beyond), loc="outside lower center", ncols=2, handlelength=2.6
-        )
-        ax.legend(
-            title="pressure drop",
-            loc="center left",
-            bbox_to_anchor=(1.01, 0.5),
-            title_fontsize=8,
-            alignment="left",
-        )
+        legend(figure, _band_handles(beyond), handlelength=2.6)
+        where = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
+        ax.legend(title="pressure drop", title_fontsize=8, alignment="left", **where)
 
 
 def _in_and_out(
@@ -175,14 +158,8 @@ def _in_and_out(
     grown = inside | np.append(inside[1:], False) | np.insert(inside[:-1], 0, False)
     # an empty line counts as a point at the figure's corner and would upset the layout
     if not grown.all():
-        ax.plot(
-            x,
-            np.where(grown, np.nan, y),
-            color=colour,
-            alpha=0.45,
-            linewidth=1.1,
-            linestyle=(0, (3, 2)),
-        )
+        look: Look = {"color": colour, "alpha": 0.45, "linewidth": 1.1, "linestyle": (0, (3, 2))}
+        ax.plot(x, np.where(grown, np.nan, y), **look)
     if inside.any():
         ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4, linestyle=mark)
 
@@ -206,8 +183,6 @@ def _colour_of(item: FlowMap, colours: dict) -> Callable[[float], object]:
 
 def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
     """Readings by method in the colour of their curve; legend handles."""
-    from matplotlib.lines import Line2D
-
     x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
     handles = []
     for method in dict.fromkeys(points.method.tolist()):
@@ -218,14 +193,12 @@ def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
             if at.any():
                 edge = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.8}
                 ax.plot(x[at], y[at], color=colour(command), **look, **edge)
-        handles.append(Line2D([], [], markersize=4, color=MUTED, label=text, **look))
+        handles.append(key(text, markersize=4, color=MUTED, **look))
     return handles
 
 
 def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list:
     """Readings left out, crossed; at the edge where they lie outside; legend handles."""
-    from matplotlib.lines import Line2D
-
     out = points.outlier
     if not out.any():
         return []
@@ -237,11 +210,10 @@ def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list
     for marker, at in (("x", ~gone), ("^", y > limits[1]), ("v", y < limits[0])):
         if at.any():
             ax.plot(x[at], seen[at], marker, zorder=5, clip_on=marker == "x", **look)
-    crossed: Look = {"marker": "x", "linestyle": "", "label": f"left out ({out.sum()})"}
-    handles = [Line2D([], [], **crossed, **look)]
+    handles = [key(f"left out ({out.sum()})", marker="x", linestyle="", **look)]
     if gone.any():
         moved: Look = {"marker": "^", "linestyle": "", "markersize": 5, "color": ACCENT}
-        handles.append(Line2D([], [], label="left out, off the scale", **moved))
+        handles.append(key("left out, off the scale", **moved))
     return handles
 
 
@@ -266,13 +238,12 @@ def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
 
 
 def _end_labels(ax, ends: dict) -> None:
-    """Labels at the right ends of the curves, moved apart where they would overlap, with a leader
-    to the curve.
+    """Labels at the right ends of the curves, moved apart by the height of one, with a leader to
+    the curve.
     """
     low, high = ax.get_ylim()
-    places = spread(
-        [y for y, _ in ends.values()], _LABEL * (high - low), low + 0.01 * (high - low), high
-    )
+    tall = high - low
+    places = spread([y for y, _ in ends.values()], 0.034 * tall, low + 0.01 * tall, high)
     across = ax.get_yaxis_transform()
     for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
         ax.plot(

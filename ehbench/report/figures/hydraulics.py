@@ -13,8 +13,6 @@ from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
 from ehbench.report.words import number, pretty, shown, unit_of, words
 
-_WIDE = 30.0  # ratio of the largest to the least number from which an axis is logarithmic
-
 
 def parameters(path: Path, rig: Rig, result: Sequence[Table]) -> None:
     """A strip a parameter, each in its unit: value with 95 % interval on the bounds of the search,
@@ -53,9 +51,9 @@ def _strip(ax, rig: Rig, item: Table) -> None:
 
 
 def _frame(ax, known: Sequence[float]) -> None:
-    """Limits with a little room; a logarithmic axis where the numbers lie far apart."""
+    """Limits with a little room; a logarithmic axis where the numbers lie a factor 30 apart."""
     minimum, maximum = min(known), max(known)
-    if minimum > 0.0 and maximum / minimum > _WIDE:
+    if minimum > 0.0 and maximum / minimum > 30.0:
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
         room = (maximum / minimum) ** 0.03

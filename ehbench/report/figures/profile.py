@@ -8,18 +8,16 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.saved import Table
-from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, legend, shades
+from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, key, legend, shades
 from ehbench.report.words import axis, shown
 
-LEVEL = 3.841
+LEVEL = 3.841  # χ² of one degree of freedom at 95 %
 
 
 def profile(path: Path, rig: Rig, result: Table) -> None:
     """Rise of −2 log likelihood over the parameter, with the 95 % level; below, the other
     parameters relative to their values at its best.
     """
-    from matplotlib.lines import Line2D
-
     name, others = result["name"], result["followed"].plain()
     x = np.asarray(shown(rig, name, np.array(result["values"])), float)
     rise = np.array(result["rise"])
@@ -40,9 +38,9 @@ def profile(path: Path, rig: Rig, result: Table) -> None:
         main.set_ylim(-0.15 * LEVEL, 1.05 * top)
         main.set_ylabel("rise of −2 log likelihood")
         handles = [
-            Line2D([], [], color=RECORDED, marker="o", markersize=4, label="profile"),
-            Line2D([], [], color=MUTED, linestyle=(0, (2, 2)), label="by the fit's interval"),
-            Line2D([], [], color=ACCENT, linestyle=(0, (4, 3)), label="95 %"),
+            key("profile", color=RECORDED, marker="o", markersize=4),
+            key("by the fit's interval", color=MUTED, linestyle=(0, (2, 2))),
+            key("95 %", color=ACCENT, linestyle=(0, (4, 3))),
         ]
         if others:
             handles += _others(axes[1, 0], x, rise, others)
@@ -61,14 +59,12 @@ def _parabola(ax, x: np.ndarray, best: float, low: float, high: float) -> None:
 
 def _others(ax, x: np.ndarray, rise: np.ndarray, others) -> list:
     """Changes of the other parameters [%]; legend handles."""
-    from matplotlib.lines import Line2D
-
     k, handles = int(np.argmin(rise)), []
     for (name, values), colour in zip(others.items(), shades(len(others)), strict=True):
         y = np.array(values, float)
         size = abs(y[k]) or float(np.max(np.abs(y))) or 1.0
         ax.plot(x, 100.0 * (y - y[k]) / size, color=colour, linewidth=1.2)
-        handles.append(Line2D([], [], color=colour, label=name))
+        handles.append(key(name, color=colour))
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     ax.set_ylabel("others [%]", fontsize=8)
     return handles

@@ -10,16 +10,11 @@ import numpy as np
 
 from ehbench.report.captions import load_name
 from ehbench.report.saved import Table
-from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, canvas, legend
+from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, canvas, key, legend
 
-RATIOS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # damping ratios of the grid
 BETWEEN = 7  # points of a root locus drawn between two saved ones
-MOST_BETWEEN = 60  # the same where a pole goes far
-_STEP = 0.02  # share of a frame's height that is far
 _NOT_LINEAR = 1e-6  # share of the linear part that a polynomial may have beside it
 _ROOM = 0.06  # share of a root locus below the real axis
-# a stability limit this many times as far out as what swings makes a second look worth while
-_FAR = 3.0
 # share of a root locus's height that counts as on an axis, and damping ratio that counts as none
 _ON_AXIS = 1e-3
 _PALE, _BEYOND = "#d1d5db", "#9db4cf"
@@ -44,7 +39,7 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
     whole = tuple(pick(item["frame"][i] for item in loci) for i, pick in enumerate((min, max, max)))
     reach = max(_swing(item) for item in loci)
     panels: list[tuple[Table, Frame, str]] = [(item, whole, "") for item in loci]
-    if whole[2] > _FAR * 1.4 * reach:
+    if whole[2] > 3.0 * 1.4 * reach:
         near = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
         panels = [(item, near, ", what swings") for item in loci]
         panels += [(item, whole, ", as far as the stability limit") for item in loci]
@@ -65,18 +60,16 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
 
 
 def _handles(symbol: str, crossing: bool) -> list:
-    from matplotlib.lines import Line2D
-
     handles = [
-        Line2D([], [], color=RECORDED, linewidth=1.6, label=f"{symbol} up to the choice"),
-        Line2D([], [], color=_BEYOND, linewidth=1.3, label="beyond"),
-        Line2D([], [], marker="x", linestyle="", color=INK, label=f"{symbol} = 0"),
-        Line2D([], [], marker="o", linestyle="", color=SIMULATED, label="chosen"),
-        Line2D([], [], label="zero, where a branch ends", **_ZERO, linestyle=""),
+        key(f"{symbol} up to the choice", color=RECORDED, linewidth=1.6),
+        key("beyond", color=_BEYOND, linewidth=1.3),
+        key(f"{symbol} = 0", marker="x", linestyle="", color=INK),
+        key("chosen", marker="o", linestyle="", color=SIMULATED),
+        key("zero, where a branch ends", **_ZERO, linestyle=""),
     ]
     if crossing:
         look: Look = {"marker": "D", "linestyle": "", "markerfacecolor": "white", "color": ACCENT}
-        handles.append(Line2D([], [], label="stability limit", **look))
+        handles.append(key("stability limit", **look))
     return handles
 
 
@@ -175,7 +168,7 @@ def refined(
         way = float(
             np.abs(np.diff(poles[i : i + 2], axis=0))[:, near_axis.all(axis=0)].max(initial=0.0)
         )
-        more = BETWEEN if way < _STEP * top else MOST_BETWEEN
+        more = BETWEEN if way < 0.02 * top else 60
         between = np.linspace(values[i], values[i + 1], more + 2)[1:]
         roots = _roots(_through(values[near], polynomials[near], between[:-1]))
         for value, there in zip(between, (*(scale * roots), poles[i + 1]), strict=True):
@@ -223,7 +216,7 @@ def _damping_grid(ax, left: float, top: float) -> None:
     leaves the frame.
     """
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
-    for ratio in RATIOS:
+    for ratio in np.arange(1, 10) / 10.0:
         slope = math.sqrt(1.0 - ratio**2) / ratio
         x = max(left, -top / slope)
         ax.plot([0.0, x], [0.0, -slope * x], color=_PALE, linewidth=0.7, zorder=1)

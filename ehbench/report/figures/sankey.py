@@ -11,34 +11,25 @@ from typing import Any
 import numpy as np
 
 from ehbench.report.figures.energy import Ledger, Unit, energy_text, half_of, unit_for
-from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend
+from ehbench.report.style import ACCENT, INK, MUTED, canvas, legend, swatch
 
-SMALL = 0.012  # share of all energy below which a row is drawn together with others
-COLOURS = {
-    "supply": "#1f3f66",
-    "valve": "#e08214",
-    "loss": "#8a7f72",
-    "store": "#5b8fb9",
-    "load": "#2e7d5b",
-    "residual": ACCENT,
-}
-WORDS = {
-    "supply": "supply",
-    "valve": "throttling",
-    "loss": "other losses",
-    "store": "stored in oil",
-    "load": "load",
-    "residual": "not accounted for",
+# colour and name of each group of rows
+GROUPS = {
+    "supply": ("#1f3f66", "supply"),
+    "valve": ("#e08214", "throttling"),
+    "loss": ("#8a7f72", "other losses"),
+    "store": ("#5b8fb9", "stored in oil"),
+    "load": ("#2e7d5b", "load"),
+    "residual": (ACCENT, "not accounted for"),
 }
 PUMP, RAIL, MECHANISM = "pump", "low rail", "mechanism"
-# rows that a source of the supply is the sum of; what the last of them gave is told apart
+# rows that a source of the supply is the sum of; the last of them has a line of its label
 SOURCES = {PUMP: ("pump", "pump_compression"), RAIL: ("low_rail", "low_rail_compression")}
+_BAR = 0.022  # width of a node
 _MECHANICAL = (
     *("friction", "friction_spring", "end_stop", "stop", "damping"),
     *("mount", "mount_spring", "sway", "swaying"),
 )
-_GAP = 0.012
-_BAR = 0.022  # width of a node
 
 
 @dataclass(frozen=True)
@@ -69,14 +60,9 @@ class _Flow:
         return self.start is None and self.end == PUMP
 
     @property
-    def told_apart(self) -> bool:
-        """Whether what compression gave stands in a line of its own below its energy."""
+    def has_compression(self) -> bool:
+        """Whether what compression gave stands in a further line below its energy."""
         return self.feeds_pump and self.label in SOURCES
-
-    @property
-    def lines(self) -> float:
-        """Height of a source's label, as far above its middle as below, in lines of text."""
-        return 3.8 if self.told_apart else 2.1
 
 
 @dataclass(frozen=True)
@@ -88,11 +74,12 @@ class _Account:
     works: Mapping[str, float]  # of every cylinder
     busy: Sequence[str]  # cylinders worth a node
     given: float  # by the supply
-    whole: float  # what is small is small beside it
+    whole: float  # what is small is a share of it
+    small: float  # energy below which a row is drawn together with others
 
     @property
     def rails(self) -> bool:
-        """Whether there is a low rail beside the pump: then both have ribbons to the supply."""
+        """Whether there is a low rail besides the pump: then both have ribbons to the supply."""
         return "low_rail" in self.named
 
     @property
@@ -106,7 +93,8 @@ class _Account:
         return f"{node}: " if named else ""
 
 
-def _account(ledger: Ledger) -> _Account:
+def _account(ledger: Ledger, share: float = 0.012) -> _Account:
+    """A ledger with the cylinders and rows above a share of all energy."""
     rows = ledger["rows"]
     named = {row["name"]: row for row in rows}
     cylinders = list(dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None))
@@ -117,15 +105,15 @@ def _account(ledger: Ledger) -> _Account:
         cylinder: max(abs(row["energy"]) for row in rows if row["cylinder"] == cylinder)
         for cylinder in cylinders
     }
-    busy = [cylinder for cylinder in cylinders if maximum[cylinder] > SMALL * whole]
-    return _Account(rows, named, works, busy or cylinders[:1], given, whole)
+    busy = [cylinder for cylinder in cylinders if maximum[cylinder] > share * whole]
+    return _Account(rows, named, works, busy or cylinders[:1], given, whole, share * whole)
 
 
 def _nodes(account: _Account) -> dict[str, _Node]:
     return {
-        PUMP: _Node(0.11 if account.rails else 0.0, "supply", COLOURS["supply"]),
+        PUMP: _Node(0.11 if account.rails else 0.0, "supply", GROUPS["supply"][0]),
         **{cylinder: _Node(0.36, cylinder, INK) for cylinder in account.busy},
-        MECHANISM: _Node(0.16 if account.uphill else 0.62, MECHANISM, COLOURS["load"]),
+        MECHANISM: _Node(0.16 if account.uphill else 0.62, MECHANISM, GROUPS["load"][0]),
     }
 
 
@@ -135,63 +123,50 @@ def _flows(account: _Account) -> list[_Flow]:
     """
     flows = [flow for row in account.rows if (flow := _leaf(row, account)) is not None]
     for cylinder in account.busy:
-        flows += _drawn(account, cylinder)
+        drawn = sum(
+            account.named[f"{cylinder}.{word}"]["energy"] for word in ("drawn", "drawn_compression")
+        )
+        if drawn > 0.0:
+            flows.append(_Flow(PUMP, cylinder, drawn, "supply", ""))
+        elif drawn < 0.0:
+            label = f"{cylinder}: back into the supply"
+            flows.append(_Flow(cylinder, None, -drawn, "supply", label))
         flows += _work(account, cylinder)
     if any(flow.start == PUMP for flow in flows):
         for label, names in SOURCES.items():
-            own = [account.named[name] for name in names if name in account.named]
-            given = sum(row["energy"] for row in own)
+            rows = [account.named[name] for name in names if name in account.named]
+            given = sum(row["energy"] for row in rows)
             if given > 0.0:
-                flows.append(_Flow(None, PUMP, given, "supply", label, half_of(own[0])))
+                flows.append(_Flow(None, PUMP, given, "supply", label, half_of(rows[0])))
     return _merged(flows, account)
 
 
 def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
     """The ribbon of a row that ends outside, or begins there where it is negative; None for rows
-    that are told otherwise.
+    that are drawn otherwise.
     """
-    cylinder, name = row["cylinder"], row["name"]
-    if row["group"] in ("cylinder", "residual"):
+    cylinder, name, energy, label = row["cylinder"], row["name"], row["energy"], row["label"]
+    group = row["group"]
+    if group in ("cylinder", "residual") or cylinder not in (None, *account.busy):
         return None
-    if cylinder is not None and cylinder not in account.busy:
-        return None
-    if row["group"] == "supply":  # the shaft of a pump at a cylinder, a motor where it is negative
-        return None if cylinder is None else _shaft(row, account)
-    rest = row["group"] == "part"  # of what is not accounted for
-    group = "residual" if rest else row["group"]
-    label = row["label"].split(",")[0] if rest else row["label"]
+    if group == "supply":  # the shaft of a pump at a cylinder, a motor where it is negative
+        if cylinder is None:
+            return None
+        start, end = (None, cylinder) if energy >= 0.0 else (cylinder, None)
+        label = account.prefix(cylinder) + label
+        return _Flow(start, end, abs(energy), group, label, half_of(row))
     moving = name.rsplit(".", 1)[-1] in _MECHANICAL or name.endswith(".mechanism")
+    node, place, prefix = cylinder, f"oil of {cylinder}", account.prefix(cylinder)
     if name in ("supply_line", "accumulator") or name.endswith(".supply_line"):
-        node, label = PUMP, f"{label}, supply line" if rest else label
+        node, place, prefix = PUMP, "supply line", ""
     elif group == "load" or moving:
-        node = MECHANISM
-        label = f"{label}, mechanism" if rest else account.prefix(cylinder) + label
+        node, place = MECHANISM, "mechanism"
+    if group == "part":  # of what is not accounted for
+        group, label = "residual", f"{label.split(',')[0]}, {place}"
     else:
-        node = cylinder
-        label = f"{label}, oil of {cylinder}" if rest else account.prefix(cylinder) + label
-    energy = row["energy"]
+        label = prefix + label
     start, end = (node, None) if energy >= 0.0 else (None, node)
     return _Flow(start, end, abs(energy), group, label, half_of(row))
-
-
-def _shaft(row: Mapping[str, Any], account: _Account) -> _Flow:
-    """From the shaft of a pump to the oil of its cylinder, or back."""
-    cylinder, energy = row["cylinder"], row["energy"]
-    start, end = (None, cylinder) if energy >= 0.0 else (cylinder, None)
-    label = account.prefix(cylinder) + row["label"]
-    return _Flow(start, end, abs(energy), "supply", label, half_of(row))
-
-
-def _drawn(account: _Account, cylinder: str) -> list[_Flow]:
-    """From the pump to a cylinder's oil, or pressed back into the supply line."""
-    drawn = sum(
-        account.named[f"{cylinder}.{word}"]["energy"] for word in ("drawn", "drawn_compression")
-    )
-    if drawn > 0.0:
-        return [_Flow(PUMP, cylinder, drawn, "supply", "")]
-    if drawn < 0.0:
-        return [_Flow(cylinder, None, -drawn, "supply", f"{cylinder}: back into the supply")]
-    return []
 
 
 def _work(account: _Account, cylinder: str) -> list[_Flow]:
@@ -216,21 +191,20 @@ def _work(account: _Account, cylinder: str) -> list[_Flow]:
 
 
 def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
-    """Leaves and sources below SMALL drawn together, by node, so that labels do not crowd; the
+    """Small leaves and sources drawn together, by node, so that labels do not crowd; the
     least are not drawn.
     """
     retained: list[_Flow] = []
     little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
-    small = SMALL * account.whole
     for flow in flows:
         ends = flow.start is None or flow.end is None
-        if ends and flow.energy < small and flow.group != "supply":
+        if ends and flow.energy < account.small and flow.group != "supply":
             little.setdefault((flow.start, flow.end, flow.group == "residual"), []).append(flow)
         else:
             retained.append(flow)
     for (_, _, rest), few in little.items():
         energy = sum(flow.energy for flow in few)
-        if energy >= (0.5 if rest else 0.15) * small:
+        if energy >= (0.5 if rest else 0.15) * account.small:
             retained.append(_together(few, energy, account))
     return retained
 
@@ -247,12 +221,12 @@ def _together(few: Sequence[_Flow], energy: float, account: _Account) -> _Flow:
     )
 
 
-def _fit(sizes: Sequence[float], lines: Sequence[float]) -> float:
+def _fit(sizes: Sequence[float], lines: Sequence[float], gap: float = 0.012) -> float:
     """Height per energy at which slots of max(size, label) and the gaps between them fill the
     picture; ``lines``, heights of the labels.
     """
     low, high = 0.0, 0.94 / max(sum(sizes), 1e-12)
-    room = 1.0 - _GAP * max(len(sizes) - 1, 0)
+    room = 1.0 - gap * max(len(sizes) - 1, 0)
     for _ in range(60):
         middle = 0.5 * (low + high)
         filled = sum(max(s * middle, line) for s, line in zip(sizes, lines, strict=True))
@@ -260,12 +234,14 @@ def _fit(sizes: Sequence[float], lines: Sequence[float]) -> float:
     return low
 
 
-def _slots(sizes: Sequence[float], scale: float, lines: Sequence[float]) -> list[float]:
+def _slots(
+    sizes: Sequence[float], scale: float, lines: Sequence[float], widest: float = 0.036
+) -> list[float]:
     """Middles of slots stacked from the top, as high as their ribbon or label, spread a little over
     the picture.
     """
     heights = [max(size * scale, line) for size, line in zip(sizes, lines, strict=True)]
-    gap = min((1.0 - sum(heights)) / max(len(heights) - 1, 1), 3 * _GAP)
+    gap = min((1.0 - sum(heights)) / max(len(heights) - 1, 1), widest)
     y = 0.5 + 0.5 * (sum(heights) + gap * (len(heights) - 1))
     middles = []
     for height in heights:
@@ -303,7 +279,7 @@ class _Layout:
 def _layout(account: _Account) -> _Layout:
     nodes, flows = _nodes(account), _flows(account)
     order = {name: i for i, name in enumerate([MECHANISM, *account.busy, PUMP])}
-    ranks = list(COLOURS)
+    ranks = list(GROUPS)
     leaves = sorted(
         (f for f in flows if f.end is None),
         key=lambda f: (order[f.start or ""], -ranks.index(f.group), -f.energy),
@@ -314,56 +290,36 @@ def _layout(account: _Account) -> _Layout:
     )
     tall = min(max(3.4 if account.rails else 3.0, 0.21 * len(leaves) + 1.3), 8.5)
     line = 0.175 / tall
-    right, left = [line] * len(leaves), [f.lines * line for f in sources]
+    right, left = (
+        [line] * len(leaves),
+        [(3.8 if f.has_compression else 2.1) * line for f in sources],
+    )
     out, into = [f.energy for f in leaves], [f.energy for f in sources]
     scale = min(_fit(out, right), _fit(into, left))
     outer = dict(zip(leaves, _slots(out, scale, right), strict=True))
     outer |= zip(sources, _slots(into, scale, left), strict=True)
-    sizes = _sizes(nodes, flows, scale)
-    middles = _middles(nodes, sizes, flows, outer)
-    _make_room(nodes, sizes, middles, line)
+    sizes, middles = {}, {}
+    for name in sorted(nodes, key=lambda n: -nodes[n].x):  # from right to left
+        out = [f for f in flows if f.start == name]
+        into = sum(f.energy for f in flows if f.end == name)
+        if not out and not any(f.end == name for f in flows):
+            continue
+        weight = sum(f.energy for f in out)
+        sizes[name] = max(weight, into) * scale
+        ends = [(outer[f] if f.end is None else middles[f.end], f.energy) for f in out]
+        # where most of what leaves it goes
+        middles[name] = sum(y * e for y, e in ends) / weight if weight > 0.0 else 0.5
+    _make_room(sizes, middles, line)
     if len(sources) == 1:
         outer[sources[0]] = middles[sources[0].end or ""]
     for flow in sources:
         if flow.feeds_pump and flow.label == PUMP and not account.rails:
             middles[PUMP] = outer[flow]
-    docks = {name: _Dock(nodes[name], middles[name], size) for name, size in sizes.items()}
+    docks = {n: _Dock(nodes[n], middles[n], sizes[n]) for n in nodes if n in sizes}
     return _Layout(flows, docks, outer, scale, line, tall)
 
 
-def _sizes(nodes: Mapping[str, _Node], flows: Sequence[_Flow], scale: float) -> dict[str, float]:
-    """Heights of the nodes that have ribbons."""
-    sizes = {}
-    for name in nodes:
-        if any(name in (f.start, f.end) for f in flows):
-            out = sum(f.energy for f in flows if f.start == name)
-            into = sum(f.energy for f in flows if f.end == name)
-            sizes[name] = max(out, into) * scale
-    return sizes
-
-
-def _middles(
-    nodes: Mapping[str, _Node],
-    sizes: Mapping[str, float],
-    flows: Sequence[_Flow],
-    outer: Mapping[_Flow, float],
-) -> dict[str, float]:
-    """Heights at which nodes stand, from right to left: where most of what leaves them goes."""
-    middles = dict.fromkeys(sizes, 0.0)
-    for name in sorted(sizes, key=lambda n: -nodes[n].x):
-        out = [f for f in flows if f.start == name]
-        ends = [(outer[f] if f.end is None else middles[f.end], f.energy) for f in out]
-        weight = sum(e for _, e in ends)
-        middles[name] = sum(y * e for y, e in ends) / weight if weight > 0.0 else 0.5
-    return middles
-
-
-def _make_room(
-    nodes: Mapping[str, _Node],
-    sizes: Mapping[str, float],
-    middles: dict[str, float],
-    line: float,
-) -> None:
+def _make_room(sizes: Mapping[str, float], middles: dict[str, float], line: float) -> None:
     """Move cylinders apart: their names need room above."""
     column = sorted((n for n in sizes if n not in (PUMP, MECHANISM)), key=lambda n: -middles[n])
     reach = 1.0
@@ -380,8 +336,6 @@ def sankey(path: Path, ledger: Ledger) -> None:
 
     What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 %
     are drawn together."""
-    from matplotlib.patches import Patch
-
     account = _account(ledger)
     layout, unit = _layout(account), unit_for([ledger])
     with canvas(path, size=(7.4, layout.tall)) as (figure, ax):
@@ -408,8 +362,9 @@ def sankey(path: Path, ledger: Ledger) -> None:
         rest = next(row for row in ledger["rows"] if row["group"] == "residual")
         amount = energy_text(rest["energy"], half_of(rest), unit, account.given)
         ax.text(-0.36, -0.03, f"{rest['label']} in all: {amount}", fontsize=8, color=MUTED)
-        present = [g for g in COLOURS if any(f.group == g for f in layout.flows)]
-        legend(figure, [Patch(color=COLOURS[g], alpha=0.75, label=WORDS[g]) for g in present])
+        present = {flow.group for flow in layout.flows}
+        looks = [look for group, look in GROUPS.items() if group in present]
+        legend(figure, [swatch(name, colour, alpha=0.75) for colour, name in looks])
 
 
 def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account) -> None:
@@ -418,7 +373,7 @@ def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account
     """
     at, thick = layout.outer[flow], flow.energy * layout.scale
     energy, style = flow.energy, {"fontsize": 8}
-    if flow.told_apart:
+    if flow.has_compression:
         gained = account.named[SOURCES[flow.label][1]]["energy"]
         energy, style = flow.energy - gained, {"fontsize": 8.5, "weight": "bold"}
         below = f"+ {energy_text(gained, None, unit)} compression"
@@ -427,7 +382,7 @@ def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account
         thick = thick if account.rails else max(thick, layout.docks[PUMP].size)
     words = f"{flow.label}\n{energy_text(energy, flow.half, unit)}"
     ax.text(-0.025, at, words, va="center", ha="right", linespacing=1.2, **style)
-    ax.add_patch(_bar(0.0, at, thick, COLOURS[flow.group]))
+    ax.add_patch(_bar(0.0, at, thick, GROUPS[flow.group][0]))
 
 
 def _draw_flow(ax, layout: _Layout, flow: _Flow) -> None:
@@ -441,13 +396,13 @@ def _draw_flow(ax, layout: _Layout, flow: _Flow) -> None:
         end = (1.0, layout.outer[flow])
     else:
         end = (docks[flow.end].node.x, docks[flow.end].dock("left", thick))
-    _ribbon(ax, start, end, thick, COLOURS[flow.group])
+    _ribbon(ax, start, end, thick, GROUPS[flow.group][0])
 
 
 def _draw_leaf(ax, layout: _Layout, flow: _Flow, unit: Unit, given: float) -> None:
     """Bar, label and energy at the right."""
     at = layout.outer[flow]
-    ax.add_patch(_bar(1.0, at, flow.energy * layout.scale, COLOURS[flow.group]))
+    ax.add_patch(_bar(1.0, at, flow.energy * layout.scale, GROUPS[flow.group][0]))
     ax.text(1.0 + 2.0 * _BAR, at, flow.label, va="center", fontsize=8)
     words = energy_text(flow.energy, flow.half, unit, given)
     ax.text(1.98, at, words, va="center", ha="right", fontsize=8)

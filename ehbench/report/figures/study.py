@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.report.saved import Table
-from ehbench.report.style import ACCENT, MUTED, RECORDED, SIMULATED, canvas, legend
-
-MOST_DOTS = 3000
+from ehbench.report.style import ACCENT, MUTED, RECORDED, SIMULATED, canvas, key, legend
 
 
 def distribution(
@@ -35,9 +33,9 @@ def distribution(
         right.set_ylabel("samples up to here [%]")
         for ax in (left, right):
             ax.set_xlabel(name)
-            for key in ("at_most", "at_least"):
-                if target is not None and target.get(key) is not None:
-                    ax.axvline(target[key], color=ACCENT, linestyle=(0, (4, 3)), linewidth=1.0)
+            for end in ("at_most", "at_least"):
+                if target is not None and target.get(end) is not None:
+                    ax.axvline(target[end], color=ACCENT, linestyle=(0, (4, 3)), linewidth=1.0)
         figure.align_labels()
 
 
@@ -47,37 +45,28 @@ def scatter(
     y: np.ndarray,
     inputs: Sequence[tuple[str, np.ndarray]],
     marks: np.ndarray,
+    maximum: int = 3000,
 ) -> None:
-    """A measure over each input; ``marks`` are samples to point out."""
-    from matplotlib.lines import Line2D
-
+    """A measure over each input; ``marks`` are samples to point out, ``maximum`` of the dots."""
     columns = min(3, len(inputs))
     rows = -(-len(inputs) // columns)
     size = (7.2, 2.4 * rows + 0.3)
     look = {"squeeze": False, "sharey": True}
-    step = max(1, y.size // MOST_DOTS)
+    step = max(1, y.size // maximum)
     dot = 2.5 if y.size > 200 else 5.0
     with canvas(path, rows, columns, size, **look) as (figure, axes):
-        for ax, (key, x) in zip(axes.flat, inputs, strict=False):
+        for ax, (name_of, x) in zip(axes.flat, inputs, strict=False):
             ax.plot(x[::step], y[::step], ".", color=RECORDED, markersize=dot, alpha=0.5)
             ax.plot(x[marks], y[marks], "o", color=ACCENT, markersize=6, fillstyle="none")
             ax.margins(0.06)
-            ax.set_xlabel(key, fontsize=8)
+            ax.set_xlabel(name_of, fontsize=8)
         for ax in axes.flat[len(inputs) :]:
             ax.set_visible(False)
         for row in axes:
             row[0].set_ylabel(name)
         handles = [
-            Line2D([], [], linestyle="", marker=".", color=RECORDED, label="sample"),
-            Line2D(
-                [],
-                [],
-                linestyle="",
-                marker="o",
-                color=ACCENT,
-                fillstyle="none",
-                label="kept as a run",
-            ),
+            key("sample", linestyle="", marker=".", color=RECORDED),
+            key("retained as a run", linestyle="", marker="o", color=ACCENT, fillstyle="none"),
         ]
         legend(figure, handles)
 

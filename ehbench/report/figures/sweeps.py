@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.saved import Table
-from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, legend
+from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, key, legend
 from ehbench.report.words import number, pretty, shown, title_of, unit_of
 
 CAPTION = (
@@ -20,12 +20,11 @@ _LOOKS = {
     "recorded": {"color": RECORDED, "linestyle": "-", "marker": "o", "markersize": 2.2},
     "simulated": {"color": SIMULATED, "linestyle": (0, (4, 1.6)), "marker": "", "linewidth": 1.7},
 }
-_MARKS = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)  # of a gain, which may change by little
 
 
-def sweeps(path: Path, rig: Rig, result: Sequence[Table], least: float) -> None:
-    """A column a channel: gain and phase where the recording's coherence reaches ``least``, and the
-    coherence.
+def sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -> None:
+    """A column a channel: gain and phase where the recording's coherence reaches ``minimum``, and
+    the coherence.
     """
     from matplotlib.ticker import LogLocator
 
@@ -42,17 +41,20 @@ def sweeps(path: Path, rig: Rig, result: Sequence[Table], least: float) -> None:
             top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
             top.set_xscale("log")
             top.set_yscale("log")
-            for way, marks in ((top.xaxis, (1.0, 2.0, 5.0)), (top.yaxis, _MARKS)):
+            for way, marks in (
+                (top.xaxis, (1.0, 2.0, 5.0)),
+                (top.yaxis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)),
+            ):
                 way.set_major_locator(LogLocator(subs=marks, numticks=9))
                 way.set_major_formatter(lambda tick, _: number(tick))
                 way.set_minor_formatter(lambda tick, _: "")
             middle.locator_params(axis="y", nbins=6)
-            bottom.axhline(least, color=MUTED, linewidth=0.8, linestyle="--")
+            bottom.axhline(minimum, color=MUTED, linewidth=0.8, linestyle="--")
             bottom.set_ylim(0.0, 1.05)
             bottom.set_xlabel("frequency [Hz]")
         for ax, row in zip(axes[:, 0], rows, strict=True):
             ax.set_ylabel("phase [°]" if row == "phase" else row)
-        legend(figure, _handles())
+        legend(figure, [key(side, **look) for side, look in _LOOKS.items()])
 
 
 def _curves(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> None:
@@ -66,16 +68,6 @@ def _curves(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> 
             ax.plot(frequency, values, **look | {"marker": ""})
             continue
         if row == "phase" and side == "simulated":
-            values = _beside(values, np.array(sweep["recorded"][row], float))
+            recorded = np.array(sweep["recorded"][row], float)
+            values = values + 360.0 * np.round((recorded - values) / 360.0)  # on the nearest turn
         ax.plot(frequency[coherent], values[coherent], **look)
-
-
-def _beside(phase: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """A phase [deg] on the turn that lies nearest to another's."""
-    return phase + 360.0 * np.round((other - phase) / 360.0)
-
-
-def _handles() -> list:
-    from matplotlib.lines import Line2D
-
-    return [Line2D([], [], label=side, **look) for side, look in _LOOKS.items()]

@@ -10,10 +10,18 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.cases import Case
 from ehbench.report.figures.channels import stop_line
-from ehbench.report.style import ACCENT, CYCLE, MARKS, MUTED, RECORDED, SIMULATED, canvas, thin
+from ehbench.report.style import (
+    ACCENT,
+    CYCLE,
+    MUTED,
+    RECORDED,
+    SIMULATED,
+    canvas,
+    cycled,
+    legend_right,
+    thin,
+)
 from ehbench.report.words import axis, shown
-
-_POINTS = 1500  # of a path that a figure can show
 
 
 def tip(path: Path, rig: Rig, case: Case, record: Record) -> None:
@@ -42,8 +50,8 @@ def tip(path: Path, rig: Rig, case: Case, record: Record) -> None:
 
 
 def _view(ax, rig: Rig, record: Record, ways: tuple[str, str], text: str) -> None:
-    """The desired and the travelled path in one plane, to scale."""
-    step = max(1, record.t.size // _POINTS)
+    """The desired and the travelled path in one plane, to scale, of 1500 points at most."""
+    step = max(1, record.t.size // 1500)
     for name, look in (
         ("_desired", {"color": SIMULATED, "linewidth": 2.4, "label": "desired"}),
         ("", {"color": RECORDED, "linewidth": 1.0, "label": "travelled"}),
@@ -69,18 +77,17 @@ def _errors(ax, rig: Rig, record: Record) -> None:
         ax.plot(*thin(record.t, np.asarray(shown(rig, name, record[name]))), label=text, **look)
     ax.set_title(axis(rig, "tip_error", "Error of the tip"))
     ax.set_ylim(bottom=0.0)
-    _beside(ax)
+    legend_right(ax)
 
 
 def _cylinders(ax, rig: Rig, record: Record) -> None:
     names = [c.removesuffix(".x_desired") for c in record.channels if c.endswith(".x_desired")]
     for index, name in enumerate(names):
         error = np.asarray(shown(rig, "x", record[f"{name}.x"] - record[f"{name}.x_desired"]))
-        colour, mark = CYCLE[index % len(CYCLE)], MARKS[index % len(MARKS)]
-        ax.plot(*thin(record.t, error), color=colour, linestyle=mark, linewidth=1.0, label=name)
+        ax.plot(*thin(record.t, error), **cycled(index, linewidth=1.0, label=name))
     ax.axhline(0.0, color=MUTED, linewidth=0.7)
     ax.set_title(axis(rig, "x", "Error of each cylinder, actual minus desired"))
-    _beside(ax)
+    legend_right(ax)
 
 
 def demanded(rig: Rig, record: Record) -> np.ndarray | None:
@@ -107,10 +114,4 @@ def _flow(ax, rig: Rig, case: Case, record: Record) -> None:
         ax.axhline(float(shown(rig, "flow", limit)), label="the pump's limit", **look)
     ax.set_title(axis(rig, "flow", "Flow from the supply"))
     ax.set_ylim(bottom=0.0)
-    _beside(ax)
-
-
-def _beside(ax) -> None:
-    """The legend of a panel, right of it."""
-    where = {"loc": "center left", "bbox_to_anchor": (1.005, 0.5), "borderaxespad": 0.0}
-    ax.legend(handlelength=1.8, **where)
+    legend_right(ax)

@@ -13,14 +13,24 @@ from ehbench.data.record import Record
 from ehbench.report.captions import capital
 from ehbench.report.cases import Case, payloads_carried
 from ehbench.report.figures.channels import stop_line
-from ehbench.report.style import ACCENT, CYCLE, MARKS, MUTED, RECORDED, SIMULATED, canvas, thin
+from ehbench.report.style import (
+    ACCENT,
+    CYCLE,
+    MUTED,
+    RECORDED,
+    SIMULATED,
+    canvas,
+    cycled,
+    legend_right,
+    swatch,
+    thin,
+)
 from ehbench.report.trial_captions import ESTIMATES
 from ehbench.report.words import axis, number, shown, words
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 
 _SHADES = ("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b")
 _LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
-_RUNS = 700  # stretches of time that can be told apart over a figure
 
 
 def plot_channel(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
@@ -28,19 +38,19 @@ def plot_channel(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
     ax.plot(*thin(record.t, np.asarray(shown(rig, name, record[name]))), **look)
 
 
-def stretches(t: np.ndarray, mask: np.ndarray, least: float) -> list[tuple[float, float]]:
-    """(start, length) of the stretches where ``mask`` holds; gaps below ``least`` [s], which nobody
-    could see, are closed.
+def stretches(t: np.ndarray, mask: np.ndarray, shortest: float) -> list[tuple[float, float]]:
+    """(start, length) of the stretches where ``mask`` holds; gaps below ``shortest`` [s], which
+    nobody could see, are closed.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     spans: list[list[float]] = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         first, last = float(t[start]), float(t[min(stop, t.size - 1)])
-        if spans and first - spans[-1][1] < least:
+        if spans and first - spans[-1][1] < shortest:
             spans[-1][1] = last
         else:
             spans.append([first, last])
-    return [(first, max(last - first, least)) for first, last in spans]
+    return [(first, max(last - first, shortest)) for first, last in spans]
 
 
 def flags_of(record: Record, cylinder: str, word: str) -> np.ndarray | None:
@@ -49,43 +59,41 @@ def flags_of(record: Record, cylinder: str, word: str) -> np.ndarray | None:
     return record[name].round().astype(int) if name in record else None
 
 
-def visible(record: Record) -> float:
-    """The shortest stretch of time [s] that a figure can show."""
-    return float(record.t[-1] - record.t[0]) / _RUNS
+def visible(record: Record, runs: int = 700) -> float:
+    """The shortest stretch of time [s] of which a figure can show so many."""
+    return float(record.t[-1] - record.t[0]) / runs
 
 
 def function_bars(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -> list:
     """Bars over time: the working function of each case, and below one row a limit that was met;
     legend handles.
     """
-    from matplotlib.patches import Patch
-
     rows: list[str] = []
     seen: set[int] = set()
 
-    def bar(t: np.ndarray, mask: np.ndarray, least: float, height: float, colour: str) -> None:
+    def bar(t: np.ndarray, mask: np.ndarray, shortest: float, height: float, colour: str) -> None:
         where = (len(rows) - 0.5 * height, height)
-        ax.broken_barh(stretches(t, mask, least), where, facecolors=colour, linewidth=0)
+        ax.broken_barh(stretches(t, mask, shortest), where, facecolors=colour, linewidth=0)
 
     for name, case, record in cases:
         functions = flags_of(record, case.cylinder, "function")
         if functions is None:
             continue
-        least = visible(record)
+        shortest = visible(record)
         for function in map(int, np.unique(functions)):
             seen.add(function)
-            bar(record.t, functions == function, least, 0.8, _SHADES[function])
+            bar(record.t, functions == function, shortest, 0.8, _SHADES[function])
         rows.append(name)
         met = flags_of(record, case.cylinder, "limits") if limits else None
         for bit, word in LIMITS.items():
             if met is not None and (met & bit).any():
-                bar(record.t, met & bit > 0, least, 0.6, _LIMIT_SHADES[bit])
+                bar(record.t, met & bit > 0, shortest, 0.6, _LIMIT_SHADES[bit])
                 rows.append(word)
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_yticks(range(len(rows)), rows, fontsize=7.5)
     ax.grid(False, axis="y")
     ax.tick_params(axis="y", length=0)
-    return [Patch(color=_SHADES[item], label=words(FUNCTIONS[item])) for item in sorted(seen)]
+    return [swatch(words(FUNCTIONS[item]), _SHADES[item]) for item in sorted(seen)]
 
 
 def _limits_met(record: Record, cylinder: str) -> int:
@@ -108,21 +116,13 @@ def shade_saturation(ax, record: Record, cylinder: str) -> bool:
     return bool(mask.any())
 
 
-def _beside(ax) -> None:
-    """The legend of a panel, right of it."""
-    where = {"loc": "center left", "bbox_to_anchor": (1.005, 0.5), "borderaxespad": 0.0}
-    ax.legend(handlelength=1.8, **where)
-
-
 def plot_commands(ax, rig: Rig, record: Record, cylinder: str) -> None:
     """The commands of a cylinder's valves that change."""
     names = [c for c in record.channels if c.startswith(f"{cylinder}.") and c.endswith(".command")]
     for index, name in enumerate(names):
         if np.ptp(record[name]) > 0.0:
             valve = name.removeprefix(f"{cylinder}.").removesuffix(".command")
-            colour, mark = CYCLE[index % len(CYCLE)], MARKS[index % len(MARKS)]
-            look = {"color": colour, "linestyle": mark, "linewidth": 1.1, "label": valve}
-            plot_channel(ax, rig, record, name, **look)
+            plot_channel(ax, rig, record, name, **cycled(index, linewidth=1.1, label=valve))
     ax.margins(y=0.08)
 
 
@@ -130,29 +130,34 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
     """One trial: desired and actual motion, pressures, commands with saturation shaded, working
     function and limits over time.
     """
-    own = case.cylinder
-    strip = ["strip"] if f"{own}.function" in record else []
+    cylinder = case.cylinder
+    strip = ["strip"] if f"{cylinder}.function" in record else []
     motion = ["v", "x"] if case.steps else ["x", "error", "v"]
     panels = [*motion, "pressure", "command", *strip]
-    bars = 1 + _limits_met(record, own)
+    bars = 1 + _limits_met(record, cylinder)
     heights = [0.16 * bars + 0.12 if panel == "strip" else 1.0 for panel in panels]
     size = (7.4, 1.25 * sum(heights) + 0.28 * len(panels) + 0.5)
     look = {"sharex": True, "squeeze": False, "height_ratios": heights}
     with canvas(path, len(panels), 1, size, **look) as (figure, axes):
         places = dict(zip(panels, axes[:, 0], strict=True))
         for word, text in (("x", "Stroke"), ("v", "Cylinder speed")):
-            _motion(places[word], rig, record, f"{own}.{word}", axis(rig, word, text))
+            _motion(places[word], rig, record, f"{cylinder}.{word}", axis(rig, word, text))
         if "error" in places:
-            _tracking_error(places["error"], rig, record, own)
+            ax = places["error"]
+            ax.plot(
+                *thin(record.t, tracking_error(rig, record, cylinder)),
+                color=RECORDED,
+                linewidth=1.0,
+            )
+            ax.axhline(0.0, color=MUTED, linewidth=0.7)
+            ax.set_title(axis(rig, "x", "Tracking error, actual minus desired"))
         _pressures(places["pressure"], rig, case, record)
-        saturated = _commands_panel(places["command"], rig, record, own)
+        saturated = _commands_panel(places["command"], rig, record, cylinder)
         handles = (
             function_bars(places["strip"], [("function", case, record)], True) if strip else []
         )
         if saturated:
-            from matplotlib.patches import Patch
-
-            handles.append(Patch(facecolor=ACCENT, alpha=0.2, label="an edge is saturated"))
+            handles.append(swatch("an edge is saturated", ACCENT, alpha=0.2))
         stop_line(axes[:, 0], record, offset=(0, 3), ha="center")
         axes[-1, 0].set_xlabel("time [s]")
         axes[-1, 0].set_xlim(record.t[0], record.t[-1])
@@ -171,20 +176,13 @@ def _motion(ax, rig: Rig, record: Record, name: str, title: str) -> None:
         plot_channel(ax, rig, record, shaped, label="shaped", **dotted)
     ax.set_title(title)
     ax.margins(y=0.08)
-    _beside(ax)
+    legend_right(ax)
 
 
 def tracking_error(rig: Rig, record: Record, cylinder: str) -> np.ndarray:
     """Actual minus desired stroke, in the rig's unit."""
     error = record[f"{cylinder}.x"] - record[f"{cylinder}.x_desired"]
     return np.asarray(shown(rig, "x", error))
-
-
-def _tracking_error(ax, rig: Rig, record: Record, cylinder: str) -> None:
-    error = tracking_error(rig, record, cylinder)
-    ax.plot(*thin(record.t, error), color=RECORDED, linewidth=1.0)
-    ax.axhline(0.0, color=MUTED, linewidth=0.7)
-    ax.set_title(axis(rig, "x", "Tracking error, actual minus desired"))
 
 
 def _pressures(ax, rig: Rig, case: Case, record: Record) -> None:
@@ -203,7 +201,7 @@ def _pressures(ax, rig: Rig, case: Case, record: Record) -> None:
             plot_channel(ax, rig, record, f"{cylinder}.{word}", label=text, **look)
     ax.set_title(axis(rig, "p_head", "Chamber pressures"))
     ax.margins(y=0.08)
-    _beside(ax)
+    legend_right(ax)
 
 
 def _commands_panel(ax, rig: Rig, record: Record, cylinder: str) -> bool:
@@ -212,7 +210,7 @@ def _commands_panel(ax, rig: Rig, record: Record, cylinder: str) -> bool:
     saturated = shade_saturation(ax, record, cylinder)
     ax.set_title(axis(rig, "command", "Commands"))
     if ax.get_legend_handles_labels()[0]:
-        _beside(ax)
+        legend_right(ax)
     return saturated
 
 
@@ -291,14 +289,7 @@ def _bound(ax, rig: Rig, word: str, which: str, value: float | None) -> None:
         y = float(shown(rig, word, value))
         below = which == "lower"
         look = {"color": ACCENT, "ha": "right", "va": "top" if below else "bottom"}
+        ax.axhline(y, color=ACCENT, linewidth=1.1, linestyle=(0, (5, 3)))
+        where, offset = ("axes fraction", "data"), (-3, -2 if below else 2)
         text = f"{which} bound {number(y, 3)}"
-        _level(ax, y, text, (1.0, y), (-3, -2 if below else 2), look)
-
-
-def _level(
-    ax, y: float, text: str, at: tuple[float, float], offset: tuple[int, int], look: dict
-) -> None:
-    """A dashed horizontal line with a word."""
-    ax.axhline(y, color=look["color"], linewidth=1.1, linestyle=(0, (5, 3)))
-    where = ("axes fraction", "data")
-    ax.annotate(text, at, offset, where, "offset points", fontsize=7.5, **look)
+        ax.annotate(text, (1.0, y), offset, where, "offset points", fontsize=7.5, **look)

@@ -19,14 +19,21 @@ from ehbench.report.figures.trial import (
     shade_saturation,
     tracking_error,
 )
-from ehbench.report.style import ACCENT, CYCLE, INK, MARKS, MUTED, canvas, legend, thin
+from ehbench.report.style import (
+    ACCENT,
+    CYCLE,
+    INK,
+    MUTED,
+    canvas,
+    cycled,
+    key,
+    legend,
+    swatch,
+    thin,
+)
 from ehbench.report.words import axis, number, shown, title_of, words
 
 Named = tuple[str, Case, Record]  # (controller, its trial, the log)
-MANY = 3  # from so many controllers on, a comparison leaves out the commands
-FAR_APART = 8.0  # ratio of largest errors from which each controller has a strip of its own
-_ERROR, _STRIP = 1.7, 0.62  # height of the panel of errors, and of a strip
-_THICK, _THIN = 2.6, 1.0  # widths of the first and the last line, so that those below are seen
 _DESIRED = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "zorder": 6}
 
 
@@ -46,43 +53,36 @@ class _Grid:
         return 1.15 * sum(self.heights) + 0.3 * len(self.heights) + 0.6
 
 
-def _grid(cases: Sequence[Named]) -> _Grid:
+def _grid(cases: Sequence[Named], far_apart: float = 8.0, commands_of: int = 3) -> _Grid:
+    """The rows: each controller has a strip for its error where the largest errors are
+    ``far_apart`` by ratio; commands of so many controllers at most.
+    """
     case = cases[0][1]
     if case.steps:
         panels, heights = ["v", "x"], [1.7, 1.0]
-    elif _far_apart(cases):
-        panels = ["x", *(f"error {i}" for i in range(len(cases))), "v"]
-        heights = [1.0, *[_STRIP] * len(cases), 1.0]
     else:
-        panels, heights = ["x", "error", "v"], [1.0, _ERROR, 1.0]
+        errors = [case.row["tracking"]["max_error"] for _, case, _ in cases]
+        if max(errors) > far_apart * max(min(errors), 1e-12):
+            panels = ["x", *(f"error {i}" for i in range(len(cases))), "v"]
+            heights = [1.0, *[0.62] * len(cases), 1.0]
+        else:
+            panels, heights = ["x", "error", "v"], [1.0, 1.7, 1.0]
     panels += ["p_head", "p_rod"]
     heights += [1.0, 1.0]
     if any(f"{case.cylinder}.function" in record for _, _, record in cases):
         panels.append("strip")
         heights.append(0.2 * len(cases) + 0.12)
-    commands = len(cases) <= MANY
+    commands = len(cases) <= commands_of
     return _Grid(panels, heights + [1.1] * commands, len(cases) if commands else 1, commands)
-
-
-def _far_apart(cases: Sequence[Named]) -> bool:
-    maximum = [case.row["tracking"]["max_error"] for _, case, _ in cases]
-    return max(maximum) > FAR_APART * max(min(maximum), 1e-12)
 
 
 def compare(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
     """Several controllers on one motion: stroke, speed and tracking error, both pressures,
     functions, and their commands.
     """
-    from matplotlib.patches import Patch
-
-    looks = [
-        {
-            "color": CYCLE[i % len(CYCLE)],
-            "linestyle": MARKS[i % len(MARKS)],
-            "linewidth": _THICK + (_THIN - _THICK) * i / max(len(cases) - 1, 1),
-        }
-        for i in range(len(cases))
-    ]
+    # the first line is the widest, so that those below are seen
+    widths = np.linspace(2.6, 1.0, len(cases)) if len(cases) > 1 else [2.6]
+    looks = [cycled(i, linewidth=float(width)) for i, width in enumerate(widths)]
     grid = _grid(cases)
     shape = {"squeeze": False, "height_ratios": grid.heights}
     with canvas(path, len(grid.heights), grid.columns, (7.4, grid.tall), **shape) as (figure, axes):
@@ -100,25 +100,16 @@ def compare(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
         bottom.set_xlabel("time [s]")
         bottom.set_xlim(min(r.t[0] for *_, r in cases), max(r.t[-1] for *_, r in cases))
         if grid.commands and _commands_row(axes[-1], rig, cases):
-            handles.append(Patch(facecolor=ACCENT, alpha=0.2, label="an edge is saturated"))
-        lines = _line_handles(cases, looks)
+            handles.append(swatch("an edge is saturated", ACCENT, alpha=0.2))
+        lines = [key(words(c[0]), **look) for c, look in zip(cases, looks, strict=True)]
+        lines.append(key("desired", **_DESIRED))
         figure.legend(handles=lines, loc="outside upper center", ncols=min(len(lines), 4))
         if handles:
             figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
 
-def _line_handles(cases: Sequence[Named], looks: Sequence[dict[str, Any]]) -> list:
-    from matplotlib.lines import Line2D
-
-    lines = [
-        Line2D([], [], label=words(name), **look)
-        for (name, _, _), look in zip(cases, looks, strict=True)
-    ]
-    return [*lines, Line2D([], [], label="desired", **_DESIRED)]
-
-
 def _wide_panels(figure, axes: np.ndarray, panels: Sequence[str]) -> dict[str, Any]:
-    """One panel over all columns of a row each, with one time axis, told in the last."""
+    """One panel over all columns of a row each, with one time axis, named in the last."""
     grid = axes[0, 0].get_gridspec()
     places: dict[str, Any] = {}
     for row, panel in enumerate(panels):
@@ -187,13 +178,11 @@ def _errors(ax, rig: Rig, cases: Sequence[Named], looks: Sequence[dict[str, Any]
 
 def trajectories(path: Path, rig: Rig, motions: Sequence[Named]) -> None:
     """Desired stroke, speed and acceleration of some motions over time."""
-    from matplotlib.lines import Line2D
-
     rows = [("x", "stroke"), ("v", "speed"), ("a", "acceleration")]
     with canvas(path, len(rows), 1, (7.2, 5.0), sharex=True) as (figure, axes):
         handles = []
         for (name, case, record), colour in zip(motions, CYCLE, strict=False):
-            handles.append(Line2D([], [], color=colour, label=words(name)))
+            handles.append(key(words(name), color=colour))
             for ax, (word, _) in zip(axes, rows, strict=True):
                 channel = f"{case.cylinder}.{word}_desired"
                 if channel in record:

@@ -17,17 +17,19 @@ from ehbench.report.saved import Table
 from ehbench.report.style import (
     ACCENT,
     CYCLE,
-    MARKS,
     MUTED,
     RECORDED,
     SIMULATED,
     canvas,
+    cycled,
+    key,
     legend,
 )
 from ehbench.report.words import axis, number, shown, words
 
 _BLACK = "#111827"
 _LOW = -0.08  # lower end of the axis of damping ratios
+_SIDES = (("right", -3), ("left", 3))  # how a label lies at its line, and how far off
 
 
 @dataclass(frozen=True)
@@ -50,21 +52,20 @@ def equivalents(path: Path, rig: Rig, tuning: Table, what: Equivalent) -> None:
     """
     with canvas(path, size=(7.2, 3.4)) as (_, ax):
         for index, equivalent in enumerate(tuning["equivalents"]):
-            x, y = (np.array(equivalent[key], float) for key in ("x", what.key))
-            colour, mark = CYCLE[index % len(CYCLE)], MARKS[index % len(MARKS)]
-            look = {"color": colour, "linestyle": mark, "label": load_name(equivalent["payload"])}
+            x, y = (np.array(equivalent[name], float) for name in ("x", what.key))
+            look = cycled(index, label=load_name(equivalent["payload"]))
             ax.plot(shown(rig, "x", x), shown(rig, what.quantity, y), **look)
             points = [p["point"] for p in tuning["points"]]
             at = np.unique([p["x"] for p in points if p["payload"] == equivalent["payload"]])
             there = shown(rig, what.quantity, np.interp(at, x, y))
-            ax.plot(shown(rig, "x", at), there, "o", markersize=4, color=colour)
+            ax.plot(shown(rig, "x", at), there, "o", markersize=4, color=look["color"])
         ax.set_xlabel(axis(rig, "x", "stroke"))
         ax.set_ylabel(axis(rig, what.quantity, what.title.lower()))
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
         ax.legend()
         if not isinstance(rig.mechanism, Slide) and tuning["equivalents"]:
             first = tuning["equivalents"][0]
-            x, q = (np.asarray(shown(rig, key, np.array(first[key], float))) for key in ("x", "q"))
+            x, q = (np.asarray(shown(rig, n, np.array(first[n], float))) for n in ("x", "q"))
             up = np.argsort(q)
             above = ax.secondary_xaxis("top", functions=(_straight(x, q), _straight(q[up], x[up])))
             above.set_xlabel(axis(rig, "q", "joint angle"))
@@ -111,14 +112,14 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
 
-def _damping_curve(ax, x: np.ndarray, kept: np.ndarray, item: Table, colour: str) -> None:
+def _damping_curve(ax, x: np.ndarray, shown_at: np.ndarray, item: Table, colour: str) -> None:
     """The curve of an operating point; thin and dotted where it does not count."""
     y = np.array(item["curve"], float)
     y[1:][(y[1:] < _LOW) & (y[:-1] < _LOW)] = np.nan  # beyond the frame
     look: dict[str, Any] = {"linewidth": 0.7, "alpha": 0.55}
     if not item["counts"]:
         look = {"linewidth": 0.8, "alpha": 0.5, "linestyle": (0, (1, 2))}
-    ax.plot(x, y[kept], color=colour, **look)
+    ax.plot(x, y[shown_at], color=colour, **look)
 
 
 def _at_left(ax, text: str, y: float, colour: str) -> None:
@@ -148,26 +149,22 @@ def _choices(ax, rig: Rig, tuning: Table, colours: Mapping[str, str]) -> None:
 
 
 def _damping_handles(tuning: Table, colours: Mapping[str, str]) -> list:
-    from matplotlib.lines import Line2D
-
     counting = {point["point"]["function"] for point in tuning["points"] if point["counts"]}
     choice = {"color": _BLACK, "linestyle": (0, (2, 2)), "linewidth": 0.9}
     ring = {"marker": "o", "markersize": 6, "markerfacecolor": "white"}
     handles = [
-        Line2D([], [], color=_BLACK, linewidth=2.0, label="worst that counts"),
-        Line2D([], [], label="choice", **choice, **ring),
+        key("worst that counts", color=_BLACK, linewidth=2.0),
+        key("choice", **choice, **ring),
     ]
     for name, colour in colours.items():
         mark = "-" if name in counting else (0, (1, 2))
         label = words(name) + ("" if name in counting else ", shown only")
-        handles.append(Line2D([], [], color=colour, linestyle=mark, label=label))
+        handles.append(key(label, color=colour, linestyle=mark))
     return handles
 
 
 def step_responses(path: Path, steps: Sequence[Table], by_name: dict[str, Table]) -> None:
     """A panel a payload: speed over desired speed, without any feedback and with it."""
-    from matplotlib.lines import Line2D
-
     with canvas(path, 1, len(steps), (7.4, 3.1), squeeze=False, sharey=True) as (figure, axes):
         for ax, step in zip(axes[0], steps, strict=True):
             t = np.array(step["t"], float)
@@ -180,8 +177,8 @@ def step_responses(path: Path, steps: Sequence[Table], by_name: dict[str, Table]
         axes[0, 0].set_ylabel("speed over desired speed [1]")
         axes[0, 0].set_ylim(bottom=min(0.0, axes[0, 0].get_ylim()[0]))
         handles = [
-            Line2D([], [], color=RECORDED, linewidth=1.0, label="without any feedback"),
-            Line2D([], [], color=SIMULATED, linewidth=1.8, label="with pressure feedback"),
+            key("without any feedback", color=RECORDED, linewidth=1.0),
+            key("with pressure feedback", color=SIMULATED, linewidth=1.8),
         ]
         legend(figure, handles)
 
@@ -200,25 +197,13 @@ def draws(path: Path, tuning: Table) -> None:
             color=RECORDED,
             alpha=0.75,
         )
-        marks = sorted(
-            [
-                (tuning["target"], "target", ACCENT),
-                (tuning["damping_ratio"], "as identified", SIMULATED),
-            ]
-        )
-        for (value, text, colour), side in zip(
-            marks, ("right", "left"), strict=True
-        ):  # above, and away from one another
+        marks = [(tuning["target"], "target", ACCENT)]
+        marks.append((tuning["damping_ratio"], "as identified", SIMULATED))
+        where = ("data", "axes fraction")  # above, and away from one another
+        for (value, text, colour), (side, off) in zip(sorted(marks), _SIDES, strict=True):
             ax.axvline(value, color=colour, linewidth=1.4)
             look = {"color": colour, "fontsize": 8, "ha": side, "va": "bottom"}
-            ax.annotate(
-                text,
-                (value, 1.0),
-                (-3 if side == "right" else 3, 1),
-                ("data", "axes fraction"),
-                "offset points",
-                **look,
-            )
+            ax.annotate(text, (value, 1.0), (off, 1), where, "offset points", **look)
         ax.set_xlabel("worst damping ratio over the operating points")
         ax.set_ylabel("draws")
         ax.margins(x=0.06)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ehbench.report.saved import Table
-from ehbench.report.style import CYCLE, MARKS, MUTED, RECORDED, canvas, legend
+from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.words import title_of
 
 
@@ -19,15 +18,13 @@ def correlations(path: Path, channels: Sequence[Table]) -> None:
     """
     crossed = [item for channel in channels for item in channel.get("cross_correlation", [])]
     commands = dict.fromkeys(item["of"] for item in crossed)
-    looks = {
-        name: (CYCLE[i % len(CYCLE)], MARKS[i % len(MARKS)]) for i, name in enumerate(commands)
-    }
+    looks = {name: cycled(i) for i, name in enumerate(commands)}
     rows = 2 if crossed else 1
     shape = {"sharex": True, "sharey": True, "squeeze": False}
     with canvas(path, rows, len(channels), (7.4, 1.75 * rows + 0.5), **shape) as (figure, axes):
         for column, channel in enumerate(channels):
-            top, own = axes[0, column], channel["autocorrelation"]
-            _banded(top, [own], {own["of"]: (RECORDED, "-")})
+            top, auto = axes[0, column], channel["autocorrelation"]
+            _banded(top, [auto], {auto["of"]: {"color": RECORDED, "linestyle": "-"}})
             top.set_title(title_of(channel["channel"]), fontsize=8.5)
             if crossed:
                 _banded(axes[1, column], channel.get("cross_correlation", []), looks)
@@ -36,16 +33,7 @@ def correlations(path: Path, channels: Sequence[Table]) -> None:
         axes[0, 0].set_ylabel("with itself [1]")
         if crossed:
             axes[1, 0].set_ylabel("with commands [1]")
-            legend(figure, _handles(looks))
-
-
-def _handles(looks: dict[str, tuple[str, Any]]) -> list:
-    from matplotlib.lines import Line2D
-
-    return [
-        Line2D([], [], color=colour, linestyle=mark, label=name.removesuffix(".command"))
-        for name, (colour, mark) in looks.items()
-    ]
+            legend(figure, [key(n.removesuffix(".command"), **look) for n, look in looks.items()])
 
 
 def _banded(ax, correlations: Sequence[Table], looks: dict) -> None:
@@ -54,6 +42,5 @@ def _banded(ax, correlations: Sequence[Table], looks: dict) -> None:
         ax.fill_between(
             lag, -band, band, color=MUTED, alpha=0.22 / len(correlations) ** 0.5, linewidth=0
         )
-        colour, mark = looks[correlation["of"]]
-        ax.plot(lag, value, color=colour, linestyle=mark, linewidth=1.1)
+        ax.plot(lag, value, linewidth=1.1, **looks[correlation["of"]])
     ax.axhline(0.0, color=MUTED, linewidth=0.6)

@@ -21,10 +21,10 @@ from ehbench.report.content import (
     Pictures,
     SectionContent,
     StageReport,
-    remedy_step,
     folded,
     names,
     num,
+    remedy_step,
 )
 from ehbench.report.figures import hydraulics as figures
 from ehbench.report.figures.sweeps import CAPTION, sweeps

@@ -13,9 +13,9 @@ from ehbench.report.content import (
     Pictures,
     SectionContent,
     StageReport,
-    remedy_step,
     look_of,
     names,
+    remedy_step,
 )
 from ehbench.report.figures import validation as figures
 from ehbench.report.figures.sweeps import CAPTION, sweeps
