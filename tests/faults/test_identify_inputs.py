@@ -397,7 +397,7 @@ def test_jitter_is_resampled_and_told(tmp_path):
     assert "log: " + told[0] in fit.warnings
     write_log(tmp_path / "late.mcap", late)
     found = inspection.check(tmp_path / "late.mcap")
-    assert found.code == 0 and "  " + told[0] in found.lines
+    assert found.code == 0 and told[0] in map(str.strip, found.lines)
 
 
 def test_check_names_a_gap(tmp_path):
@@ -618,10 +618,12 @@ VERDICT = 'stage = "validate"\nrig = "r.toml"\ndata = ["a.mcap"]\n[thresholds]\n
 
 @pytest.mark.parametrize("key", ["natural_frequency", "damping_ratio"])
 def test_a_threshold_of_the_ringing_can_be_switched_off(tmp_path, key):
+    stiffer = rig().with_values({"bulk_modulus": 1.1 * float(rig().parameters()["bulk_modulus"])})
+
     def checks(text):
         (tmp_path / "v.toml").write_text(VERDICT + "fit_percent = { p_head = 1 }\n" + text)
         result = validate_rig(
-            rig(), [("log", crane())], thresholds=load_recipe(tmp_path / "v.toml").thresholds
+            stiffer, [("log", crane())], thresholds=load_recipe(tmp_path / "v.toml").thresholds
         )
         return [check.what for check in result.logs[0].checks]
 

@@ -16,7 +16,7 @@ from ehbench.parts.cylinder import joint_of, linkage_of
 from ehbench.physics.arm import bias, mass_matrix, work_size
 from ehbench.physics.tip import Chain, tip_of
 from ehbench.plant.model import Model
-from ehbench.report.terminal import lines
+from ehbench.report.terminal import answer
 from ehbench.runs.rundir import read_json
 from ehbench.trial import prepare, run
 from ehbench.trial.coordination import COORDINATION, joints_of
@@ -326,5 +326,5 @@ def test_a_run_tells_and_draws_the_tip(tmp_path, tip_alone):
     assert "the tip: largest error" in figures["tip"]["caption"].lower()
     drawn = (outcome.folder / "figures" / figures["tip"]["file"]).read_text()
     assert all(word in drawn for word in ("From above", "travelled", "the pump's limit", "stick"))
-    said = "\n".join(lines(outcome.folder, 120))
+    said = "\n".join(answer(outcome.folder).lines(120, whole=True))
     assert "largest tip error" in said and "arc, boom" in said

@@ -187,7 +187,7 @@ def test_recipes_say_what_is_tied(tmp_path, inside, undrawn):
     judge = {"stage": "validate", "rig": str(outcome.folder)}
     judge["data"] = [{"path": "log.mcap", "tied": "position"}]
     (tmp_path / "judge.toml").write_text(tomli_w.dumps(judge))
-    checked = inside("check", tmp_path / "judge.toml")
+    checked = inside("check", "-v", tmp_path / "judge.toml")
     assert "follows press.x: no position is judged" in " ".join(checked.stdout.split())
     path.write_text(tomli_w.dumps(recipe | {"tied": "speed"}))
     assert inside("check", path).returncode == 2

@@ -69,6 +69,7 @@ import json, locale, logging, os, pkgutil, signal, sys, threading, types, warnin
 import control, jinja2, matplotlib, mcap, numba, numpy, pandas, pydantic, rich, scipy.optimize
 import scipy.signal, typer
 import matplotlib.figure, mcap.writer, mcap.reader, rich.console, threadpoolctl
+import rosbags.rosbag2, rosbags.typesys
 
 def state():
     return {

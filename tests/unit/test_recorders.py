@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from recorders import RECORDINGS  # noqa: E402
+from recorder_files import RECORDINGS  # noqa: E402
 
 from ehbench.app import inspection, mapping  # noqa: E402
 from ehbench.config.recipe import load_columns, load_rig  # noqa: E402

@@ -295,8 +295,8 @@ def test_one_spool_has_no_off_side(tmp_path):
     assert {"softer off-side (× 0.2)"}.isdisjoint(a.what for a in t.alternatives)
     rundir.write_json(tmp_path / "tuning.json", t.as_json())
     table = Table(rundir.read_json(tmp_path / "tuning.json"), tmp_path / "tuning.json")
-    shown = [row[0] for row in _parameters(rig("crane_proportional"), table).rows]
-    assert "tick" in shown and not any("cross-port" in text for text in shown)  # pyright: ignore[reportOperatorIssue]
+    shown = [row["text"] for row in _parameters(table)]
+    assert "tick" in shown and not any("cross-port" in text for text in shown)
 
 
 @pytest.mark.parametrize(

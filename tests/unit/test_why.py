@@ -14,7 +14,7 @@ import pytest
 from ehbench import workflow
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
-from ehbench.report import compare
+from ehbench.report import compare, terminal
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved
 from ehbench.report.why import origin
@@ -38,6 +38,13 @@ ROW = {
     "unit": "Pa",
     "value": 7.0e8,
     "interval": [6.9e8, 7.1e8],
+    "std": 5.0e6,
+    "lower": 1.0e8,
+    "upper": 2.0e9,
+    "start": 6.0e8,
+    "prior": None,
+    "from_data": 1.0,
+    "from_starts": 0.0,
     "status": "estimated",
     "error_from": "hac",
     "samples": 400,
@@ -277,6 +284,9 @@ def test_the_page_of_a_report_is_part_of_it(shop):
 
 def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop, monkeypatch):
     monkeypatch.setattr(import_module("ehbench.report"), "build", lambda *_: "<p>")
+    monkeypatch.setattr(
+        terminal, "report_answer", lambda _, notes=(), code=0: terminal.Answer("done", notes=notes)
+    )
     fit = shop / "reports" / "fit_1"
     assert workflow.report([fit], workflow.Session(out=shop / "first")).code == 0
     edit("one.csv", "1,5", "1,6")(shop)
@@ -310,8 +320,8 @@ def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, nam
     write_log(shop / "trial_1" / "log.mcap", Record(t, {"press.x": 0.1 + 0.01 * t}))
     trial = shop / "trial_1"
     words = {
-        "report": ("report", trial, "--out", shop / "page"),
-        "compare": ("compare", trial, trial),
+        "report": ("report", "-v", trial, "--out", shop / "page"),
+        "compare": ("compare", "-v", trial, trial),
         "show": ("show", trial, "--out", shop / "page.html"),
     }[name]
     assert inside(*words, cwd=shop).returncode == 0

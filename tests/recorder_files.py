@@ -54,7 +54,7 @@ class Recording(NamedTuple):
 RECORDINGS: dict[str, Recording] = {}
 
 
-def _text(
+def _text(  # noqa: PLR0913 -- each file is one call with what is special of it
     style: str,
     file: str,
     head: str,
