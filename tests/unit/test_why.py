@@ -17,6 +17,7 @@ from ehbench.data.record import Record
 from ehbench.report import compare, terminal
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved
+from ehbench.report.terminal import Answer
 from ehbench.report.why import origin
 from ehbench.runs import rundir, versions
 from ehbench.runs.versions import METHODS, Versions
@@ -284,9 +285,6 @@ def test_the_page_of_a_report_is_part_of_it(shop):
 
 def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop, monkeypatch):
     monkeypatch.setattr(import_module("ehbench.report"), "build", lambda *_: "<p>")
-    monkeypatch.setattr(
-        terminal, "report_answer", lambda _, notes=(), code=0: terminal.Answer("done", notes=notes)
-    )
     fit = shop / "reports" / "fit_1"
     assert workflow.report([fit], workflow.Session(out=shop / "first")).code == 0
     edit("one.csv", "1,5", "1,6")(shop)
@@ -309,6 +307,9 @@ def falsify(run: Path) -> None:
 @pytest.mark.parametrize("whose", ["itself", "upstream"])
 def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, name, whose):
     monkeypatch.setattr(import_module("ehbench.report"), "build", lambda *_: "<p>")
+    monkeypatch.setattr(
+        terminal, "report_answer", lambda _, notes=(), code=0: Answer("done", notes=notes)
+    )
     fit = shop / "reports" / "fit_1"
     monkeypatch.setattr(
         compare, "found", lambda folder: (Saved(folder), SimpleNamespace(status="estimated"))
