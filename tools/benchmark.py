@@ -372,6 +372,7 @@ def studies() -> Iterator[Row]:
     from ehbench.config.recipe import StudyRecipe
     from ehbench.sampling.cluster import Cluster
     from ehbench.sampling.pools import Processes
+    from ehbench.sampling.sample import Workers
     from ehbench.stages import REGISTRY
     from ehbench.stages.study import PreparedStudy
     from ehbench.workflow import Session
@@ -390,7 +391,7 @@ def studies() -> Iterator[Row]:
         yield Row("a study's files, sent once", len(pickle.dumps(bundle)) / 1e3, 1e3, "kB")
         with _workers() as address:
             if address:
-                yield from _overhead("on Dask", Cluster(address, bundle, count), prepared)
+                yield from _overhead("on Dask", Cluster(Workers(address), bundle, count), prepared)
         yield from _kept(prepared, Path(folder))
 
 
