@@ -18,7 +18,7 @@ METHODS: Mapping[str, int] = {
     "output_error": 2,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 1,
+    "diagnosis": 2,
     "validation": 2,
     "control": 1,  # controllers
     "tuning": 2,
@@ -32,7 +32,7 @@ _TRIAL = (*_SIMULATED, "bench", "control", "trial", "ledger")
 # by stage: its schema and the methods that it uses
 STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (2, (*_SIMULATED, "flow_maps")),
-    "hydraulics": (1, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
+    "hydraulics": (2, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (1, (*_SIMULATED, "frequency_response")),
     "validation": (3, (*_SIMULATED, "diagnosis", "validation")),

@@ -154,7 +154,7 @@ def test_validation_estimates_sensors_of_each_log():
     fits = {one.channel: one.fit_percent for one in found.logs[0].channels}
     assert (fits["press.p_head"] or 0.0) > 95.0
     (case,) = prepared.cases(found.logs)
-    left = case.left(case.simulated(case.model, case.record))
+    left = case.left(case.simulated())
     assert float(np.mean(left**2)) < 3.0  # the questions that follow see it as well
 
 
