@@ -6,6 +6,7 @@ means the fit."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -191,6 +192,16 @@ def readings_table(
     return FlowmeterData(command=u, pressure_drop=drop, flow=q, **rest)
 
 
+def _limits(method: np.ndarray, q: np.ndarray, given: float) -> np.ndarray:
+    """Flow [m³/s] below which the meter of each reading shows nothing, shape (readings,): as given,
+    or, of a meter that reads 0 but never less, what it reads first.
+    """
+    metered = method != "cylinder"
+    first = float(np.min(q[metered], where=q[metered] > 0.0, initial=np.inf))
+    stands = np.any(q[metered] == 0.0) and not np.any(q[metered] < 0.0) and math.isfinite(first)
+    return np.where(metered, max(given, first) if stands else given, 0.0)
+
+
 def sort_readings(
     who: str, given: FlowmeterData, options: FlowMapOptions, hysteresis: float = 0.0
 ) -> Readings:
@@ -219,7 +230,7 @@ def sort_readings(
     u = np.maximum(u - 0.5 * hysteresis * sweep, 0.0)
     level = clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
     cell = _cells_of(who, level, drop, method, one_drop)
-    limit = np.where(method != "cylinder", options.meter_limit, 0.0)
+    limit = _limits(method, q, options.meter_limit)
     silent = (limit > 0) & (q < limit)
     q = np.where(silent, 0.0, q)
     rated = float(options.rated_flow or _largest_flow(q, cell))

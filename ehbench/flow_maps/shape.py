@@ -346,7 +346,11 @@ def window_of(readings: Readings, cells: Cells, lack: float) -> Window:
     levels, of = readings.levels, readings.cell_level
     total = np.maximum(np.bincount(of, cells.weight), 1e-300)
     mean = np.bincount(of, cells.weight * cells.y) / total
-    shut = np.flatnonzero((mean * np.sqrt(total / lack) <= 4.0) | (mean <= 1e-3))
+    # a command is shut if its flow may be none: what counts is the noise of no flow
+    used = cells.weight > 0
+    quiet = np.max(cells.weight[used] / np.maximum(cells.count[used], 1), initial=0.0)
+    count = np.bincount(of, np.where(used, cells.count, 0.0))
+    shut = np.flatnonzero((mean * np.sqrt(count * quiet / lack) <= 4.0) | (mean <= 1e-3))
     k = int(shut[-1]) + 1 if shut.size else 0
     if levels.size - k < 3:
         open_levels = levels.size - k

@@ -28,6 +28,9 @@ class SplineSettings:
     spans: int = setting(
         12, "", "largest number of spans along the opening", "finer ones follow the noise"
     )
+    room: float = setting(
+        1e-6, "", "narrowest first span, share of the commands above the deadband", "arithmetic"
+    )
     bend: float = setting(
         1e-4, "", "share of the penalty left where the flow bends sharply with the drop", "free"
     )
@@ -154,9 +157,11 @@ class Spline:
         inner = _inner_breaks(above)
         if soft:
             inner = np.append(above[0], inner)
-        kinks = tuple(kink for kink in kinks if above[0] < kink < self.top)
+        kinks = tuple(kink for kink in kinks if max(above[0], deadband) < kink < self.top)
         for kink in kinks:
             inner = _with_kink(inner, above, kink)
+        # a deadband may be tried beyond the first commands that pass flow: those of a leak
+        inner = inner[inner > deadband + SETTINGS.room * (self.top - deadband)]
         stiffness = np.ones(inner.size + 1)
         stiffness[: 2 * soft] = SETTINGS.soft
         stiffness[[int(np.searchsorted(inner, kink)) for kink in kinks]] = SETTINGS.sharp

@@ -91,12 +91,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             (float(item.command), float(item.flow), item.tolerance) for item in recipe.calibration
         ]
         options = (points, None if drop is None else float(drop), progress)
-        without: list[str] = []
-        if recipe.method == "steps":
-            fits, without = _of_some(prepared.readings, options, recipe)
-        else:
-            limit = float(recipe.meter_limit)
-            fits = readings.run_readings(prepared.readings, *options, meter_limit=limit)
+        fits, without = _of_each(prepared.readings, options, recipe)
         maps = collect([fit.fit.map for fit in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
@@ -116,7 +111,8 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         ]
         losses = prepared.readings.losses
         facts = {"rig": rig.name, "warnings": [*losses, *warnings, *without]}
-        return Work(facts, code=INCOMPLETE if losses else DONE)
+        lost = losses or (without and recipe.method != "steps")
+        return Work(facts, code=INCOMPLETE if lost else DONE)
 
 
 _Readings = tuple[list["FlowmeterData"], tuple[tuple[str, Path], ...], bool]
@@ -163,25 +159,31 @@ def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:
     inputs.notes.add("reads", text)
 
 
-def _of_some(
+def _of_each(
     prepared: PreparedReadings, options: tuple[Any, ...], recipe: FlowMapRecipe
 ) -> tuple[list[EdgeFit], list[str]]:
-    """(maps of the edges that logs tell enough of, a sentence for each of the others): a log steps
-    only some edges.
+    """(maps of the edges of which the readings tell enough, a sentence for each of the others).
 
     Raises:
         InsufficientData: no edge has a map.
     """
     from ehbench.flow_maps.tables import run_readings
 
-    fits, without = [], []
+    fits, errors = [], {}
     for edge in prepared.edges:
+        if recipe.method == "steps":
+            more = _shared_errors(recipe, prepared.rig, edge.edge)
+        else:
+            more = {"meter_limit": float(recipe.meter_limit)}
         try:
-            shared = _shared_errors(recipe, prepared.rig, edge.edge)
-            fits += run_readings(replace(prepared, edges=(edge,)), *options, **shared)
+            fits += run_readings(replace(prepared, edges=(edge,)), *options, **more)
         except InsufficientData as error:
-            name, reason = f"{edge.edge} {edge.side}", error.message
-            without.append(message("stages.no_map", edge=name, reason=reason))
+            errors[f"{edge.edge} {edge.side}"] = error
+    without: list[str] = [
+        message("stages.no_map", edge=name, reason=error.message) for name, error in errors.items()
+    ]
+    if not fits and len(errors) == 1:
+        raise next(iter(errors.values()))
     if not fits:
         raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
     return fits, without
