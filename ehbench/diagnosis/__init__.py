@@ -46,7 +46,8 @@ class Finding:
     is ``about`` (a part or a channel), a ``sentence``, the ``remedy`` as a line of recipe or rig
     file, and the share of the residuals' squares that it ``explains``; ``size`` is the fault's
     δ, such as a share of a gain. ``above_noise`` says whether the residuals exceed what
-    the sensors' noise makes."""
+    the sensors' noise makes, ``beyond`` by how many half-widths of its interval an
+    identified number would be off."""
 
     kind: str
     about: str
@@ -55,6 +56,7 @@ class Finding:
     explains: float
     size: float
     above_noise: bool = False
+    beyond: float = 0.0
 
     @property
     def dominant(self) -> bool:
@@ -286,4 +288,5 @@ class _Search:
         rig = self.cases[0].model.rig
         explains, above = float(gain / self.now), self._above_noise
         says, line = fault.sentence(rig, delta), fault.remedy(rig, delta)
-        return Finding(fault.kind, fault.about, says, line, explains, float(delta), above)
+        size, beyond = float(delta), fault.beyond(delta)
+        return Finding(fault.kind, fault.about, says, line, explains, size, above, beyond)

@@ -18,8 +18,8 @@ METHODS: Mapping[str, int] = {
     "output_error": 2,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 2,
-    "validation": 2,
+    "diagnosis": 3,
+    "validation": 3,
     "control": 1,  # controllers
     "tuning": 2,
     "trial": 1,  # the loop and what is measured of it
@@ -35,7 +35,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "hydraulics": (2, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (1, (*_SIMULATED, "frequency_response")),
-    "validation": (3, (*_SIMULATED, "diagnosis", "validation")),
+    "validation": (4, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (1, ("plant", "control", "tuning")),
     "trial": (1, _TRIAL),

@@ -71,7 +71,11 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
         validated, warnings = state.stage == "validated", list(tuning.warnings)
         if not validated:
             warnings.insert(0, message("stages.tuned_unvalidated"))
-        return Work({"rig": state.rig.name, "validated": validated, "warnings": warnings})
+        facts = {"rig": state.rig.name, "validated": validated, "warnings": warnings}
+        reservations = reservations_of(state.origin)
+        if reservations:
+            warnings.insert(0, message("stages.tuned_with_reservation", reason=reservations[0]))
+        return Work(facts | {"reservations": reservations})
 
 
 class TuningStage(_AnyTuningStage[TuneRecipe]):
@@ -131,6 +135,12 @@ class ArcTuningStage(_AnyTuningStage[ArcTuneRecipe]):
 
         assert prepared.study is not None  # a run without operating points is refused
         return self._written(prepared, folder, tune_arc(prepared.study, progress))
+
+
+def reservations_of(origin: Path) -> list[str]:
+    """The reservations under which a validation accepted a rig."""
+    path = origin / "validation.json"
+    return rundir.read_json(path).get("reservations", []) if path.is_file() else []
 
 
 def _validated(recipe: AnyTuning, inputs: Inputs) -> ValidatedRig:

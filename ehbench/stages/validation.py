@@ -111,21 +111,15 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         return [Validation, {"accepted": bool}]
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.diagnosis import ask
         from ehbench.validation import run_validation
 
-        state, recipe = prepared.state, prepared.recipe
-        verdict = run_validation(prepared.validation, recipe.thresholds, progress)
-        if recipe.structure:
-            if progress is not None:
-                progress("diagnosing the residuals", 0.5)
-            verdict = verdict.with_structure(ask(prepared.validation.cases(verdict.logs)))
+        state, recipe, validation = prepared.state, prepared.recipe, prepared.validation
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
             leans = rundir.read_json(intervals).get("leans", [])
-            sentences = tuple(lean["sentence"] for lean in leans)
-            verdict = replace(verdict, reservations=(*sentences, *verdict.reservations))
+            validation = replace(validation, leans=tuple(leans))
+        verdict = run_validation(validation, recipe.thresholds, progress, diagnose=recipe.structure)
         write_rig(folder, state.rig, state.flow_maps)
         others = [item.as_json() for item in recipe.reference]
         additional = {"references": others} if others else {}
@@ -134,12 +128,16 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         work = prepared.done(
             [*prepared.sensors, *verdict.warnings],
             accepted=verdict.accepted,
+            verdict=verdict.verdict,
             reservations=list(verdict.reservations),
         )
         if verdict.accepted:
             return work
+        said = " ".join(verdict.reasons)
         causes = [
-            f"{finding.sentence}; {finding.remedy}" for finding in verdict.structure.findings[:2]
+            f"{item.sentence}; {item.remedy}"
+            for item in verdict.structure.findings[:2]
+            if item.sentence not in said
         ]
         return Work(work.facts, [*verdict.reasons, *causes], REJECTED)
 

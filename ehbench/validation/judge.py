@@ -17,7 +17,7 @@ from ehbench.config.recipe import Thresholds
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis import Case
+from ehbench.diagnosis import Case, ask
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
@@ -41,11 +41,30 @@ from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import GAUGES
+from ehbench.vocabulary.settings import setting
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")
+
+
+@dataclass(frozen=True)
+class VerdictSettings:
+    """Numbers of the verdict on a model."""
+
+    unexplained: float = setting(
+        0.3,
+        "",
+        "rms residual of a channel, share of its spread, from which a reservation is made",
+        "the fit that the template requires",
+    )
+    above_noise: float = setting(
+        3.0, "", "rms residual, in those of the channel's noise, that is more than noise", "99.7 %"
+    )
+
+
+SETTINGS = VerdictSettings()
 _KNOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES, *OF_VALVES)
 
 
@@ -57,7 +76,7 @@ def validate_rig(
     flow_maps: Maps | None = None,
     fitted_on: Collection[str] = (),
     progress: Progress | None = None,
-    where: Callable[..., Mapping[str, Any]] = lambda *location: {},
+    leans: Sequence[Mapping[str, Any]] = (),
 ) -> Validation:
     """Judge a rig on logs.
 
@@ -73,13 +92,14 @@ def validate_rig(
         flow_maps: measured maps by edge name.
         fitted_on: names of those logs that the model was fitted to.
         progress: called with (log, share done).
-        where: file and line of a recipe's key, for the errors: `Recipe.at`.
+        leans: what the fit of the rig is sensitive to: ``fit.as_json()["leans"]``.
 
     Raises:
         InputError: a payload or channel that the rig does not have, no logs, or one that
             `preprocessing.prepare` refuses.
     """
-    prepared = prepare_validation(rig, logs, channels, flow_maps, fitted_on, where)
+    prepared = prepare_validation(rig, logs, channels, flow_maps, fitted_on)
+    prepared = replace(prepared, leans=tuple(leans))
     return run_validation(prepared, thresholds, progress)
 
 
@@ -109,7 +129,8 @@ class JudgedLog:
 @dataclass(frozen=True)
 class PreparedValidation:
     """The input of a validation, before anything is simulated; ``training`` are name and record of
-    logs that the rig was fitted to, for the black box beside it.
+    logs that the rig was fitted to, for the black box beside it, ``leans`` what its fit is
+    sensitive to, as in ``parameters.json``.
     """
 
     rig: Rig
@@ -117,6 +138,7 @@ class PreparedValidation:
     logs: tuple[JudgedLog, ...]
     flow_maps: Maps | None = None
     training: tuple[tuple[str, Record], ...] = ()
+    leans: tuple[Mapping[str, Any], ...] = ()
 
     def cases(self, results: Sequence[LogResult] = ()) -> list[Case]:
         """The logs as `ehbench.diagnosis.ask` takes them, sensors as the results have them."""
@@ -160,10 +182,17 @@ def run_validation(
     thresholds: Thresholds | None = None,
     progress: Progress | None = None,
     workers: int = 0,
+    diagnose: bool = True,
 ) -> Validation:
-    """Judge what `prepare_validation` prepared; arguments as in `validate_rig`.
+    """Judge what `prepare_validation` prepared: by thresholds, by what the residuals say, by what
+    the fit of the rig is sensitive to, by what nothing explains.
 
-    ``workers``: threads, 0 for one a core; the result does not depend on them."""
+    Args:
+        prepared: the logs, the rig and what its fit left.
+        thresholds, progress: as in `validate_rig`.
+        workers: threads, 0 for one a core; the result does not depend on them.
+        diagnose: whether the residuals are asked for faults.
+    """
     required = thresholds or Thresholds()
 
     def judge(log: JudgedLog) -> LogResult:
@@ -186,16 +215,21 @@ def run_validation(
         "response_delay_error": required.response_delay_error
         and float(required.response_delay_error),
     }
-    return Validation(
+    verdict = Validation(
         prepared.rig.name,
         not reasons,
         reasons,
         warnings,
         plain,
         tuple(results),
-        reservations=tuple(better),
+        reservations=(*better, *_unexplained(results)),
         black_box=black_box,
-    )
+    ).with_fit(prepared.leans)
+    if not diagnose:
+        return verdict
+    if progress is not None:
+        progress("diagnosing the residuals", 1.0)
+    return verdict.with_structure(ask(prepared.cases(results)))
 
 
 def prepare_log(
@@ -275,6 +309,25 @@ def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
             yield message("validation.all_fitted", logs=fitted)
         else:
             yield message("validation.no_check")
+
+
+def _unexplained(results: Sequence[LogResult]) -> Iterator[Message]:
+    """The worst channel that the model leaves much of, whatever its noise."""
+    worst = max(
+        (
+            (1.0 - 0.01 * item.fit_percent, log.name, item)
+            for log in results
+            if log.status == "held_out"
+            for item in log.channels
+            if item.fit_percent is not None
+            and 1.0 - 0.01 * item.fit_percent > SETTINGS.above_noise * item.noise_share
+        ),
+        key=lambda entry: entry[0],
+        default=None,
+    )
+    if worst is not None and worst[0] > SETTINGS.unexplained:
+        share, log, item = worst
+        yield message("validation.unexplained", log=log, channel=item.channel, share=share)
 
 
 def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -> LogResult:

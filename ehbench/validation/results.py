@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,15 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from ehbench.diagnosis import Structure
+from ehbench.diagnosis import DOMINANT, Finding, Structure
 from ehbench.frequency_response.response import Curve
 from ehbench.preprocessing.observations import rings_clearly
 from ehbench.runs.rundir import read_json
 from ehbench.signals.series import Ringing
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.terms import BEYOND
 
 
 @dataclass(frozen=True)
@@ -238,21 +240,30 @@ class Validation:
         return "accepted with reservation" if self.reservations else "accepted"
 
     def with_structure(self, structure: Structure) -> Validation:
-        """With what the residuals say; a cause of most of a residual above the noise is a
-        reservation.
+        """With what the residuals say: a cause of most of a residual above the noise is a
+        reservation, and a reason to reject the model where an identified number would leave its
+        interval.
         """
-        causes = [
-            message(
-                "validation.cause",
-                share=cause.explains,
-                cause=cause.sentence,
-                remedy=cause.remedy,
-            )
-            for cause in structure.findings
-            if cause.dominant
-        ]
-        reservations = (*self.reservations, *causes[:1])
-        return replace(self, structure=structure, reservations=reservations)
+        causes = [cause for cause in structure.findings if cause.dominant][:1]
+        return replace(self, structure=structure).weighed(
+            [_cause(item) for item in causes], [item.beyond > BEYOND for item in causes]
+        )
+
+    def with_fit(self, leans: Sequence[Mapping[str, Any]]) -> Validation:
+        """With the fixed numbers to which the fit of the rig is sensitive, as ``leans`` of its
+        ``parameters.json``: each is a reservation, and a reason to reject the model where it makes
+        most of what the fit leaves, as an estimate then leaves its interval.
+        """
+        reject = [item["explains"] > DOMINANT for item in leans]
+        return self.weighed([item["sentence"] for item in leans], reject)
+
+    def weighed(self, texts: Sequence[str], reject: Sequence[bool]) -> Validation:
+        """With texts that speak against the model; some of them reject it."""
+        pairs = list(zip(texts, reject, strict=True))
+        reasons = (*self.reasons, *(text for text, fatal in pairs if fatal))
+        reservations = (*self.reservations, *(text for text, fatal in pairs if not fatal))
+        accepted = self.accepted and not any(reject)
+        return replace(self, accepted=accepted, reasons=reasons, reservations=reservations)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for ``validation.json``; `read_validation` is the way back."""
@@ -273,6 +284,12 @@ class Validation:
             for log in self.logs
             if log.series
         }
+
+
+def _cause(cause: Finding) -> Message:
+    """What a finding says against a model."""
+    fields = {"share": cause.explains, "cause": cause.sentence, "remedy": cause.remedy}
+    return message("validation.cause", **fields)
 
 
 def read_validation(path: Path) -> Validation:

@@ -194,7 +194,7 @@ def test_a_limit_stops_a_trial_with_5_and_keeps_the_log(workspace, inside, undra
 
 def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, inside, undrawn, tmp_path):
     """Of the fit that stands in the workspace, if the test above has left it there."""
-    slip = ("recipes/validate.toml", "p_head = 40", "p_head = 99.9")
+    slip = ("recipes/validate.toml", "p_head = 70", "p_head = 99.9")
     copy = broken(workspace, tmp_path, *slip, without="report_*")
     done = inside("validate", "recipes/validate.toml", "--out", "judged", cwd=copy)
     assert done.returncode == 4, done.stderr

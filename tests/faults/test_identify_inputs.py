@@ -21,7 +21,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
-from ehbench.validation import validate_rig
+from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -531,7 +531,7 @@ def test_unknown_parameters_and_payloads_say_file_and_line(tmp_path):
     with pytest.raises(
         InputError, match="log: rig 'crane_proportional' has no payload '300 kg'"
     ) as caught:
-        validate_rig(rig(), [("log", heavy)], where=recipe.at)
+        prepare_validation(rig(), [("log", heavy)], where=recipe.at)
     assert caught.value.line == 4
 
 

@@ -68,9 +68,7 @@ def test_the_tutorial_leads_from_raw_files_to_a_trial(inside, undrawn, tmp_path,
 
 
 @pytest.mark.slow
-def test_the_tutorials_model_without_its_delay_is_accepted_with_reservation(
-    undrawn, tmp_path, monkeypatch
-):
+def test_the_tutorials_model_without_its_delay_is_rejected(undrawn, tmp_path, monkeypatch):
     """And a validation takes over the lag that the fit found."""
     for name in ("recipes", "datasets"):
         (tmp_path / name).symlink_to(ROOT / name)
@@ -84,8 +82,8 @@ def test_the_tutorials_model_without_its_delay_is_accepted_with_reservation(
             exec(compile(text, "tutorial.md", "exec"), {"__name__": "tutorial"})
     outcome = workflow.run(tmp_path / "judge_better.toml", workflow.Session(root=tmp_path))
     verdict = outcome.json("validation")
-    assert verdict["accepted"] and verdict["verdict"] != "accepted"
+    assert verdict["verdict"] == "rejected"
     assert any(
-        "press.servo.command" in text and "bulk_modulus" in text for text in verdict["reservations"]
+        "press.servo.command" in text and "bulk_modulus" in text for text in verdict["reasons"]
     )
     assert any("press.v is taken with" in note and " 4.9 " in note for note in outcome.notes)

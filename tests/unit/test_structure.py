@@ -14,7 +14,7 @@ from ehbench.diagnosis import Case, ask
 from ehbench.diagnosis.faults import hypotheses
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
-from ehbench.validation import prepare_validation, run_validation
+from ehbench.validation import validate_rig
 from tests.virtual_logs import RIGS, clean_log, noisy, virtual_log
 from tools.studies.structure_study import Fault, asked, faults, log_of
 
@@ -85,9 +85,7 @@ def test_a_cause_of_most_of_the_residual_is_a_reservation(name, factor):
     wrong = rig.with_values({name: factor * float(rig.parameters()[name])})
     verdicts = {}
     for judged in (rig, wrong):
-        prepared = prepare_validation(judged, [("log", log)])
-        verdict = run_validation(prepared)
-        verdicts[judged is rig] = verdict.with_structure(ask(prepared.cases(verdict.logs)))
+        verdicts[judged is rig] = validate_rig(judged, [("log", log)])
     assert verdicts[True].verdict == "accepted"
     assert verdicts[False].verdict == "accepted with reservation"
     (reservation,) = verdicts[False].reservations

@@ -371,7 +371,7 @@ def test_threads_and_order_do_not_change_the_result(arm, boom, swing, accepted):
         taken, progress=lambda name, share: told.append((name, share)), workers=1
     )
     assert again == accepted
-    assert told == [("boom", 0.5), ("swing", 1.0)]
+    assert told[:2] == [("boom", 0.5), ("swing", 1.0)]
 
 
 @pytest.mark.parametrize(

@@ -198,7 +198,6 @@ def judged(trial: Trial) -> Outcome:
     """What `ehbench.validation` says of a trial."""
     from ehbench import load_rig
     from ehbench.data import read
-    from ehbench.diagnosis import ask
     from ehbench.validation import prepare_validation, run_validation
 
     case = case_of(trial)
@@ -217,7 +216,6 @@ def judged(trial: Trial) -> Outcome:
         prepared = prepare_validation(load_rig(rig), records[:1], words)
     prepared = replace(prepared, training=tuple(records[1:]))
     result = run_validation(prepared, workers=1)
-    result = result.with_structure(ask(prepared.cases(result.logs)))
     findings = [f"{item.sentence} → {item.remedy}" for item in result.structure.findings]
     pattern = ERRORS[trial.error].cause if trial.error else "$^"
     return Outcome(

@@ -19,6 +19,7 @@ from ehbench.parts.fault import Fault
 from ehbench.preprocessing.sensors import Term
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import Message, message, templates
+from ehbench.vocabulary.terms import Z95
 
 # how sure a number of the rig file is by its source, the least sure first
 CERTAINTY = ("assumed", "restored", "companion", "datasheet", "printed", "identified")
@@ -28,7 +29,7 @@ Edit = tuple[tuple[Any, ...], str, dict[str, Any], dict[str, Any]]
 @dataclass(frozen=True)
 class Number:
     """A number of the rig that a fault moves [SI]: what it is at δ = 0, by how much a unit of δ
-    moves it, where searches begin and end.
+    moves it, where searches begin and end, how sure it is and its standard error.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Number:
     starts: tuple[float, ...]
     upper: float | None
     sure: str
+    std: float | None = None
 
     @classmethod
     def of(cls, fault: Fault, key: str, name: str, known: Value | None, scales: Scales) -> Number:
@@ -52,7 +54,8 @@ class Number:
             starts = (max(here, scales.of(fault.start)) if fault.start else here,)
         upper = scales.of(fault.upper) if fault.upper is not None else None
         upper = None if known is not None and known.upper is not None else upper
-        return cls(name, here, unit, starts, upper, "assumed" if known is None else known.sure)
+        sure, std = ("assumed", None) if known is None else (known.sure, known.std)
+        return cls(name, here, unit, starts, upper, sure, std)
 
     def at(self, delta: float) -> float:
         """Its value with a fault of size δ; of what is not negative no less than zero."""
@@ -105,6 +108,17 @@ class Hypothesis:
         sure = [number.sure for number in self.numbers if number.unit != 0.0]
         ranks = [CERTAINTY.index(s) if s in CERTAINTY else len(CERTAINTY) for s in sure]
         return min(ranks, default=0)
+
+    def beyond(self, delta: float) -> float:
+        """By how many half-widths of its interval a fault of size δ moves an identified number."""
+        return max(
+            (
+                abs(delta * n.unit) / (Z95 * n.std)
+                for n in self.numbers
+                if n.sure == "identified" and n.std
+            ),
+            default=0.0,
+        )
 
     @property
     def bounds(self) -> tuple[float, float]:
