@@ -138,7 +138,10 @@ class FaultyMachine:
         size = high
         if fault.value is not None:
             word = "command" if kind.place == "valve" else fault.target.rsplit(".", 1)[-1]
-            size = float(read_value(fault.value, VOCABULARY[word]))
+            try:
+                size = float(read_value(fault.value, VOCABULARY[word]))
+            except InputError as error:
+                raise InputError(error.message, **where, hint=error.hint) from None
         elif kind.needs:
             raise InputError(message("machines.fault_value", kind=fault.kind), **where)
         return Failure(fault, index, size, tick, rest, high)

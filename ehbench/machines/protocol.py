@@ -169,6 +169,16 @@ def stamp_of(machine: Machine) -> Stamp | None:
     return getattr(machine, "stamp", None)
 
 
+def unmeasured_of(machine: Machine) -> tuple[str, ...]:
+    """The channels that a machine has no sensor for, nan in every sample; none by default."""
+    return getattr(machine, "unmeasured", ())
+
+
+def in_real_time(machine: Machine) -> bool:
+    """Whether a machine goes on while its controller thinks; a simulation waits."""
+    return getattr(machine, "real_time", False)
+
+
 def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:
     """What makes of a machine the same one with other noise of its sensors, by a seed; None of one
     whose noise nobody chooses.

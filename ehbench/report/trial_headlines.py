@@ -39,9 +39,11 @@ def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
 
 def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     """The largest error of the controller that tracks best, of motions that are no steps: that of
-    the tip where there is one.
+    the tip where there is one. A four-way valve that others are compared with is no choice.
     """
+    spools = [item.case for item in savings_of(cases) if item.is_spool]
     fit = [case for case in cases if case.fit and not case.steps]
+    fit = [case for case in fit if case not in spools] or fit
     tips = [case for case in fit if case.row.get("tip")]
     kind, quantity = ("tip", "tip_error") if tips else ("tracking", "x")
 

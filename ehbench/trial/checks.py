@@ -56,7 +56,7 @@ def limit_array(limits: Limits, rig: Rig) -> np.ndarray:
 
 def checks_of(
     limits: Limits,
-    sample: np.ndarray,
+    measured: np.ndarray,
     cylinders: np.ndarray,
     rows: int,
     driven: Sequence[Driven] = (),
@@ -66,7 +66,7 @@ def checks_of(
 
     Args:
         limits: of the recipe.
-        sample: the first [SI]; a channel that is not finite there is one that nobody measures.
+        measured: which channels of the sample the machine has a sensor for.
         cylinders: of the rig's plant.
         rows: of the trial.
         driven: the cylinders that it moves.
@@ -87,7 +87,7 @@ def checks_of(
             desired[: len(table), index] = table[:rows, 0]
     return Checks(
         np.ones(1, dtype=np.bool_),
-        np.isfinite(sample),
+        measured,
         cylinders,
         desired,
         bound(limits.following_error, CHECKS.following),

@@ -15,7 +15,15 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.functions import RULES, pack_rules
 from ehbench.control.records import blank
-from ehbench.machines.protocol import Machine, carry_of, hidden_of, plays_of, seeded_of, truth_of
+from ehbench.machines.protocol import (
+    Machine,
+    carry_of,
+    hidden_of,
+    plays_of,
+    seeded_of,
+    truth_of,
+    unmeasured_of,
+)
 from ehbench.machines.registry import open_machine
 from ehbench.machines.rows import LIMITS, Checks, Rows, violated
 from ehbench.plant.model import Model
@@ -83,12 +91,12 @@ class Aftermath:
     """What a trial did after a limit had stopped it.
 
     ``ramp`` [s] in which the valves went to rest; ``seconds`` [s] from the stop to the end of the
-    log; ``still`` whether it then stood; ``beyond`` what went beyond a limit, by limit and channel;
-    ``sentence`` says so in the units of the rig file."""
+    log; ``still`` whether it then stood, None where no sound sensor says; ``beyond`` what went
+    beyond a limit, by limit and channel; ``sentence`` says so in the units of the rig file."""
 
     ramp: float
     seconds: float
-    still: bool
+    still: bool | None
     beyond: tuple[Excess, ...]
     sentence: Message
 
@@ -211,7 +219,7 @@ class Prepared:
             sample,
             self.limits.copy(),
             machine.strokes,
-            self._checks(sample, t.size),
+            self._checks(machine, t.size),
             np.zeros(3, dtype=np.int64),
             np.zeros(2),
         )
@@ -223,11 +231,12 @@ class Prepared:
             sample[machine.channels.index(channel)] += float(error)
         return rows
 
-    def _checks(self, sample: np.ndarray, rows: int) -> Checks:
+    def _checks(self, machine: Machine, rows: int) -> Checks:
         """What every sample is compared with, from the first on."""
-        loop = self.loop
+        loop, absent = self.loop, unmeasured_of(machine)
+        measured = np.array([name not in absent for name in machine.channels])
         driven, laws = ((), None) if loop is None else (loop.driven, loop.laws)
-        return checks_of(self.recipe.limits, sample, self.cylinders, rows, driven, laws)
+        return checks_of(self.recipe.limits, measured, self.cylinders, rows, driven, laws)
 
     def reached(self, machine: Machine, rows: Rows, row: int) -> Stop:
         """The limit that `violated` met in a row."""
@@ -250,7 +259,7 @@ class Prepared:
             sentence = message("trial.limit_passed", bound=edge, **fields)
         return Stop(limit, channel, value, bound, t, sentence)
 
-    def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool) -> Aftermath:
+    def aftermath(self, machine: Machine, rows: Rows, span: slice, still: bool | None) -> Aftermath:
         """What the rows ``span`` after a stop say; ``still`` whether it stood at their end."""
         ramp, beyond = float(self.recipe.limits.ramp), []
         samples = rows.samples[span]
@@ -278,7 +287,9 @@ class Prepared:
         sentence = self._after(ramp, seconds, still, beyond)
         return Aftermath(ramp, seconds, still, tuple(beyond), sentence)
 
-    def _after(self, ramp: float, seconds: float, still: bool, beyond: list[Excess]) -> Message:
+    def _after(
+        self, ramp: float, seconds: float, still: bool | None, beyond: list[Excess]
+    ) -> Message:
         sentences = ""
         for item in beyond:
             word = item.channel.rsplit(".", 1)[-1]
@@ -290,7 +301,9 @@ class Prepared:
             "trial.after_stop",
             shut=f"within {ramp:.3g} s" if ramp else "at once",
             seconds=seconds,
-            stood="it stood still" if still else "it still moved",
+            stood={True: "it stood still", False: "it still moved", None: "no sensor says whether"}[
+                still
+            ],
             beyond=sentences,
         )
 

@@ -240,7 +240,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
         counts = {"count": law.beyond, "ticks": session.end}
         warnings.append(message("trial.beyond_driver", label=law.label, **counts))
     if law is not None and prepared.loop is not None:
-        rows = session.end if stop is None else round(stop.t * rate) + 1
+        rows = session.end if stop is None else max(round(stop.t * rate) + 1, 2)
         parts = law.parts if isinstance(law, Laws) else (law,)
         results = {}
         for item, part in zip(prepared.loop.driven, parts, strict=True):

@@ -21,10 +21,11 @@ from ehbench.machines.protocol import (
     advance_of,
     carry_of,
     hidden_of,
+    in_real_time,
     stamp_of,
     truth_of,
 )
-from ehbench.machines.rows import Controls, LawRows, Rows, control, violated
+from ehbench.machines.rows import AGE, LIMITS, MISMATCH, Controls, LawRows, Rows, control, violated
 from ehbench.parts.sample import LineEntries
 from ehbench.runtime.interrupts import unbroken
 from ehbench.trial.controllers import Compiled, Laws
@@ -88,6 +89,7 @@ class Session:
         self._logged = [item for item in self._logged if measured[item[0]]]
         self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that were no numbers
         self.law = prepared.law(machine)
+        self._refuse_blind(measured)
         self._packed = _packed(self.law)
         self._step = getattr(self.law, "step", None)
         self._bind = advance_of(machine) if fast else None
@@ -99,9 +101,24 @@ class Session:
         self._halted, self._next_look = 0, sys.maxsize
         self._sent = machine.commands.rest.copy()  # the last command that the machine got
         stamp = stamp_of(machine)
-        self._missed, self._real_time = 0.0, getattr(machine, "real_time", False)
+        self._missed, self._real_time = 0.0, in_real_time(machine)
         self.stamps = None if stamp is None else np.zeros((prepared.t.size, len(STAMPS)))
         self._stretch = max(1, round(SESSION.look * machine.rate))
+
+    def _refuse_blind(self, measured: np.ndarray) -> None:
+        """Refuse a law that needs a channel for which the machine has no sensor.
+
+        Raises:
+            InputError: names the channels.
+        """
+        for part in self.law.parts if isinstance(self.law, Laws) else ():
+            blind = np.flatnonzero(part.controller.observed & ~measured)
+            if blind.size:
+                names = ", ".join(self.machine.channels[i] for i in blind)
+                fields = {"law": part.law.name, "machine": self.machine.name, "channels": names}
+                raise InputError(
+                    message("trial.blind_law", **fields), **self.prepared.recipe.at("controller")
+                )
 
     def run(
         self,
@@ -251,12 +268,16 @@ class Session:
         stretch = self.rows.samples[row - self._stretch : row]
         speeds = [i for i, name in enumerate(self.machine.channels) if name.endswith(".v")]
         still = bool((np.abs(stretch[:, speeds]) < SESSION.still).all())
-        if still:
+        late = self.rows.checks.stamp[2] > self.rows.limits[AGE]
+        doubted = self.stop is not None and self.stop.limit == LIMITS[MISMATCH]
+        sound = bool(np.isfinite(self.rows.sample[speeds]).all()) and not late and not doubted
+        if still and sound:
             self.end = row
         self._next_look = min(row + self._stretch, self.end)
         if row == self.end:
             span = slice(self._halted, self.end)
-            self.after = self.prepared.aftermath(self.machine, self.rows, span, still)
+            known = still if sound else None
+            self.after = self.prepared.aftermath(self.machine, self.rows, span, known)
 
     @property
     def true_strokes(self) -> np.ndarray | None:

@@ -11,6 +11,7 @@ import pytest
 
 from ehbench.config.recipe import Fault, Limits, TrialRecipe, load_recipe, load_rig
 from ehbench.data import read_log
+from ehbench.machines.protocol import Stamp
 from ehbench.trial.preparation import prepare
 from ehbench.trial.running import run
 from ehbench.trial.session import Session
@@ -149,3 +150,44 @@ def test_both_paths_of_a_session_stop_at_the_same_row():
         session.run()
         rows.append((session.end, session.stop))
     assert rows[0] == rows[1]
+
+
+def test_a_sensor_that_is_dead_from_the_start_is_refused():
+    with pytest.raises(InputError) as error:
+        run(prepared({"kind": "nan", "target": "boom.p_head", "start": "0 s"}))
+    assert error.value.key == "trial.start_limit"
+
+
+@pytest.mark.parametrize(("channel", "needed"), [("swing.p_head", False), ("boom.p_head", True)])
+def test_a_channel_without_sensor_is_in_no_log_and_refused_where_a_law_needs_it(channel, needed):
+    trial = prepared()
+
+    def sense(tick, sample, probe):
+        sample[probe.channels.index(channel)] = np.nan
+        return sample
+
+    probe = Probe(trial.machine, sense)
+    probe.unmeasured = (channel,)
+    if needed:
+        with pytest.raises(InputError) as error:
+            run(trial, probe)
+        assert error.value.key == "trial.blind_law" and not probe.sent
+    else:
+        result = run(trial, probe)
+        assert result.facts.stop is None and channel not in result.record.channels
+
+
+def test_a_controller_that_takes_too_long_stops_a_machine_in_real_time(monkeypatch):
+    trial = prepared()
+    probe = Probe(trial.machine, lambda tick, sample, probe: sample)
+    probe.real_time, probe.stamp = True, Stamp(0.0, 0, 0.0)
+    clock = iter(np.arange(0.0, 1e6, 0.03))  # each look at the clock is 30 ms later
+    monkeypatch.setattr("ehbench.trial.session.time.monotonic", lambda: float(next(clock)))
+    stop = run(trial, probe).facts.stop
+    assert stop is not None and stop.limit == "overrun" and stop.value == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("fault", [{"kind": "nan", "target": "boom.x"}, {"kind": "link_lost"}])
+def test_a_standstill_that_no_sensor_shows_is_not_claimed(fault):
+    after = run(prepared(fault)).facts.after
+    assert after is not None and after.still is None
