@@ -23,20 +23,29 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ehbench.app.inspection import Inspection
     from ehbench.config.recipe import load_rig as load_rig
+    from ehbench.data import Record
     from ehbench.data import read_log as read_log
+    from ehbench.machines.protocol import Machine as Machine
     from ehbench.physics.flow_map import load_flow_maps as load_flow_maps
     from ehbench.plant.model import simulate as simulate
+    from ehbench.trial import Facts
+    from ehbench.trial.stepping import Controller as Controller
     from ehbench.vocabulary.progress import Progress
     from ehbench.workflow import Outcome, Session
 
 __all__ = [
+    "Controller",
+    "Machine",
     "check",
     "identify",
     "load_flow_maps",
     "load_rig",
+    "open_controller",
+    "open_machine",
     "read_log",
     "report",
     "run",
+    "run_on",
     "run_trial",
     "simulate",
     "tune",
@@ -45,6 +54,8 @@ __all__ = [
 
 # imported when first used, so that `import ehbench` and `ehbench --help` are quick
 _HOME = {
+    "Controller": "ehbench.trial.stepping",
+    "Machine": "ehbench.machines.protocol",
     "load_flow_maps": "ehbench.physics.flow_map",
     "load_rig": "ehbench.config.recipe",
     "read_log": "ehbench.data",
@@ -162,6 +173,93 @@ def run_trial(
     Arguments and errors as in `run`.
     """
     return _run(recipe, "run-trial", out, progress, allow_code=allow_code)
+
+
+def open_machine(
+    file: str | Path, *, payload: str | None = None, rate: float = 1000.0, allow_code: bool = False
+) -> Machine:
+    """A machine to step from Python: the model of a rig, or the machine of a trial's recipe.
+
+    Example:
+        machine = ehbench.open_machine("recipes/rigs/slide_servo.toml", payload="100 kg")
+        machine.start({"press": "100 mm"})
+        sample = dict(zip(machine.channels, machine.tick([2.0])))
+
+    ``copy.deepcopy(machine)`` of a model is a machine in the same state: to look ahead.
+
+    Args:
+        file: a rig file, a run folder with a rig, or a recipe of stage ``trial``.
+        payload: of the rig; that of a recipe is in the recipe.
+        rate: ticks a second [Hz]; as above.
+        allow_code: as in `run`.
+
+    Raises:
+        InputError: a bad file, no such payload.
+    """
+    from ehbench import workflow
+
+    session = _session(None, None, allow_code=allow_code)
+    return workflow.machine_of(Path(file), payload, rate, session)
+
+
+def open_controller(
+    recipe: str | Path, *, allow_code: bool = False, unvalidated: bool = False
+) -> Controller:
+    """The controller of a trial's recipe, to step from Python on a plant of your own.
+
+    Example:
+        recipe = "recipes/trials/own_controller.toml"
+        controller = ehbench.open_controller(recipe, allow_code=True)
+        machine = ehbench.open_machine(recipe, allow_code=True)
+        sample = machine.start(controller.posture, controller.low_side)
+        controller.start(sample)
+        volts = controller.step(sample)
+
+    Arguments and errors as in `run`.
+    """
+    from ehbench import workflow
+    from ehbench.trial.stepping import RecipeController
+
+    session = _session(None, None, allow_code=allow_code, unvalidated=unvalidated)
+    return RecipeController(workflow.prepared_trial(recipe, session))
+
+
+def run_on(
+    recipe: str | Path,
+    machine: Machine,
+    *,
+    log: str | Path | None = None,
+    progress: Progress | None = None,
+    allow_code: bool = False,
+) -> tuple[Record, Facts]:
+    """Run a trial's recipe, limits and all, on a `Machine` of your own; it is closed afterwards.
+
+    Example:
+        rig = "recipes/rigs/slide_servo.toml"
+        machine = ehbench.open_machine(rig, payload="100 kg")
+        recipe = "recipes/trials/own_controller.toml"
+        record, facts = ehbench.run_on(recipe, machine, allow_code=True)
+
+    Args:
+        recipe: of stage ``trial``; its rig says what the machine's channels and valves are called.
+        machine: with the channels, commands and rate of the recipe.
+        log: where to write the log as it comes (``.mcap``).
+        progress: called with a sentence and the share done.
+        allow_code: as in `run`.
+
+    Returns:
+        The record, and the facts of ``trial.json``.
+
+    Raises:
+        InputError: a machine that does not fit the recipe; as `run`.
+    """
+    from ehbench import trial, workflow
+    from ehbench.trial.stepping import refuse_other
+
+    prepared = workflow.prepared_trial(recipe, _session(None, None, allow_code=allow_code))
+    refuse_other(machine, prepared)
+    result = trial.run(prepared, machine, None if log is None else Path(log), progress, fast=False)
+    return result.record, result.facts
 
 
 def run(

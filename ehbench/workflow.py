@@ -17,20 +17,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ehbench import stages
-from ehbench.config.recipe import Recipe, load_recipe
+from ehbench.config.recipe import Recipe, TrialRecipe, kind_of, load_recipe, load_rig
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Certificates, Workers
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
 from ehbench.stages.campaign import write_report
 from ehbench.stages.dry_run import CircularRecipes
-from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
+from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
 from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 
 if TYPE_CHECKING:
     from ehbench.guidance.suggestions import Suggestions
+    from ehbench.machines.protocol import Machine
     from ehbench.stages.planning import NextTest
+    from ehbench.trial.preparation import Prepared
 
 __all__ = [
     "DONE",
@@ -45,7 +47,9 @@ __all__ = [
     "ValidatedRig",
     "Workers",
     "expect_stage",
+    "machine_of",
     "next_test",
+    "prepared_trial",
     "profile",
     "report",
     "run",
@@ -169,6 +173,36 @@ def next_test(folder: Path, name: str | None = None, session: Session | None = N
     if session.out is not None:
         result.write(session.out)
     return result
+
+
+def prepared_trial(path: Path | str, session: Session | None = None) -> Prepared:
+    """The trial of a recipe before its first tick, with all that the recipe names.
+
+    Raises:
+        EhbenchError: as `run`; a recipe of another stage.
+    """
+    from ehbench.stages.trial import TrialStage
+
+    recipe, session = load_recipe(path), session or Session()
+    if not isinstance(recipe, TrialRecipe):
+        raise InputError(message("stages.no_trial", stage=recipe.stage_name), file=recipe.path)
+    return TrialStage().prepare(recipe, session.inputs(recipe)).trial
+
+
+def machine_of(
+    path: Path, payload: str | None, rate: float, session: Session | None = None
+) -> Machine:
+    """The machine of a trial's recipe, or the model of a rig file or run folder.
+
+    Raises:
+        EhbenchError: no such payload, as `prepared_trial`.
+    """
+    from ehbench.machines.simulated import SimulatedMachine
+    from ehbench.plant.model import Model
+
+    if path.is_file() and kind_of(path) == "recipe":
+        return prepared_trial(path, session).machine
+    return SimulatedMachine(Model.of(load_rig(path), maps_in(path), payload), rate)
 
 
 @one_thread()

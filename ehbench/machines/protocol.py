@@ -9,7 +9,7 @@ can do stands behind an attribute of its own that a machine may have or lack: se
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -60,8 +60,14 @@ class Stamp(NamedTuple):
     age: float
 
 
+@runtime_checkable
 class Machine(Protocol):
     """A machine that a trial runs on.
+
+    Example:
+        machine: ehbench.Machine = ehbench.open_machine("recipes/rigs/slide_servo.toml")
+        sample = machine.start()
+        assert isinstance(machine, ehbench.Machine) and len(sample) == len(machine.channels)
 
     Making one moves nothing and reaches for nothing outside: that begins with `start`, which may be
     called again and then begins anew.

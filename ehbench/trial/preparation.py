@@ -198,20 +198,12 @@ class Prepared:
             return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
         return laws.afresh(plays_of(machine))
 
-    def first_rows(self, machine: Machine, count: int | None = None) -> Rows:
-        """The rows before the first tick, the machine at rest.
-
-        Args:
-            machine: is started.
-            count: how many of the trial's rows; by default all.
-
-        Raises:
-            InputError: a posture that the machine cannot take; a limit reached before the start.
+    def rows(self, machine: Machine, sample: np.ndarray, count: int | None = None) -> Rows:
+        """Rows as they are before the first tick; arguments as in `first_rows`, ``sample`` is the
+        present one.
         """
-        known, t, recipe = truth_of(machine) or hidden_of(machine), self.t[:count], self.recipe
-        with controllers.located(recipe, "posture"):
-            sample = machine.start(self.posture, self.low_side)
-        rows = Rows(
+        known, t = truth_of(machine) or hidden_of(machine), self.t[:count]
+        return Rows(
             t,
             self.table[:count].copy(),
             np.empty((t.size, sample.size)),
@@ -223,6 +215,21 @@ class Prepared:
             np.zeros(3, dtype=np.int64),
             np.zeros(2),
         )
+
+    def first_rows(self, machine: Machine, count: int | None = None) -> Rows:
+        """The rows before the first tick, the machine at rest.
+
+        Args:
+            machine: is started.
+            count: how many of the trial's rows; by default all.
+
+        Raises:
+            InputError: a posture that the machine cannot take; a limit reached before the start.
+        """
+        recipe = self.recipe
+        with controllers.located(recipe, "posture"):
+            sample = machine.start(self.posture, self.low_side)
+        rows = self.rows(machine, sample, count)
         if violated(rows, 0):
             reached = self.reached(machine, rows, 0)
             problem = message("trial.start_limit", stop=reached.sentence)

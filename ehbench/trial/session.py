@@ -90,7 +90,7 @@ class Session:
         self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that were no numbers
         self.law = prepared.law(machine)
         self._refuse_blind(measured)
-        self._packed = _packed(self.law)
+        self._packed = packed(self.law)
         self._step = getattr(self.law, "step", None)
         self._bind = advance_of(machine) if fast else None
         often = self._step is not None
@@ -369,7 +369,7 @@ def _parts(law: Laws | UserCode | None) -> tuple[Compiled | UserCode, ...]:
     return (law,) if isinstance(law, UserCode) else law.parts
 
 
-def _packed(law: Laws | UserCode | None) -> Controls | None:
+def packed(law: Laws | UserCode | None) -> Controls | None:
     """Built-in controllers as compiled code takes them; None for a class that steps in Python."""
     if law is None or isinstance(law, UserCode):
         return None
