@@ -79,7 +79,7 @@ class FrictionLaw:
         """Columns of a cylinder of the rig file: of its own table, else of the cylinder."""
         own = cylinder.friction
         names = [name for name, _ in self.columns]
-        return {key: float(getattr(own, key, None) or getattr(cylinder, key)) for key in names}
+        return {key: float(getattr(own if hasattr(own, key) else cylinder, key)) for key in names}
 
     def resistance(self) -> Callable:
         """``force(row, v, y)`` of a law with or without states."""
