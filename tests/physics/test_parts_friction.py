@@ -39,6 +39,7 @@ TABLES["lugre"] = TABLES["stribeck"] | {
     "bristle_stiffness": "4000 N/mm",
     "bristle_damping": "2000 N*s/m",
 }
+TABLES["directional"] = {"friction_retracting": "130 N"}
 STIFFNESS, DAMPING = 4.0e6, 2.0e3
 VISCOUS, COULOMB, STATIC, DIP = 300.0, 80.0, 160.0, 0.02
 
@@ -62,6 +63,16 @@ def steady(v: float) -> float:
     """Stribeck's curve of the tables, not smoothed."""
     dip = (STATIC - COULOMB) * math.exp(-((v / DIP) ** 2))
     return math.copysign(COULOMB + dip, v) + VISCOUS * v
+
+
+@pytest.mark.parametrize("retracting", [130.0, 0.0])
+def test_friction_of_either_direction_is_its_own(retracting):
+    table = {"friction_retracting": f"{retracting} N"}
+    row = Model.of(rig_with("directional", **table)).plant.cylinders[0]
+    for v, coulomb in ((0.05, COULOMB), (-0.05, retracting)):
+        assert friction_steady(row, v) == pytest.approx(math.copysign(coulomb, v) + VISCOUS * v)
+        assert friction_loss(row, v, np.zeros(0)) == pytest.approx(friction_steady(row, v) * v)
+    assert friction_steady(row, 0.0) == 0.0
 
 
 def test_stribeck_is_the_curve_beyond_its_smoothing():
@@ -217,7 +228,8 @@ def test_the_integrator_keeps_its_order(law):
     for _ in range(400):  # under way
         rk4(start, command, model.plant, 5e-4, k, work)
     ends = []
-    first = {"stribeck": 50, "lugre": 400}[law]  # so fine that the guard takes no substeps
+    # so fine that the guard takes no substeps
+    first = {"stribeck": 50, "lugre": 400, "directional": 50}[law]
     for steps in (first, 2 * first, 16 * first):
         y = start.copy()
         for _ in range(steps):
@@ -239,7 +251,8 @@ def test_the_linear_model_has_its_steady_slope(law):
     circuit = circuit_of(model, 0)
     here = equivalent(model, 0, np.array([0.2]))
     point = operating_point(model, circuit, 1, here, 0, Aim(7e5, 7e5, speed=0.03))
-    assert point.friction == pytest.approx((steady(0.0301) - steady(0.0299)) / 2e-4, rel=1e-3)
+    dip = (steady(0.0301) - steady(0.0299)) / 2e-4
+    assert point.friction == pytest.approx(VISCOUS if law == "directional" else dip, rel=1e-3)
     ours, plant = development_model(model, point), plant_model(model, point)
     assert ours.states == plant.states
     # differences over 1e-5 m/s are good to 1e-4 of a slope that bends within millimetres a second

@@ -5,10 +5,10 @@ To add one: write its file after ``stribeck.py`` (``lugre.py`` has a state) and 
 
 from __future__ import annotations
 
-from ehbench.parts.friction import coulomb_viscous, lugre, stribeck
+from ehbench.parts.friction import coulomb_viscous, directional, lugre, stribeck
 from ehbench.runtime.compiled import choice, part_kernel
 
-LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW)
+LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW, directional.LAW)
 TABLES = tuple(law.table for law in LAWS)
 FAULTS = (*coulomb_viscous.FAULTS, *stribeck.FAULTS, *lugre.FAULTS)
 COLUMNS = tuple(dict.fromkeys(column for law in LAWS for column in law.columns))

@@ -1,0 +1,51 @@
+"""Coulomb friction that differs for extending and retracting, as seals of a rod and a piston do.
+
+A rod seal under pressure from one side drags more when it moves with the pressure than against it.
+Through zero speed both values are smoothed as in `coulomb_viscous`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
+from ehbench.parts.friction.law import FrictionLaw, FrictionTable
+from ehbench.physics.friction import coulomb_viscous
+from ehbench.runtime.compiled import part_kernel
+from ehbench.vocabulary.fields import Q, Value
+
+
+class Directional(FrictionTable):
+    """``F = viscous·v + C tanh(v/v_s)``: C is the cylinder's ``friction_coulomb`` while it extends
+    and ``friction_retracting`` while it retracts.
+    """
+
+    law: Literal["directional"]
+    friction_retracting: Annotated[Value, Q("friction_retracting")]
+
+
+@part_kernel
+def steady(row, v):
+    """Resistance [N] at a steady speed v [m/s]."""
+    coulomb = row.friction_coulomb if v >= 0.0 else row.friction_retracting
+    return coulomb_viscous(v, row.friction_viscous, coulomb, COULOMB_SPEED)
+
+
+@part_kernel
+def fastest(row, v):
+    """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
+    coulomb = max(row.friction_coulomb, row.friction_retracting)
+    steep = 0.0 if abs(v) > 4.0 * COULOMB_SPEED else coulomb / COULOMB_SPEED
+    return row.mobility * (steep + row.friction_viscous)
+
+
+LAW = FrictionLaw(
+    name="directional",
+    table=Directional,
+    columns=(
+        *(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
+        ("friction_retracting", "f8"),
+    ),
+    steady=steady,
+    fastest=fastest,
+)
