@@ -21,6 +21,8 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import control
+
     from ehbench.app.inspection import Inspection
     from ehbench.config.recipe import load_rig as load_rig
     from ehbench.data import Record
@@ -38,6 +40,7 @@ __all__ = [
     "Machine",
     "check",
     "identify",
+    "linear_models",
     "load_flow_maps",
     "load_rig",
     "open_controller",
@@ -260,6 +263,39 @@ def run_on(
     refuse_other(machine, prepared)
     result = trial.run(prepared, machine, None if log is None else Path(log), progress, fast=False)
     return result.record, result.facts
+
+
+def linear_models(
+    run: Outcome | str | Path, *, points: str | Path | None = None
+) -> dict[str, control.StateSpace]:
+    """The linear models of a rig's steady motions, by name, as python-control objects.
+
+    Example:
+        models = ehbench.linear_models("recipes/rigs/slide_servo.toml")
+        model = models["press, extend_resistive, none, x = 40 mm, v = +74 mm/s"]
+        model.poles(), model.input_labels, model.output_labels
+
+    Inputs are the commands [V] of the valves at work and a force on the rod [N], outputs the
+    cylinder's speed [m/s] and its pressures [Pa].
+
+    Args:
+        run: an outcome, a run folder with a rig, or a rig file.
+        points: a recipe of stage ``tune``, whose operating points are taken; by default five
+            strokes, all payloads and functions, 30 and 70 % of full speed, of each cylinder.
+
+    Raises:
+        InputError: a bad file, or no recipe of tuning.
+        InsufficientData: no cylinder can move.
+    """
+    from ehbench import workflow
+    from ehbench.config.recipe import load_rig
+    from ehbench.export.linear import state_spaces
+    from ehbench.stages.inputs import maps_in
+
+    path = Path(run) if isinstance(run, str | Path) else run.folder
+    recipe: Any = None if points is None else workflow.expect_stage(points, "tune")
+    spaces = state_spaces(load_rig(path), maps_in(path), recipe)
+    return {space.name: space.as_control() for space in spaces}
 
 
 def run(
