@@ -136,7 +136,23 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
     removed = 0.0
     for _ in range(SETTINGS.lag_turns):
         readings = sort_readings(who, given, options, removed)
-        result = _fit_leaking(readings)
+        leak = _find_leak(readings)
+        if leak is None:
+            result = _iterate(readings, None)
+        else:
+            ends = _iterate(readings, leak)
+            goes_on = _iterate(replace(readings, y=readings.y - leak.flow(readings.s)), None)
+            gain = _misfit(ends, ends) - _misfit(goes_on, ends)
+            result = goes_on if gain > 0 else ends
+            result = replace(result, leak=replace(leak, goes_on=gain > 0))
+            if abs(gain) < SETTINGS.leak_gain:  # not sure which: the deadband may be either's
+                low, high = np.array([ends.deadband.interval, goes_on.deadband.interval]).T
+                both = float(low.min()), float(high.max())
+                result = replace(result, deadband=replace(result.deadband, interval=both))
+        rms = float(np.sqrt(np.mean(result.residuals[result.keep] ** 2)))
+        limit = SETTINGS.lack_rms if np.isinf(result.shape.rising) else SETTINGS.fall_rms
+        if rms > SETTINGS.rms or (result.solution.widening > SETTINGS.lack and rms > limit):
+            raise InsufficientData(message("flow_maps.no_map_fits", map=readings.who, rms=rms))
         more, std = _hysteresis_of(result)
         least = SETTINGS.lag_share * float(readings.levels[-1])
         sure = removed + more > max(SETTINGS.lag * std, least)
@@ -145,30 +161,6 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
         removed += more
     if np.any(readings.sweep):
         return replace(result, hysteresis=Hysteresis(removed + more, std, removed > 0.0))
-    return result
-
-
-def _fit_leaking(readings: Readings) -> Fit:
-    """The fit; of a valve that leaks at rest the likelier of a leak that ends where the valve opens
-    and one that goes on.
-    """
-    leak = _find_leak(readings)
-    if leak is None:
-        result = _iterate(readings, None)
-    else:
-        ends = _iterate(readings, leak)
-        goes_on = _iterate(replace(readings, y=readings.y - leak.flow(readings.s)), None)
-        gain = _misfit(ends, ends) - _misfit(goes_on, ends)
-        result = goes_on if gain > 0 else ends
-        result = replace(result, leak=replace(leak, goes_on=gain > 0))
-        if abs(gain) < SETTINGS.leak_gain:  # not sure which: the deadband may be either's
-            low, high = np.array([ends.deadband.interval, goes_on.deadband.interval]).T
-            both = float(low.min()), float(high.max())
-            result = replace(result, deadband=replace(result.deadband, interval=both))
-    rms = float(np.sqrt(np.mean(result.residuals[result.keep] ** 2)))
-    limit = SETTINGS.lack_rms if np.isinf(result.shape.rising) else SETTINGS.fall_rms
-    if rms > SETTINGS.rms or (result.solution.widening > SETTINGS.lack and rms > limit):
-        raise InsufficientData(message("flow_maps.no_map_fits", map=readings.who, rms=rms))
     return result
 
 
@@ -211,7 +203,15 @@ def _iterate(readings: Readings, leak: Leak | None) -> Fit:
             solution = judge(readings, shape, cells, lone)
             flow, lack = solution.flow, solution.widening
             variance = noise.std(readings, flow) ** 2
-            sigmas, leverage = _distances(readings, solution, variance, keep)
+            error = solution.variance(solution.spline.design(readings.u, readings.s))
+            inside = keep & ~solution.lone[readings.cell]
+            spread = np.where(
+                inside, np.maximum(variance - error, 0.1 * variance), variance + error
+            )
+            sigmas, leverage = (
+                (solution.cells.heard - solution.flow) / np.sqrt(spread),
+                error / variance,
+            )
             before = keep
             alone = unbacked(readings, noise, cells.heard, flow)
             # the farthest first: what seems far next to it may be near once it is out
@@ -255,22 +255,6 @@ def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.nd
     return r, shape, flow, ~few(far & unbacked(r, noise, cells.heard, flow), size)
 
 
-def _distances(
-    r: Readings, solution: Solution, noise: np.ndarray, keep: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(distance of each reading from the map in standard deviations of that distance, leverage).
-
-    A reading in the fit draws the map to itself, one left out stands against the map's own error.
-
-    Args:
-        noise: variance of each scaled reading.
-    """
-    error = solution.variance(solution.spline.design(r.u, r.s))
-    inside = keep & ~solution.lone[r.cell]
-    spread = np.where(inside, np.maximum(noise - error, 0.1 * noise), noise + error)
-    return (solution.cells.heard - solution.flow) / np.sqrt(spread), error / noise
-
-
 def _find_leak(r: Readings) -> Leak | None:
     """The leak of a valve that passes flow at 0 V, if that was measured and is small; else None."""
     still = (r.level == 0) & (r.u == 0) & ~r.silent
@@ -282,11 +266,7 @@ def _find_leak(r: Readings) -> Leak | None:
         return None
     passes = medians(medians(r.y, r.cell), r.cell_level) > max(5e-3, 1.5 * middle)
     level = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 1
-    return _leak_through(r, (r.level < level) & ~r.silent, level)
-
-
-def _leak_through(r: Readings, some: np.ndarray, level: int) -> Leak:
-    """The leak through some readings, far ones left out, by non-negative least squares."""
+    some = (r.level < level) & ~r.silent
     from scipy.optimize import nnls
 
     s, y = r.s[some], r.y[some]

@@ -108,14 +108,11 @@ class Readings:
 
     ``size`` is how many were given, ``row`` where each stood among them; ``u`` the command [V],
     ``drop`` [Pa], ``q`` the flow [m³/s], zero for the ``silent`` ones: those below the lower
-    ``limit`` [m³/s] of their meter. ``y`` is the flow over ``rated`` [m³/s], ``s`` the root of the
-    drop over that of ``drop_max`` [Pa], bent below ``delta`` [Pa]. ``cell`` and ``level`` count
-    cells and commands from zero; ``levels`` [V] are the commands, ``cell_level`` that of each cell.
-    ``sweep``: 1 for a reading on the way up, −1 on the way down, 0 where that is not known.
-    ``one_drop``: taken without pressures. ``roots`` are the scaled roots of the drops read, with
-    zero; empty where they are too many to leave gaps. ``axis`` spans the roots. ``digit`` is the
-    rounding error of each method's display, ``drop_std`` the standard error that all drops share,
-    as a share of ``drop_max``, ``command_std`` that of all commands [V]."""
+    ``limit`` [m³/s] of their meter. ``y`` is the flow over ``rated`` [m³/s]. ``cell`` and ``level``
+    count cells and commands from zero. ``sweep``: 1 for a reading on the way up, −1 on the way
+    down, 0 where that is not known. ``one_drop``: taken without pressures. ``drop_std`` is the
+    standard error that all drops share, as a share of the largest, ``command_std`` that of all
+    commands [V]."""
 
     who: str
     show: Units
@@ -134,18 +131,76 @@ class Readings:
     one_drop: bool
     rated: float
     y: np.ndarray
-    s: np.ndarray
-    drop_max: float
-    delta: float
     cell: np.ndarray
     level: np.ndarray
-    levels: np.ndarray
-    cell_level: np.ndarray
-    roots: np.ndarray
-    axis: Axis
-    digit: dict[str, float]
     drop_std: float
     command_std: float
+
+    @cached_property
+    def drop_max(self) -> float:
+        """The largest drop [Pa]."""
+        return float(self.drop.max())
+
+    @cached_property
+    def delta(self) -> float:
+        """Drop [Pa] below which its root bends."""
+        # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
+        # the bend out of sight
+        low = float(np.quantile(self.drop, 0.02)) / 5.0
+        return float(np.clip(low, 1e-3 * self.drop_max, 1e-2 * self.drop_max))
+
+    @cached_property
+    def s(self) -> np.ndarray:
+        """The root of each drop over that of the largest."""
+        return root_drop(self.drop, self.delta) / root_drop(self.drop_max, self.delta)
+
+    @cached_property
+    def at_drop(self) -> np.ndarray:
+        """Which of the drops measured each reading is at."""
+        return clusters(self.drop, 0.03, 0.003 * self.drop_max)
+
+    @cached_property
+    def places_read(self) -> np.ndarray:
+        """The scaled roots of the drops measured, ascending."""
+        return np.sort(np.bincount(self.at_drop, self.s) / np.bincount(self.at_drop))
+
+    @property
+    def roots(self) -> np.ndarray:
+        """`places_read` with zero; empty where they are too many to leave gaps."""
+        places = self.places_read
+        return np.append(0.0, places) if places.size <= 2 * SETTINGS.spans else places[:0]
+
+    @cached_property
+    def axis(self) -> Axis:
+        """Spans of the roots: as narrow as the closest drops measured, the penalty sees to the
+        rest.
+        """
+        if self.one_drop:
+            return OneColumn()
+        closest = np.diff(self.places_read).min(initial=1.0)
+        spans = int(np.clip(np.ceil(1.0 / closest), 3, SETTINGS.spans))
+        return Axis(np.linspace(0.0, 1.0, spans + 1), 3)
+
+    @cached_property
+    def digit(self) -> dict[str, float]:
+        """Rounding error of each method's display, by the least distance of two flows; 0 where
+        values do not repeat.
+        """
+        results = {}
+        for name in sorted(set(self.method.tolist())):
+            apart = np.diff(np.unique(self.q[self.method == name] / self.rated))
+            results[name] = float(min(apart[apart > 1e-9], default=0.0)) / 12**0.5
+        return results
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """The commands [V]."""
+        return np.bincount(self.level, self.u) / np.bincount(self.level)
+
+    @cached_property
+    def cell_level(self) -> np.ndarray:
+        """The command of each cell, counted from zero."""
+        return medians(self.level, self.cell).astype(int)
 
     @property
     def spans(self) -> int:
@@ -178,28 +233,12 @@ def readings_table(
     u, drop, q = (np.asarray(a, float) for a in (command, pressure_drop, flow))
     if not (u.ndim == 1 and u.shape == drop.shape == q.shape):
         raise ValueError(message("flow_maps.shapes"))
-    default: dict[str, Any] = {
-        "valve": "",
-        "direction": "forward",
-        "method": "flowmeter",
-        "trial": 0,
-        "file": "",
-    }
+    default = {"valve": "", "direction": "forward", "method": "flowmeter", "trial": 0, "file": ""}
     default |= {"temperature": np.nan, "line": np.arange(1, u.size + 1)}
     rest: dict[str, Any] = {
         name: np.broadcast_to(value, u.shape) for name, value in (default | columns).items()
     }
     return FlowmeterData(command=u, pressure_drop=drop, flow=q, **rest)
-
-
-def _limits(method: np.ndarray, q: np.ndarray, given: float) -> np.ndarray:
-    """Flow [m³/s] below which the meter of each reading shows nothing, shape (readings,): as given,
-    or, of a meter that reads 0 but never less, what it reads first.
-    """
-    metered = method != "cylinder"
-    first = float(np.min(q[metered], where=q[metered] > 0.0, initial=np.inf))
-    stands = np.any(q[metered] == 0.0) and not np.any(q[metered] < 0.0) and math.isfinite(first)
-    return np.where(metered, max(given, first) if stands else given, 0.0)
 
 
 def sort_readings(
@@ -216,7 +255,16 @@ def sort_readings(
         InsufficientData: no drop above zero, fewer than 4 commands or 4 drops, no flow at any
             command, or one that does not depend on the command.
     """
-    u, drop, q, one_drop = _columns_of(who, given, options.nominal_drop)
+    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
+    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
+    if one_drop:
+        drop = np.full(drop.shape, options.nominal_drop)
+    elif np.isnan(drop).any():
+        raise InsufficientData(message("flow_maps.some_drops", map=who))
+    if not np.all(np.isfinite([u, drop, q])):
+        raise ValueError(message("flow_maps.not_finite"))
+    if np.any(u < 0):
+        raise ValueError(message("flow_maps.negative_opening"))
     use = np.flatnonzero(drop > 0)
     if use.size == 0:
         raise InsufficientData(message("flow_maps.no_drop", map=who))
@@ -229,92 +277,50 @@ def sort_readings(
     sweep = _sweeps(u, trial, line)
     u = np.maximum(u - 0.5 * hysteresis * sweep, 0.0)
     level = clusters(u, 0.0, 0.005 * max(u.max(), 1e-12))
-    cell = _cells_of(who, level, drop, method, one_drop)
-    limit = _limits(method, q, options.meter_limit)
+    metered, lowest = method != "cylinder", options.meter_limit
+    first = float(np.min(q[metered], where=q[metered] > 0.0, initial=np.inf))
+    # a meter that reads 0 but never less shows nothing below what it reads first
+    if np.any(q[metered] == 0.0) and not np.any(q[metered] < 0.0) and math.isfinite(first):
+        lowest = max(lowest, first)
+    limit = np.where(metered, lowest, 0.0)
     silent = (limit > 0) & (q < limit)
-    q = np.where(silent, 0.0, q)
-    rated = float(options.rated_flow or _largest_flow(q, cell))
-    if not rated > 0:
-        raise InsufficientData(message("flow_maps.no_flow", map=who))
-    return Readings(
-        who=who,
-        show=options.show,
-        size=given.command.size,
-        row=use,
-        u=u,
-        drop=drop,
-        q=q,
-        method=method,
-        trial=trial,
-        file=file,
-        line=line,
-        limit=limit,
-        silent=silent,
-        sweep=sweep,
-        one_drop=one_drop,
-        rated=rated,
-        cell=cell,
-        level=level,
-        levels=np.bincount(level, u) / np.bincount(level),
-        cell_level=medians(level, cell).astype(int),
-        **_scaled(who, options, u, drop, q / rated, level, method, one_drop),
+    key = np.column_stack([level, np.zeros(level.size, int), ~metered])
+    for k in np.unique(level):
+        key[level == k, 1] = clusters(drop[level == k], 0.03, 0.003 * drop.max())
+    cell = np.unique(key, axis=0, return_inverse=True)[1].ravel()
+    readings = Readings(
+        *(who, options.show, given.command.size, use, u, drop, np.where(silent, 0.0, q)),
+        *(method, trial, file, line, limit, silent, sweep, one_drop, 1.0, q, cell, level),
+        options.drop_std / float(drop.max()),
+        options.command_std,
     )
+    return _rated(readings, options.rated_flow)
 
 
-def _columns_of(
-    who: str, given: FlowmeterData, nominal: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """(command, drop, flow, whether the readings were taken without pressures): the drop is then
-    the ``nominal`` one [Pa].
+def _rated(r: Readings, rated: float | None) -> Readings:
+    """Readings scaled by the rated flow, by default the largest median of a cell but for slips of
+    the pen; refuses too few, and those whose flow at one drop is nearly the same at every command.
     """
-    u, drop, q = (np.asarray(a, float) for a in (given.command, given.pressure_drop, given.flow))
-    one_drop = drop.size > 0 and bool(np.isnan(drop).all())
-    if one_drop:
-        drop = np.full(drop.shape, nominal)
-    elif np.isnan(drop).any():
-        raise InsufficientData(message("flow_maps.some_drops", map=who))
-    if not np.all(np.isfinite([u, drop, q])):
-        raise ValueError(message("flow_maps.not_finite"))
-    if np.any(u < 0):
-        raise ValueError(message("flow_maps.negative_opening"))
-    return u, drop, q, one_drop
-
-
-def _scaled(
-    who: str,
-    options: FlowMapOptions,
-    u: np.ndarray,
-    drop: np.ndarray,
-    y: np.ndarray,
-    level: np.ndarray,
-    method: np.ndarray,
-    one_drop: bool,
-) -> dict:
-    """The fields of `Readings` that scaled flows and drops give."""
-    drop_max = float(drop.max())
-    # an orifice bends by 1 % at five times delta; the bounds keep the slope at zero finite and
-    # the bend out of sight
-    low = float(np.quantile(drop, 0.02)) / 5.0
-    delta = float(np.clip(low, 1e-3 * drop_max, 1e-2 * drop_max))
-    s = root_drop(drop, delta) / root_drop(drop_max, delta)
-    cluster = _drop_clusters(drop)
-    _refuse_idle(who, options.show, u, level, y, cluster)
-    places = np.sort(np.bincount(cluster, s) / np.bincount(cluster))
-    # as narrow as the closest drops measured, the penalty sees to the rest
-    spans = int(np.clip(np.ceil(1.0 / np.diff(places).min(initial=1.0)), 3, SETTINGS.spans))
-    return {
-        "y": y,
-        "s": s,
-        "drop_max": drop_max,
-        "delta": delta,
-        "roots": np.append(0.0, places) if places.size <= 2 * SETTINGS.spans else places[:0],
-        "axis": OneColumn() if one_drop else Axis(np.linspace(0.0, 1.0, spans + 1), 3),
-        "digit": {
-            name: _last_digit(y[method == name]) / 12**0.5 for name in sorted(set(method.tolist()))
-        },
-        "drop_std": options.drop_std / drop_max,
-        "command_std": options.command_std,
-    }
+    levels, drops = r.levels.size, r.places_read.size
+    if levels < 4:
+        raise InsufficientData(message("flow_maps.few_commands", map=r.who, count=levels))
+    if drops < 4 and not r.one_drop:
+        raise InsufficientData(message("flow_maps.few_drops", map=r.who, count=drops))
+    largest = np.sort(medians(r.q, r.cell))
+    while largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0:
+        largest = largest[:-1]
+    rated = float(rated or largest[-1])
+    if not rated > 0:
+        raise InsufficientData(message("flow_maps.no_flow", map=r.who))
+    r = replace(r, rated=rated, y=r.q / rated)
+    pairs, index = np.unique(np.column_stack([r.at_drop, r.level]), axis=0, return_inverse=True)
+    middle, drop = medians(r.y, index.ravel()), pairs[:, 0]
+    spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
+    if spread and np.median(spread) < SETTINGS.effect:
+        low, high = r.show.volts(r.u.min()), r.show.volts(r.u.max())
+        fields = {"change": float(np.median(spread)), "low": low, "high": high}
+        raise InsufficientData(message("flow_maps.idle", map=r.who, **fields))
+    return r
 
 
 def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
@@ -343,63 +349,12 @@ def clusters(values: np.ndarray, share: float, width: float) -> np.ndarray:
     return labels
 
 
-def _drop_clusters(drop: np.ndarray) -> np.ndarray:
-    """Which of the drops measured each reading is at."""
-    return clusters(drop, 0.03, 0.003 * float(drop.max()))
-
-
 def medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Median of the values of each group 0, 1, 2, …, none of them empty."""
     ascending = values[np.lexsort((values, group))]
     count = np.bincount(group)
     first = np.cumsum(count) - count
     return 0.5 * (ascending[first + (count - 1) // 2] + ascending[first + count // 2])
-
-
-def _cells_of(
-    who: str, level: np.ndarray, drop: np.ndarray, method: np.ndarray, one_drop: bool
-) -> np.ndarray:
-    """The cell of each reading; refuses too few commands or drops."""
-    levels, drops = int(level.max()) + 1, np.unique(_drop_clusters(drop)).size
-    if levels < 4:
-        raise InsufficientData(message("flow_maps.few_commands", map=who, count=levels))
-    if drops < 4 and not one_drop:
-        raise InsufficientData(message("flow_maps.few_drops", map=who, count=drops))
-    key = np.column_stack([level, np.zeros(level.size, int), method == "cylinder"])
-    for k in range(levels):
-        key[level == k, 1] = clusters(drop[level == k], 0.03, 0.003 * drop.max())
-    return np.unique(key, axis=0, return_inverse=True)[1].ravel()
-
-
-def _largest_flow(q: np.ndarray, cell: np.ndarray) -> float:
-    """The largest median flow [m³/s] of a cell, but for slips of the pen."""
-    largest = np.sort(medians(q, cell))
-    while largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0:
-        largest = largest[:-1]
-    return float(largest[-1])
-
-
-def _last_digit(flows: np.ndarray) -> float:
-    """The last digit of a meter, if it shows so few that values repeat: the least distance between
-    two values.
-    """
-    apart = np.diff(np.unique(flows))
-    return float(apart[apart > 1e-9].min(initial=np.inf)) if np.any(apart > 1e-9) else 0.0
-
-
-def _refuse_idle(
-    who: str, show: Units, u: np.ndarray, level: np.ndarray, y: np.ndarray, cluster: np.ndarray
-) -> None:
-    """Refuses readings whose flow at one drop is nearly the same at every command."""
-    pairs, index = np.unique(np.column_stack([cluster, level]), axis=0, return_inverse=True)
-    middle, drop = medians(y, index.ravel()), pairs[:, 0]
-    spread = [np.ptp(middle[drop == k]) for k in np.unique(drop) if np.count_nonzero(drop == k) > 1]
-    if spread and np.median(spread) < SETTINGS.effect:
-        low, high = show.volts(u.min()), show.volts(u.max())
-        change = float(np.median(spread))
-        raise InsufficientData(
-            message("flow_maps.idle", map=who, change=change, low=low, high=high)
-        )
 
 
 @dataclass(frozen=True)

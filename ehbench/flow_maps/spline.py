@@ -159,7 +159,10 @@ class Spline:
             inner = np.append(above[0], inner)
         kinks = tuple(kink for kink in kinks if max(above[0], deadband) < kink < self.top)
         for kink in kinks:
-            inner = _with_kink(inner, above, kink)
+            k = int(np.searchsorted(above, kink))
+            reach = SETTINGS.narrow * (above[k] - above[k - 1])
+            retained = inner[(inner <= above[k - 1]) | (inner >= above[k])]
+            inner = np.sort(np.append(retained, (kink - reach, kink + reach)))
         # a deadband may be tried beyond the first commands that pass flow: those of a leak
         inner = inner[inner > deadband + SETTINGS.room * (self.top - deadband)]
         stiffness = np.ones(inner.size + 1)
@@ -390,14 +393,6 @@ def _inner_breaks(above: np.ndarray) -> np.ndarray:
     if inner.size < SETTINGS.spans:
         return inner
     return np.quantile(inner, np.linspace(0, 1, SETTINGS.spans + 1)[1:-1])
-
-
-def _with_kink(inner: np.ndarray, above: np.ndarray, kink: float) -> np.ndarray:
-    """Inner breaks with a narrow span about a kink, and no other between its two commands."""
-    k = int(np.searchsorted(above, kink))
-    reach = SETTINGS.narrow * (above[k] - above[k - 1])
-    retained = inner[(inner <= above[k - 1]) | (inner >= above[k])]
-    return np.sort(np.append(retained, (kink - reach, kink + reach)))
 
 
 def full(band: np.ndarray) -> np.ndarray:

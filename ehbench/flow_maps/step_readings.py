@@ -114,22 +114,6 @@ def step_readings(
     return replace(table, warnings=tuple(f"{name}: {text}" for text in notes))
 
 
-def _edges_of(model: Model) -> list[_EdgeOfLog]:
-    """The edges with a command."""
-    plant, names = model.plant, model.layout
-    return [
-        _EdgeOfLog(
-            name,
-            float(edge.sign),
-            f"{names.valves[edge.valve]}.command",
-            (int(edge.from_node), int(edge.to_node)),
-            min(float(edge.deadband), 0.0),
-        )
-        for edge, name in zip(plant.edges, names.edges, strict=True)
-        if not edge.unmetered
-    ]
-
-
 def _stretches(model: Model, index: int, record: Record, settle: float) -> Iterator[slice]:
     """Where the commands of a cylinder's valves stand, after they have settled."""
     cylinder = model.rig.cylinder[index]
@@ -228,7 +212,18 @@ def _readings(
     """(edge, direction, command [V], drop [Pa], flow [m³/s]) of each edge that alone feeds or
     drains a chamber; one between both chambers is read once."""
     at, seen = block.first, set()
-    edges = _edges_of(model)
+    plant, names = model.plant, model.layout
+    edges = [
+        _EdgeOfLog(
+            name,
+            float(edge.sign),
+            f"{names.valves[edge.valve]}.command",
+            (int(edge.from_node), int(edge.to_node)),
+            min(float(edge.deadband), 0.0),
+        )
+        for edge, name in zip(plant.edges, names.edges, strict=True)
+        if not edge.unmetered
+    ]
     for node, inflow in block.inflow.items():
         joined = [edge for edge in edges if node in edge.ends]
         fixed = [e for e in model.plant.edges if e.unmetered and node in (e.from_node, e.to_node)]

@@ -364,7 +364,11 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
         rows, fit = item.readings, item.fit
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
         drop = np.where(np.isnan(rows.pressure_drop), fit.map.drop_max, rows.pressure_drop)
-        fitted = _fitted_flow(fit, rows, drop)
+        level = np.asarray(fit.map.flow(drop, rows.command))
+        fitted = rows.flow - fit.residuals
+        # a residual of zero is of a reading too small for its meter
+        aside = (fit.residuals != 0.0) & (np.abs(fitted - level) > 1e-6 * fit.map.rated_flow)
+        fitted = np.where(np.isfinite(fitted) & aside, fitted, level)
         for i in range(len(rows)):
             cells = (
                 fit.map.valve,
@@ -381,14 +385,3 @@ def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
             )
             lines.append(",".join(cells))
     return "\n".join(lines) + "\n"
-
-
-def _fitted_flow(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarray:
-    """What the fit makes of each reading [m³/s]: the map, on the side of the hysteresis from which
-    the command came.
-    """
-    level = np.asarray(fit.map.flow(drop, rows.command))
-    fitted = rows.flow - fit.residuals
-    # a residual of zero is of a reading too small for its meter
-    aside = (fit.residuals != 0.0) & (np.abs(fitted - level) > 1e-6 * fit.map.rated_flow)
-    return np.where(np.isfinite(fitted) & aside, fitted, level)

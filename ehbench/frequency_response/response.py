@@ -275,7 +275,14 @@ def estimate(signals: Signals) -> Response:
         best = int(np.argmax(coherence))
         fields = {"limit": limit, "best": coherence[best], "frequency": frequency[best]}
         raise InsufficientData(message("frequency_response.no_coherence", **fields))
-    gain, spread = np.abs(transfer), _relative_error(coherence, signals.averages)
+    from scipy.special import stdtrit
+
+    freedom = 2.0 * signals.averages - 2.0
+    known = np.where(coherence > 0.0, coherence, np.nan)
+    gain, spread = (
+        np.abs(transfer),
+        stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom),
+    )
     phase = _unwrapped(np.angle(transfer), coherent)
     turn = np.where(spread < 1.0, np.arcsin(np.minimum(spread, 1.0)), np.nan)
     curves = {
@@ -350,15 +357,6 @@ def _power(transformed: np.ndarray) -> np.ndarray:
     return np.real(transformed) ** 2 + np.imag(transformed) ** 2
 
 
-def _relative_error(coherence: np.ndarray, averages: float) -> np.ndarray:
-    """Half the 95 % interval of the gain as a share of it: ``t √((1 − γ²)/γ²/(2n − 2))``."""
-    from scipy.special import stdtrit
-
-    freedom = 2.0 * averages - 2.0
-    known = np.where(coherence > 0.0, coherence, np.nan)
-    return stdtrit(freedom, 0.975) * np.sqrt((1.0 - known) / known / freedom)
-
-
 def _unwrapped(phase: np.ndarray, coherent: np.ndarray) -> np.ndarray:
     """The phase without jumps over the coherent frequencies; the others go to the nearest turn."""
     at = np.flatnonzero(coherent)
@@ -387,7 +385,10 @@ def _delay(
     inverse = np.linalg.inv(weighted.T @ weighted)
     solution = inverse @ weighted.T @ (phase[at] / error)
     residual = (phase[at] - design @ solution) / error
-    correlated = _neighbours(signals, at)
+    taper = _taper(signals.choice.window, signals.size)
+    leak = np.abs(np.fft.rfft(taper**2) / np.sum(taper**2)) ** 2
+    apart = np.abs(at[:, None] - at[None, :])
+    correlated = np.where(apart < leak.size, leak[np.minimum(apart, leak.size - 1)], 0.0)
     variance = (inverse @ weighted.T @ correlated @ weighted @ inverse)[1, 1]
     curved = math.sqrt(float(residual @ residual) / (at.size - 2))
     warnings = []
@@ -397,16 +398,6 @@ def _delay(
     half = Z95 * math.sqrt(variance) * max(1.0, curved)
     slope = float(solution[1])
     return Estimate(slope, slope - half, slope + half), warnings
-
-
-def _neighbours(signals: Signals, at: np.ndarray) -> np.ndarray:
-    """Correlation of the errors at frequencies number ``at``: the spectrum of the squared window,
-    squared.
-    """
-    taper = _taper(signals.choice.window, signals.size)
-    leak = np.abs(np.fft.rfft(taper**2) / np.sum(taper**2)) ** 2
-    apart = np.abs(at[:, None] - at[None, :])
-    return np.where(apart < leak.size, leak[np.minimum(apart, leak.size - 1)], 0.0)
 
 
 def _falls_below(

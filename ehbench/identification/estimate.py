@@ -188,21 +188,16 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
         at_bound=tuple(i for i in state.at_bound if i not in dropped),
     )
     if not any(i < problem.requested for i in (*state.live, *state.ranges)):
-        _refuse(problem)
+        names = [c.name for c in problem.search[: problem.requested]]
+        channels = {read_off(name, problem.logs) for name in names}
+        if None in channels:
+            raise InsufficientData(message("identification.nothing_told", names=", ".join(names)))
+        listed = " and ".join(sorted(filter(None, channels)))
+        names_text = ", ".join(names)
+        raise InsufficientData(
+            message("identification.only_channels", names=names_text, channels=listed)
+        )
     return state
-
-
-def _refuse(problem: Problem) -> None:
-    """Refuse logs that tell nothing about any parameter."""
-    names = [c.name for c in problem.search[: problem.requested]]
-    channels = {read_off(name, problem.logs) for name in names}
-    if None in channels:
-        raise InsufficientData(message("identification.nothing_told", names=", ".join(names)))
-    listed = " and ".join(sorted(filter(None, channels)))
-    names_text = ", ".join(names)
-    raise InsufficientData(
-        message("identification.only_channels", names=names_text, channels=listed)
-    )
 
 
 def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[np.ndarray, float]:

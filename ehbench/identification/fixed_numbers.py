@@ -32,7 +32,12 @@ def counts_on(
     for name in fitted:
         if name.rpartition(".")[2] != WORD:
             continue
-        own = [c for c in rig.cylinder if c.name in replays and _oil_of(c) == name]
+        own = [
+            c
+            for c in rig.cylinder
+            if c.name in replays
+            and (WORD if c.bulk_modulus is None else f"{c.name}.{WORD}") == name
+        ]
         fixed = [
             volume
             for c in own
@@ -53,11 +58,6 @@ def counts_on(
                 "interval does not hold"
             )
     return tuple(results)
-
-
-def _oil_of(cylinder: Cylinder) -> str:
-    """The name of the bulk modulus of a cylinder's oil."""
-    return WORD if cylinder.bulk_modulus is None else f"{cylinder.name}.{WORD}"
 
 
 def _share(

@@ -319,19 +319,8 @@ class Matching:
                 f"no transient that rings tells anything about {names}",
                 hint="use steps of these joints' cylinders",
             )
-        matches = self._matches(stand.rings)
-        lost = sum(not match.simulated.ok for match in matches)
-        if lost:
-            warnings.append(
-                f"in {lost} of {len(matches)} transients the recording rings and the model does not"
-            )
-        built = Estimate("thesis", fitted, warnings, self.rounds, matches=matches)
-        return finish(self.simulator, built)
-
-    def _matches(self, rings: Sequence[Ringing]) -> list[Match]:
-        """Each window with how it rings in the recording and in the simulation."""
         matches = []
-        for w, ring in zip(self.windows, rings, strict=True):
+        for w, ring in zip(self.windows, stand.rings, strict=True):
             log = self.simulator.logs[w.log]
             matches.append(
                 Match(
@@ -344,7 +333,13 @@ class Matching:
                     simulated=ring,
                 )
             )
-        return matches
+        lost = sum(not match.simulated.ok for match in matches)
+        if lost:
+            warnings.append(
+                f"in {lost} of {len(matches)} transients the recording rings and the model does not"
+            )
+        built = Estimate("thesis", fitted, warnings, self.rounds, matches=matches)
+        return finish(self.simulator, built)
 
     def _scatter(self, i: int, error: np.ndarray, slope: float) -> tuple[float, float, int]:
         """(standard error of theta, quantile of the 95 % interval, windows): the scatter of the

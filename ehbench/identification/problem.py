@@ -287,6 +287,7 @@ def evaluate(
     shifts = state.shifts if shifts is None else shifts
     last, slack = state.point, state.slack
     values, logs = problem.values(theta), problem.logs
+    points = [(values, k, shift) for k, shift in enumerate(shifts)]
     if last is not None and last.mesh.serves(theta, shifts, slack):
         mesh = last.mesh
         if all(
@@ -294,10 +295,9 @@ def evaluate(
             for a, b in zip([last.theta, *last.shifts], [theta, *shifts], strict=True)
         ):
             return replace(state, theta=theta, shifts=shifts)
-        points = [(values, k, shift) for k, shift in enumerate(shifts)]
-        row = problem.simulator.each(points, mesh.steps)
+        row, _ = problem.simulator.each(points, mesh.steps)
     else:
-        row, steps = problem.simulator.begin(values, shifts, slack)
+        row, steps = problem.simulator.each(points, slack=slack)
         mesh = Mesh(theta, shifts, steps, slack)
     residuals = [problem.residual(*pair) for pair in zip(logs, row, strict=True)]
     return replace(state, theta=theta, shifts=shifts, point=Point(theta, shifts, residuals, mesh))
@@ -381,7 +381,7 @@ def jacobian(problem: Problem, state: State, which: Sequence[int]) -> list[np.nd
             steps.append(side * (1.0 if inside else -1.0) * SETTINGS.difference)
             theta = here.theta + steps[-1] * np.eye(len(here.theta))[i]
             points.append((problem.values(theta), k, here.shifts[k]))
-        row = problem.simulator.each(points, here.mesh.steps)
+        row, _ = problem.simulator.each(points, here.mesh.steps)
         for (i, k), step, simulated in zip(missing, steps, row, strict=True):
             if simulated is not None:
                 change = problem.residual(logs[k], simulated) - here.residuals[k]
@@ -409,7 +409,7 @@ def start_jacobian(problem: Problem, state: State) -> list[np.ndarray]:
         (values, k, here.shifts[k] + step * np.eye(len(here.shifts[k]))[j])
         for k, j, step in missing
     ]
-    row = problem.simulator.each(points, here.mesh.steps)
+    row, _ = problem.simulator.each(points, here.mesh.steps)
     for (k, j, step), simulated in zip(missing, row, strict=True):
         if simulated is not None:
             known[k, j] = (problem.residual(logs[k], simulated) - here.residuals[k]) / step

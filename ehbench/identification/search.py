@@ -220,21 +220,16 @@ def _coordinate(
     std, centre = math.inf, math.nan
     if name in given["prior"]:
         centre = min(max(float(value), low), high)
-        std = _prior(given["prior"][name], name, centre, where)
+        raw = given["prior"][name]
+        at = where("prior", name)
+        share = _SHARE.match(raw) if isinstance(raw, str) else None
+        std = abs(centre) * float(share[1]) / 100.0 if share else _number(raw, name, at, False)
+        if not 0.0 < std < math.inf:
+            hint = f'give it in {parameter_row(name).display}, as "… {parameter_row(name).display}"'
+            raise InputError(
+                f"a prior of {raw} about {centre:g} says nothing of {name}", **at, hint=hint
+            )
     return Coordinate(name, log, 1.0 if log else unit, first, low, high, std, centre)
-
-
-def _prior(raw: str | float, name: str, centre: float, where: Where) -> float:
-    """Standard deviation [SI] of a prior about ``centre``."""
-    at = where("prior", name)
-    share = _SHARE.match(raw) if isinstance(raw, str) else None
-    std = abs(centre) * float(share[1]) / 100.0 if share else _number(raw, name, at, False)
-    if not 0.0 < std < math.inf:
-        hint = f'give it in {parameter_row(name).display}, as "… {parameter_row(name).display}"'
-        raise InputError(
-            f"a prior of {raw} about {centre:g} says nothing of {name}", **at, hint=hint
-        )
-    return std
 
 
 def _number(raw: str | float, name: str, at: Mapping[str, Any], check: bool = True) -> float:

@@ -213,7 +213,7 @@ def _columns(fit: Problem, state: State, rows: Sequence[Hypothesis]) -> Iterator
             keys += [(row, k) for k in which]
         steps = None if alters else here.mesh.steps
         columns = {row: [np.zeros_like(left) for left in here.residuals] for row in group}
-        for (row, k), simulated in zip(keys, built.each(points, steps), strict=True):
+        for (row, k), simulated in zip(keys, built.each(points, steps)[0], strict=True):
             if simulated is None:
                 columns.pop(row, None)
             elif row in columns:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from ehbench.identification.means import Decimate, means_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Kept, Maps
 from ehbench.plant.many import map_threads
-from ehbench.plant.model import FREE, Model, Start
+from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, initial_state_of
@@ -54,9 +54,6 @@ MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
 Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`plant.paced`)
 Where = tuple[Sequence[float], int, np.ndarray]  # parameters, a log by index, shifts of its start
-Simulated = tuple[np.ndarray, np.ndarray]  # channels, shape (samples, channels), and steps taken
-REMEMBERED = 2**25  # bytes of simulations
-ENTRY = 2**10  # bytes of one beside its numbers
 
 
 @dataclass(frozen=True)
@@ -339,89 +336,8 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
     return void
 
 
-def _needs_flows(log: Log) -> bool:
-    return any(channel.endswith(FLOWS) for channel in log.channels)
-
-
-def _simulated_means(log: Log) -> BlockAverages | None:
-    """The means as which the simulation of a log is wanted; None where they are taken of what it
-    makes of every sample.
-    """
-    return None if any(channel.endswith(BENT) for channel in log.channels) else log.means
-
-
-@dataclass
-class _First:
-    """Where a log starts before it is moved, once that is known; points share it."""
-
-    start: Start | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """One simulation of a log: its model, None where there is none, the shifts of its start, what
-    is wrong with all logs' sensors, where it starts unmoved, the steps to take, or their slack."""
-
-    model: Model | None
-    log: Log
-    shifts: np.ndarray
-    shared: dict[str, float]
-    first: _First
-    mesh: np.ndarray
-    slack: float
-
-    def start(self, model: Model) -> Start:
-        """Where it starts.
-
-        Raises:
-            InputError: a posture outside the stroke.
-        """
-        own = self.log.start
-        first = self.first.start or own.unmoved(model, self.shifts, self.shared)
-        self.first.start = first
-        return own.moved_from(first, model, self.shifts)
-
-
-class _Same:
-    """A thing itself as a key, whatever it is equal to; it stays as long as the key does."""
-
-    def __init__(self, thing: object) -> None:
-        self._thing = thing
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self._thing is other._thing
-
-    def __hash__(self) -> int:
-        return id(self._thing)
-
-
-class _Latest:
-    """Simulations of late, by all that they hang on: a search comes back to where it was, and so
-    does what is asked of its end.
-    """
-
-    def __init__(self) -> None:
-        self._found: dict[Hashable, Simulated | None] = {}
-        self._size = 0
-
-    def __contains__(self, key: Hashable) -> bool:
-        return key in self._found
-
-    def of(self, key: Hashable) -> Simulated | None:
-        """What is known, which becomes the latest."""
-        result = self._found[key] = self._found.pop(key)
-        return result
-
-    def keep(self, key: Hashable, result: Simulated | None) -> None:
-        """Remember a simulation, and forget the oldest beyond so many bytes."""
-        self._found[key] = result
-        self._size += _bytes(result)
-        while self._size > REMEMBERED:
-            self._size -= _bytes(self._found.pop(next(iter(self._found))))
-
-
-def _bytes(result: Simulated | None) -> int:
-    return ENTRY + (0 if result is None else sum(item.nbytes for item in result))
+# model (None: there is none), log, shifts of its start, bias of all logs' sensors, steps, slack
+_Task = tuple[Model | None, Log, np.ndarray, dict[str, float], np.ndarray, float]
 
 
 @dataclass
@@ -457,7 +373,7 @@ class Simulator:
         self.shared = {t.name for log in logs for t in log.start.terms if not t.per_log}
         self.workers = workers or cores()
         self.effort = Effort()
-        self._kept, self._latest = Kept(), _Latest()
+        self._kept = Kept()
 
     def over(self, logs: Sequence[Log]) -> Simulator:
         """The same simulator of other logs, with the same cache and count of effort."""
@@ -482,13 +398,6 @@ class Simulator:
         pairs = zip(self.names, values, strict=True)
         return {name: value for name, value in pairs if (name in self.shared) == shared}
 
-    def possible_models(self, values: Sequence[float]) -> dict[str | None, Model | None]:
-        """`models`, None where these values make no rig: pins that its cylinder cannot join."""
-        try:
-            return dict(self.models(values))
-        except (EhbenchError, ArithmeticError, np.linalg.LinAlgError):
-            return dict.fromkeys(log.payload for log in self.logs)
-
     def chosen(self, which: Sequence[int] | None) -> Sequence[Log]:
         """Some logs by index; None for all."""
         return self.logs if which is None else [self.logs[i] for i in which]
@@ -510,97 +419,56 @@ class Simulator:
         """
         shifts = self.unshifted() if shifts is None else shifts
         which = range(len(self.logs)) if chosen is None else chosen
-        points = [(values, k, shifts[k]) for values in vectors for k in which]
-        done = [None if item is None else item[0] for item in self._meshed(points, slack=slack)]
-        return [done[i : i + len(which)] for i in range(0, len(done), len(which))]
+        row, _ = self.each([(v, k, shifts[k]) for v in vectors for k in which], slack=slack)
+        return [row[i : i + len(which)] for i in range(0, len(row), len(which))]
 
     def each(
-        self,
-        points: Sequence[Where],
-        meshes: Meshes | None = None,
-    ) -> list[np.ndarray | None]:
-        """Simulated channels, shape (samples, channels), of each (values, log by index, shifts of
-        its start); None where the simulation failed.
+        self, points: Sequence[Where], meshes: Meshes | None = None, slack: float = 1.0
+    ) -> tuple[list[np.ndarray | None], Meshes]:
+        """(simulated channels, shape (samples, channels), None where the simulation failed; the
+        steps taken) of each (values, log by index, shifts of its start).
 
         Args:
             meshes: steps to take, of all logs; chosen by default.
-        """
-        done = self._meshed(points, meshes)
-        return [None if item is None else item[0] for item in done]
-
-    def begin(
-        self, values: Sequence[float], shifts: Shifts, slack: float = 1.0
-    ) -> tuple[list[np.ndarray | None], Meshes]:
-        """(simulated channels of every log, None where the simulation failed; the steps that were
-        chosen with some ``slack``, none where it did).
-        """
-        done = self._meshed([(values, k, shift) for k, shift in enumerate(shifts)], slack=slack)
-        channels = [None if item is None else item[0] for item in done]
-        return channels, [FREE if item is None else item[1] for item in done]
-
-    def _meshed(
-        self, points: Sequence[Where], meshes: Meshes | None = None, slack: float = 1.0
-    ) -> list[Simulated | None]:
-        """(simulated channels, steps taken) of each point; what is known of late is not simulated
-        again.
+            slack: of the steps that are chosen.
         """
         self.effort.evaluations += len(points)
-        results: dict[Hashable, Simulated | None] = {}
-        requested: dict[Hashable, Where] = {}
-        keys = []
-        for point in points:
-            values, k, shifts = point
-            log, mesh = self.logs[k], None if meshes is None else meshes[k]
-            own = np.array(values, dtype=float).tobytes(), shifts.tobytes(), slack
-            key = (*own, _Same(log), None if mesh is None else _Same(mesh))
-            keys.append(key)
-            if key in self._latest:
-                results[key] = self._latest.of(key)
-            else:
-                requested[key] = point
-        fresh = self._simulated(list(requested.values()), meshes, slack)
-        for key, item in zip(requested, fresh, strict=True):
-            results[key] = item
-            self._latest.keep(key, item)
-        return [results[key] for key in keys]
-
-    def _simulated(
-        self, points: Sequence[Where], meshes: Meshes | None, slack: float
-    ) -> list[Simulated | None]:
-        """`_meshed`, all of them simulated."""
         built: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
-        firsts: dict[tuple[object, ...], _First] = {}
         tasks = []
         for values, k, shifts in points:
             key, log = tuple(self._by_name(values, False).values()), self.logs[k]
             if key not in built:
-                built[key] = self.possible_models(values)
-            model, shared = built[key][log.payload], self._by_name(values, True)
-            # of points that differ in shifts alone, as those that starts are told by
-            own = (key, k, *shared.values()) if log.start.alike else (len(tasks),)
-            first = firsts.setdefault(own, _First())
+                try:
+                    built[key] = dict(self.models(values))
+                except (EhbenchError, ArithmeticError, np.linalg.LinAlgError):
+                    # these values make no rig: pins that its cylinder cannot join
+                    built[key] = dict.fromkeys(item.payload for item in self.logs)
             mesh = FREE if meshes is None else meshes[k]
-            tasks.append(_Task(model, log, shifts, shared, first, mesh, slack))
-        return map_threads(self._one, tasks, self.workers)
+            shared = self._by_name(values, True)
+            tasks.append((built[key][log.payload], log, shifts, shared, mesh, slack))
+        done = map_threads(self._one, tasks, self.workers)
+        return [channels for channels, _ in done], [mesh for _, mesh in done]
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.uncertain)) for log in self.logs]
 
-    def _one(self, task: _Task) -> Simulated | None:
-        model, log, shifts, shared = task.model, task.log, task.shifts, task.shared
+    def _one(self, task: _Task) -> tuple[np.ndarray | None, np.ndarray]:
+        """(simulated channels, None where it failed; the steps taken) of one log."""
+        model, log, shifts, shared, mesh, slack = task
         if model is None:
-            return None
+            return None, FREE
+        words = {channel.rpartition(".")[2] for channel in log.channels}
         try:
-            start, true = task.start(model), log.start.true(shifts, shared)
-            if self.step == AUTO and not _needs_flows(log):
-                given = task.mesh, task.slack, _simulated_means(log)
-                built, mesh = model.replay_paced(true, start, *given)
+            start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+            if self.step == AUTO and words.isdisjoint(FLOWS):
+                means = log.means if words.isdisjoint(BENT) else None
+                built, mesh = model.replay_paced(true, start, mesh, slack, means)
             else:
                 built, mesh = model.replay(true, self.step, start=start), FREE
             return channels_of(log, log.start.seen(built, shifts, shared)), mesh
         except (EhbenchError, ArithmeticError):
-            return None
+            return None, FREE
 
     def _replay(self, task: tuple[Model, Log, np.ndarray, dict[str, float]]) -> Record:
         model, log, shifts, shared = task

@@ -114,7 +114,10 @@ class Account:
         at = np.array([m.t.size - 1]) if at is None else at
         dt = np.diff(m.t)
         spent = _cumulated(0.5 * dt, power, at)
-        fixed = self._stored(model, m, states, at)
+        changes = [int(np.searchsorted(m.t, when - 1e-9)) for when, _ in self.loads.changes]
+        retained = np.unique([0, *changes, *at])
+        stored = self.loads.stored(model, m.t[retained], states[retained], self.sheet.stores)
+        fixed = stored[np.searchsorted(retained, at)]
         edges, cylinders = len(model.layout.edges), range(m.x.shape[1])
         for c in cylinders:
             # ∫ P_L dx over the measured stroke: a filtered speed lags behind the pressures
@@ -143,13 +146,6 @@ class Account:
             )
         rows = sheet.expand(np.concatenate([spent, fixed], axis=1))
         return rows[0] if at.size == 1 else rows
-
-    def _stored(self, model: Model, m: Readings, states: np.ndarray, at: np.ndarray) -> np.ndarray:
-        """What is stored [J] at the samples ``at`` more than at the first."""
-        changes = [int(np.searchsorted(m.t, when - 1e-9)) for when, _ in self.loads.changes]
-        retained = np.unique([0, *changes, *at])
-        stored = self.loads.stored(model, m.t[retained], states[retained], self.sheet.stores)
-        return stored[np.searchsorted(retained, at)]
 
     def __call__(self, model: Model, m: Readings) -> np.ndarray:
         """Energies [J] of all rows at the end, shape (rows,)."""

@@ -83,7 +83,10 @@ def ledger_of_model(
     t = np.ascontiguousarray(record.t, dtype=float)
     states, commands = states_of(model, record)
     plant = model.plant.at_pressures(tank=record["p_tank"][0] if "p_tank" in record else None)
-    plant = plant.held_before(_before(model, record))
+    first = [float(record[f"{name}.opening"][0]) for name in model.layout.valves]
+    plant = plant.held_before(
+        np.where(model.plant.valves.delay > 0.0, first, model.plant.valves.before)
+    )
     tank, loads = np.full(t.size, plant.tank_pressure), Loads.of(record)
     sheet, notes = Sheet(model, "residual", bool(loads.changes)), []
     flows = np.empty((t.size, len(model.layout.edges) + 1))
@@ -112,12 +115,6 @@ def ledger_of_model(
     return sheet.ledger(
         model, record, payload_of(record), table[-1], None, notes=tuple(notes), **facts
     )
-
-
-def _before(model: Model, record: Record) -> np.ndarray:
-    """Commands [V] before the record: valves with a delay had arrived at their openings."""
-    first = [float(record[f"{name}.opening"][0]) for name in model.layout.valves]
-    return np.where(model.plant.valves.delay > 0.0, first, model.plant.valves.before)
 
 
 def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:

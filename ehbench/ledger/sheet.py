@@ -164,18 +164,13 @@ def _owner(edge: str) -> str:
     return edge.split(".", 1)[0]
 
 
-def _pumps(model: Model) -> list[str]:
-    """The edges that are pumps."""
-    return [name for name, edge in model.rig.all_edges().items() if edge.law == "pump"]
-
-
 def _power_rows(model: Model) -> list[Named]:
     names = model.layout
     rows: list[Named] = [
         ("pump", "supply", "pump, Ps·Q", None),
         ("pump_compression", "supply", "pump, compression of the oil", None),
     ]
-    pumps = _pumps(model)
+    pumps = [name for name, edge in model.rig.all_edges().items() if edge.law == "pump"]
     spools = {
         f"{c.name}.{valve.edge_name(edge)}": valve.name
         for c, valve, edge in model.rig.edges()

@@ -117,11 +117,6 @@ class InitialState:
         """
         return self.moved_from(self.unmoved(model, shifts, shared), model, shifts)
 
-    @property
-    def alike(self) -> bool:
-        """Whether `unmoved` is the same for all shifts: none is of a sensor."""
-        return not any(number.bias for number in self.uncertain)
-
     def unmoved(self, model: Model, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Start:
         """What `at` moves: the start by sensors that the shifts have put right.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ehbench.config.recipe import FlowMapRecipe
 from ehbench.config.recipe.columns import LEAVE_OUT
@@ -24,7 +24,7 @@ from ehbench.vocabulary.settings import setting
 if TYPE_CHECKING:
     from ehbench.config.rig import Rig
     from ehbench.data.flowmeter import FlowmeterData
-    from ehbench.flow_maps.tables import EdgeFit, PreparedReadings
+    from ehbench.flow_maps.tables import PreparedReadings
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,26 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             (float(item.command), float(item.flow), item.tolerance) for item in recipe.calibration
         ]
         options = (points, None if drop is None else float(drop), progress)
-        fits, without = _of_each(prepared.readings, options, recipe)
+        from ehbench.flow_maps.tables import run_readings
+
+        fits, errors = [], {}
+        for edge in prepared.readings.edges:
+            if recipe.method == "steps":
+                more = _shared_errors(recipe, prepared.readings.rig, edge.edge)
+            else:
+                more = {"meter_limit": float(recipe.meter_limit)}
+            try:
+                fits += run_readings(replace(prepared.readings, edges=(edge,)), *options, **more)
+            except InsufficientData as error:
+                errors[f"{edge.edge} {edge.side}"] = error
+        without: list[str] = [
+            message("stages.no_map", edge=name, reason=error.message)
+            for name, error in errors.items()
+        ]
+        if not fits and len(errors) == 1:
+            raise next(iter(errors.values()))
+        if not fits:
+            raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
         maps = collect([fit.fit.map for fit in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
@@ -157,36 +176,6 @@ def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:
     groups = ", ".join(" ".join(group) for group in part.groups())
     text = message("stages.reads_flowmeter", name=name, count=len(part), groups=groups)
     inputs.notes.add("reads", text)
-
-
-def _of_each(
-    prepared: PreparedReadings, options: tuple[Any, ...], recipe: FlowMapRecipe
-) -> tuple[list[EdgeFit], list[str]]:
-    """(maps of the edges of which the readings tell enough, a sentence for each of the others).
-
-    Raises:
-        InsufficientData: no edge has a map.
-    """
-    from ehbench.flow_maps.tables import run_readings
-
-    fits, errors = [], {}
-    for edge in prepared.edges:
-        if recipe.method == "steps":
-            more = _shared_errors(recipe, prepared.rig, edge.edge)
-        else:
-            more = {"meter_limit": float(recipe.meter_limit)}
-        try:
-            fits += run_readings(replace(prepared, edges=(edge,)), *options, **more)
-        except InsufficientData as error:
-            errors[f"{edge.edge} {edge.side}"] = error
-    without: list[str] = [
-        message("stages.no_map", edge=name, reason=error.message) for name, error in errors.items()
-    ]
-    if not fits and len(errors) == 1:
-        raise next(iter(errors.values()))
-    if not fits:
-        raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
-    return fits, without
 
 
 def _shared_errors(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:

@@ -102,13 +102,13 @@ class Plan:
                 continue
             files[file_name(path)] = path.read_bytes()
             if path.suffix == ".toml":
-                texts = (text for text in _texts(read_toml(path)[0]) if _is_path(text))
+                texts = (
+                    text
+                    for text in _texts(read_toml(path)[0])
+                    if 0 < len(text) < 400 and "$" not in text and not impossible(Path(text))
+                )
                 waiting += [item for text in texts if (item := path.parent / text).exists()]
         return Bundle(dict(sorted(files.items())), self.opened_below)
-
-
-def _is_path(text: str) -> bool:
-    return 0 < len(text) < 400 and "$" not in text and not impossible(Path(text))
 
 
 class Late(EhbenchError):
@@ -333,22 +333,19 @@ class Sampler:
         if not files.is_changed(path):
             return self.plan.runs.get(path)
         if path not in files.runs:
-            files.runs[path] = self._run_upstream(files, path)
+            folder = files.folder / f"upstream_{path.stem}"
+            folder.mkdir()
+            file = RecipeFile.of(path)
+            recipe = file.changed(files.changes_of(file.model), folder)
+            stage = cast(Stage, stage_of(recipe))  # the study has run it
+            out = folder / "run"
+            out.mkdir()
+            work = stage.work(stage.prepare(recipe, self.inputs(recipe, files)), out, None)
+            about = {"stage": recipe.stage_name, "name": recipe.name, "what": stage.name}
+            facts = {**about, **work.facts, "code": work.code, "outputs": {}}
+            rundir.write_json(out / "run.json", facts)
+            files.runs[path] = out
         return files.runs[path]
-
-    def _run_upstream(self, files: SampleFiles, path: Path) -> Path:
-        folder = files.folder / f"upstream_{path.stem}"
-        folder.mkdir()
-        file = RecipeFile.of(path)
-        recipe = file.changed(files.changes_of(file.model), folder)
-        stage = cast(Stage, stage_of(recipe))  # the study has run it
-        out = folder / "run"
-        out.mkdir()
-        work = stage.work(stage.prepare(recipe, self.inputs(recipe, files)), out, None)
-        about = {"stage": recipe.stage_name, "name": recipe.name, "what": stage.name}
-        facts = {**about, **work.facts, "code": work.code, "outputs": {}}
-        rundir.write_json(out / "run.json", facts)
-        return out
 
 
 def _measured(item: Measure, roots: Sequence[Any], settings: Mapping[str, Any]) -> float:

@@ -77,7 +77,9 @@ def limit_cycle(
     error = x - x_desired
     best: LimitCycle | None = None
     for size in LIMIT_CYCLE.sizes:  # small turns within a large swing are none of its own
-        for result, span in _lasting(t, _turning_points(error, size * minimum)):
+        rows = np.empty(error.size, np.int64)
+        rows = rows[: _zigzag(np.ascontiguousarray(error, float), 2.0 * (size * minimum), rows)]
+        for result, span in _lasting(t, _Swings(rows, error[rows])):
             larger = best is None or result.amplitude > best.amplitude
             acts = np.ptp(commands[span], axis=0).any()
             if larger and acts and not _follows_reference(t[span], x_desired[span], result):
@@ -104,15 +106,6 @@ def _lasting(t: np.ndarray, turns: _Swings) -> Iterator[tuple[LimitCycle, slice]
             slice(int(rows[first]), int(rows[last]) + 1),
         )
         first = last
-
-
-def _turning_points(error: np.ndarray, height: float) -> _Swings:
-    """Where the error turns, by a zigzag: a turn counts once the error has come back from it by
-    twice the ``height``.
-    """
-    rows = np.empty(error.size, np.int64)
-    rows = rows[: _zigzag(np.ascontiguousarray(error, float), 2.0 * height, rows)]
-    return _Swings(rows, error[rows])
 
 
 @kernel
@@ -161,11 +154,8 @@ def _follows_reference(t: np.ndarray, x_desired: np.ndarray, result: LimitCycle)
     turns = int(np.count_nonzero(np.diff(ways)))
     if turns >= 3 and LIMIT_CYCLE.harmonics * turns >= 2.0 * result.duration / result.period:
         return True
-    return _amplitude(t, x_desired, result.period) >= LIMIT_CYCLE.reference * result.amplitude
-
-
-def _amplitude(t: np.ndarray, y: np.ndarray, period: float) -> float:
-    """Amplitude of a signal at a period, a straight line taken off it before."""
-    line = np.polynomial.Polynomial.fit(t, y, 1)
-    turn = np.exp(-2j * np.pi * (t - t[0]) / period)
-    return 2.0 * abs(complex(np.mean((y - line(t)) * turn)))
+    line = np.polynomial.Polynomial.fit(t, x_desired, 1)
+    turn = np.exp(-2j * np.pi * (t - t[0]) / result.period)
+    return (
+        2.0 * abs(complex(np.mean((x_desired - line(t)) * turn)))
+    ) >= LIMIT_CYCLE.reference * result.amplitude

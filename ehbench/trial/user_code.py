@@ -157,7 +157,18 @@ class UserCode:
         }
         with self.code.guard.watched():
             self.object = self.code.make(gains)
-            observed = self._observed(self.code.names_of(self.object, "channels"))
+            patterns = self.code.names_of(self.object, "channels")
+            known = ", ".join(self.names)
+            if not patterns:
+                raise self.code.error(message("trial.no_observed", label=self.label, known=known))
+            for pattern in patterns:
+                if not any(fnmatchcase(name, pattern) for name in self.names):
+                    raise self.code.error(
+                        message("trial.unmeasured", label=self.label, pattern=pattern, known=known)
+                    )
+            observed = [
+                any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names
+            ]
             notes = self.code.names_of(self.object, "notes") or ()
         self.noted = [self._note_row(name, notes) for name in notes]
         self.channels = (
@@ -204,7 +215,13 @@ class UserCode:
         for i, volts in zip(self._unused, retained, strict=True):
             command[i] = volts
         if not self._in_range(command, self.low, self.high):
-            self._bring_in_range(answer, t, command)
+            if not np.isfinite(command).all():
+                given = shortened(answer, 80)
+                raise self.code.error(
+                    message("trial.command_not_finite", label=self.label, answer=given, t=t)
+                )
+            self.beyond += 1
+            np.clip(command, self.low, self.high, out=command)
         if self.noted:
             self._note(self.telemetry[row, len(reference) :], t)
 
@@ -252,15 +269,6 @@ class UserCode:
             raise TypeError
         return ()
 
-    def _bring_in_range(self, answer: Any, t: float, command: np.ndarray) -> None:
-        if not np.isfinite(command).all():
-            given = shortened(answer, 80)
-            raise self.code.error(
-                message("trial.command_not_finite", label=self.label, answer=given, t=t)
-            )
-        self.beyond += 1
-        np.clip(command, self.low, self.high, out=command)
-
     def _note(self, row: np.ndarray, t: float) -> None:
         try:
             row[:] = self.code.guard(lambda: np.asarray(self.object.note, float).reshape(row.shape))
@@ -292,18 +300,6 @@ class UserCode:
         for i in self._hidden:
             seen[i] = math.nan
         return dict(zip(self.names, seen, strict=True))
-
-    def _observed(self, patterns: tuple[str, ...] | None) -> list[bool]:
-        """True for the channels of the sample that the class is given."""
-        known = ", ".join(self.names)
-        if not patterns:
-            raise self.code.error(message("trial.no_observed", label=self.label, known=known))
-        for pattern in patterns:
-            if not any(fnmatchcase(name, pattern) for name in self.names):
-                raise self.code.error(
-                    message("trial.unmeasured", label=self.label, pattern=pattern, known=known)
-                )
-        return [any(fnmatchcase(name, pattern) for pattern in patterns) for name in self.names]
 
     def _note_row(self, name: str, notes: Sequence[str]) -> tuple[str, Quantity]:
         """A note's name with its row of the vocabulary."""
