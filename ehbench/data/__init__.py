@@ -46,7 +46,7 @@ def read(
     record = _read(path, columns, check, window)
     if not additional:
         return record
-    from ehbench.data.additional import lateness, moved, with_additional
+    from ehbench.data.additional import lateness, with_additional
 
     whole = window is None or window == (-math.inf, math.inf)
     others = []
@@ -54,7 +54,8 @@ def read(
         result = _read(other.path, other.columns, check and whole, None)
         late = lateness(record, path, result, other)
         if window is not None and not whole:
-            result = _read(other.path, other.columns, check, moved(window, late))
+            shifted = window[0] - late, window[1] - late
+            result = _read(other.path, other.columns, check, shifted)
         others.append((other, result, late))
     return with_additional(record, path, others)
 

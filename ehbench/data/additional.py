@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
 from ehbench.config.recipe.columns import ColumnMap
-from ehbench.data.rates import Group, Window, joined
+from ehbench.data.rates import Group, joined
 from ehbench.data.readers import SourceTable
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
@@ -39,11 +37,23 @@ def lateness(record: Record, path: Path, result: Record, other: AdditionalFile) 
     Raises:
         InputError: nothing tells.
     """
-    clock = _clock(record, result) if other.shared_clock else None
-    if clock is None and other.shift is None and other.shared_clock:
+    shift = other.shift or 0.0
+    if not other.shared_clock:
+        return shift
+    clocks = []
+    for item in (record, result):
+        if (text := item.meta.get("began")) is not None:
+            clocks.append(datetime.fromisoformat(text).timestamp())
+        elif (text := item.meta.get("time_of_day")) is not None:
+            clocks.append(float(text))
+    if len(clocks) == 2:
+        late, dated = clocks[1] - clocks[0], "began" in record.meta and "began" in result.meta
+        # times of day, where one knows no more, are less than half a day off
+        return shift + (late if dated else (late + 0.5 * _DAY) % _DAY - 0.5 * _DAY)
+    if other.shift is None:
         fields = {"log": path.name, "there": _began(record), "here": _began(result)}
         raise InputError(message("data.no_common_clock", **fields), file=other.path)
-    return (clock or 0.0) + (other.shift or 0.0)
+    return shift
 
 
 def with_additional(
@@ -60,24 +70,31 @@ def with_additional(
     Raises:
         InputError: a file has a channel that is there already, or no sample at the log's time.
     """
-    groups, losses = [_group(path, record, 0.0)], list(record.losses)
+
+    def group(file: Path, item: Record, late: float) -> Group:
+        table = SourceTable(file.name, ())
+        return Group(table, item.t + late, None, channels=dict(item.channels))
+
+    groups, losses = [group(path, record, 0.0)], list(record.losses)
     rates = [record.meta["rates"]] if "rates" in record.meta else []
     for other, result, late in others:
-        there = {name for group in groups for name in group.channels}
+        there = {name for item in groups for name in item.channels}
         if twice := sorted(there & {*result.channels}):
             text = message("data.in_two_files", channels=", ".join(twice))
             raise InputError(text, file=other.path)
         t = result.t + late
         if not ((t >= record.t[0]) & (t <= record.t[-1])).any():
-            text = message(
-                "data.no_common_time",
-                log=path.name,
-                there=_ends(record, 0.0),
-                here=_ends(result, late),
-                zones=_zones(t, record),
-            )
+            zones = ""
+            if t.size:  # clocks of two time zones are whole half hours apart
+                middle = 0.5 * (t[0] + t[-1] - record.t[0] - record.t[-1])
+                halves = -round(middle / _HALF_HOUR)
+                near = t + halves * _HALF_HOUR
+                if halves and near[0] < record.t[-1] and near[-1] > record.t[0]:
+                    zones = message("data.two_time_zones", hours=0.5 * halves)
+            fields = {"log": path.name, "there": _ends(record, 0.0), "here": _ends(result, late)}
+            text = message("data.no_common_time", zones=zones, **fields)
             raise InputError(text, file=other.path)
-        groups.append(_group(other.path, result, late))
+        groups.append(group(other.path, result, late))
         losses += [f"{other.path.name}: {loss}" for loss in result.losses]
         rates += [result.meta["rates"]] if "rates" in result.meta else []
     t, channels, brought = joined(groups, losses)
@@ -85,38 +102,6 @@ def with_additional(
         raise InputError(message("data.no_common_sample"), file=path)
     meta = record.meta | ({"rates": "; ".join(rates + brought)} if rates + brought else {})
     return replace(record, t=t, channels=channels, meta=meta, losses=tuple(losses))
-
-
-def moved(window: Window, late: float) -> Window:
-    """A window of the log in the time of a file that is late [s]."""
-    return window[0] - late, window[1] - late
-
-
-def _group(path: Path, record: Record, late: float) -> Group:
-    """A log as a table of its own, ``late`` [s] against the first."""
-    return Group(SourceTable(path.name, ()), record.t + late, None, channels=dict(record.channels))
-
-
-def _clock(record: Record, result: Record) -> float | None:
-    """What the clocks of two logs say of the lateness [s]: by date and time, by the times of day
-    where one knows no more; None where one knows neither.
-    """
-    moments = [_moment(item) for item in (record, result)]
-    if moments[0] is not None and moments[1] is not None:
-        return moments[1] - moments[0]
-    days = [
-        float(item.meta["time_of_day"]) if "time_of_day" in item.meta else moment
-        for item, moment in zip((record, result), moments, strict=True)
-    ]
-    if days[0] is None or days[1] is None:
-        return None
-    return (days[1] - days[0] + 0.5 * _DAY) % _DAY - 0.5 * _DAY
-
-
-def _moment(record: Record) -> float | None:
-    """Wall clock of a log's t = 0 [s since 1970], None where it knows none."""
-    text = record.meta.get("began")
-    return None if text is None else datetime.fromisoformat(text).timestamp()
 
 
 def _began(record: Record) -> str:
@@ -127,18 +112,6 @@ def _began(record: Record) -> str:
         minutes, seconds = divmod(float(day), 60.0)
         return f"{int(minutes) // 60:02d}:{int(minutes) % 60:02d}:{seconds:06.3f}"
     return "no clock"
-
-
-def _zones(t: np.ndarray, record: Record) -> str:
-    """The shift that brings two files together where their clocks are of two time zones, whole
-    half hours apart; '' where none does.
-    """
-    if t.size:
-        halves = -round((0.5 * (t[0] + t[-1]) - 0.5 * (record.t[0] + record.t[-1])) / _HALF_HOUR)
-        near = t + halves * _HALF_HOUR
-        if halves and near[0] < record.t[-1] and near[-1] > record.t[0]:
-            return message("data.two_time_zones", hours=0.5 * halves)
-    return ""
 
 
 def _ends(record: Record, late: float) -> str:

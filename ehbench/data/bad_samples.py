@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap
-from ehbench.data.rates import NAMED, SETTINGS, Group, Window, in_window, is_bad, lines_text
+from ehbench.data.rates import SETTINGS, Group, Window, in_window, is_bad, lines_text
+from ehbench.data.record import resampled
 from ehbench.vocabulary.errors import LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
+from ehbench.vocabulary.text import listed
 from ehbench.vocabulary.units import from_si
 
 
@@ -34,9 +36,8 @@ def clean(
     general = columns.columns.bad_samples
     if (lost := np.flatnonzero(~timed & inside)).size:
         if general != LEAVE_OUT:
-            raise LogError(
-                message("data.row_without_time"), file=path, line=_line(group, int(lost[0]))
-            )
+            text = message("data.row_without_time")
+            raise LogError(text, file=path, line=group.line(lost[0]))
         rows, lines = plural(lost.size, "row"), lines_text(group, lost)
         losses.append(message("data.rows_without_time", rows=rows, lines=lines))
     gone = ~timed
@@ -48,26 +49,14 @@ def clean(
         if at.size and (policies.get(channel) or general) != LEAVE_OUT:
             raise _bad_sample(group, channel, int(at[0]), path)
         bridged = bad & _short(bad) & ~gone
-        _bridge(channel, values, count, bad, bridged)
+        if bridged.any():
+            good = {channel: values[~bad]}
+            values[bridged] = resampled(good, count[~bad], count[bridged])[channel]
         gone |= bad & ~bridged & inside
         for some, is_bridged in ((at[bridged[at]], True), (at[~bridged[at]], False)):
             if some.size:
                 losses.append(_left_out(channel, group, t, some, is_bridged))
     return group.taken(np.flatnonzero(~gone)) if gone.any() else group
-
-
-def _bridge(
-    channel: str, values: np.ndarray, count: np.ndarray, bad: np.ndarray, bridged: np.ndarray
-) -> None:
-    """Put a straight line, or the last command, in place of the samples to be bridged."""
-    good = np.flatnonzero(~bad)
-    if not good.size:
-        return
-    if channel.endswith(".command"):
-        before = np.searchsorted(good, count[bridged], side="right") - 1
-        values[bridged] = values[good[before.clip(0)]]
-    else:
-        values[bridged] = np.interp(count[bridged], good, values[good])
 
 
 def _short(bad: np.ndarray) -> np.ndarray:
@@ -87,35 +76,23 @@ def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, is_brid
         first, last = t[at[0]], t[at[-1]]
         fields = {"channel": channel, "samples": samples, "lines": lines}
         return message("data.rows_left_out", first=first, last=last, **fields)
-    some = ", ".join(f"{t[item]:.6g}" for item in at[:NAMED]) + ", …" * (at.size > NAMED)
+    some = listed(f"{item:.6g}" for item in t[at])
     key = "data.command_bridged" if channel.endswith(".command") else "data.samples_bridged"
     run = 1 + max(map(len, np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)))
     fields = {"share": at.size / t.size, "longest": run * group.period}
     return message(key, channel=channel, samples=samples, times=some, lines=lines, **fields)
 
 
-def _line(group: Group, at: int) -> int | None:
-    return None if group.table.lines is None else group.table.lines[at]
-
-
 def _bad_sample(group: Group, channel: str, at: int, path: Path) -> LogError | UnitError:
     """The error of a bad sample."""
     row, value, column = quantity(channel), group.channels[channel][at], group.columns[channel]
-    line = _line(group, at)
+    line = group.line(at)
     where = "" if line else f" at t = {group.t[at]:.9g} s"
     if np.isfinite(value):
-        low, high, shown = (from_si(x, row.display, row) for x in (row.lower, row.upper, value))
-        text = message(
-            "data.bad_value",
-            channel=channel,
-            value=shown,
-            unit=row.display,
-            where=where,
-            low=low,
-            high=high,
-            column=column.name,
-        )
-        return UnitError(text, file=path, line=line)
+        ends = {"low": row.lower, "high": row.upper, "value": value}
+        fields = {key: from_si(x, row.display, row) for key, x in ends.items()}
+        fields |= {"channel": channel, "column": column.name, "unit": row.display}
+        return UnitError(message("data.bad_value", where=where, **fields), file=path, line=line)
     odd = column.odd.get(at)
     what = f"is {value:g}" if odd is None else f"'{odd}' is no number" if odd else "is blank"
     text = message("data.bad_sample", channel=channel, what=what, where=where)

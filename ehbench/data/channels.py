@@ -26,7 +26,7 @@ from ehbench.data.rates import (
 )
 from ehbench.data.readers import Dialect, Source, SourceColumn, open_source
 from ehbench.data.readers.clock import since_1970
-from ehbench.data.record import Record
+from ehbench.data.record import Record, resampled
 from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded
@@ -34,9 +34,9 @@ from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.text import listed
 
 DAYS = ("d", "day", "days")  # units of a time that spreadsheets count
-_LISTED = 8  # columns that a hint names
 
 
 def read_mapped(
@@ -59,7 +59,14 @@ def read_mapped(
     columns = columns or named_channels(source, path)
     groups = _Mapping(path, columns, source).groups()
     losses = [note for group in groups for note in _rate_note(group)]
-    began, daytime = _one_clock(groups)
+    # the others are shifted to the first table that begins, by its wall clock or its time of day
+    began = min((group.began for group in groups if group.began is not None), default=None)
+    daytime = min((group.daytime for group in groups if group.daytime is not None), default=None)
+    for group in groups:
+        if group.began is not None and began is not None:
+            group.t = group.t + (group.began - began)
+        elif group.daytime is not None and daytime is not None:
+            group.t = group.t + (group.daytime - daytime)
     if check and columns.columns.bad_samples == LEAVE_OUT:
         groups = [_without_repeats(group, losses) for group in groups]
     for index, group in enumerate(groups):
@@ -105,9 +112,7 @@ def named_channels(source: Source, path: Path) -> ColumnMap:
         if channel.rpartition(".")[2] in VOCABULARY and unit:
             results[name] = MappedColumn(channel=channel, unit=unit)
     if not any(column.channel != "t" for column in results.values()):
-        names = list(source.names())
-        there = ", ".join(f"'{name}'" for name in names[:_LISTED])
-        there += ", …" * (len(names) > _LISTED)
+        there = listed((f"'{name}'" for name in source.names()), 8)
         raise LogError(message("data.no_named_channel", there=there, file=path.name), file=path)
     return ColumnMap(Columns(names=results))
 
@@ -155,7 +160,9 @@ class _Mapping:
         object.__setattr__(self, "places", places)
 
     def groups(self) -> list[Group]:
-        """The mapped channels in SI, those of one table and one rate together."""
+        """The mapped channels in SI, those of one table and one rate together: by the rows in which
+        they stand, a group a rate.
+        """
         groups: dict[tuple[int, str], Group] = {}
         for name, mapped in self.columns.columns.names.items():
             if mapped.channel == "t":
@@ -169,12 +176,22 @@ class _Mapping:
             group.columns[mapped.channel] = self._column(name)
         if not groups:
             raise InputError(message("data.maps_nothing"), **self.columns.at())
-        times = [index for index, _ in groups]
-        whole = [
-            group if times.count(index) == 1 else _ended(group)
-            for (index, _), group in groups.items()
-        ]
-        return [part for group in whole for part in _parts(group)]
+        times, results = [index for index, _ in groups], []
+        for (index, _), group in groups.items():
+            if times.count(index) > 1:  # a time shorter than its table: blank rows follow it
+                filled = [np.isfinite(group.t), *(item.filled for item in group.columns.values())]
+                group = group.taken(np.flatnonzero(np.any(filled, axis=0)))
+            names = list(group.channels)
+            parts = apart([group.columns[name] for name in names])
+            results += (
+                [group]
+                if len(parts) == 1
+                else [
+                    group.taken(np.flatnonzero(rows), [names[at] for at in places])
+                    for places, rows in parts
+                ]
+            )
+        return results
 
     def _time_of(self, name: str) -> str:
         """The column of time of another column: of those in its table the nearest to its left,
@@ -214,7 +231,13 @@ class _Mapping:
         stamped, step = None, 0.0
         if self.columns.columns.rate is not None:
             stamped = t
-            t = _counted(t, table.size, float(self.columns.columns.rate))
+            rate = float(self.columns.columns.rate)
+            t = np.arange(table.size) / rate
+            if stamped is not None and np.isfinite(stamped).all():
+                # stamps that are finer than the rate tell which rows are missing
+                fine = np.mean(np.diff(stamped) <= 0.0) <= SETTINGS.repeated
+                stamps = timestamps_of(stamped, 1.0 / rate) if fine else None
+                t = stamps.number / rate if stamps is not None and stamps.even else t
         elif t is not None and time:
             column = self._column(time)
             values = column.values[np.isfinite(column.values)]
@@ -230,42 +253,8 @@ class _Mapping:
         days = time != "" and self.columns.columns.names[time].unit in DAYS
         if good.size and (moment := since_1970(float(good[0]), days)) is not None:
             began, t = moment, t - good[0]
-        return Group(
-            table,
-            t,
-            began,
-            table.daytime if began is None else None,
-            stamped=stamped,
-            resolution=step,
-        )
-
-
-def _ended(group: Group) -> Group:
-    """A group whose time is shorter than its table without the blank rows that follow."""
-    filled = [np.isfinite(group.t), *(column.filled for column in group.columns.values())]
-    return group.taken(np.flatnonzero(np.any(filled, axis=0)))
-
-
-def _parts(group: Group) -> list[Group]:
-    """The channels of a table by the rows in which they stand: a group a rate."""
-    names = list(group.channels)
-    parts = apart([group.columns[name] for name in names])
-    if len(parts) == 1:
-        return [group]
-    return [
-        group.taken(np.flatnonzero(rows), [names[index] for index in item]) for item, rows in parts
-    ]
-
-
-def _counted(t: np.ndarray | None, size: int, rate: float) -> np.ndarray:
-    """Time [s] of the rows of a table by their rate [Hz], from 0 on. Where stamps ``t`` stand
-    beside them that are finer than the rate, these tell which rows are missing, and no more.
-    """
-    count = np.arange(size) / rate
-    if t is None or not np.isfinite(t).all() or np.mean(np.diff(t) <= 0.0) > SETTINGS.repeated:
-        return count
-    stamps = timestamps_of(t, 1.0 / rate)
-    return count if stamps is None or not stamps.even else stamps.number / rate
+        daytime = table.daytime if began is None else None
+        return Group(table, t, began, daytime, stamped=stamped, resolution=step)
 
 
 def _rate_note(group: Group) -> list[str]:
@@ -283,20 +272,6 @@ def _rate_note(group: Group) -> list[str]:
     if abs(stamped - lasts) <= 2.0 * rounded + SETTINGS.wrong_rate * lasts:
         return []
     return [message("data.wrong_rate", group=group.title, rows=lasts, stamps=stamped)]
-
-
-def _one_clock(groups: list[Group]) -> tuple[float | None, float | None]:
-    """(wall clock [s since 1970], time of day [s since midnight]) of t = 0, that of the first table
-    to begin: the others are shifted to it.
-    """
-    known = [group.began for group in groups if group.began is not None]
-    days = [group.daytime for group in groups if group.daytime is not None]
-    for group in groups:
-        if group.began is not None:
-            group.t = group.t + (group.began - min(known))
-        elif group.daytime is not None:
-            group.t = group.t + (group.daytime - min(days))
-    return min(known, default=None), min(days, default=None)
 
 
 def _without_repeats(group: Group, losses: list[str]) -> Group:
@@ -352,12 +327,7 @@ def _in_time(group: Group, columns: ColumnMap) -> Group:
         return group
     t, slack = group.t, 0.01 * group.period
     for name, by in late.items():
-        values = group.channels[name]
-        if name.endswith(".command"):
-            at = np.searchsorted(t, t + by + slack, side="right") - 1
-            group.channels[name] = values[at.clip(0)]
-        else:
-            group.channels[name] = np.interp(t + by, t, values)
+        group.channels |= resampled({name: group.channels[name]}, t, t + by, slack)
     keep = (t + max(0.0, *late.values()) <= np.nanmax(t) + slack) & (
         t + min(0.0, *late.values()) >= np.nanmin(t) - slack
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -22,6 +22,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.text import listed
 from ehbench.vocabulary.units import from_si, plausible, to_si
 
 _PRESSURES = ("upstream_pressure", "downstream_pressure")
@@ -29,7 +30,6 @@ _NUMBERS = ("command", "pressure_drop", *_PRESSURES, "flow", "temperature")
 _METHODS = ("flowmeter", "cylinder")
 _EXAMPLE = "valve,direction,command [V],pressure_drop [kPa],flow [gpm],trial,method"
 _HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*")
-_NAMED, _LISTED = 4, 12  # readings left out that are reported with their reason, with their line
 
 
 @dataclass(frozen=True)
@@ -107,13 +107,12 @@ class FlowmeterData:
         Raises:
             InputError: there are none; names the valves and directions there are.
         """
-        at = (self.valve == valve) & (self.direction == direction)
-        if not at.any():
-            there = ", ".join(" ".join(group) for group in self.groups())
-            raise InputError(
-                message("data.no_readings_of", valve=valve, direction=direction, there=there)
-            )
-        return self.at(at)
+        rows = (self.valve == valve) & (self.direction == direction)
+        if not rows.any():
+            fields = {"there": ", ".join(" ".join(group) for group in self.groups())}
+            fields |= {"valve": valve, "direction": direction}
+            raise InputError(message("data.no_readings_of", **fields))
+        return self.at(rows)
 
     def at(self, rows: np.ndarray) -> FlowmeterData:
         """These readings alone, by number or by a mask."""
@@ -144,49 +143,34 @@ class LeftOut:
             raise type(error)(error.message, file=error.file, line=error.line, hint=hint)
         self.errors.append((valve, error))
 
-    def passes(self, valve: str, check: Callable[..., Any], *given: Any) -> bool:
-        """Whether a check of a reading raises nothing; takes what it raises."""
-        try:
-            check(*given)
-        except InputError as error:
-            self.take(valve, error)
-            return False
-        return True
-
-    def sentences(self, kept: Sequence[str]) -> tuple[str, ...]:
+    def sentences(self, retained: Sequence[str]) -> tuple[str, ...]:
         """A note for each file on the readings of it that are left out.
 
         Args:
-            kept: the valve of each reading that is not.
+            retained: the valve of each reading that is not.
 
         Raises:
             InputError: they are too many of a valve's readings to be slips.
         """
-        stay, gone = Counter(kept), Counter(valve for valve, _ in self.errors)
+        stay, gone = Counter(retained), Counter(valve for valve, _ in self.errors)
         files: dict[str, list[InputError]] = {}
         for valve, error in self.errors:
             count, every = gone[valve], gone[valve] + stay[valve]
             if count > max(1, SETTINGS.most_left_out * every):
-                text = message(
-                    "data.too_many_left_out",
-                    error=error.message,
-                    count=count,
-                    every=every,
-                    valve=valve,
-                )
+                fields = {"count": count, "every": every, "valve": valve}
+                text = message("data.too_many_left_out", error=error.message, **fields)
                 hint = "; ".join(filter(None, (error.hint, text.hint)))
                 raise type(error)(text, file=error.file, line=error.line, hint=hint)
             files.setdefault(Path(str(error.file)).name, []).append(error)
-        return tuple(_left_out(*pair) for pair in files.items())
-
-
-def _left_out(name: str, errors: Sequence[InputError]) -> str:
-    """How many readings of a file are left out, and of the first of them why."""
-    first = "; ".join(f"line {error.line}: {error.message}" for error in errors[:_NAMED])
-    others = ", ".join(str(error.line) for error in errors[_NAMED:][:_LISTED])
-    more = f"; lines {others}{', …' * (len(errors) > _NAMED + _LISTED)}" if others else ""
-    readings = plural(len(errors), "reading")
-    return message("data.readings_left_out", name=name, readings=readings, first=first, more=more)
+        notes = []
+        for name, errors in files.items():
+            first = "; ".join(f"line {error.line}: {error.message}" for error in errors[:4])
+            more = (
+                f"; lines {others}" if (others := listed((e.line for e in errors[4:]), 12)) else ""
+            )
+            fields = {"readings": plural(len(errors), "reading"), "first": first, "more": more}
+            notes.append(message("data.readings_left_out", name=name, **fields))
+        return tuple(notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,24 +217,22 @@ def read_flowmeter(
     """
     path = Path(path)
     named = columns is not None and bool(columns.columns.names)
-    sheets = list(_mapped(path, columns)) if columns and named else [_named(path)]
+    sheets = _mapped(path, columns) if columns and named else [_named(path)]
     left_out = LeftOut(leave_out)
     rows: list[dict[str, Any]] = []
     for sheet in sheets:
         for index, valve in enumerate(sheet.words["valve"]):
-            left_out.passes(valve, lambda *given: rows.append(_row(*given)), sheet, index)
+            try:
+                rows.append(_row(sheet, index))
+            except InputError as error:
+                left_out.take(valve, error)
     if not rows and not left_out.errors:
         raise InputError(message("data.no_readings", example=_EXAMPLE), file=path)
-    units = sheets[0].units
+    units, warnings = sheets[0].units, ()
     if supply_pressure is not None:
-        rows = [
-            row
-            for row in rows
-            if left_out.passes(row["valve"], _check_supply, row, supply_pressure, units)
-        ]
+        rows, warnings = _within_supply(rows, supply_pressure, units, left_out)
     rows = _signs(rows, left_out)
     losses = left_out.sentences([row["valve"] for row in rows])
-    warnings = () if supply_pressure is None else _small_drops(path, rows, supply_pressure, units)
     arrays: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ARRAYS}
     return FlowmeterData(**arrays, warnings=warnings, losses=losses, units=units)
 
@@ -276,16 +258,19 @@ def _named(path: Path) -> _Sheet:
         text, unit = (match[1], match[2] or "") if match else (cell, "")
         name = text.lower().replace(" ", "_")
         if name not in (*_NUMBERS, *READING_WORDS):
-            raise InputError(_unknown(cell), **where)
+            known = (*_NUMBERS, *READING_WORDS)
+            near = get_close_matches(re.split(r"[\s(\[{]", cell.lower())[0], known, 1, cutoff=0.5)
+            key = "data.unknown_column_near" if near else "data.unknown_column"
+            unit = f" [{VOCABULARY[near[0]].display}]" if near and near[0] in _NUMBERS else ""
+            fields = {"cell": cell, "example": _EXAMPLE, "near": "".join(near), "unit": unit}
+            raise InputError(message(key, **fields), **where)
         if name in places:
             raise InputError(message("data.column_twice", name=name), **where)
         places[name] = place
         if name in _NUMBERS:
             if not unit:
-                display = VOCABULARY[name].display
-                raise UnitError(
-                    message("data.column_without_unit", name=name, display=display), **where
-                )
+                fields = {"name": name, "display": VOCABULARY[name].display}
+                raise UnitError(message("data.column_without_unit", **fields), **where)
             try:
                 to_si(1.0, unit, VOCABULARY[name])
             except UnitError as error:
@@ -304,17 +289,6 @@ def _named(path: Path) -> _Sheet:
     return _Sheet(path, table.lines, numbers, dict(zip(units, odd, strict=True)), words, units)
 
 
-def _unknown(cell: str) -> str:
-    """The message on a column that is none of a file of readings."""
-    near = get_close_matches(
-        re.split(r"[\s(\[{]", cell.lower())[0], (*_NUMBERS, *READING_WORDS), 1, cutoff=0.5
-    )
-    if not near:
-        return message("data.unknown_column", cell=cell, example=_EXAMPLE)
-    unit = f" [{VOCABULARY[near[0]].display}]" if near[0] in _NUMBERS else ""
-    return message("data.unknown_column_near", cell=cell, near=near[0], unit=unit)
-
-
 def _check_columns(names: Mapping[str, int], where: Mapping[str, Any]) -> None:
     """Refuse a header that lacks a column, or says the drop twice."""
     sides = any(name in names for name in _PRESSURES)
@@ -331,17 +305,16 @@ def _check_columns(names: Mapping[str, int], where: Mapping[str, Any]) -> None:
         raise InputError(message("data.missing_column", columns=columns, cells=cells), **where)
 
 
-def _mapped(path: Path, columns: ColumnMap) -> Iterator[_Sheet]:
+def _mapped(path: Path, columns: ColumnMap) -> list[_Sheet]:
     """The readings of each table of a foreign file that has all columns of a map; of the first
     where there is one such table, or none.
     """
     source = open_source(path, dialect_of(columns))
     tables = alike(source, list(columns.columns.names))
     if len(tables) < 2:
-        yield _mapped_table(path, source, Path(path.name.removesuffix(".gz")).stem, columns)
-        return
-    for table in tables:
-        yield _mapped_table(path, replace(source, tables=(table,)), table.name, columns)
+        return [_mapped_table(path, source, Path(path.name.removesuffix(".gz")).stem, columns)]
+    each = [(replace(source, tables=(table,)), table.name) for table in tables]
+    return [_mapped_table(path, *item, columns) for item in each]
 
 
 def _mapped_table(path: Path, source: Source, valve: str, columns: ColumnMap) -> _Sheet:
@@ -424,23 +397,34 @@ def _row(sheet: _Sheet, index: int) -> dict[str, Any]:
     return row | {"trial": int(trial)}
 
 
-def _check_supply(row: Mapping[str, Any], supply: float, units: Mapping[str, str]) -> None:
-    """Refuse a drop far above the supply pressure [Pa]."""
-    drop, unit = abs(row["pressure_drop"]), _drop_unit(units)
-    if drop > SETTINGS.supply_margin * supply:
-        shown, limit = (from_si(x, unit, VOCABULARY["pressure_drop"]) for x in (drop, supply))
-        raise UnitError(
-            message(
-                "data.drop_beyond_supply", drop=shown, unit=unit, times=drop / supply, supply=limit
-            ),
-            file=row["file"],
-            line=row["line"],
-        )
+def _within_supply(
+    rows: Sequence[dict[str, Any]], supply: float, units: Mapping[str, str], left_out: LeftOut
+) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
+    """(the rows but for drops far above the supply pressure [Pa]; a warning where all are far
+    below it).
+    """
+    unit, row_of = _drop_unit(units), VOCABULARY["pressure_drop"]
+    retained = []
+    for row in rows:
+        times = abs(row["pressure_drop"]) / supply
+        if times > SETTINGS.supply_margin:
+            shown, limit = (from_si(x, unit, row_of) for x in (times * supply, supply))
+            fields = {"drop": shown, "unit": unit, "times": times, "supply": limit}
+            text = message("data.drop_beyond_supply", **fields)
+            left_out.take(row["valve"], UnitError(text, file=row["file"], line=row["line"]))
+        else:
+            retained.append(row)
+    largest = max((row["pressure_drop"] for row in retained), default=np.inf)
+    if not largest < SETTINGS.supply_share * supply:
+        return retained, ()
+    fields = {"drop": from_si(largest, unit, row_of), "unit": unit}
+    return retained, (message("data.small_drops", file=retained[0]["file"], **fields),)
 
 
 def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]]:
-    """The rows but for those whose flow runs against its drop; those with both negative and no
-    direction are turned into reverse ones.
+    """The rows but for those whose flow runs against its drop, or the drop against the direction;
+    those with both negative and no direction are turned into reverse ones. Where rows may be left
+    out, too few turned ones for a map are slips.
     """
     zeros: dict[str, tuple[float, float]] = {}
     for row in rows:
@@ -448,58 +432,36 @@ def _signs(rows: list[dict[str, Any]], left_out: LeftOut) -> list[dict[str, Any]
         share = SETTINGS.zero_share
         flow = max(flow, share * abs(row["flow"]))
         zeros[row["valve"]] = flow, max(drop, share * abs(row["pressure_drop"]))
-    rows = [
-        row
-        for row in rows
-        if left_out.passes(row["valve"], _check_signs, row, *zeros[row["valve"]])
-    ]
-    turned = Counter()
+    retained, turned = [], Counter()
     for row in rows:
-        if row["pressure_drop"] < -zeros[row["valve"]][1]:
-            row |= {name: -row[name] for name in ("flow", "pressure_drop")}
-            row["direction"] = "reverse"
-            turned[row["valve"]] += 1
-        row["direction"] = row["direction"] or "forward"
-    return [row for row in rows if left_out.passes(row["valve"], _check_few, row, turned, left_out)]
-
-
-def _check_signs(row: Mapping[str, Any], flow_zero: float, drop_zero: float) -> None:
-    """Refuse a flow against the drop, or a drop against the direction that the row says."""
-    flow, drop = row["flow"], row["pressure_drop"]
-    where: dict[str, Any] = {"file": row["file"], "line": row["line"]}
-    if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
-        raise InputError(message("data.flow_against_drop", valve=row["valve"]), **where)
-    if drop < -drop_zero and row["direction"]:
-        raise InputError(
-            message("data.drop_against_direction", direction=row["direction"]), **where
-        )
-
-
-def _check_few(row: Mapping[str, Any], turned: Counter[str], left_out: LeftOut) -> None:
-    """Refuse one of a few readings that were turned round: where rows may be left out, too few
-    for a map are slips.
-    """
-    few = 0 < turned[row["valve"]] < SETTINGS.fewest_reverse
-    if left_out.allowed and few and row["direction"] == "reverse":
+        valve, flow, drop = row["valve"], row["flow"], row["pressure_drop"]
+        flow_zero, drop_zero = zeros[valve]
+        where: dict[str, Any] = {"file": row["file"], "line": row["line"]}
+        if flow * drop < 0 and abs(flow) > flow_zero and abs(drop) > drop_zero:
+            text = message("data.flow_against_drop", valve=valve)
+        elif drop < -drop_zero and row["direction"]:
+            text = message("data.drop_against_direction", direction=row["direction"])
+        else:
+            if drop < -drop_zero:
+                row |= {"flow": -flow, "pressure_drop": -drop, "direction": "reverse"}
+                turned[valve] += 1
+            row["direction"] = row["direction"] or "forward"
+            retained.append(row)
+            continue
+        left_out.take(valve, InputError(text, **where))
+    few = {valve for valve, count in turned.items() if count < SETTINGS.fewest_reverse}
+    slips = [row for row in retained if row["valve"] in few and row["direction"] == "reverse"]
+    for row in slips if left_out.allowed else ():
         text = message("data.few_reverse", valve=row["valve"])
-        raise InputError(text, file=row["file"], line=row["line"])
+        left_out.take(row["valve"], InputError(text, file=row["file"], line=row["line"]))
+        retained.remove(row)
+    return retained
 
 
 def _drop_unit(units: Mapping[str, str]) -> str:
     """The unit in which a file has its drops."""
     display = VOCABULARY["pressure_drop"].display
     return units.get("pressure_drop") or units.get("upstream_pressure", display)
-
-
-def _small_drops(
-    path: Path, rows: Sequence[Mapping[str, Any]], supply: float, units: Mapping[str, str]
-) -> tuple[str, ...]:
-    """A warning where all drops are far below the supply pressure [Pa]."""
-    maximum, unit = max((row["pressure_drop"] for row in rows), default=np.inf), _drop_unit(units)
-    if not maximum < SETTINGS.supply_share * supply:
-        return ()
-    shown = from_si(maximum, unit, VOCABULARY["pressure_drop"])
-    return (message("data.small_drops", file=path, drop=shown, unit=unit),)
 
 
 def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ehbench.data.readers import SourceColumn, SourceTable
-from ehbench.data.record import Window
-from ehbench.signals.timestamps import timestamps_of
+from ehbench.data.record import Window, resampled
+from ehbench.signals.timestamps import missing_rows
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.settings import setting
-
-NAMED = 4  # places that a note names
+from ehbench.vocabulary.text import listed
 
 
 @dataclass(frozen=True)
@@ -78,9 +77,11 @@ class Group:
     @property
     def title(self) -> str:
         """The table by its name, else its first channels."""
-        names = list(self.channels)
-        some = ", ".join(names[:NAMED]) + ", …" * (len(names) > NAMED)
-        return f"table '{self.table.name}'" if self.table.name else some
+        return f"table '{self.table.name}'" if self.table.name else listed(self.channels)
+
+    def line(self, row: int) -> int | None:
+        """The line of a row in a text file, None in any other."""
+        return None if self.table.lines is None else self.table.lines[int(row)]
 
     def taken(self, rows: np.ndarray, channels: Sequence[str] | None = None) -> Group:
         """The same group with some of its rows, by number, and channels."""
@@ -115,8 +116,7 @@ def lines_text(group: Group, at: np.ndarray) -> str:
     """The lines of some rows of a text file, in brackets; '' of any other file."""
     if group.table.lines is None:
         return ""
-    some = ", ".join(str(group.table.lines[int(item)]) for item in at[:NAMED])
-    return f" (line{'s' * (at.size > 1)} {some}{', …' * (at.size > NAMED)})"
+    return f" (line{'s' * (at.size > 1)} {listed(map(group.line, at))})"
 
 
 def apart(columns: Sequence[SourceColumn]) -> list[tuple[list[int], np.ndarray]]:
@@ -182,43 +182,30 @@ def joined(
         if group is base:
             continue
         good = np.isfinite(group.t) & (np.diff(group.t, prepend=-np.inf) > 0)
-        own, before = group.t[good], np.searchsorted(group.t[good], t, side="right") - 1
-        if np.array_equal(own, t):
-            channels.update({name: values[good] for name, values in group.channels.items()})
+        times = group.t[good]
+        values = {name: y[good] for name, y in group.channels.items()}
+        if np.array_equal(times, t):
+            channels |= values
             continue
-        ends = own[-1] + group.period if np.isfinite(group.period) else own[-1]
-        covered = (t >= own[0]) & (t <= ends)
-        after = np.append(own, np.inf)[before + 1] - own[before.clip(0)]
-        holes = (
-            covered
-            & (after > (SETTINGS.bridged + SETTINGS.gap) * group.period)
-            & (before < own.size - 1)
-        )
-        holes &= own[before.clip(0)] != t
-        keep &= covered & ~holes
-        for name, values in group.channels.items():
-            line = np.interp(t, own, values[good])
-            is_command = name.endswith(".command")
-            channels[name] = values[good][before.clip(0)] if is_command else line
+        channels |= resampled(values, times, t)
+        before = np.searchsorted(times, t, side="right") - 1
+        last = times[-1] + (group.period if np.isfinite(group.period) else 0.0)
+        hole = np.append(times, np.inf)[before + 1] - times[before.clip(0)]
+        hole = (hole > (SETTINGS.bridged + SETTINGS.gap) * group.period) & (before < times.size - 1)
+        keep &= (t >= times[0]) & (t <= last) & ~(hole & (times[before.clip(0)] != t))
         if abs(group.period - base.period) > 0.01 * base.period:
             rate, to = 1 / group.period, 1 / base.period
             rates.append(message("data.other_rate", group=group.title, rate=rate, base=to))
     if not keep.all():
-        losses += _uncovered(t, keep, max(group.period for group in groups))
+        slack, noted = max(group.period for group in groups), keep
+        if keep.any():  # tables begin and end a sample of the slowest apart, which is no loss
+            first, end = t[keep][[0, -1]]
+            noted = keep | ((t < first) & (first - t[0] <= slack))
+            noted |= (t > end) & (t[-1] - end <= slack)
+        if lost := int((~noted).sum()):
+            losses.append(message("data.rows_uncovered", rows=plural(lost, "row")))
         t, channels = t[keep], {name: values[keep] for name, values in channels.items()}
     return t, channels, rates
-
-
-def _uncovered(t: np.ndarray, keep: np.ndarray, slack: float) -> list[str]:
-    """A note on the rows that not all tables cover: tables begin and end a sample of the slowest
-    apart, which is no loss.
-    """
-    if keep.any():
-        first, last = t[keep][[0, -1]]
-        keep = keep | ((t < first) & (first - t[0] <= slack))
-        keep |= (t > last) & (t[-1] - last <= slack)
-    lost = int((~keep).sum())
-    return [message("data.rows_uncovered", rows=plural(lost, "row"))] if lost else []
 
 
 def gaps(group: Group, window: Window | None) -> list[str]:
@@ -226,24 +213,17 @@ def gaps(group: Group, window: Window | None) -> list[str]:
     t = group.t[in_window(group.t, window)]
     if not 0.0 < group.period < np.inf:
         return []
-    gap, steps = SETTINGS.gap + group.resolution / group.period, np.diff(t) / group.period
-    missing = np.where(steps > gap, np.rint(steps - 1.0), 0.0)
-    if np.any(np.abs(steps - missing - 1.0) > gap - 1.0):  # late stamps, by which no step tells
-        stamps = timestamps_of(t)
-        missing = stamps.missing if stamps is not None and stamps.even else missing
+    slack = (SETTINGS.gap - 1.0) * group.period + group.resolution
+    missing = missing_rows(t, group.period, slack)
     at = np.flatnonzero(missing)
     if not at.size:
         return []
-    few = ", ".join(
-        f"{missing[item]:.0f} between t = {t[item]:.6g} and {t[item + 1]:.6g} s"
-        for item in at[:NAMED]
-    )
-    few += f", … ({at.size} gaps)" if at.size > NAMED else ""
+    each = (f"{missing[i]:.0f} between t = {t[i]:.6g} and {t[i + 1]:.6g} s" for i in at)
     short = at[missing[at] <= SETTINGS.bridged]
     fields = {
         "group": group.title,
         "samples": plural(int(missing.sum()), "sample"),
-        "where": few,
+        "where": listed(each, kind="gaps"),
         "share": float(missing[short].sum() / (t.size + missing.sum())),
         "longest": float((t[short + 1] - t[short]).max(initial=0.0)),
     }

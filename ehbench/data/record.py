@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.quantities import like_channel, quantity
+from ehbench.vocabulary.text import listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,10 +84,9 @@ class Record:
 
     def __repr__(self) -> str:
         span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
-        names = list(self.channels)
-        some = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
-        size = f"{plural(self.t.size, 'sample')}{span}, {plural(len(names), 'channel')}"
-        return f"<Record: {size}: {some}>" if names else f"<Record: {size}>"
+        count = plural(len(self.channels), "channel")
+        some = f": {listed(self.channels)}" if self.channels else ""
+        return f"<Record: {plural(self.t.size, 'sample')}{span}, {count}{some}>"
 
     def _repr_html_(self) -> str:
         """Its channels with their unit, range and meaning."""
@@ -152,6 +152,19 @@ class Record:
         frame.attrs["meta"] = dict(self.meta)
         frame.attrs["losses"] = list(self.losses)
         return frame
+
+
+def resampled(
+    channels: Mapping[str, np.ndarray], t: np.ndarray, at: np.ndarray, slack: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Channels sampled at ``t`` [s] as they are at other times: readings on straight lines between
+    their samples, commands as the last one, which may come ``slack`` [s] late.
+    """
+    last = (np.searchsorted(t, at + slack, side="right") - 1).clip(0)
+    return {
+        name: y[last] if name.endswith(".command") else np.interp(at, t, y)
+        for name, y in channels.items()
+    }
 
 
 def block_averages(y: np.ndarray, each: int) -> np.ndarray:

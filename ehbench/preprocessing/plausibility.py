@@ -21,6 +21,7 @@ from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import GAUGES, VOCABULARY
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.text import listed
 from ehbench.vocabulary.units import factor, from_si
 
 LEAST_SAMPLES = 3
@@ -149,7 +150,7 @@ def foreign_channels(name: str, record: Record, rig: Rig) -> list[Message]:
     for owner, channels in odd.items():
         valve = all(channel.endswith(".command") for channel in channels)
         what = "a valve" if valve else "a cylinder"
-        some = ", ".join(f"'{channel}'" for channel in channels[:3]) + ", …" * (len(channels) > 3)
+        some = listed((f"'{channel}'" for channel in channels), 3)
         near = get_close_matches(owner, valves if "." in owner else cylinders, 1)
         fields = {"channels": some, "what": what, "rig": rig.name}
         if near:

@@ -6,17 +6,18 @@ simulation begins anew after it, from an initial state of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.data.record import Record
-from ehbench.signals.timestamps import Timestamps, timestamps_of
+from ehbench.data.record import Record, resampled
+from ehbench.signals.timestamps import missing_rows, timestamps_of
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.text import listed
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,6 @@ class TimeSettings:
 
 
 SETTINGS = TimeSettings()
-_NAMED = 4  # gaps that are listed
 
 
 def evened(name: str, record: Record) -> tuple[Record, list[Message]]:
@@ -62,35 +62,23 @@ def evened(name: str, record: Record) -> tuple[Record, list[Message]]:
     if off[worst] > (2.0 * SETTINGS.jitter + SETTINGS.even) * even:
         stamps = timestamps_of(record.t)
         if stamps is not None and stamps.even and not stamps.missing.any():
-            return _on_beats(record, stamps)
+            beats = record.t[0] - stamps.off[0] + stamps.period * stamps.number
+            channels = {  # a command at its beat, however late it was written
+                name: y if name.endswith(".command") else np.interp(beats, record.t, y)
+                for name, y in record.channels.items()
+            }
+            early, late = 1e3 * max(0.0, -stamps.off.min()), 1e3 * max(0.0, stamps.off.max())
+            rate = f"{1.0 / stamps.period:.5g} Hz"
+            note = message("preprocessing.jitter", early=early, late=late, rate=rate)
+            return replace(record, t=beats, channels=channels), [note]
         at = int(np.argmax(np.abs(steps - tick)))
         fields = {"gap": 1e3 * steps[at], "time": record.t[at], "step": 1e3 * tick}
         raise LogError(message("preprocessing.not_even", log=name, **fields))
     t = np.linspace(record.t[0], record.t[-1], record.t.size)
-    fixed = (
-        np.searchsorted(record.t, t + (SETTINGS.jitter + SETTINGS.even) * even, side="right") - 1
-    )
-    channels = {
-        channel: values[fixed] if channel.endswith(".command") else np.interp(t, record.t, values)
-        for channel, values in record.channels.items()
-    }
+    slack = (SETTINGS.jitter + SETTINGS.even) * even
+    channels = resampled(record.channels, record.t, t, slack)
     fields = {"gap": 1e3 * steps[worst], "time": record.t[worst], "rate": 1.0 / even}
     return replace(record, t=t, channels=channels), [message("preprocessing.resampled", **fields)]
-
-
-def _on_beats(record: Record, stamps: Timestamps) -> tuple[Record, list[Message]]:
-    """A record with stamps that jitter on the beats of their rate, and a message: readings
-    by straight lines between their stamps, commands each at its beat.
-    """
-    beats = record.t[0] - stamps.off[0] + stamps.period * stamps.number
-    channels = {
-        name: y if name.endswith(".command") else np.interp(beats, record.t, y)
-        for name, y in record.channels.items()
-    }
-    early, late = 1e3 * max(0.0, -stamps.off.min()), 1e3 * max(0.0, stamps.off.max())
-    rate = f"{1.0 / stamps.period:.5g} Hz"
-    note = message("preprocessing.jitter", early=early, late=late, rate=rate)
-    return replace(record, t=beats, channels=channels), [note]
 
 
 class LogPart(NamedTuple):
@@ -117,22 +105,27 @@ def parts_of(
     whole = [LogPart(name, record)]
     if record.t.size < 3:
         return whole, []
-    steps, missing = np.diff(record.t), _missing(record)
+    tick, steps = record.sample_time, np.diff(record.t)
+    missing = missing_rows(record.t, tick, (2.0 * SETTINGS.jitter + SETTINGS.even) * tick)
     gaps = np.flatnonzero(missing >= 1.0)
     if not gaps.size or gaps.size > SETTINGS.rare * steps.size or np.any(steps <= 0.0):
         return whole, []
-    few, many = (
-        gaps[part] for part in (missing[gaps] <= SETTINGS.bridged, missing[gaps] > SETTINGS.bridged)
-    )
+    is_short = missing[gaps] <= SETTINGS.bridged
+    few, many = gaps[is_short], gaps[~is_short]
     edges = [0, *(many + 1).tolist(), record.t.size]
     spans = list(zip(edges[:-1], edges[1:], strict=True))
-    retained = _retained(record, spans, driven, within)
+    retained = _retained(record, spans, driven, within or (-np.inf, np.inf))
     if not retained:
         return whole, []
+    filled = record
+    if few.size:
+        new = [np.linspace(record.t[i], record.t[i + 1], int(missing[i]) + 2)[1:-1] for i in few]
+        t = np.sort(np.concatenate([record.t, *new]))
+        filled = replace(record, t=t, channels=resampled(record.channels, record.t, t))
     results = [
         LogPart(
-            name if len(retained) == 1 else f"{name}_part{number}",
-            _bridged(record, start, stop, few, missing),
+            f"{name}_part{number}" if len(retained) > 1 else name,
+            filled.between(record.t[start], record.t[stop - 1]),
         )
         for number, (start, stop) in enumerate(retained, 1)
     ]
@@ -146,90 +139,39 @@ def parts_of(
     if many.size:
         shown = _gap_list(record, many, missing)
         notes.append(message("preprocessing.cut", log=name, gaps=shown))
-    return results, [*notes, *_parts_notes(name, record, results, left_out)]
-
-
-def _missing(record: Record) -> np.ndarray:
-    """Samples that are missing after each but the last, by its step alone, or, where stamps are
-    off by more than that, by all of them; shape (samples − 1,).
-    """
-    tick, steps = record.sample_time, np.diff(record.t)
-    slack = (2.0 * SETTINGS.jitter + SETTINGS.even) * tick
-    missing = np.where(steps > tick + slack, np.rint(steps / tick) - 1, 0)
-    if np.any(np.abs(steps - (missing + 1) * tick) > slack):
-        stamps = timestamps_of(record.t)
-        if stamps is not None and stamps.even:
-            return stamps.missing
-    return missing
+    if len(results) > 1 or left_out:
+        ends = [(part.name, *part.record.t[[0, -1]]) for part in results]
+        shown = ", ".join(f"{part} from {first:.6g} to {last:.6g} s" for part, first, last in ends)
+        notes.append(message("preprocessing.parts", log=name, parts=shown))
+    if left_out:
+        ends = [record.t[[start, stop - 1]] for start, stop in left_out]
+        shown = ", ".join(f"{first:.6g} to {last:.6g} s" for first, last in ends)
+        notes.append(message("preprocessing.parts_left_out", log=name, spans=shown))
+    return results, notes
 
 
 def _retained(
-    record: Record,
-    spans: Sequence[tuple[int, int]],
-    driven: bool,
-    within: tuple[float, float] | None,
+    record: Record, spans: Sequence[tuple[int, int]], driven: bool, within: tuple[float, float]
 ) -> list[tuple[int, int]]:
-    """The parts, first sample and the one after the last, that are long enough."""
-    low, high = (-np.inf, np.inf) if within is None else within
-    t = record.t
-    inside = [
+    """The parts, first sample and the one after the last, that are long enough; in those that are
+    ``driven`` a command changes by more than a little of its range.
+    """
+    inside = [span for span in spans if record.at(slice(*span)).between(*within).t.size > 2]
+    longest = max((stop - start for start, stop in inside), default=0)
+    shortest = max(SETTINGS.shortest / record.sample_time, SETTINGS.share * longest)
+    commands = [y for channel, y in record.channels.items() if channel.endswith(".command")]
+    return [
         (start, stop)
-        for start, stop in spans
-        if np.count_nonzero((t[start:stop] >= low) & (t[start:stop] <= high)) > 2
+        for start, stop in inside
+        if stop - start >= shortest
+        and (
+            not driven or any(np.ptp(y[start:stop]) > SETTINGS.change * np.ptp(y) for y in commands)
+        )
     ]
-    maximum = max((stop - start for start, stop in inside), default=0)
-    minimum = max(SETTINGS.shortest / record.sample_time, SETTINGS.share * maximum)
-    long = [span for span in inside if span[1] - span[0] >= minimum]
-    return [span for span in long if not driven or _changes(record, *span)]
-
-
-def _changes(record: Record, start: int, stop: int) -> bool:
-    """Whether a command changes in a part by more than a little of its range."""
-    commands = [y for name, y in record.channels.items() if name.endswith(".command")]
-    return any(np.ptp(y[start:stop]) > SETTINGS.change * np.ptp(y) for y in commands)
-
-
-def _bridged(
-    record: Record, start: int, stop: int, gaps: np.ndarray, missing: np.ndarray
-) -> Record:
-    """A part with its few missing samples: readings by straight lines, commands by the last one."""
-    part = record.at(np.arange(start, stop))
-    inside = [int(gap) for gap in gaps if start <= gap < stop - 1]
-    if not inside:
-        return part
-    ends = ((record.t[gap], record.t[gap + 1], int(missing[gap]) + 2) for gap in inside)
-    new = [np.linspace(*each)[1:-1] for each in ends]
-    t = np.sort(np.concatenate([part.t, *new]))
-    fixed = np.searchsorted(part.t, t, side="right") - 1
-    channels = {
-        name: y[fixed] if name.endswith(".command") else np.interp(t, part.t, y)
-        for name, y in part.channels.items()
-    }
-    return replace(part, t=t, channels=channels)
 
 
 def _gap_list(record: Record, gaps: np.ndarray, missing: np.ndarray) -> str:
     """The first of some gaps, and how many there are."""
-    some = ", ".join(
-        f"{1e3 * (record.t[gap + 1] - record.t[gap]):.4g} ms after t = {record.t[gap]:.6g} s "
-        f"({missing[gap]:.0f})"
-        for gap in gaps[:_NAMED]
-    )
-    return some + (f", … ({gaps.size} gaps)" if gaps.size > _NAMED else "")
-
-
-def _parts_notes(
-    name: str, record: Record, parts: Sequence[LogPart], left_out: Sequence[tuple[int, int]]
-) -> Iterator[Message]:
-    """Which parts are used, and which are not."""
-    if len(parts) > 1 or left_out:
-        spans = ", ".join(
-            f"{part.name} from {part.record.t[0]:.6g} to {part.record.t[-1]:.6g} s"
-            for part in parts
-        )
-        yield message("preprocessing.parts", log=name, parts=spans)
-    if left_out:
-        spans = ", ".join(
-            f"{record.t[start]:.6g} to {record.t[stop - 1]:.6g} s" for start, stop in left_out
-        )
-        yield message("preprocessing.parts_left_out", log=name, spans=spans)
+    steps = 1e3 * np.diff(record.t)
+    each = (f"{steps[i]:.4g} ms after t = {record.t[i]:.6g} s ({missing[i]:.0f})" for i in gaps)
+    return listed(each, kind="gaps")

@@ -135,6 +135,18 @@ def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | No
     return Timestamps(tick, number, off - off.mean())
 
 
+def missing_rows(t: np.ndarray, period: float, slack: float) -> np.ndarray:
+    """Rows that are missing after each but the last, by its step alone, or, where stamps are off by
+    more than ``slack`` [s], by all of them; shape (rows − 1,).
+    """
+    steps = np.diff(t)
+    missing = np.where(steps > period + slack, np.rint(steps / period) - 1, 0)
+    if np.any(np.abs(steps - (missing + 1) * period) > slack):
+        stamps = timestamps_of(t)
+        return stamps.missing if stamps is not None and stamps.even else missing
+    return missing
+
+
 def _beats(t: np.ndarray, period: float) -> np.ndarray:
     """By row, the beat of a clock of a ``period`` [s] that is next to its stamp, from 0 on; of
     several stamps at one beat the last keeps it, and those before are late ones of earlier beats.

@@ -22,6 +22,13 @@ def unlike(word: str, taken: Collection[str], joint: str = "_") -> str:
     return result
 
 
+def listed(items: Iterable[Any], maximum: int = 4, kind: str = "") -> str:
+    """The first of some items, and ``…`` where there are more: with a ``kind``, how many."""
+    texts = [str(item) for item in items]
+    more = ", …" + f" ({len(texts)} {kind})" * bool(kind)
+    return ", ".join(texts[:maximum]) + more * (len(texts) > maximum)
+
+
 def shortened(value: Any, maximum: int) -> str:
     """A value as Python writes it, cut where it would take ``maximum`` characters; only its type
     where that fails.

@@ -21,32 +21,17 @@ from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened
 
-
-def _carried(raw: Any) -> Any:
-    return None if raw == "none" else raw
-
-
 # what a machine carries, by the name that its rig file has for it; ``none`` is no payload
-Payload = Annotated[str | None, BeforeValidator(_carried)]
+Payload = Annotated[str | None, BeforeValidator(lambda raw: None if raw == "none" else raw)]
 
 
 class BesideFile(FileModel):
     """A file that another recorder wrote of the same run."""
 
-    path: str = Field(description="what another recorder wrote of the same run")
-    columns: AnyColumns = Field(
-        default=None, description="of this file; none: its columns are named as channels"
-    )
-    shift: Annotated[Value, Q("start")] | None = Field(
-        default=None,
-        description="by how much later its samples were taken than its clock says, or, where the "
-        "two files know no common clock, than its time says",
-    )
-    clock: Literal["shared", "own"] = Field(
-        default="shared",
-        description="`shared`: times of day, where both files know them, say how they lie; `own`: "
-        "each counts from its own start, as recorders on one trigger do",
-    )
+    path: str
+    columns: AnyColumns = None
+    shift: Annotated[Value, Q("start")] | None = None
+    clock: Literal["shared", "own"] = "shared"
 
 
 def data_file(raw: Any) -> Any:
@@ -64,12 +49,8 @@ class DataFile(FileModel):
     start: Annotated[Value, Q("start")] | None = None
     stop: Annotated[Value, Q("stop")] | None = None
     note: str = ""
-    columns: AnyColumns = Field(
-        default=None, description="of this file, in place of those of the recipe"
-    )
-    beside: tuple[Annotated[BesideFile, BeforeValidator(data_file)], ...] = Field(
-        default=(), description="files that other recorders wrote of the same run, see below"
-    )
+    columns: AnyColumns = None
+    beside: tuple[Annotated[BesideFile, BeforeValidator(data_file)], ...] = ()
 
 
 DataFiles = Annotated[
@@ -84,29 +65,13 @@ Supplied = Literal["model", "recorded"]
 class ReplayedFile(DataFile):
     """A log that a simulation runs along, and what of its motion that is tied to."""
 
-    tied: Tied | None = Field(default=None, description="of this file, in place of the recipe's")
-    supply: Supplied | None = Field(
-        default=None, description="of this file, in place of the recipe's"
-    )
+    tied: Tied | None = None
+    supply: Supplied | None = None
 
 
 ReplayedFiles = Annotated[
     tuple[Annotated[ReplayedFile, BeforeValidator(data_file)], ...], Field(min_length=1)
 ]
-
-
-# the key of a recipe that simulates along its logs
-TIED: Any = Field(
-    default="none",
-    description="what of the recorded motion the simulation is tied to, where a controller held "
-    "the position: `position` (rate and pressures are compared), or all of the `motion` (pressures "
-    "alone are)",
-)
-SUPPLIED: Any = Field(
-    default="model",
-    description="where the simulation has the supply's pressure from: the rig file's supply, or "
-    "the log, `recorded`, where that supply is not the machine's",
-)
 
 
 class Recipe(FileModel):
@@ -145,15 +110,12 @@ class Recipe(FileModel):
         """
         for variable in re.findall(r"\$(\w+)", name):
             if not os.environ.get(variable):
-                raise InputError(
-                    message("config.variable_not_set", name=shortened(name, 60), variable=variable),
-                    file=self.path,
-                )
+                fields = {"name": shortened(name, 60), "variable": variable}
+                raise InputError(message("config.variable_not_set", **fields), file=self.path)
         path = self.path.parent / re.sub(r"\$(\w+)", lambda at: os.environ[at[1]], name)
         if reason := impossible(path):
-            raise InputError(
-                message("config.no_path", name=shortened(name, 60), reason=reason), file=self.path
-            )
+            text = message("config.no_path", name=shortened(name, 60), reason=reason)
+            raise InputError(text, file=self.path)
         return path.resolve()
 
     def at(self, *location: str | int) -> dict[str, Any]:
@@ -161,12 +123,10 @@ class Recipe(FileModel):
         file cannot say.
         """
         try:
-            line = line_of(
-                self.path.read_text(encoding="utf-8-sig", errors="surrogateescape"), location
-            )
+            text = self.path.read_text(encoding="utf-8-sig", errors="surrogateescape")
         except OSError:
-            line = None
-        return {"file": self.path, "line": line}
+            return {"file": self.path, "line": None}
+        return {"file": self.path, "line": line_of(text, location)}
 
 
 def dotted(raw: Any, entry_keys: Set[str] = frozenset()) -> Any:
@@ -193,11 +153,6 @@ def dotted(raw: Any, entry_keys: Set[str] = frozenset()) -> Any:
             raise ValueError(message("config.given_twice", twice=twice[0]))
         results |= inner
     return results
-
-
-def as_list(raw: Any) -> Any:
-    """One text as a list of one."""
-    return [raw] if isinstance(raw, str) else raw
 
 
 ByParameter = Annotated[dict[str, str], BeforeValidator(dotted)]

@@ -29,37 +29,17 @@ class MappedColumn(FileModel):
 
     As a text, ``"boom.p_head [bar]"``, it is the channel and the unit of the file's numbers."""
 
-    channel: str = Field(description="what it is: `boom.p_head`, `boom.hect.command`, or `t`")
-    unit: str | None = Field(
-        default=None, description="of the file's numbers, such as `bar` or `mA`; none: as it says"
-    )
-    scale: float | str = Field(
-        default=1.0, description='a factor: 10, or with units, `"0.625 V/mA"`'
-    )
-    offset: float | str = Field(
-        default=0.0, description='added at last, with the unit of the channel: `"-0.4 bar"`'
-    )
-    neutral: float | str = Field(
-        default=0.0,
-        description='the reading that means zero: `"12 mA"`, or in the unit of the file',
-    )
-    sign: Literal[1, -1] = Field(default=1, description="-1 turns it round")
-    from_: tuple[str, str] | None = Field(
-        default=None, alias="from", description='two readings, `["4 mA", "20 mA"]`'
-    )
-    to: tuple[str, str] | None = Field(
-        default=None, description='what they mean on the rig, `["-10 V", "10 V"]`'
-    )
-    filter: Annotated[Value, Q("frequency")] | None = Field(
-        default=None, description="low-pass, run forwards and backwards: it makes no lag"
-    )
-    late: Annotated[Value, Q("start")] | None = Field(
-        default=None,
-        description="by how much later than its time a value was written: it is put back by that",
-    )
-    bad_samples: Literal["refuse", "leave out"] | None = Field(
-        default=None, description="as for the whole file, for this column alone"
-    )
+    channel: str
+    unit: str | None = None
+    scale: float | str = 1.0
+    offset: float | str = 0.0
+    neutral: float | str = 0.0
+    sign: Literal[1, -1] = 1
+    from_: tuple[str, str] | None = Field(default=None, alias="from")
+    to: tuple[str, str] | None = None
+    filter: Annotated[Value, Q("frequency")] | None = None
+    late: Annotated[Value, Q("start")] | None = None
+    bad_samples: Literal["refuse", "leave out"] | None = None
 
     @model_validator(mode="after")
     def _whole(self) -> MappedColumn:
@@ -76,9 +56,7 @@ class MappedColumn(FileModel):
             try:
                 self.line("")
             except EhbenchError as error:
-                raise ValueError(
-                    f"{error.message}{error.hint and f' ({error.hint})' or ''}"
-                ) from None
+                raise ValueError(str(error)) from None
         return self
 
     def line(self, file_unit: str) -> tuple[float, float]:
@@ -92,14 +70,18 @@ class MappedColumn(FileModel):
             return _through(self.from_, self.to, self.unit or file_unit, row)
         unit = self.unit if self.unit is not None else file_unit
         scale, by = _split(self.scale)
-        if by:
-            slope, zero = product(by, unit, row.unit), 0.0
-        else:
-            slope, zero = _slope(unit, row)
+        slope, zero = (product(by, unit, row.unit), 0.0) if by else _slope(unit, row)
         gain = self.sign * scale * slope
         neutral, of = _split(self.neutral)
         neutral *= factor(of, unit) if of and of != unit else 1.0
-        return gain, zero - gain * neutral + _offset(self.offset, by, slope, row)
+        offset, of = _split(self.offset)
+        if of:
+            offset = float(to_si(offset, of, row)) - zero_of(f"0 {of}", row)
+        elif by and offset:
+            raise UnitError(message("config.offset_unit", number=offset, display=row.display))
+        else:
+            offset *= slope
+        return gain, zero - gain * neutral + offset
 
 
 def _split(given: float | str) -> tuple[float, str]:
@@ -118,32 +100,21 @@ def _slope(unit: str, row: Quantity) -> tuple[float, float]:
     return item - zero, zero
 
 
-def _offset(given: float | str, by: str, slope: float, row: Quantity) -> float:
-    number, unit = _split(given)
-    if number == 0.0:
-        return 0.0
-    if unit:
-        return float(to_si(number, unit, row)) - zero_of(f"0 {unit}", row)
-    if by:
-        raise UnitError(message("config.offset_unit", number=number, display=row.display))
-    return slope * number
-
-
 def _through(
     first: tuple[str, str], second: tuple[str, str], unit: str, row: Quantity
 ) -> tuple[float, float]:
     """(gain, zero) of the line through two pairs of readings and what they mean."""
     readings = []
     for text in first:
-        number, own = split_number(text)
-        unit = unit or own
-        readings.append(number * (factor(own, unit) if own and own != unit else 1.0))
+        number, of = split_number(text)
+        unit = unit or of
+        readings.append(number * (factor(of, unit) if of and of != unit else 1.0))
     means = []
     for text in second:
-        number, own = split_number(text)
-        if not own and row.unit != "dimensionless":
+        number, of = split_number(text)
+        if not of and row.unit != "dimensionless":
             raise UnitError(message("config.to_unit", text=text, display=row.display))
-        means.append(float(to_si(number, own, row)))
+        means.append(float(to_si(number, of, row)))
     if readings[0] == readings[1]:
         raise UnitError(message("config.one_point", points=list(first)))
     gain = (means[1] - means[0]) / (readings[1] - readings[0])
@@ -165,39 +136,17 @@ class Columns(FileModel):
     A text in place of the table names a file with these keys at its top level; ``file`` beside
     other keys takes those of that file first."""
 
-    file: str | None = Field(default=None, description="another map, whose keys come before these")
-    table: str | None = Field(
-        default=None, description="sheet, group or topic to take alone, by name"
-    )
-    separator: Literal[",", ";", "tab", "space"] | None = Field(
-        default=None, description="of a text file; none: looked for"
-    )
-    decimal: Literal[".", ","] | None = Field(
-        default=None, description="decimal sign of a text file; none: looked for"
-    )
-    skip: int | None = Field(
-        default=None, ge=0, le=10**6, description="lines above the header; none: looked for"
-    )
-    unit_row: bool | None = Field(
-        default=None, description="whether a row of units stands below it; none: looked for"
-    )
-    encoding: str | None = Field(
-        default=None, description="of a text file, such as `cp1252`; none: looked for"
-    )
-    day_first: bool | None = Field(
-        default=None, description="whether 05/11/2026 is in November; none: where a date says so"
-    )
-    rate: Annotated[Value, Q("rate")] | None = Field(
-        default=None, description="samples per second, in place of a column of time"
-    )
-    bad_samples: Literal["refuse", "leave out"] = Field(
-        default="refuse",
-        description="blank cells, NaN, words, values no rig can have: `refuse`, or `leave out` and "
-        "say where",
-    )
-    names: dict[str, Annotated[MappedColumn, BeforeValidator(_column)]] = Field(
-        default={}, description="by name in the file, what it is"
-    )
+    file: str | None = None
+    table: str | None = None
+    separator: Literal[",", ";", "tab", "space"] | None = None
+    decimal: Literal[".", ","] | None = None
+    skip: int | None = Field(default=None, ge=0, le=10**6)
+    unit_row: bool | None = None
+    encoding: str | None = None
+    day_first: bool | None = None
+    rate: Annotated[Value, Q("rate")] | None = None
+    bad_samples: Literal["refuse", "leave out"] = "refuse"
+    names: dict[str, Annotated[MappedColumn, BeforeValidator(_column)]] = {}
 
     @field_validator("names")
     @classmethod
@@ -255,7 +204,7 @@ def load_columns(path: str | Path) -> ColumnMap:
 
 
 def whole_map(
-    own: Columns, path: Path, table: tuple[str | int, ...] = (), above: tuple[Path, ...] = ()
+    given: Columns, path: Path, table: tuple[str | int, ...] = (), above: tuple[Path, ...] = ()
 ) -> ColumnMap:
     """A map with what it takes from the file that it names.
 
@@ -267,14 +216,14 @@ def whole_map(
         InputError: the file it names is wrong, or names this one.
     """
     place = (path, table)
-    if own.file is None:
-        return ColumnMap(own, (place,))
-    behind, above = (path.parent / own.file).resolve(), (*above, path.resolve())
-    if behind in above:
-        raise InputError(message("config.map_circle", name=own.file), file=path)
-    keys, text = read_toml(behind)
-    first = whole_map(validated(Columns, keys, text, behind), behind, (), above)
-    given = {key: getattr(own, key) for key in own.model_fields_set - {"names", "file"}}
-    names = {**first.columns.names, **own.names}
-    merged = first.columns.model_copy(update={**given, "names": names})
+    if given.file is None:
+        return ColumnMap(given, (place,))
+    base, above = (path.parent / given.file).resolve(), (*above, path.resolve())
+    if base in above:
+        raise InputError(message("config.map_circle", name=given.file), file=path)
+    keys, text = read_toml(base)
+    first = whole_map(validated(Columns, keys, text, base), base, (), above)
+    keys = {key: getattr(given, key) for key in given.model_fields_set - {"file"}}
+    keys["names"] = {**first.columns.names, **given.names}
+    merged = first.columns.model_copy(update=keys)
     return ColumnMap(merged, (place, *first.places))

@@ -34,33 +34,14 @@ class FlowMapRecipe(Recipe):
 
     stage: Literal["identify"]
     what: Literal["flow_map"]
-    method: Literal["flowmeter", "steps"] = Field(
-        default="flowmeter",
-        description="what `data` are: CSV files of readings, or step logs without a flowmeter",
-    )
+    method: Literal["flowmeter", "steps"] = "flowmeter"
     rig: str
     data: Annotated[tuple[str, ...], Field(min_length=1)]
-    columns: AnyColumns = Field(
-        default=None,
-        description="which column is `command`, `pressure_drop`, `flow`, `valve`, …: `[columns]`, "
-        "or the name of a map; without a column of valves a file is of the valve it is named after",
-    )
+    columns: AnyColumns = None
     calibration: tuple[CalibrationPoint, ...] = ()
     calibration_drop: Annotated[Value, Q("pressure_drop")] | None = None
     meter_limit: Annotated[Value, Q("meter_limit")] = Value(0.0)
-    settle: Annotated[Value, Q("settle")] = Field(
-        default=Value(0.2), description="of step logs: no reading so long after a change of command"
-    )
-    pressure_error: Annotated[Value, Q("zero_error")] | None = Field(
-        default=None,
-        description="of step logs: standard error of the zero of a pressure sensor; none is a "
-        "thousandth of the supply's pressure",
-    )
-    command_error: Annotated[Value, Q("hysteresis")] | None = Field(
-        default=None,
-        description="of step logs: standard error that all commands of a valve share, such as half "
-        "of its hysteresis; none is 0.05 % of the largest command",
-    )
-    span: Annotated[Value, Q("span")] = Field(
-        default=Value(0.1), description="of step logs: time over which a reading is taken"
-    )
+    settle: Annotated[Value, Q("settle")] = Value(0.2)
+    pressure_error: Annotated[Value, Q("zero_error")] | None = None
+    command_error: Annotated[Value, Q("hysteresis")] | None = None
+    span: Annotated[Value, Q("span")] = Value(0.1)

@@ -7,8 +7,6 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from ehbench.config.recipe.base import (
-    SUPPLIED,
-    TIED,
     ByParameter,
     Recipe,
     ReplayedFiles,
@@ -34,21 +32,11 @@ class ComparedResponse(FileModel):
     rate and pressures to a command that sweeps.
     """
 
-    input: Channel = Field(description="the command that sweeps, such as `ram.pa.command`")
-    segment: Annotated[Value, Q("duration")] | None = Field(
-        default=None, description="length of a segment; none averages 8 of each log"
-    )
-    window: Literal["hann", "boxcar"] = Field(
-        default="hann",
-        description="of a segment: `hann`, half overlapping; `boxcar`, end to end, for an input "
-        "that repeats with the segment",
-    )
-    coherence_min: float = Field(
-        default=0.8, gt=0, lt=1, description="of the recording, from which a frequency counts"
-    )
-    frequency_max: Annotated[Value, Q("frequency")] | None = Field(
-        default=None, description="what lies above is not looked at; none is half the log's rate"
-    )
+    input: Channel
+    segment: Annotated[Value, Q("duration")] | None = None
+    window: Literal["hann", "boxcar"] = "hann"
+    coherence_min: float = Field(default=0.8, gt=0, lt=1)
+    frequency_max: Annotated[Value, Q("frequency")] | None = None
 
 
 class HydraulicsRecipe(Recipe):
@@ -65,38 +53,20 @@ class HydraulicsRecipe(Recipe):
     rig: str
     flow_maps: str | None = None
     data: ReplayedFiles
-    tied: Tied = TIED
-    supply: Supplied = SUPPLIED
-    columns: AnyColumns = Field(
-        default=None,
-        description="which column of a file is which channel: `[columns]`, or the name of a map",
-    )
+    tied: Tied = "none"
+    supply: Supplied = "model"
+    columns: AnyColumns = None
     parameters: Annotated[tuple[str, ...], Field(min_length=1)]
     start: ByParameter = {}
     lower: ByParameter = {}
     upper: ByParameter = {}
     prior: ByParameter = {}
-    sensor: Sensors = Field(
-        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
-    )
+    sensor: Sensors = ()
     channels: tuple[str, ...] = ("qd", "p_head", "p_rod")
     cutoff: Annotated[Value, Q("frequency")] | None = None
-    decimate: Annotated[Literal["auto"] | int, BeforeValidator(_samples)] = Field(
-        default="auto",
-        description="samples of which the mean is compared with that of the simulation: a number, "
-        '1 for each by itself, or `"auto"`: of logs from 3 kHz on as many as cost next to '
-        "nothing of what they tell",
-    )
-    response: ComparedResponse | None = Field(
-        default=None,
-        description="`[response]`: logs are compared by their frequency response to a command that "
-        "sweeps, in place of their samples",
-    )
+    decimate: Annotated[Literal["auto"] | int, BeforeValidator(_samples)] = "auto"
+    response: ComparedResponse | None = None
     compare_dynamics: tuple[str, ...] = ()
-    compare_sensor: Sensors = Field(
-        default=(),
-        description="`[[compare_sensor]]`: further `[[sensor]]` tables of the fits that compare, "
-        "such as lags to estimate: a sensor's lag is easily taken for the valve's",
-    )
+    compare_sensor: Sensors = ()
     max_iterations: int = Field(default=100, ge=1, le=1000)
     workers: int = Field(default=0, ge=0, le=256)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from ehbench.config.recipe.base import Recipe
 from ehbench.config.recipe.toml import line_of, read_text, read_toml, table_of, validated
@@ -62,26 +62,21 @@ def load_recipe(path: str | Path) -> Recipe:
     known = recipe_kinds()
     stage, what = table.get("stage"), table.get("what")
     stages = sorted({s for s, _ in known})
+
+    def refusal(key: str, given: object, choices: str) -> InputError:
+        wrong = f"unknown {key} = {shortened(given, 60)}"
+        where: dict[str, Any] = {"file": path, "line": line_of(text, (key,))}
+        hint = f"{key} is one of {choices}"
+        return InputError(f"'{key}' is missing" if given is None else wrong, hint=hint, **where)
+
     if not isinstance(stage, str) or stage not in stages:
-        raise InputError(
-            "'stage' is missing" if stage is None else f"unknown stage {shortened(stage, 60)}",
-            file=path,
-            line=line_of(text, ("stage",)),
-            hint="stage is one of " + ", ".join(stages),
-        )
+        raise refusal("stage", stage, ", ".join(stages))
     named = [w for s, w in known if s == stage and w]
     requested = what if named else None  # else its model refuses the key
-    model = (
-        known.get((stage, requested)) if requested is None or isinstance(requested, str) else None
-    )
+    model = known.get((stage, requested)) if isinstance(requested, str | None) else None
     if model is None:
         without = ", or left out" if (stage, None) in known else ""
-        raise InputError(
-            "'what' is missing" if what is None else f"unknown what = {shortened(what, 60)}",
-            file=path,
-            line=line_of(text, ("what",)),
-            hint="what is one of " + ", ".join(named) + without,
-        )
+        raise refusal("what", what, ", ".join(named) + without)
     return validated(model, table, text, path).model_copy(update={"path": path.resolve()})
 
 

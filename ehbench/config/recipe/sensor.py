@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_validator
 
+from ehbench.config.recipe.toml import as_list
+from ehbench.config.rig.names import second
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import FileModel, Value, read_value, write_value
 from ehbench.vocabulary.messages import message
@@ -44,18 +46,14 @@ class Sensor(FileModel):
     standard error, ``{ value, std }``, or ``"estimate"``. What has a standard error, or is to be
     estimated, is estimated with the fit and held by that error."""
 
-    channel: Channel = Field(description="full name, such as `boom.p_head` or `boom.sr.command`")
-    per_log: bool = Field(
-        default=False, description="estimated for each log by itself; else one for all logs"
-    )
-    sign: Literal[1, -1] = Field(default=1, description="`-1`: it reads the other way")
-    pressure: Literal["gauge", "absolute"] = Field(
-        default="gauge", description="`absolute`: it reads 101.325 kPa in the open"
-    )
-    offset: Any = Field(default=None, description="what it reads at zero, in the channel's unit")
-    scale: Any = Field(default=None, description="what it reads over what is")
-    lag: Any = Field(default=None, description="time constant of a first-order lag")
-    delay: Any = Field(default=None, description="by which it is late; a command: acts late")
+    channel: Channel
+    per_log: bool = False
+    sign: Literal[1, -1] = 1
+    pressure: Literal["gauge", "absolute"] = "gauge"
+    offset: Any = None
+    scale: Any = None
+    lag: Any = None
+    delay: Any = None
 
     @field_validator("pressure")
     @classmethod
@@ -74,9 +72,8 @@ class Sensor(FileModel):
         try:
             value = read_value(raw, reading_row(info.data["channel"], word))
         except InputError as error:
-            raise ValueError(
-                f'{error}; or "{ESTIMATE}"' if isinstance(raw, str) else str(error)
-            ) from None
+            more = f'; or "{ESTIMATE}"' if isinstance(raw, str) else ""
+            raise ValueError(f"{error}{more}") from None
         if word != "offset" and float(value) < 0.0 or word == "scale" and float(value) == 0.0:
             raise ValueError(message("config.not_positive", word=word, raw=raw))
         return value
@@ -98,15 +95,9 @@ class Sensor(FileModel):
 
 def _each_once(sensors: tuple[Sensor, ...]) -> tuple[Sensor, ...]:
     names = [sensor.channel for sensor in sensors]
-    for at, name in enumerate(names):
-        if name in names[:at]:
-            raise ValueError(message("config.channel_twice", name=name))
+    if (at := second(names)) is not None:
+        raise ValueError(message("config.channel_twice", name=names[at]))
     return sensors
 
 
-def _tables(raw: Any) -> Any:
-    """One table as a list of one."""
-    return [raw] if isinstance(raw, dict) else raw
-
-
-Sensors = Annotated[tuple[Sensor, ...], BeforeValidator(_tables), AfterValidator(_each_once)]
+Sensors = Annotated[tuple[Sensor, ...], BeforeValidator(as_list), AfterValidator(_each_once)]

@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ehbench.config.recipe.base import Recipe, as_list, dotted
+from ehbench.config.recipe.base import Recipe, dotted
+from ehbench.config.recipe.toml import as_list
 from ehbench.vocabulary.fields import FileModel, Q, Value
 from ehbench.vocabulary.messages import message
 

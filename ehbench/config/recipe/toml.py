@@ -130,14 +130,10 @@ def read_text(path: Path) -> str:
     try:
         data = read_bytes(path)
     except FileNotFoundError:
-        near = (
-            get_close_matches(path.name, [p.name for p in path.parent.glob("*.toml")], 1)
-            if path.parent.is_dir()
-            else []
-        )
-        raise InputError(
-            "no such file", file=path, hint=f"did you mean '{near[0]}'?" if near else None
-        ) from None
+        beside = path.parent.glob("*.toml") if path.parent.is_dir() else ()
+        near = get_close_matches(path.name, [file.name for file in beside], 1)
+        hint = f"did you mean '{near[0]}'?" if near else None
+        raise InputError("no such file", file=path, hint=hint) from None
     # a file's name may be of any bytes; what is no such name, and no UTF-8, is an error
     text = data.decode("utf-8-sig", "surrogateescape")
     rest = _QUOTED.sub(lambda name: "" if (path.parent / name[1]).exists() else name[0], text)
@@ -161,24 +157,20 @@ def table_of(text: str, path: Path) -> dict[str, Any]:
         result = re.search(r"\(at line (\d+)", str(error))
         reason = str(error).split(" (at ")[0]
         line = int(result[1]) if result else text.rstrip().count("\n") + 1
+        hint = next((remedy for word, remedy in _REMEDIES.items() if word in reason), _WRITTEN)
         text = message("config.not_toml", reason=reason)
-        raise InputError(text, file=path, line=line, hint=_remedy(reason)) from None
+        raise InputError(text, file=path, line=line, hint=hint) from None
     except RecursionError:
         raise InputError(message("config.toml_nested"), file=path) from None
     except ValueError:  # more digits than Python turns into a number
-        raise InputError(
-            message("config.toml_long_number"), file=path, line=_long_number(text)
-        ) from None
+        result = re.search(r"\d[\d_]{4000}", text)
+        line = text.count("\n", 0, result.start()) + 1 if result else None
+        raise InputError(message("config.toml_long_number"), file=path, line=line) from None
 
 
-def _remedy(reason: str) -> str:
-    """What would be right, by what the parser says is wrong."""
-    return next((remedy for word, remedy in _REMEDIES.items() if word in reason), _WRITTEN)
-
-
-def _long_number(text: str) -> int | None:
-    result = re.search(r"\d[\d_]{4000}", text)
-    return text.count("\n", 0, result.start()) + 1 if result else None
+def as_list(raw: Any) -> Any:
+    """One text, or one table, as a list of one."""
+    return [raw] if isinstance(raw, str | dict) else raw
 
 
 def validated(model: Any, table: dict[str, Any], text: str, path: Path) -> Any:
@@ -218,10 +210,8 @@ def _explained(
     place, key = _place_in(table, location)
     fields: dict[str, Any] = {"key": key, "value": shortened(given, 60)}
     if kind == "extra_forbidden":
-        text, hint = (
-            message("config.unknown_key", **fields),
-            _valid_hint(model, table, location, first["loc"]),
-        )
+        text = message("config.unknown_key", **fields)
+        hint = _valid_hint(model, table, location, first["loc"])
     elif kind == "missing":
         text, location = message("config.missing", **fields), location[:-1] or location
     elif kind == "value_error":
@@ -344,20 +334,8 @@ def _header(location: tuple[Any, ...]) -> str:
 def _valid_keys(model: Any, location: tuple[Any, ...]) -> list[str]:
     """Keys that the model at ``location`` takes, as the file spells them."""
     here = [model]
-    for part in location:
-        if isinstance(part, int):
-            continue
-        deeper = []
-        for candidate in here:
-            for name, field in candidate.model_fields.items():
-                if part in (name, field.alias):
-                    deeper += _models(field.annotation)
-        here = deeper or here
-    return sorted(
-        {
-            field.alias or name
-            for candidate in here
-            for name, field in candidate.model_fields.items()
-            if not field.exclude
-        }
-    )
+    for part in (part for part in location if isinstance(part, str)):
+        fields = [_field(candidate, part) for candidate in here]
+        here = [inner for field in fields if field for inner in _models(field.annotation)] or here
+    every = [item for candidate in here for item in candidate.model_fields.items()]
+    return sorted({field.alias or name for name, field in every if not field.exclude})

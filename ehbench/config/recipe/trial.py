@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ehbench.config.recipe.base import ByParameter, Payload, Recipe, as_list
+from ehbench.config.recipe.base import ByParameter, Payload, Recipe
+from ehbench.config.recipe.toml import as_list
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import LAW_NAMES
 from ehbench.vocabulary.fields import FileModel, Internal, Q, Value
@@ -39,27 +41,23 @@ class Command(FileModel):
 
     @model_validator(mode="after")
     def _whole(self) -> Command:
-        if self.kind in ("sine", "multisine"):
-            self._waves()
         if self.kind == "ramp" and self.stop is None:
             raise ValueError(message("config.ramp_needs_stop"))
         if self.kind == "file" and self.file is None:
             raise ValueError(message("config.file_command_needs_file"))
-        return self
-
-    def _waves(self) -> None:
+        if self.kind not in ("sine", "multisine"):
+            return self
         if self.frequency is None:
             raise ValueError(message("config.needs_frequency", kind=self.kind))
         low = float(self.frequency)
         if not low > 0.0:
             raise ValueError(message("config.frequency_not_positive"))
-        if self.kind == "sine":
-            return
-        if self.frequency_max is None:
+        if self.kind == "multisine" and self.frequency_max is None:
             raise ValueError(message("config.multisine_needs_frequency_max"))
-        high = float(self.frequency_max)
-        if not high > low:
+        high = math.inf if self.frequency_max is None else float(self.frequency_max)
+        if self.kind == "multisine" and not high > low:
             raise ValueError(message("config.frequency_max_low", high=high, low=low))
+        return self
 
 
 class Limits(FileModel):
@@ -75,36 +73,15 @@ class Limits(FileModel):
     stroke_margin: Annotated[Value, Q("stroke")] | None = None
     speed_max: Annotated[Value, Q("v")] | None = None
     command_max: Annotated[Value, Q("command_max")] | None = None
-    command_rate: Annotated[Value, Q("command_rate")] | None = Field(
-        default=None, description="largest change of a command; none by default, as steps have none"
-    )
-    following_error: Annotated[Value | Literal["auto"], Q("following_error", word="auto")] = Field(
-        default="auto",
-        description="largest distance between the desired and the measured stroke under a law that "
-        "controls the stroke, for at most `following_time`; `auto` is 10 % of the stroke",
-    )
-    following_time: Annotated[Value, Q("hold")] = Field(
-        default=Value(0.1), description="that a following error may last"
-    )
+    command_rate: Annotated[Value, Q("command_rate")] | None = None
+    following_error: Annotated[Value | Literal["auto"], Q("following_error", word="auto")] = "auto"
+    following_time: Annotated[Value, Q("hold")] = Value(0.1)
     position_mismatch: Annotated[Value | Literal["auto"], Q("following_error", word="auto")] = (
-        Field(
-            default="auto",
-            description="largest distance between the measured stroke and that of the measured "
-            "joint angle; `auto` is 5 % of the stroke",
-        )
+        "auto"
     )
-    pressure_range: Annotated[Value | Literal["auto"], Q("pressure", word="auto")] = Field(
-        default="auto",
-        description="largest pressure that a sound sensor can say; `auto` is three times the "
-        "highest pressure of supply and relief valves. The smallest is a vacuum",
-    )
-    sample_age: Annotated[Value, Q("delay")] = Field(
-        default=Value(0.02), description="of a machine that stamps its samples"
-    )
-    overrun: Annotated[Value, Q("delay")] = Field(
-        default=Value(0.02),
-        description="longest time that a controller takes for a command, on a machine in real time",
-    )
+    pressure_range: Annotated[Value | Literal["auto"], Q("pressure", word="auto")] = "auto"
+    sample_age: Annotated[Value, Q("delay")] = Value(0.02)
+    overrun: Annotated[Value, Q("delay")] = Value(0.02)
     ramp: Annotated[Value, Q("ramp")] = Value(0.05)
 
 
@@ -136,19 +113,13 @@ class Fault(FileModel):
         "link_lost",
         "link_reordered",
         "controller_late",
-    ] = Field(description="how it fails")
-    target: str = Field(default="", description="a channel or a valve")
-    start: Annotated[Value, Q("start")] = Field(default=Value(0.0), description="of the fault")
-    stop: Annotated[Value, Q("stop")] | None = Field(
-        default=None, description="by default the end of the trial"
-    )
-    value: str | None = Field(default=None, description="in the unit of the target")
-    duration: Annotated[Value, Q("hold")] = Field(
-        default=Value(0.02), description="of a dropout, or by how much something is late or slow"
-    )
-    period: Annotated[Value, Q("hold")] = Field(
-        default=Value(0.5), description="of dropouts and spikes"
-    )
+    ]
+    target: str = ""
+    start: Annotated[Value, Q("start")] = Value(0.0)
+    stop: Annotated[Value, Q("stop")] | None = None
+    value: str | None = None
+    duration: Annotated[Value, Q("hold")] = Value(0.02)
+    period: Annotated[Value, Q("hold")] = Value(0.5)
 
 
 class MachineChange(FileModel):
@@ -160,7 +131,7 @@ class MachineChange(FileModel):
     edge's. ``fault`` is what fails on it, as `Fault`."""
 
     name: str = ""
-    fault: tuple[Fault, ...] = Field(default=(), description="what fails on it, as `[[fault]]`")
+    fault: tuple[Fault, ...] = ()
     delay: Annotated[Value, Q("delay")] = Value(0.0)
     pressure_lag: Annotated[Value, Q("lag")] = Value(0.0)
     valve_lag: float = Field(default=1.0, gt=0.0, le=100.0)
@@ -205,13 +176,7 @@ class CylinderMotion(FileModel):
     acceleration: Annotated[Value, Q("acceleration")] | None = None
     jerk: Annotated[Value, Q("jerk")] | None = None
     profile: Literal["ramp", "seventh"] = "ramp"
-    cycles: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="how often the way is made; energies are those of the last time, which begins "
-        "and ends with the oil in one state",
-    )
+    cycles: int = Field(default=1, ge=1, le=1000)
     file: str | None = None
     where: Annotated[tuple[str | int, ...], Internal] = Field(default=("motion",), exclude=True)
 
@@ -246,20 +211,10 @@ class Motion(CylinderMotion):
     time along the motion runs slower, unless ``share_flow`` is false."""
 
     name: str = ""
-    also: tuple[CylinderMotion, ...] = Field(
-        default=(), description="motions of other cylinders at the same time, `[[motion.also]]`"
-    )
-    points: tuple[Annotated[Value, Q("tip", 3)], ...] = Field(
-        default=(),
-        description="of a `path`, from the first of which it starts: each `[ahead, left, up]` of "
-        "the first joint's origin",
-    )
-    cylinders: tuple[str, ...] = Field(
-        default=(), description="that a `path` moves, none is all; the others are held"
-    )
-    share_flow: bool = Field(
-        default=True, description="run slower where the pump has not enough for several cylinders"
-    )
+    also: tuple[CylinderMotion, ...] = ()
+    points: tuple[Annotated[Value, Q("tip", 3)], ...] = ()
+    cylinders: tuple[str, ...] = ()
+    share_flow: bool = True
 
     @model_validator(mode="after")
     def _a_path(self) -> Motion:
@@ -318,12 +273,10 @@ class CylinderController(FileModel):
     ``kind``, ``gains`` and ``rules`` as in ``[controller]``.
     """
 
-    kind: LawName = Field(description="a built-in law")
-    gains: dict[str, Any] = Field(default={}, description="by name with units")
-    rules: dict[str, Any] = Field(default={}, description="of function selection")
-    shaping: dict[str, Any] = Field(
-        default={}, description="of velocity steps, `pressure_feedback` only"
-    )
+    kind: LawName
+    gains: dict[str, Any] = {}
+    rules: dict[str, Any] = {}
+    shaping: dict[str, Any] = {}
 
     @model_validator(mode="after")
     def _single_law(self) -> CylinderController:
@@ -351,14 +304,8 @@ class Controller(FileModel):
     rules: dict[str, Any] = {}
     shaping: dict[str, Any] = {}
     unused: tuple[str, ...] = ()
-    coupling: bool = Field(
-        default=True,
-        description="where several cylinders move: `false` lets `arc` take the others as standing "
-        "still",
-    )
-    cylinders: dict[str, CylinderController] = Field(
-        default={}, description="laws of single cylinders, `[controller.cylinders.<cylinder>]`"
-    )
+    coupling: bool = True
+    cylinders: dict[str, CylinderController] = {}
     where: Annotated[tuple[str | int, ...], Internal] = Field(default=("controller",), exclude=True)
 
     @property
@@ -384,10 +331,10 @@ class Controller(FileModel):
 
     def of(self, cylinder: str) -> Controller:
         """The controller of one of several cylinders."""
-        own = self.cylinders.get(cylinder)
-        if own is None:
+        law = self.cylinders.get(cylinder)
+        if law is None:
             return self.model_copy(update={"cylinders": {}})
-        taken = {name: getattr(own, name) for name in CylinderController.model_fields}
+        taken = {name: getattr(law, name) for name in CylinderController.model_fields}
         place = (*self.where, "cylinders", cylinder)
         return self.model_copy(update=taken | {"cylinders": {}, "name": "", "where": place})
 
@@ -439,15 +386,8 @@ def refuse_fast_waves(trial: Sampled) -> None:
             if command.kind not in ("sine", "multisine") or requested is None:
                 continue
             if float(requested) >= half:
-                raise ValueError(
-                    message(
-                        "config.command_too_fast",
-                        valve=command.valve,
-                        key=key,
-                        requested=float(requested),
-                        half=half,
-                    )
-                )
+                fields = {"valve": command.valve, "key": key, "requested": float(requested)}
+                raise ValueError(message("config.command_too_fast", half=half, **fields))
 
 
 class OtherSupply(FileModel):
@@ -464,11 +404,7 @@ class AnyTrial(Recipe):
     flow_maps: str | None = None
     on: Literal["model", "bench"] = "model"
     bench: str | None = None
-    dynamics: ByParameter = Field(
-        default={},
-        description="other `[dynamics]` of the rig file for valves, by `<cylinder>.<valve>`; on "
-        "the bench as well",
-    )
+    dynamics: ByParameter = {}
     posture: dict[str, str] = {}
     duration: Annotated[Value, Q("duration")] | None = None
     rate: Annotated[Value, Q("rate")] = Value(1000.0)
@@ -478,7 +414,7 @@ class AnyTrial(Recipe):
     first_pressure_error: dict[str, Annotated[Value, Q("pressure_error")]] = {}
     command: tuple[Command, ...] = ()
     limits: Limits = Limits()
-    fault: tuple[Fault, ...] = Field(default=(), description="what fails during it, `[[fault]]`")
+    fault: tuple[Fault, ...] = ()
     supply: OtherSupply = OtherSupply()
 
     @model_validator(mode="after")
@@ -537,13 +473,8 @@ class TrialRecipe(AnyTrial):
                 if item.cylinder is not None and item.waypoints
             }
             posture = starts | self.posture
+        laws = [controller.of(item.cylinder or "") for item in each]
         return tuple(
-            self.model_copy(
-                update={
-                    "motion": item,
-                    "controller": controller.of(item.cylinder or ""),
-                    "posture": posture,
-                }
-            )
-            for item in each
+            self.model_copy(update={"motion": item, "controller": law, "posture": posture})
+            for item, law in zip(each, laws, strict=True)
         )

@@ -30,9 +30,7 @@ class SetController(Controller):
     rig: str | None = None
     flow_maps: str | None = None
     bench: str | None = None
-    dynamics: ByParameter = Field(
-        default={}, description="as the set's, for this controller's machine"
-    )
+    dynamics: ByParameter = {}
     supply: OtherSupply | None = None
 
 
@@ -43,13 +41,7 @@ class TrialSetRecipe(AnyTrial):
 
     stage: Literal["trials"]
     payloads: Annotated[tuple[str, ...], Field(min_length=1)] = ("none",)
-    seeds: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="on the bench: runs of each case, with the sensors' noise of `seed`, `seed` + "
-        "1, …; a case's numbers are their medians and ranges, its log is that of the median error",
-    )
+    seeds: int = Field(default=1, ge=1, le=1000)
     motion: Annotated[tuple[Motion, ...], Field(min_length=1)]
     machine: tuple[MachineChange, ...] = ()
     controller: Annotated[tuple[SetController, ...], Field(min_length=1)]
@@ -92,13 +84,10 @@ class TrialSetRecipe(AnyTrial):
                 message = f"{message}, {machine.name}"
                 machine = machine.model_copy(update={"where": ("machine", n)})
             name = " ".join([payload if payload != "none" else "no load", message, law.label])
-            own = {
-                key: value
-                for key in ("rig", "flow_maps", "bench", "dynamics", "supply")
-                if (value := getattr(law, key))
-            }
+            keys = ("rig", "flow_maps", "bench", "dynamics", "supply")
+            machine_keys = {key: value for key in keys if (value := getattr(law, key))}
             case = TrialRecipe.model_construct(
-                **{**shared, **own},
+                **{**shared, **machine_keys},
                 stage="trial",
                 payload=None if payload == "none" else payload,
                 path=self.path,

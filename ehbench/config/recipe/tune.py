@@ -28,11 +28,7 @@ class AnyTuning(Recipe):
     postures: int = Field(default=5, ge=1, le=50)
     strokes: tuple[str, ...] = ()
     posture: dict[str, str] = {}
-    also_moving: tuple[str, ...] = Field(
-        default=(),
-        description="other cylinders that move at the same time: a load-sensing pump feels what "
-        "they hold in `posture`; none: valves of others are shut",
-    )
+    also_moving: tuple[str, ...] = ()
     functions: tuple[str, ...] = ()
     speed_shares: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(
         default=(0.3, 0.7), min_length=1

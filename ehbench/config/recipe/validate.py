@@ -8,8 +8,6 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
 from ehbench.config.recipe.base import (
-    SUPPLIED,
-    TIED,
     Recipe,
     ReplayedFile,
     Supplied,
@@ -55,26 +53,14 @@ class Thresholds(FileModel):
     max_error: dict[str, Any] = {}
     natural_frequency_error: _Share = 0.15
     damping_ratio_error: _Share = None
-    response_gain_error: _Share = Field(
-        default=0.25,
-        description="where a command sweeps: rms difference of the gain over the coherent band, as "
-        "a share of the recorded one; `false` asks for none",
-    )
+    response_gain_error: _Share = 0.25
     response_phase_error: Annotated[
         Annotated[Value, Q("phase")] | None, BeforeValidator(_unasked)
-    ] = Field(
-        default=read_value("20 deg", VOCABULARY["phase"]),
-        description="likewise of the phase; `false` asks for none",
-    )
+    ] = read_value("20 deg", VOCABULARY["phase"])
     response_delay_error: Annotated[
         Annotated[Value, Q("delay")] | None, BeforeValidator(_unasked)
-    ] = Field(
-        default=read_value("5 ms", VOCABULARY["delay"]),
-        description="likewise of the delay, the mean slope of the phase; `false` asks for none",
-    )
-    response_coherence: float = Field(
-        default=0.8, gt=0, lt=1, description="of the recording, from which a frequency counts"
-    )
+    ] = read_value("5 ms", VOCABULARY["delay"])
+    response_coherence: float = Field(default=0.8, gt=0, lt=1)
     whiteness: bool = False
     independence: bool = False
     outside_percent: float = Field(default=15.0, gt=0, lt=100)
@@ -86,9 +72,8 @@ class Thresholds(FileModel):
             if name not in VOCABULARY:
                 word = name.rpartition(".")[2]
                 of_all = f"; it is asked of all cylinders alike: '{word}'"
-                raise ValueError(
-                    f"no quantity '{name}'" + (of_all if word in VOCABULARY else meant(name))
-                )
+                hint = of_all if word in VOCABULARY else meant(name)
+                raise ValueError(f"no quantity '{name}'{hint}")
             if info.field_name == "fit_percent" and not value < 100.0:
                 raise ValueError(message("config.fit_too_high", name=name, value=value))
         if info.field_name == "fit_percent":
@@ -104,22 +89,17 @@ class JudgedFile(ReplayedFile):
     ``score_stop`` counts.
     """
 
-    score_start: Annotated[Value, Q("start")] | None = Field(
-        default=None, description="from which time on the log counts; the model runs from `start`"
-    )
-    score_stop: Annotated[Value, Q("stop")] | None = Field(
-        default=None, description="up to which time it counts"
-    )
+    score_start: Annotated[Value, Q("start")] | None = None
+    score_stop: Annotated[Value, Q("stop")] | None = None
 
     @property
     def scored(self) -> tuple[float, float] | None:
         """The part of the log that counts [s]; None for all of it."""
         if self.score_start is None and self.score_stop is None:
             return None
-        return (
-            -math.inf if self.score_start is None else float(self.score_start),
-            math.inf if self.score_stop is None else float(self.score_stop),
-        )
+        start, stop = self.score_start, self.score_stop
+        first = -math.inf if start is None else float(start)
+        return first, math.inf if stop is None else float(stop)
 
 
 class Reference(FileModel):
@@ -127,13 +107,11 @@ class Reference(FileModel):
     report. It decides nothing.
     """
 
-    name: str = Field(min_length=1, description="whose figure, such as `linear ARX(3,2,1)`")
-    channel: Channel = Field(description="full name, such as `ram.p_head`")
-    measure: Literal["rms_error", "fit_percent"] = Field(
-        default="rms_error", description="what was measured"
-    )
-    value: Any = Field(description="with unit, such as `9.54 bar`; a fit as its percentage")
-    source: str = Field(min_length=1, description="where it stands")
+    name: str = Field(min_length=1)
+    channel: Channel
+    measure: Literal["rms_error", "fit_percent"] = "rms_error"
+    value: Any
+    source: str = Field(min_length=1)
 
     @field_validator("value")
     @classmethod
@@ -169,22 +147,11 @@ class ValidateRecipe(Recipe):
     rig: str
     flow_maps: str | None = None
     data: JudgedFiles
-    tied: Tied = TIED
-    supply: Supplied = SUPPLIED
-    columns: AnyColumns = Field(
-        default=None,
-        description="which column of a file is which channel: `[columns]`, or the name of a map",
-    )
-    sensor: Sensors = Field(
-        default=(), description="`[[sensor]]`: what is known of sensors and drivers, or estimated"
-    )
+    tied: Tied = "none"
+    supply: Supplied = "model"
+    columns: AnyColumns = None
+    sensor: Sensors = ()
     channels: tuple[str, ...] = ("q", "qd", "p_head", "p_rod")
-    structure: bool = Field(
-        default=True,
-        description="whether the residuals are asked what they follow, and the likeliest faults of "
-        "the model are named",
-    )
+    structure: bool = True
     thresholds: Thresholds = Thresholds()
-    reference: tuple[Reference, ...] = Field(
-        default=(), description="`[[reference]]`: what others reached on these recordings"
-    )
+    reference: tuple[Reference, ...] = ()

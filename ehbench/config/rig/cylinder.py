@@ -83,16 +83,8 @@ class Cylinder(FileModel):
     area_rod: Annotated[Value, Q("area_rod")] | None = None
     bore: Annotated[Value, Q("bore")] | None = None
     rod: Annotated[Value, Q("rod")] | None = None
-    through_rod: bool = Field(
-        False, description="whether the rod, as thick, comes out of the head end too; with `bore`"
-    )
-    count: int = Field(
-        1,
-        ge=1,
-        le=16,
-        description="equal cylinders side by side on the same edges, each of `bore` and `rod`; "
-        "volumes, leakage, friction and forces are those of all together",
-    )
+    through_rod: bool = False
+    count: int = Field(default=1, ge=1, le=16)
     stroke: Annotated[Value, Q("stroke")]
     volume_head: Annotated[Value, Q("volume_head")]
     volume_rod: Annotated[Value, Q("volume_rod")]
@@ -111,7 +103,7 @@ class Cylinder(FileModel):
     edge: tuple[FixedEdge, ...] = ()
     line: tuple[Line, ...] = ()
     mount: Mount | None = None
-    sway: Sway | None = Field(None, description="a part of the load that sways, `[cylinder.sway]`")
+    sway: Sway | None = None
 
     @model_validator(mode="after")
     def _areas(self) -> Cylinder:
@@ -130,53 +122,31 @@ class Cylinder(FileModel):
             raise Misplaced(message("config.area_rod_range"), by)
         swept = rod * float(self.stroke)
         if float(self.volume_rod) <= swept:
-            both = self.volume_rod.like
-            raise Misplaced(
-                message(
-                    "config.volume_rod_small",
-                    volume_rod=both("volume_rod", float(self.volume_rod)),
-                    swept=both("volume_rod", swept),
-                ),
-                "volume_rod",
-            )
+            sizes = {"volume_rod": float(self.volume_rod), "swept": swept}
+            fields = {key: self.volume_rod.like("volume_rod", x) for key, x in sizes.items()}
+            raise Misplaced(message("config.volume_rod_small", **fields), "volume_rod")
         return self
 
     @model_validator(mode="after")
     def _friction_fits(self) -> Cylinder:
-        if self.friction is not None:
-            result = self.friction.misfit(float(self.friction_coulomb))
-            if result is not None:
-                key, words = result
-                raise Misplaced(words, "friction", key)
+        if self.friction and (misfit := self.friction.misfit(float(self.friction_coulomb))):
+            key, words = misfit
+            raise Misplaced(words, "friction", key)
         return self
 
     @model_validator(mode="after")
     def _linkage_reaches(self) -> Cylinder:
         if self.pins is not None:
             low, high = (abs(float(self.pins.l_a) + way * float(self.pins.l_b)) for way in (-1, 1))
-            ends = (
-                float(self.pins.retracted_length),
-                float(self.pins.retracted_length) + float(self.stroke),
-            )
-            if not (low < ends[0] and ends[1] < high):
-                is_in, length = self.pins.retracted_length.like, "retracted_length"
-                raise Misplaced(
-                    message(
-                        "config.linkage_reach",
-                        ends=is_in(length, ends[0]),
-                        ends2=is_in(length, ends[1]),
-                        low=is_in(length, low),
-                        high=is_in(length, high),
-                    ),
-                    "pins",
-                    "retracted_length",
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _single_linkage(self) -> Cylinder:
-        if self.pins is not None and self.rack is not None:
-            raise Misplaced(message("config.pins_and_rack"), "rack")
+            length = self.pins.retracted_length
+            first, last = float(length), float(length) + float(self.stroke)
+            if not (low < first and last < high):
+                ends = {"ends": first, "ends2": last, "low": low, "high": high}
+                fields = {key: length.like("retracted_length", end) for key, end in ends.items()}
+                text = message("config.linkage_reach", **fields)
+                raise Misplaced(text, "pins", "retracted_length")
+            if self.rack is not None:
+                raise Misplaced(message("config.pins_and_rack"), "rack")
         return self
 
     @property
@@ -192,30 +162,21 @@ class Cylinder(FileModel):
     @model_validator(mode="after")
     def _single_line_at_each_end(self) -> Cylinder:
         if (at := second([line.end for line in self.line])) is not None:
-            raise Misplaced(
-                message("config.line_twice", end=self.line[at].end), *("line", at, "end")
-            )
+            text = message("config.line_twice", end=self.line[at].end)
+            raise Misplaced(text, "line", at, "end")
         return self
 
     @model_validator(mode="after")
     def _names_differ(self) -> Cylinder:
-        valves = list(enumerate(self.valve))
-        own = [(("line", i), line.name) for i, line in enumerate(self.line)]
-        own += [((key,), key) for key in ("mount", "sway") if getattr(self, key) is not None]
-        for what, places in (
-            ("valves", [(("valve", i), v.name) for i, v in valves]),
-            (
-                "edges",
-                own
-                + [
-                    (("valve", i, "edge", j), v.edge_name(e))
-                    for i, v in valves
-                    for j, e in enumerate(v.edge)
-                ]
-                + [(("edge", j), e.name) for j, e in enumerate(self.edge)],
-            ),
-            ("forces", own + [(("force", i), f.name) for i, f in enumerate(self.force)]),
-        ):
+        valves = [(("valve", i), valve.name) for i, valve in enumerate(self.valve)]
+        parts = [(("line", i), line.name) for i, line in enumerate(self.line)]
+        parts += [((key,), key) for key in ("mount", "sway") if getattr(self, key) is not None]
+        forces = parts + [(("force", i), force.name) for i, force in enumerate(self.force)]
+        edges = parts + [(("edge", j), edge.name) for j, edge in enumerate(self.edge)]
+        for i, valve in enumerate(self.valve):
+            each = enumerate(valve.edge)
+            edges += [(("valve", i, "edge", j), valve.edge_name(edge)) for j, edge in each]
+        for what, places in (("valves", valves), ("edges", edges), ("forces", forces)):
             if (at := second([name for _, name in places])) is not None:
                 where, name = places[at]
                 raise Misplaced(message("config.name_twice", what=what, name=name), *where)

@@ -26,16 +26,14 @@ from ehbench.vocabulary.notebook import label, plural, shown, table
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 from ehbench.vocabulary.units import factor, from_si
 
-
-def _of_a_kind(raw: Any) -> Any:
-    """Dynamics that do not say of what kind they are, are of second order."""
-    return {"kind": "second_order"} | dict(raw) if isinstance(raw, Mapping) else raw
-
-
 if TYPE_CHECKING:
     Dynamics = DynamicsTable
 else:
-    Dynamics = Annotated[one_of(DYNAMICS, "kind"), BeforeValidator(_of_a_kind)]
+    # dynamics that do not say of what kind they are, are of second order
+    Dynamics = Annotated[
+        one_of(DYNAMICS, "kind"),
+        BeforeValidator(lambda raw: {"kind": "second_order", **raw} if type(raw) is dict else raw),
+    ]
 
 
 _FASTEST = 20.0  # [m/s] that the full flow of one edge may move a cylinder
@@ -62,11 +60,8 @@ class Rig(FileModel):
         for name, unit in display.items():
             if name not in VOCABULARY:
                 near = get_close_matches(name, VOCABULARY, 1)
-                raise Misplaced(
-                    f"there is no quantity '{name}'"
-                    + (f"; nearest is '{near[0]}'" if near else ""),
-                    name,
-                )
+                nearest = f"; nearest is '{near[0]}'" if near else ""
+                raise Misplaced(f"there is no quantity '{name}'{nearest}", name)
             try:
                 units.to_si(1.0, unit, VOCABULARY[name])
             except UnitError as error:
@@ -87,33 +82,22 @@ class Rig(FileModel):
                 raise Misplaced(f"{what} '{names[at]}'{pair * ('drive' in what)}", *place, at)
         for at, cylinder in enumerate(self.cylinder):
             if cylinder.joint not in joints:
-                raise Misplaced(
-                    message("config.no_joint", joint=cylinder.joint, joints=", ".join(joints)),
-                    "cylinder",
-                    at,
-                    "joint",
-                )
+                text = message("config.no_joint", joint=cylinder.joint, joints=", ".join(joints))
+                raise Misplaced(text, "cylinder", at, "joint")
             if (cylinder.linkage is None) != (self.mechanism.kind == "slide"):
                 raise Misplaced(message("config.linkage_needed"), *("cylinder", at))
-            for i, valve in enumerate(cylinder.valve):
-                for name in valve.series:
-                    if name not in self.dynamics:
-                        there = ", ".join(self.dynamics) or "none"
-                        where = ("cylinder", at, "valve", i, "dynamics")
-                        raise Misplaced(
-                            message("config.no_dynamics", name=name, there=there), *where
-                        )
+            series = ((i, name) for i, valve in enumerate(cylinder.valve) for name in valve.series)
+            for i, name in series:
+                if name not in self.dynamics:
+                    there = ", ".join(self.dynamics) or "none"
+                    text = message("config.no_dynamics", name=name, there=there)
+                    raise Misplaced(text, "cylinder", at, "valve", i, "dynamics")
         if "none" in self.payload:
             raise Misplaced(message("config.payload_none"), "payload", "none")
-        for load, links in self.payload.items():
-            for link in links:
-                if link not in joints:
-                    raise Misplaced(
-                        message("config.no_link", link=link, joints=", ".join(joints)),
-                        "payload",
-                        load,
-                        link,
-                    )
+        for load, link in ((load, link) for load, links in self.payload.items() for link in links):
+            if link not in joints:
+                text = message("config.no_link", link=link, joints=", ".join(joints))
+                raise Misplaced(text, "payload", load, link)
         return self
 
     @model_validator(mode="after")
@@ -130,16 +114,9 @@ class Rig(FileModel):
         for load, links in self.payload.items():
             for link, change in links.items():
                 if change.mass is not None and float(change.mass) < empty[link]:
-                    raise Misplaced(
-                        message(
-                            "config.payload_light",
-                            load=load,
-                            link=link,
-                            mass=float(change.mass),
-                            empty=empty[link],
-                        ),
-                        *("payload", load, link, "mass"),
-                    )
+                    fields = {"mass": float(change.mass), "empty": empty[link]}
+                    text = message("config.payload_light", load=load, link=link, **fields)
+                    raise Misplaced(text, "payload", load, link, "mass")
         return self
 
     @model_validator(mode="after")
@@ -150,19 +127,12 @@ class Rig(FileModel):
             for i, valve in enumerate(cylinder.valve):
                 reach = max(-float(valve.command_min), float(valve.command_max))
                 for j, edge in enumerate(valve.edge):
-                    if edge.flow_gain is None:
-                        continue
-                    speed = float(edge.flow_gain) * reach * root / area
+                    speed = float(edge.flow_gain or 0.0) * reach * root / area
                     if speed > _FASTEST:
-                        raise Misplaced(
-                            message(
-                                "config.edge_too_wide",
-                                edge=valve.edge_name(edge),
-                                name=cylinder.name,
-                                speed=speed,
-                            ),
-                            *("cylinder", at, "valve", i, "edge", j, "flow_gain"),
-                        )
+                        fields = {"edge": valve.edge_name(edge), "name": cylinder.name}
+                        text = message("config.edge_too_wide", speed=speed, **fields)
+                        place = ("cylinder", at, "valve", i, "edge", j, "flow_gain")
+                        raise Misplaced(text, *place)
         return self
 
     def __repr__(self) -> str:
@@ -205,10 +175,8 @@ class Rig(FileModel):
         for cylinder in self.cylinder:
             if cylinder.name == name:
                 return cylinder
-        raise InputError(
-            message("config.no_cylinder", name=self.name, name2=name),
-            hint="it has " + ", ".join(c.name for c in self.cylinder),
-        )
+        there = "it has " + ", ".join(c.name for c in self.cylinder)
+        raise InputError(message("config.no_cylinder", name=self.name, name2=name), hint=there)
 
     def valves(self) -> Iterator[tuple[Cylinder, Valve]]:
         """Every valve with its cylinder, in the order of the file: the order of all command
@@ -240,13 +208,14 @@ class Rig(FileModel):
         else that in which the rig file has it, else the vocabulary's.
         """
         word = name.rsplit(".", 1)[-1]
-        chosen = self.display.get(word) or self._display_like(word)
-        return (
-            chosen
-            or self.typed_units.get(name)
-            or self.typed_units.get(word)
-            or VOCABULARY[word].display
+        row, typed = VOCABULARY[word], self.typed_units
+        alike = (
+            unit
+            for other, unit in self.display.items()
+            if (VOCABULARY[other].unit, VOCABULARY[other].display) == (row.unit, row.display)
         )
+        chosen = self.display.get(word) or next(alike, "")
+        return chosen or typed.get(name) or typed.get(word) or row.display
 
     def shown(self, name: str, value: float, digits: int = 4) -> str:
         """A value [SI] of a quantity, channel or parameter in the unit that people see."""
@@ -262,13 +231,6 @@ class Rig(FileModel):
         coarser = factor(unit, row.unit) / factor(row.display, row.unit)
         decimals += max(0, math.ceil(math.log10(coarser) - 1e-9))
         return f"{float(from_si(value, unit, row)):{sign}.{decimals}f} {unit}"
-
-    def _display_like(self, word: str) -> str:
-        row = VOCABULARY[word]
-        for other, unit in self.display.items():
-            if VOCABULARY[other].unit == row.unit and VOCABULARY[other].display == row.display:
-                return unit
-        return ""
 
     @cached_property
     def typed_units(self) -> dict[str, str]:
@@ -300,24 +262,17 @@ class Rig(FileModel):
         if load is None:
             return self.mechanism
         if load not in self.payload:
-            raise InputError(
-                message("config.no_payload", name=self.name, load=load),
-                hint="it has " + (", ".join(self.payload) or "none"),
-            )
+            there = "it has " + (", ".join(self.payload) or "none")
+            raise InputError(message("config.no_payload", name=self.name, load=load), hint=there)
         changes = self.payload[load]
 
         def changed(body: Any) -> Any:
             change = changes.get(body.name)
             if change is None:
                 return body
-            given = {
-                key: getattr(change, key)
-                for key in LinkLoad.model_fields
-                if getattr(change, key) is not None
-            }
-            return body.model_copy(
-                update={k: v for k, v in given.items() if k in type(body).model_fields}
-            )
+            keys = LinkLoad.model_fields.keys() & type(body).model_fields
+            given = {key: getattr(change, key) for key in keys}
+            return body.model_copy(update={k: v for k, v in given.items() if v is not None})
 
         if isinstance(self.mechanism, Slide):
             return changed(self.mechanism)
@@ -467,13 +422,7 @@ class Rig(FileModel):
         """The rig as nested plain values that a TOML writer takes; reading them back gives the same
         rig.
         """
-        return self.model_dump(
-            mode="python",
-            by_alias=True,
-            exclude_none=True,
-            exclude_unset=False,
-            exclude_defaults=True,
-        )
+        return self.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
 
 
 def _with_part(model: Any, place: tuple[str | int, ...], part: Any) -> Any:

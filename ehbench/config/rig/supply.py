@@ -93,10 +93,7 @@ class Supply(FileModel):
             raise Misplaced(message("config.load_margin_range"), *("load_sensing", "load_margin"))
         if load is not None and not float(load.load_lag) > 0.0:
             raise Misplaced(message("config.load_lag_range"), "load_sensing", "load_lag")
-        if (
-            low is not None
-            and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < maximum
-        ):
+        if low and not 0.0 < float(low.rail_margin) < float(low.rail_pressure) < maximum:
             raise Misplaced(message("config.rail_range"), *("low_rail", "rail_pressure"))
         if load is not None and (low is not None or self.accumulator is not None):
             other = "low_rail" if low is not None else "accumulator"
@@ -105,12 +102,9 @@ class Supply(FileModel):
     @model_validator(mode="after")
     def _above_tank(self) -> Supply:
         if float(self.pressure) > _HIGHEST_PRESSURE:
-            given, maximum = (
-                self.pressure.like("pressure", float(p)) for p in (self.pressure, _HIGHEST_PRESSURE)
-            )
-            raise Misplaced(
-                message("config.supply_too_high", given=given, maximum=maximum), "pressure"
-            )
+            sizes = {"given": float(self.pressure), "maximum": _HIGHEST_PRESSURE}
+            fields = {key: self.pressure.like("pressure", x) for key, x in sizes.items()}
+            raise Misplaced(message("config.supply_too_high", **fields), "pressure")
         if float(self.pressure) <= float(self.tank_pressure):
             raise Misplaced(message("config.supply_below_tank"), "pressure")
         gas = self.accumulator

@@ -35,11 +35,9 @@ class Rated(FileModel):
             Misplaced: the drop is missing or too much, nothing flows, or the edge is shut.
         """
         if (self.drop is None) == (name == "flow_gain"):
-            messages = "takes the drop across the edge" if self.drop is None else "goes by no drop"
-            raise Misplaced(
-                message("config.rated_flow_law", messages=messages),
-                *([] if self.drop is None else ["drop"]),
-            )
+            words = "takes the drop across the edge" if self.drop is None else "goes by no drop"
+            text = message("config.rated_flow_law", messages=words)
+            raise Misplaced(text, *([] if self.drop is None else ["drop"]))
         drop = 1.0 if self.drop is None else float(self.drop)
         for key, size in (("flow", float(self.flow)), ("drop", drop)):
             if not size > 0.0:
@@ -49,26 +47,15 @@ class Rated(FileModel):
             raise Misplaced(message("config.rated_in_deadband", deadband=deadband), "command")
         each = 1.0 / (wide * math.sqrt(drop))
         unit = f"{self.flow.unit or 'm^3/s'}/V"
-        messages = [self.flow.like("flow", float(self.flow)), f"{float(self.command):g} V"]
+        rated = f"rated {self.flow.like('flow', float(self.flow))} at {float(self.command):g} V"
         if self.drop is not None:
             unit += f"/{self.drop.unit or 'Pa'}^0.5"
-            messages.append(self.drop.like("pressure_drop", drop))
-        limits = {
-            key: None if (limit := getattr(self.flow, key)) is None else limit * each
-            for key in ("lower", "upper", "std")
-        }
-        return Value(
-            float(self.flow) * each,
-            self.flow.sure,
-            ", ".join(
-                [
-                    *filter(None, [self.flow.source]),
-                    "rated " + " at ".join((messages[0], " and ".join(messages[1:]))),
-                ]
-            ),
-            unit=unit if units.is_of(unit, VOCABULARY[name]) else "",
-            **limits,
-        )
+            rated += f" and {self.drop.like('pressure_drop', drop)}"
+        limits = {key: getattr(self.flow, key) for key in ("lower", "upper", "std")}
+        limits = {key: x if x is None else x * each for key, x in limits.items()}
+        source = ", ".join(filter(None, (self.flow.source, rated)))
+        unit = unit if units.is_of(unit, VOCABULARY[name]) else ""
+        return Value(float(self.flow) * each, self.flow.sure, source, unit=unit, **limits)
 
 
 class MeteringEdge(FileModel):
@@ -92,10 +79,7 @@ class MeteringEdge(FileModel):
     underlap: Annotated[Value, Q("underlap")] | None = None
     cracking_pressure: Annotated[Value, Q("cracking_pressure")] = Value(0.0)
     map_factor: Annotated[Value, Q("map_factor")] = Value(1.0)
-    rated: Rated | None = Field(
-        None,
-        description="the point of a data sheet in place of its gain, `{ flow, command, drop }`",
-    )
+    rated: Rated | None = None
 
 
 class Edge(LawFields, MeteringEdge):

@@ -22,7 +22,7 @@ from ehbench.runtime.memory import SHARE, available
 from ehbench.vocabulary.errors import EhbenchError, LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.text import shortened_path
+from ehbench.vocabulary.text import listed, shortened_path
 
 __all__ = [
     "SourceColumn",
@@ -122,8 +122,8 @@ def reader_of(path: Path) -> Reader:
         members = _members(path)
         begins = [reader for reader in begins if filter_names(members, reader.member)]
         if not begins:
-            there = ", ".join(members[:3]) + ", …" * (len(members) > 3)
-            raise LogError(message("data.unknown_archive", members=there), file=path)
+            text = message("data.unknown_archive", members=listed(members, 3))
+            raise LogError(text, file=path)
     ends = [reader for reader in READERS if name.endswith(reader.suffixes)]
     both = [reader for reader in begins if reader in ends]
     for reader in (*both, *begins, *ends):

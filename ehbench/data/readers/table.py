@@ -14,7 +14,7 @@ from ehbench.data.readers.clock import moments
 from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.text import unlike
+from ehbench.vocabulary.text import listed, unlike
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _UNIT_LAST = (
@@ -164,7 +164,7 @@ class Source:
             return at
         if near := get_close_matches(name, known, 1, 0.6):
             raise LogError(message("data.no_column_near", name=name, near=near[0]), file=file)
-        there = ", ".join(f"'{item}'" for item in list(known)[:12]) + ", …" * (len(known) > 12)
+        there = listed((f"'{item}'" for item in known), 12)
         raise LogError(message("data.no_column", name=name, there=there), file=file)
 
 
