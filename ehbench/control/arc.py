@@ -25,6 +25,7 @@ from ehbench.control.functions import (
     METERED,
     METERING,
     PATH_FLOWS,
+    RAISED,
     ROD,
     ROD_TANK,
     SUPPLY_HEAD,
@@ -75,7 +76,6 @@ from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.codes import (
     AGAINST,
     DISTURBANCE,
-    EXTEND_RESISTIVE_REGENERATION,
     FREE,
     FROZEN,
     HOLD,
@@ -752,7 +752,7 @@ def provide_headroom(choice, soon, p, circuit, gains, memory):
     to follow, nothing is raised. ``soon`` are the (least, largest) desired speeds [m/s] of the next
     preview."""
     state, path, way = memory.state, METERING[choice.function], DIRECTION[choice.function]
-    state.raised, regenerates = 0.0, choice.function == EXTEND_RESISTIVE_REGENERATION
+    state.raised, regenerates = 0.0, RAISED[choice.function]
     if choice.spool or regenerates or (path != SUPPLY_HEAD and path != SUPPLY_ROD):
         return
     area, other = circuit.area_head, circuit.area_rod
@@ -785,7 +785,7 @@ def off_side(choice, v_d, head_rate, rod_rate, p, circuit, gains, state):
         state.metered = metered
         state.set_point = p.rod if metered == HEAD else p.head
     target = p.tank + gains.low_pressure + state.raised
-    if choice.function == EXTEND_RESISTIVE_REGENERATION:
+    if RAISED[choice.function]:
         target = (choice.load + gains.rules.cross_drop * circuit.area_head) / (
             circuit.area_head - circuit.area_rod
         )

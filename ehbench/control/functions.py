@@ -24,10 +24,12 @@ from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, of
 from ehbench.physics.flow_map import ValveMaps
 from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.codes import (
+    EXTEND_RESISTIVE_FED_AT_ROD,
     EXTEND_RESISTIVE_REGENERATION,
     FUNCTIONS,
     HOLD,
     OK,
+    RETRACT_OVERRUNNING_THROUGH_ROD,
     STALLED,
     UNABLE,
 )
@@ -50,6 +52,8 @@ _TABLE = (
     (-1, 1, HEAD, HEAD_TANK, ((SUPPLY_ROD, 0, -1), (HEAD_TANK, -1, 0))),
     (-1, 1, HEAD, HEAD_TANK, ((HEAD_ROD, 0, -1), (HEAD_TANK, -1, 1))),
     (1, 0, HEAD, SUPPLY_HEAD, ((SUPPLY_HEAD, 1, -1), (ROD_HEAD, 0, 1))),
+    (-1, 1, HEAD, HEAD_ROD, ((HEAD_ROD, -1, 0), (ROD_TANK, -1, 1))),
+    (1, 0, HEAD, ROD_HEAD, ((ROD_HEAD, 1, 0), (SUPPLY_ROD, 1, -1))),
 )
 DIRECTION = np.array([row[0] for row in _TABLE])
 OVERRUNNING = np.array([row[1] for row in _TABLE])
@@ -63,6 +67,11 @@ for _f, _row in enumerate(_TABLE):
 CROSS = np.array(
     [next((p for p, _, _ in row[4] if p in (HEAD_ROD, ROD_HEAD)), -1) for row in _TABLE]
 )
+
+# functions whose off-side, the rod end, stands at Δp3 above the head end
+RAISED = (DIRECTION == 1) & (METERED == HEAD) & (CROSS == ROD_HEAD)
+# functions for a circuit that has lost every other one of their direction and load
+SPARE = (RETRACT_OVERRUNNING_THROUGH_ROD, EXTEND_RESISTIVE_FED_AT_ROD)
 
 RULE_NAMES = (
     "speed_start",
@@ -117,8 +126,8 @@ class Circuit(NamedTuple):
     ``edges, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of
     every valve's command; ``first, count`` where this cylinder's edges stand in ``edges``.
     ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
-    where the edge points along the path, else −1. ``able`` [8] is 1 for each working function that
-    the circuit can do. ``domain``, ``domain_at`` [edges, 2]: the validity domain of each map,
+    where the edge points along the path, else −1. ``able`` [functions] is 1 for each working
+    function that the circuit can do. ``domain``, ``domain_at`` [edges, 2]: the validity domain of each map,
     see `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of each edge's
     hysteresis as its map has it, 0 where that is not known. ``supply`` [1] is the plant's line,
     which says at what pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape
@@ -223,41 +232,53 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
 
     In each, oil must be able to flow through the path that sets the motion. Meter-in: the supply
     carries the load. Regeneration: the drop across the ends is enough and the cross-port edge at
-    full command carries A2 |v_d| at it. The seventh: see `seventh_feasible`."""
-    if path_drop(METERING[function], p, circuit) <= 0.0:
-        return False
+    full command carries its flow at it. With a raised rod end: see `raised_feasible`."""
     maximum = most_pressure(p.supply, circuit.supply[0])
     cross = CROSS[function]
+    # fed at the rod, the drop of the path that sets the motion is the planned one
+    fed_at_rod = RAISED[function] and METERING[function] == cross
+    if path_drop(METERING[function], p, circuit) <= 0.0 and not fed_at_rod:
+        return False
     if cross < 0:
         metered = circuit.area_head if METERED[function] == HEAD else circuit.area_rod
         return OVERRUNNING[function] == 1 or abs(load_force) < metered * maximum
-    if function == EXTEND_RESISTIVE_REGENERATION:
-        return seventh_feasible(active, v_d, load_force, maximum, circuit, rules)
+    if RAISED[function]:
+        return raised_feasible(function, active, v_d, load_force, maximum, circuit, rules)
     headroom = 1.0 if active else 1.0 + rules.reserve
     drop = path_drop(cross, p, circuit)
     return drop > (rules.drop_stop if active else rules.drop_start) and capacity(
         circuit, cross, drop
-    ) >= headroom * circuit.area_rod * abs(v_d)
+    ) >= headroom * area_of(function, cross, circuit) * abs(v_d)
 
 
 @kernel
-def seventh_feasible(active, v_d, load_force, p_supply, circuit, rules):
-    """True where the seventh function can move the load, at the planned drop Δp3, as its drop only
+def area_of(function, path, circuit):
+    """Flow along a path of a function per speed of the cylinder [m²], ≥ 0."""
+    head, rod = PATH_FLOWS[function, path, 0], PATH_FLOWS[function, path, 1]
+    return abs(head * circuit.area_head + rod * circuit.area_rod)
+
+
+@kernel
+def raised_feasible(function, active, v_d, load_force, p_supply, circuit, rules):
+    """True where a `RAISED` function can move the load, at the planned drop Δp3, as its drop only
     comes about in use.
 
-    ``p_head = (F + Δp3 A2)/(A1 − A2) < Ps − margin`` (SPEC 4), and both edges carry their flows
-    there."""
+    ``p_head = (F + Δp3 A2)/(A1 − A2)``, the end that the supply feeds stands below ``Ps − margin``
+    (SPEC 4), and both edges carry their flows there."""
     headroom, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
     difference = circuit.area_head - circuit.area_rod
     if difference <= 0.0:
         return False
     needed = (load_force + rules.cross_drop * circuit.area_rod) / difference
+    path, cross = SUPPLY_HEAD, CROSS[function]
+    if PATH_FLOWS[function, SUPPLY_ROD, 0] != 0.0:
+        path, needed = SUPPLY_ROD, needed + rules.cross_drop
     margin = p_supply - needed
-    cross = CROSS[EXTEND_RESISTIVE_REGENERATION]
+    passing = headroom * area_of(function, cross, circuit) * speed
     return (
         margin > rules.supply_margin + (0.0 if active else rules.supply_band)
-        and capacity(circuit, cross, rules.cross_drop) >= headroom * circuit.area_rod * speed
-        and capacity(circuit, SUPPLY_HEAD, margin) >= headroom * difference * speed
+        and capacity(circuit, cross, rules.cross_drop) >= passing
+        and capacity(circuit, path, margin) >= headroom * difference * speed
     )
 
 
@@ -280,7 +301,7 @@ def planned(function, load_force, p, circuit, rules):
     its set-point, the other by the balance of forces; NaN where areas allow none.
     """
     a1, a2, low = circuit.area_head, circuit.area_rod, p.tank + rules.low_pressure
-    if function == EXTEND_RESISTIVE_REGENERATION:
+    if RAISED[function]:
         head = (load_force + rules.cross_drop * a2) / (a1 - a2) if a1 > a2 else math.nan
         return Pressures(head, head + rules.cross_drop, p.supply, p.tank)
     if METERED[function] == HEAD:
@@ -301,14 +322,13 @@ def carries(function, active, v_d, plan, circuit, rules):
     if not (plan.head >= minimum and plan.rod >= minimum):
         return False
     for path in range(len(PATHS)):
-        share = PATH_FLOWS[function, path, 0] * circuit.area_head
-        share += PATH_FLOWS[function, path, 1] * circuit.area_rod
+        share = area_of(function, path, circuit)
         if share == 0.0:
             continue
         drop = path_drop(path, plan, circuit)
         if drop < margin and (path == SUPPLY_HEAD or path == SUPPLY_ROD):
             return False
-        if capacity(circuit, path, drop) < headroom * abs(share) * speed:
+        if capacity(circuit, path, drop) < headroom * share * speed:
             return False
     return True
 
@@ -530,7 +550,8 @@ def circuit(
 
     Of several edges on one path the one that carries most at ``probe_drop`` serves it. A function
     is able where every path has an edge and its valves open no other edge of any cylinder and are
-    asked for one sign only: four edges on one spool are able of the four without regeneration.
+    asked for one sign only: four edges on one spool are able of the four without regeneration. It
+    is able of a `SPARE` function where it has no other for that direction and load.
 
     Args:
         cylinder: its number; its head end is node 2 + 2·cylinder, its rod end the next one.
@@ -613,7 +634,9 @@ def _serving(circuit: Circuit, touching: np.ndarray, between: tuple[int, int]) -
 
 
 def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
-    """Of each function, whether every path has an edge whose command opens no other."""
+    """Of each function, whether every path has an edge whose command opens no other, and no plain
+    one makes a spare one needless.
+    """
     touching = ((edges.from_node >= 2) | (edges.to_node >= 2)).tolist()
     commands = list(zip(edges.valve.tolist(), edges.sign.tolist(), strict=True))
     able = []
@@ -628,7 +651,9 @@ def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
                 for e, command in enumerate(commands)
             )
         )
-    return able
+    kinds = list(zip(DIRECTION.tolist(), OVERRUNNING.tolist(), strict=True))
+    plain = {kinds[f] for f in range(1, EXTEND_RESISTIVE_REGENERATION) if able[f]}
+    return [item and not (f in SPARE and kinds[f] in plain) for f, item in enumerate(able)]
 
 
 def _domains(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:

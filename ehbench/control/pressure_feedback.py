@@ -15,7 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ehbench.control.axis import Axis
-from ehbench.control.functions import HEAD, METERED, ROD, RULES, Circuit, select, steady_reference
+from ehbench.control.functions import (
+    HEAD,
+    METERED,
+    RAISED,
+    ROD,
+    RULES,
+    Circuit,
+    select,
+    steady_reference,
+)
 from ehbench.control.law import DesignPoint, Law, Packed, Required
 from ehbench.control.measured import load_force, pressure_entries, pressures, write
 from ehbench.control.records import blank, constants, numbers, reals
@@ -153,7 +162,7 @@ def feed_back(function, v_d, p, circuit, gains, memory):
         back = gain * memory.ends[0].ramp_washed
         low = (
             p.head + gains.rules.cross_drop
-            if function == EXTEND_RESISTIVE_REGENERATION
+            if RAISED[function]
             else p.tank + gains.low_pressure
         )
         flow_head -= back
@@ -276,7 +285,7 @@ def pack_pressure_feedback(
 
 
 def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
-    """K_p of each working function [m³/(s·Pa)], shape (8,)."""
+    """K_p of each working function [m³/(s·Pa)], shape (functions,)."""
     if not isinstance(gain, Mapping):
         return np.full(len(FUNCTIONS), gain)
     result = np.zeros(len(FUNCTIONS))

@@ -19,7 +19,9 @@ from ehbench.control.functions import (
     Circuit,
     capacity,
     coupled,
+    pack_rules,
     path_drop,
+    planned,
     supply_draw,
 )
 from ehbench.control.measured import Pressures
@@ -153,17 +155,22 @@ def full_speed(design: Design, way: int, low_pressure: float) -> float:
     fits = [
         f
         for f in range(1, len(FUNCTIONS))
-        if circuit.able[f] and CROSS[f] < 0 and (DIRECTION[f], OVERRUNNING[f]) == (way, along)
+        if circuit.able[f] and (DIRECTION[f], OVERRUNNING[f]) == (way, along)
     ]
     if not fits:
         word = "extend" if way > 0 else "retract"
         raise InputError(message("trial.no_function", cylinder=design.cylinder, direction=word))
-    function = fits[0]
+    function = min(fits, key=lambda f: CROSS[f] >= 0)
     if coupled(circuit, function):
         speed = _spool_speed(circuit, way, force, p_supply, p_tank)
     else:
-        speed = top_speed(function, Pressures(p_head, p_rod, p_supply, p_tank), circuit)
-    return float(min(speed, limit / supply_draw(function, circuit)))
+        p = Pressures(p_head, p_rod, p_supply, p_tank)
+        if CROSS[function] >= 0:
+            rules = pack_rules(area_rod, p_supply, low_pressure)
+            p = planned(function, force, p, circuit, rules)
+        speed = top_speed(function, p, circuit)
+    draw = supply_draw(function, circuit)
+    return float(min(speed, limit / draw) if draw > 0.0 else speed)
 
 
 def _spool_speed(circuit: Circuit, way: int, force: float, p_supply: float, p_tank: float) -> float:

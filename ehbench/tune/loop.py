@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ehbench.control.functions import HEAD, METERED, PATH_FLOWS, Circuit, coupled
+from ehbench.control.functions import HEAD, METERED, PATH_FLOWS, RAISED, Circuit, coupled
 from ehbench.tune.linear import LinearModel, are_rates, first_valve
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint
 from ehbench.tune.results import Margins
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
-from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.vocabulary.codes import FUNCTIONS
 
 AT_ZERO = 1.0e-7  # share of the fastest pole below which a pole is one at zero
 
@@ -130,7 +130,7 @@ def _off_side_flows(law: Law, seen: np.ndarray, function: int) -> np.ndarray:
     flows = np.zeros((2, seen.shape[1]))
     if METERED[function] != HEAD:
         flows[0] = -law.off_gain * seen[0]
-    elif function == EXTEND_RESISTIVE_REGENERATION:
+    elif RAISED[function]:
         flows[1] = law.off_gain * (seen[1] - seen[0])
     else:
         flows[1] = law.off_gain * seen[1]

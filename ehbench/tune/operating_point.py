@@ -17,6 +17,7 @@ from ehbench.control.functions import (
     METERING,
     OVERRUNNING,
     PATH_FLOWS,
+    RAISED,
     SUPPLY_HEAD,
     SUPPLY_ROD,
     Circuit,
@@ -42,7 +43,7 @@ from ehbench.physics.arm import gravity_torque, mass_matrix, work_size
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
-from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
+from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.settings import setting
@@ -331,7 +332,7 @@ class _Motion:
         bend = here.curvature[i] * v * v / here.lever[i] ** 2
         force = here.gravity_force[i] + here.damping[i] * v - here.mass[i] * bend
         force += self.resistance(v)
-        if self.function == EXTEND_RESISTIVE_REGENERATION:
+        if RAISED[self.function]:
             cross = self.aim.cross_drop
             p_head = (force + cross * row.area_rod) / (row.area_head - row.area_rod)
             return _Settled(force, p_head, p_head + cross)

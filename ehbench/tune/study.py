@@ -158,7 +158,8 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[SteadyMotion
     here = equivalent(model, cylinder, _strokes(model.rig, recipe, stroke), recipe.posture)
     circuit = circuit_of(model, cylinder, study.maps)
     requested = [FUNCTIONS.index(f) for f in recipe.functions]
-    for function in requested or range(1, EXTEND_RESISTIVE_REGENERATION):
+    plain = [f for f in range(1, len(FUNCTIONS)) if f != EXTEND_RESISTIVE_REGENERATION]
+    for function in requested or plain:
         if circuit.able[function] == 0:
             if recipe.functions:
                 raise InputError(

@@ -14,6 +14,8 @@ FUNCTIONS = (
     "retract_overrunning",
     "retract_overrunning_regeneration",
     "extend_resistive_regeneration",
+    "retract_overrunning_through_rod",
+    "extend_resistive_fed_at_rod",
 )
 (
     HOLD,
@@ -24,7 +26,9 @@ FUNCTIONS = (
     RETRACT_OVERRUNNING,
     RETRACT_OVERRUNNING_REGENERATION,
     EXTEND_RESISTIVE_REGENERATION,
-) = range(8)
+    RETRACT_OVERRUNNING_THROUGH_ROD,
+    EXTEND_RESISTIVE_FED_AT_ROD,
+) = range(10)
 
 # channel `function_status`: STALLED, no function that suits is feasible; UNABLE, there is none
 OK, STALLED, UNABLE = 0, 1, 2

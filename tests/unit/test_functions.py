@@ -26,6 +26,7 @@ PLAIN = {
     "retract_resistive",
     "retract_overrunning",
 }
+ALL = set(codes.FUNCTIONS) - {codes.FUNCTIONS[f] for f in fn.SPARE}
 SUPPLY, TANK, HEAD, ROD = range(4)
 A1, A2, PS = 2.0268e-3, 1.0688e-3, 6.9e6
 FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (ROD, TANK, 4))
@@ -72,7 +73,7 @@ def test_the_table_balances_the_oil():
     """
     into_head = np.array([1, -1, 0, 0, -1, 1])
     out_of_rod = np.array([0, 0, -1, 1, -1, 1])
-    for function in range(1, 8):
+    for function in range(1, len(codes.FUNCTIONS)):
         assert into_head @ fn.PATH_FLOWS[function] == pytest.approx([1, 0], abs=0)
         assert out_of_rod @ fn.PATH_FLOWS[function] == pytest.approx([0, 1], abs=0)
         steady = fn.PATH_FLOWS[function] @ (fn.DIRECTION[function] * np.array([A1, A2]))
@@ -83,14 +84,15 @@ def test_the_table_balances_the_oil():
 
 def test_oil_drawn_from_the_supply():
     c = circuit(FIVE)
-    drawn = [fn.supply_draw(f, c) for f in range(8)]
-    assert drawn == pytest.approx([0, A1, A1, A1 - A2, A2, A2, 0, A1 - A2], abs=1e-18)
+    drawn = [fn.supply_draw(f, c) for f in range(len(codes.FUNCTIONS))]
+    expected = [0, A1, A1, A1 - A2, A2, A2, 0, A1 - A2, 0, A1 - A2]
+    assert drawn == pytest.approx(expected, abs=1e-18)
 
 
 @pytest.mark.parametrize(
     ("rig", "cylinder", "expected", "one_command"),
     [
-        ("thesis_arm", "boom", set(codes.FUNCTIONS), False),
+        ("thesis_arm", "boom", ALL, False),
         ("thesis_arm", "swing", PLAIN, True),
         ("boom_four_valve", "boom", PLAIN, False),
         ("crane_proportional", "lift", PLAIN, True),
@@ -117,7 +119,7 @@ def test_what_other_circuits_can_do():
     # a cross-port check valve lets oil through one way only, an edge drawn the other way round
     # serves as well
     checked = (*FIVE[:2], (ROD, HEAD, 2, 1, 1), (ROD, SUPPLY, 3), FIVE[4])
-    assert set(fn.available(circuit(checked))) == set(codes.FUNCTIONS) - {
+    assert set(fn.available(circuit(checked))) == ALL - {
         "retract_overrunning_regeneration"
     }
     # a spool that opens a third edge with the two of a function cannot do that function
@@ -151,7 +153,42 @@ CIRCUITS = {
     ),
     "equal areas": circuit(FIVE, areas=(A1, A1)),
     "lift only": circuit(((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))),
+    "no head to tank": circuit(FIVE[1:]),
+    "no supply to head": circuit((FIVE[0], *FIVE[2:])),
+    "no rod to tank": circuit(FIVE[:4]),
 }
+
+
+@pytest.mark.parametrize(
+    ("name", "lost", "instead"),
+    [
+        ("no head to tank", {4, 5, 6}, {codes.RETRACT_OVERRUNNING_THROUGH_ROD}),
+        ("no supply to head", {1, 2, 3, 7}, {codes.EXTEND_RESISTIVE_FED_AT_ROD}),
+        ("no rod to tank", {1, 2}, {codes.EXTEND_RESISTIVE_FED_AT_ROD}),
+        ("five", set(), set()),
+    ],
+)
+def test_a_circuit_that_lost_an_edge_goes_another_way(name, lost, instead):
+    kept = set(range(8)) - lost
+    assert set(fn.available(CIRCUITS[name])) == {codes.FUNCTIONS[f] for f in kept | instead}
+
+
+@pytest.mark.parametrize("name", ["no head to tank", "no supply to head", "no rod to tank"])
+def test_a_spare_function_holds_its_planned_pressures(name):
+    """The planned pressures balance the load, and oil runs along every path of the function."""
+    c = CIRCUITS[name]
+    rules = fn.pack_rules(A2, PS)
+    (function,) = (f for f in fn.SPARE if c.able[f])
+    load = 3e3
+    plan = fn.planned(function, load, Pressures(2e6, 1e5, PS, 0.0), c, rules)
+    assert plan.head * A1 - plan.rod * A2 == pytest.approx(load, rel=1e-12)
+    for path in np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1)):
+        assert fn.path_drop(path, plan, c) > 0.0
+    v_d = 0.02 * fn.DIRECTION[function]
+    assert choose(c, rules, v_d, plan.head, plan.rod) == (function, codes.OK)
+    heavy = 1.1 * PS * (A1 - A2)
+    if function == codes.EXTEND_RESISTIVE_FED_AT_ROD:
+        assert choose(c, rules, v_d, heavy / A1, 0.0) == (function, codes.STALLED)
 
 
 @pytest.mark.parametrize("name", CIRCUITS)
@@ -164,7 +201,7 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
     rules = fn.pack_rules(c.area_rod, PS, allow_seventh=seventh)
     seen = set()
     grid = itertools.product(
-        (-0.2, -0.02, 0.0, 0.02, 0.2), GRID, GRID, (1e6, PS), range(8), (0.0, 1e9)
+        (-0.2, -0.02, 0.0, 0.02, 0.2), GRID, GRID, (1e6, PS), range(10), (0.0, 1e9)
     )
     for v_d, p_head, p_rod, p_supply, now, age in grid:
         if not c.able[now] or (now == 7 and not seventh):
@@ -179,8 +216,8 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
             assert status == codes.UNABLE
             lacking = [
                 f
-                for f in range(1, 8)
-                if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f < 7 or seventh)
+                for f in range(1, 10)
+                if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f != 7 or seventh)
             ]
             assert all(
                 fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules.force_band
@@ -198,11 +235,11 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         state = (v_d, load, Pressures(p_head, p_rod, p_supply, 0.0), c, rules)
         rivals = [
             f
-            for f in range(1, 8)
+            for f in range(1, 10)
             if c.able[f]
             and fn.DIRECTION[f] == fn.DIRECTION[chosen]
             and fn.OVERRUNNING[f] == fn.OVERRUNNING[chosen]
-            and (f < 7 or seventh)
+            and (f != 7 or seventh)
         ]
         fit = [f for f in rivals if fn.feasible(f, f == now, *state)]
         assert status == (codes.OK if fit else codes.STALLED)
@@ -212,7 +249,7 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
             drop = p_rod - p_head if chosen == 3 else p_head - p_rod
             assert fn.capacity(c, fn.CROSS[chosen], drop) >= c.area_rod * abs(v_d)
     expected = {
-        f for f in range(1, 8) if c.able[f] and (f < 7 or (seventh and c.area_head > c.area_rod))
+        f for f in range(1, 10) if c.able[f] and (f != 7 or (seventh and c.area_head > c.area_rod))
     }
     assert seen == expected
 

@@ -29,7 +29,10 @@ from ehbench.report.trial_captions import ESTIMATES
 from ehbench.report.words import axis, number, shown, words
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 
-_SHADES = ("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b")
+_SHADES = (
+    *("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b"),
+    *("#b5543c", "#7fb069"),
+)
 _LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
 
 
