@@ -149,7 +149,7 @@ def unpainted(monkeypatch) -> None:
 def _blank(patch: pytest.MonkeyPatch) -> None:
     from ehbench.report import style
 
-    patch.setattr(style, "_painted", lambda page: '<svg xmlns="http://www.w3.org/2000/svg"/>\n')
+    patch.setattr(style, "painted", lambda page: '<svg xmlns="http://www.w3.org/2000/svg"/>\n')
 
 
 @pytest.fixture

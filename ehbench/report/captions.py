@@ -25,7 +25,7 @@ MODEL = "model"  # what a trial runs on that is no machine
 
 def plus(rig: Rig, name: str, value: float | None, half: float | None) -> str:
     """An SI value with half the width of its 95 % interval, in the rig's unit of the quantity."""
-    return with_error(*(None if v is None else float(shown(rig, name, v)) for v in (value, half)))
+    return with_error(*(shown(rig, name, v) for v in (value, half)))
 
 
 def as_fitted(rig: Rig, name: str, item: Table) -> str:
@@ -33,14 +33,12 @@ def as_fitted(rig: Rig, name: str, item: Table) -> str:
     where that lies about the value, else the value alone.
     """
     ends = (item.number("value"), *(item.get("interval") or (None, None)))
-    return estimate(*(None if v is None else float(shown(rig, name, v)) for v in ends))
+    return estimate(*(shown(rig, name, v) for v in ends))
 
 
 def range_of(rig: Rig, name: str, ends: Sequence[float | None] | None) -> str:
     """An SI interval in the rig's unit of the quantity."""
-    return interval(
-        *(None if v is None else float(shown(rig, name, v)) for v in (ends or (None, None)))
-    )
+    return interval(*(shown(rig, name, v) for v in (ends or (None, None))))
 
 
 def capital(text: str) -> str:
@@ -87,7 +85,7 @@ def ranged_in(rig: Rig, case: Any, form: str, *path: str | int) -> str:
 
     def text_of(value: float | None) -> str:
         if value is not None and kind != "number":
-            value = 100.0 * value if kind == "percent" else float(shown(rig, kind, value))
+            value = 100.0 * value if kind == "percent" else shown(rig, kind, value)
         return number(value, int(digits))
 
     return ranged(text_of, value, ends)
@@ -111,12 +109,12 @@ def stroke(rig: Rig, row: Table | None, value: float | None, digits: int = 3) ->
     measured = {} if row is None or row["on"] == MODEL else row.get("gains", {})
     finest = measured.get("stroke_resolution", 0.0)
     if not finest:
-        return number(float(shown(rig, "x", value)), digits)
-    finest = float(shown(rig, "x", finest))
-    if abs(float(shown(rig, "x", value))) < finest:
+        return number(shown(rig, "x", value), digits)
+    finest = shown(rig, "x", finest)
+    if abs(shown(rig, "x", value)) < finest:
         return f"< {number(finest, 1)}"
     places = -math.floor(math.log10(finest))
-    return fixed(float(shown(rig, "x", value)), places)
+    return fixed(shown(rig, "x", value), places)
 
 
 def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
@@ -124,7 +122,7 @@ def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
     if value is None:
         return number(None)
     unit = pretty(unit_of(rig, name))
-    return f"{number(float(shown(rig, name, value)), digits)}" + (
+    return f"{number(shown(rig, name, value), digits)}" + (
         f"{'' if unit == '°' else ' '}{unit}" if unit else ""
     )
 

@@ -229,6 +229,6 @@ def _text(rig: Rig, name: str, value: float | None, ends: tuple[float, float] | 
         return DASH
     if ends is None:
         return plus(rig, name, value, None)
-    seen = [float(shown(rig, name, end)) for end in (value, *ends)]
+    seen = [shown(rig, name, end) for end in (value, *ends)]
     text = estimate(*seen)
     return text if "±" in text else f"{text} ({range_of(rig, name, ends)})"

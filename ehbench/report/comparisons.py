@@ -1,5 +1,5 @@
-"""What identification and validation share: recorded against simulated, and ringing side by
-side.
+"""What identification and validation share: recorded against simulated, over time and frequency,
+and ringing side by side.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Grid
 from ehbench.report.figures.comparison import comparison
+from ehbench.report.figures.sweeps import sweeps
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Series, Table
 from ehbench.report.template import Template
@@ -35,11 +36,8 @@ def draw_comparisons(
     page = Template("comparisons", run.rig)
     for cylinder, channels in series.cylinders().items():
         if kind == "fit":
-            channels = [
-                channel
-                for channel in channels
-                if f"{cylinder}.{_TWINS.get(channel.rpartition('.')[2])}" not in channels
-            ]
+            twins = {name: _TWINS.get(name.rpartition(".")[2]) for name in channels}
+            channels = [name for name in channels if f"{cylinder}.{twins[name]}" not in channels]
         caption = page.text(
             "caption",
             simulated=any(channel in series.simulated for channel in channels),
@@ -52,30 +50,42 @@ def draw_comparisons(
         comparison(path, run.rig, series, channels)
 
 
+def draw_responses(
+    run: Saved,
+    index: FigureIndex,
+    about: FigureKey,
+    key: str,
+    result: Sequence[Table],
+    limit: float,
+) -> None:
+    """Frequency responses of a log to one command, where the coherence reaches a limit."""
+    command = result[0]["input"].removesuffix(".command")
+    caption = Template("comparisons").text("responses")
+    title = f"Response to {command} in {words(about.log or '')}"
+    sweeps(index.add(key, title, caption, about), run.rig, result, limit)
+
+
 def lasting(
     series: Series, channels: Sequence[str], off: float = 0.1, long: float = 0.2
 ) -> list[tuple[str, float]]:
     """(channel, longest time [s]) of each whose simulation lies off to one side of the recording
     for a share ``long`` of the log.
     """
-    lasting = []
+    lasting, t = [], series.t
     for channel in channels:
         if channel not in series.recorded or channel not in series.simulated:
             continue
         recorded = series.recorded[channel]
         error = series.simulated[channel] - recorded
         limit = off * float(np.ptp(recorded[np.isfinite(recorded)], axis=0))
-        longest = max(_longest(series.t, side * error > limit) for side in (-1.0, 1.0))
-        if limit > 0.0 and longest >= long * float(series.t[-1] - series.t[0]):
+        longest = 0.0
+        for beyond in (error > limit, -error > limit):
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
+            spans = t[np.minimum(edges[1::2], t.size - 1)] - t[edges[::2]]
+            longest = max(longest, float(np.max(spans, initial=0.0)))
+        if limit > 0.0 and longest >= long * float(t[-1] - t[0]):
             lasting.append((channel, longest))
     return lasting
-
-
-def _longest(t: np.ndarray, mask: np.ndarray) -> float:
-    """The longest stretch of time [s] in which a mask holds."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    ends = np.minimum(edges[1::2], t.size - 1)
-    return float(np.max(t[ends] - t[edges[::2]], initial=0.0))
 
 
 def ringing_table(rig: Rig | None, matches: Sequence[Table], with_log: bool = False) -> Grid:

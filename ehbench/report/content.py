@@ -135,7 +135,7 @@ def num(text: str) -> Cell:
 
 def quantity_cell(rig: Rig, name: str, value: float | None, digits: int = 4) -> Cell:
     """An SI number in the rig's unit, as a cell."""
-    return num(number(None if value is None else float(shown(rig, name, value)), digits))
+    return num(number(shown(rig, name, value), digits))
 
 
 def folded(figures: Sequence[Picture], what: str) -> list[Block]:

@@ -317,7 +317,7 @@ def _energy(
 ) -> Cell:
     """An energy; a nought where it is below a share ``nothing`` of ``whole``."""
     value = 0.0 if value is not None and abs(value) < nothing * whole else value
-    value, half = (None if v is None else float(shown(rig, "energy", v)) for v in (value, half))
+    value, half = (shown(rig, "energy", v) for v in (value, half))
     return num(with_error(value, half).replace(" ", "\u00a0") if half else number(value, 3))
 
 

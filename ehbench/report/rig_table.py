@@ -75,14 +75,14 @@ def _values(rig: Rig) -> Iterator[tuple[str, Value]]:
 
 def _value_row(rig: Rig, name: str, value: Value, fit: Table | None) -> list[Cell | str]:
     if isinstance(value.value, tuple):
-        text = "(" + ", ".join(number(float(shown(rig, name, v)), 5) for v in value.value) + ")"
+        text = "(" + ", ".join(number(shown(rig, name, v), 5) for v in value.value) + ")"
     else:
         text = (
             as_fitted(rig, name, fit)
             if fit is not None
             else plus(rig, name, value.value, Z95 * value.std)
             if value.std
-            else number(float(shown(rig, name, value.value)), 6)
+            else number(shown(rig, name, value.value), 6)
         )
     source = value.source.removeprefix(value.sure).lstrip(":, ")
     return [

@@ -15,16 +15,14 @@ from ehbench.runtime.disk import write_text
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
 RECORDED, SIMULATED, ACCENT, MUTED = "#1f3f66", "#e08214", "#b3261e", "#6b7280"
 INK = "#1f2937"
 CYCLE = ("#1f3f66", "#e08214", "#2e7d5b", "#8e4585", "#7a6a4f", "#b3261e")
-MARKS: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
 Look = dict[str, Any]  # how a line or a text is drawn, by matplotlib's words
-BUCKETS = 320  # half a figure is about as many pixels wide
 
 _RC = {
     "svg.hashsalt": "ehbench",
@@ -77,47 +75,29 @@ def canvas(
         page = FigureCanvasSVG(figure)
         yield figure, figure.subplots(rows, columns, **kwargs)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, _painted(page))
+        write_text(path, painted(page))
 
 
-def _painted(page: FigureCanvasSVG) -> str:
-    """The figure of a page as SVG: laid out and drawn, most of what a figure takes."""
-    _let_formulas(page.figure)
-    _keep_titles(page.figure)
-    text = StringIO()
-    # savefig would draw twice where a layout engine is on: once for the layout alone
-    page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
-    return shrink(text.getvalue())
-
-
-def _let_formulas(figure: Figure) -> None:
-    """Names stand in a figure as people wrote them, also with dollar signs; only the labels that a
-    logarithmic axis makes by itself are formulas.
+def painted(page: FigureCanvasSVG) -> str:
+    """A figure as SVG. Names stand as people wrote them, with dollar signs too; only the numbers
+    that a logarithmic axis writes by itself are formulas.
     """
     import matplotlib
     from matplotlib.text import Text
     from matplotlib.ticker import LogFormatter
 
-    axes = [axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)]
+    axes = [axis for ax in page.figure.axes for axis in (ax.xaxis, ax.yaxis)]
     logs = [axis for axis in axes if isinstance(axis.get_major_formatter(), LogFormatter)]
-    if not logs:
-        return
-    for axis in axes:
+    for axis in axes if logs else ():
         axis.get_major_ticks()  # those of names, while these are no formulas
     for axis in logs:
-        for text in axis.findobj(Text):
-            text.set_parse_math(text is not axis.label)
-    matplotlib.rcParams["text.parse_math"] = True  # of labels to come; the canvas puts it back
-
-
-def _keep_titles(figure: Figure) -> None:
-    """Titles stay where they are, but where an axis may have a factor of its numbers, such as 1e6,
-    at its top: to look for one, matplotlib measures all labels for each title. Those beside another
-    one, which have a distance of their own, it may look after.
-    """
-    for ax in figure.axes:
-        if 1e-2 <= np.abs(ax.get_ylim()).max() < 1e5 and not ax.get_title("right"):
-            ax.set_title("", loc="center", y=1.0)
+        for item in axis.findobj(Text):
+            item.set_parse_math(item is not axis.label)
+        matplotlib.rcParams["text.parse_math"] = True  # of labels to come
+    text = StringIO()
+    # savefig would draw twice where a layout engine is on: once for the layout alone
+    page.print_svg(text, metadata={"Date": None, "Creator": "ehbench"})
+    return shrink(text.getvalue())
 
 
 def shades(count: int) -> list:
@@ -127,9 +107,9 @@ def shades(count: int) -> list:
     return [matplotlib.colormaps["viridis"](0.8 * i / max(count - 1, 1)) for i in range(count)]
 
 
-def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarray, np.ndarray]:
-    """The series with the least and the largest sample of each of ``buckets`` stretches: the same
-    picture, fewer points.
+def thin(t: np.ndarray, y: np.ndarray, buckets: int = 320) -> tuple[np.ndarray, np.ndarray]:
+    """The series with the minimum and maximum of each of ``buckets`` stretches: the same picture,
+    fewer points. Half a figure is about as many pixels wide.
     """
     if t.size <= 4 * buckets:
         return t, y
@@ -141,38 +121,27 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = BUCKETS) -> tuple[np.ndarr
         hits = np.flatnonzero(y == extreme.reduceat(y, ends[:-1])[bucket])
         which, first = np.unique(bucket[hits], return_index=True)
         retained.append(hits[first[some[which]]])
-    at = np.unique(np.concatenate(retained))
-    return t[at], y[at]
+    places = np.unique(np.concatenate(retained))
+    return t[places], y[places]
 
 
-def spread(places: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places moved apart to ``gap`` between neighbours, in their order and inside low…high; closer
-    where they are too many.
+def spread(places: Sequence[float], gap: float, low: float, high: float) -> np.ndarray:
+    """Places moved apart to ``gap`` between neighbours, in their order and inside low…high, as
+    little as that takes; closer where they are too many.
     """
-    order = sorted(range(len(places)), key=lambda i: (places[i], i))
-    gap = min(gap, (high - low) / max(len(places) - 1, 1))
-    groups: list[
-        list[float]
-    ] = []  # (sum of desired first places, count) of runs of touching labels
-    for rank, i in enumerate(order):
-        groups.append([min(max(places[i], low), high) - rank * gap, 1.0])
-        while len(groups) > 1 and groups[-2][0] / groups[-2][1] >= groups[-1][0] / groups[-1][1]:
-            total, count = groups.pop()
-            groups[-1][0] += total
-            groups[-1][1] += count
-    moved = [0.0] * len(places)
-    rank = 0
-    for total, count in groups:
-        for _ in range(int(count)):
-            first = min(max(total / count, low), high - (len(places) - 1) * gap)
-            moved[order[rank]] = first + rank * gap
-            rank += 1
+    from scipy.optimize import isotonic_regression
+
+    order = np.argsort(places, kind="stable")
+    ramp = min(gap, (high - low) / max(len(places) - 1, 1)) * np.arange(len(places))
+    firsts = isotonic_regression(np.clip(np.take(places, order), low, high) - ramp).x
+    moved = np.empty(len(places))
+    moved[order] = np.clip(firsts, low, high - ramp[-1]) + ramp
     return moved
 
 
 def cycled(index: int, **more: Any) -> Look:
     """Colour and dashes of the curve with this number."""
-    return {"color": CYCLE[index % len(CYCLE)], "linestyle": MARKS[index % len(MARKS)]} | more
+    return {"color": CYCLE[index % len(CYCLE)], "linestyle": LINES[index % len(LINES)]} | more
 
 
 def key(label: str, **look: Any) -> Line2D:
@@ -189,15 +158,25 @@ def swatch(label: str, colour: str, **look: Any) -> Patch:
     return Patch(color=colour, label=label, **look)
 
 
-def legend_right(ax, handlelength: float = 1.8) -> None:
-    """The legend of a panel, right of it."""
-    where = {"loc": "center left", "bbox_to_anchor": (1.005, 0.5), "borderaxespad": 0.0}
-    ax.legend(handlelength=handlelength, **where)
+def tag(
+    ax, text: str, x: float, y: float, offset: tuple[int, int], within: str = "", **look: Any
+) -> None:
+    """A small word so many points off a place of a panel; of the axes named in ``within``, x or y,
+    the place is a share.
+    """
+    where = tuple("axes fraction" if name in within else "data" for name in "xy")
+    ax.annotate(text, (x, y), offset, where, "offset points", **{"fontsize": 8} | look)
 
 
-def legend(figure, handles: Sequence, **kwargs) -> None:
-    """One legend line below all panels, where it covers nothing."""
+def legend_right(ax, *entries: Any, **look: Any) -> None:
+    """The legend of a panel, right of it; nothing where no line has a name."""
+    if entries or ax.get_legend_handles_labels()[0]:
+        place = {"loc": "center left", "bbox_to_anchor": (1.005, 0.5), "borderaxespad": 0.0}
+        ax.legend(*entries, **{"handlelength": 1.8} | place | look)
+
+
+def legend(figure, handles: Sequence, columns: int = 5, **kwargs) -> None:
+    """The legend of a figure below all panels, where it covers nothing."""
     if handles:
-        figure.legend(
-            handles=list(handles), loc="outside lower center", ncols=min(len(handles), 5), **kwargs
-        )
+        ncols = min(len(handles), columns)
+        figure.legend(handles=list(handles), loc="outside lower center", ncols=ncols, **kwargs)

@@ -6,14 +6,15 @@ and value; head and value see the fields of the call, the value also ``r``, the 
 says when the column is there; of a list it stands once for each ``each``. A string names a list of
 columns of the same file. Formats: ``""`` text, ``code``, ``name``, ``chip``, ``digits`` (a number
 as text), ``number:3``, ``percent:3`` (of a share), or a quantity and its digits, ``v:3``, whose
-unit joins the head. A text where a number would stand is taken as digits.
+unit joins the head. A text where a number would stand is taken as digits. A value is an expression,
+or a template of a text.
 """
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -27,14 +28,11 @@ from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.terms import Z95
 
 if TYPE_CHECKING:
-    import jinja2.environment
+    import jinja2
 
 
-def _ring(rig: Rig, ring: Any, key: str) -> Cell:
-    """A number of a decay with its 95 % interval; why there is none, as a hint."""
-    std = ring.get(f"{key}_std")
-    text = captions.plus(rig, key, ring.get(key), None if std is None else Z95 * std)
-    return Cell(text, "number", hint=ring.get("reason", ""))
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
 
 
 # what templates may use; the second kind takes the rig first
@@ -57,16 +55,16 @@ _FILTERS: dict[str, Any] = {
     "text": Cell,
     "digits": num,
     "name": lambda text: Cell(text, "name"),
-    "times": lambda value, factor: None if value is None else factor * value,
+    "times": _times,
     "meaning": lambda name: words.row_of(name).meaning,
 }
 _RIG_FILTERS: dict[str, Any] = {
     "measure": lambda rig, value, name, digits=3: captions.measure(rig, name, value, digits),
     "in_unit": lambda rig, value, name, digits=4: words.number(
-        None if value is None else float(words.shown(rig, name, value)), digits
+        words.shown(rig, name, value), digits
     ),
     "spanned": lambda rig, values, name, digits=3: captions.span(
-        [float(words.shown(rig, name, value)) for value in values], digits
+        [words.shown(rig, name, value) for value in values], digits
     ),
     "unit": lambda rig, name: words.pretty(words.unit_of(rig, name)),
     "axis": lambda rig, name, text="": words.axis(rig, name, text),
@@ -74,7 +72,12 @@ _RIG_FILTERS: dict[str, Any] = {
     "ends": lambda rig, ends, name: captions.range_of(rig, name, ends),
     "error": lambda rig, row, which, key: captions.error_of(rig, row, which, key),
     "ranged": captions.ranged_in,
-    "ring": _ring,
+    # a number of a decay with its 95 % interval; why there is none, as a hint
+    "ring": lambda rig, ring, key: Cell(
+        captions.plus(rig, key, ring.get(key), _times(ring.get(f"{key}_std"), Z95)),
+        "number",
+        hint=ring.get("reason", ""),
+    ),
     "plus": lambda rig, value, name: captions.plus(rig, name, value, None),
 }
 
@@ -82,7 +85,7 @@ _RIG_FILTERS: dict[str, Any] = {
 class _Column(NamedTuple):
     head: str
     kind: str
-    digits: str
+    digits: int
     value: str
     fields: Mapping[str, Any]
 
@@ -102,17 +105,9 @@ class Template:
         """A table, a row for each of ``rows``."""
         table = _entries(self.part)[name]
         columns = list(self._columns(table["columns"], fields))
-        cells = [
-            [
-                self._cell(column, self._value(column.value, column.fields, r=row))
-                for column in columns
-            ]
-            for row in rows
-        ]
-        note, key, title = (
-            self._filled(table.get(k, ""), fields) for k in ("note", "key", "title")
-        )
-        return Grid([column.head for column in columns], cells, note, key, title)
+        cells = [[self._cell(column, row) for column in columns] for row in rows]
+        texts = (self._filled(table.get(k, ""), fields) for k in ("note", "key", "title"))
+        return Grid([column.head for column in columns], cells, *texts)
 
     def _columns(self, listed: Iterable[Any], fields: Mapping[str, Any]) -> Iterator[_Column]:
         for column in listed:
@@ -120,40 +115,41 @@ class Template:
                 yield from self._columns(_entries(self.part)[column], fields)
                 continue
             text, kind, value, *when = column
-            there = self._value(when[0], fields) if when else True
+            there = _compiled(when[0], False)(rig=self.rig, **fields) if when else True
             for each in there if isinstance(there, list | tuple | dict) else [None] * bool(there):
                 seen = {**fields, "each": each}
                 name, _, digits = self._filled(kind, seen).partition(":")
                 head = self._filled(text, seen)
                 if self.rig is not None and name in VOCABULARY:
                     head = words.axis(self.rig, name, head)
-                yield _Column(head, name, digits, value, seen)
+                yield _Column(head, name, int(digits or 4), value, seen)
 
-    def _cell(self, column: _Column, value: Any) -> Cell | str:
-        digits = int(column.digits or 4)
+    def _cell(self, column: _Column, row: Any) -> Cell | str:
+        fields, kind = {**column.fields, "r": row}, column.kind
+        if "{{" in column.value:
+            value = self._filled(column.value, fields)
+        else:
+            value = _compiled(column.value, False)(rig=self.rig, **fields)
         if isinstance(value, Cell):
             return value
-        if column.kind in ("", "code", "name"):
-            return Cell(str(value), column.kind) if column.kind else str(value)
-        if column.kind == "chip":
+        if kind in ("", "code", "name"):
+            return Cell(str(value), kind) if kind else str(value)
+        if kind == "chip":
             return chip(value)
-        if column.kind == "digits" or isinstance(value, str):
+        if kind == "digits" or isinstance(value, str):
             return num(words.DASH if value is None else str(value))
-        if column.kind == "percent" and value is not None:
-            value = 100.0 * value
-        elif column.kind in VOCABULARY and value is not None and self.rig is not None:
-            value = float(words.shown(self.rig, column.kind, value))
-        return num(words.number(value, digits))
+        if kind == "percent":
+            value = _times(value, 100.0)
+        elif kind in VOCABULARY and self.rig is not None:
+            value = words.shown(self.rig, kind, value)
+        return num(words.number(value, column.digits))
 
     def _filled(self, source: str, fields: Mapping[str, Any]) -> str:
         text = source
         if "{" in source:
             source = _entries(self.part).get("macros", "") + source
-            text = _compiled(source).render(rig=self.rig, **fields)
+            text = _compiled(source, True)(rig=self.rig, **fields)
         return re.sub(r"[ \n]+", " ", text).strip()
-
-    def _value(self, source: str, fields: Mapping[str, Any], **more: Any) -> Any:
-        return _expression(source)(rig=self.rig, **{**fields, **more})
 
 
 @cache
@@ -176,10 +172,8 @@ def _environment() -> jinja2.Environment:
 
 
 @cache
-def _compiled(source: str) -> jinja2.Template:
-    return _environment().from_string(source)
-
-
-@cache
-def _expression(source: str) -> jinja2.environment.TemplateExpression:
+def _compiled(source: str, is_text: bool) -> Callable[..., Any]:
+    """A template, or an expression, as a function of its fields."""
+    if is_text:
+        return _environment().from_string(source).render
     return _environment().compile_expression(source, undefined_to_none=False)

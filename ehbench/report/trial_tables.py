@@ -84,7 +84,7 @@ def valves_note(rig: Rig | None, cases: Sequence[Case]) -> str:
     speeds: dict[str, list[str]] = {}
     for case in cases:
         if ends := case.row.get("valves", {}).get("natural_frequency"):
-            speed = span([float(shown(rig, "natural_frequency", end)) for end in ends])
+            speed = span([shown(rig, "natural_frequency", end) for end in ends])
             names, name = speeds.setdefault(speed, []), words(case.row["controller"])
             names += [name] * (name not in names)
     return Template("trial", rig).text("valves", speeds=speeds)
@@ -210,7 +210,7 @@ def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
     lows, highs = zip(
         *(value if isinstance(value, list) else (value, value) for value in values), strict=True
     )
-    low, high = (span([float(shown(rig, name, end)) for end in ends]) for ends in (lows, highs))
+    low, high = (span([shown(rig, name, end) for end in ends]) for ends in (lows, highs))
     return num(low if lows == highs else f"{low} … {high}")
 
 

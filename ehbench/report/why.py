@@ -149,7 +149,7 @@ def _shown(run: Saved, result: NamedResult) -> str:
     values, unit = [result.value, *(result.interval or ())], result.unit
     if unit and row_of(result.path).unit == unit and (run.folder / "rig.toml").is_file():
         try:
-            values = [float(shown(run.rig, result.path, value)) for value in values]
+            values = [shown(run.rig, result.path, value) for value in values]
             unit = unit_of(run.rig, result.path)
         except EhbenchError:
             pass  # in SI without a rig that can be read

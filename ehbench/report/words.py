@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
+
+import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
@@ -48,9 +51,12 @@ def symbol_of(rig: Rig, name: str) -> str:
     return symbol.replace("ω", "f") if unit_of(rig, name).endswith("Hz") else symbol
 
 
-def shown(rig: Rig, name: str, value):
-    """An SI value (or array, or difference of values) in that unit."""
-    return from_si(value, unit_of(rig, name), row_of(name))
+def shown(rig: Rig, name: str, value: Any) -> Any:
+    """An SI value, array or difference of values in that unit; None stays None."""
+    if value is None:
+        return None
+    result = from_si(value, unit_of(rig, name), row_of(name))
+    return np.asarray(result, float) if np.ndim(value) else float(result)
 
 
 def pretty(unit: str) -> str:

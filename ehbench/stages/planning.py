@@ -68,7 +68,7 @@ class NextTest:
         return Answer(verdict, [Grid(head, rows)], [step], place=written, values=self.as_json())
 
     def _shown(self, value: float) -> float:
-        return float(shown(self.rig, self.known.name, value))
+        return shown(self.rig, self.known.name, value)
 
     def _text(self, ends: tuple[float, float] | None) -> str:
         value = self._shown(self.known.value)

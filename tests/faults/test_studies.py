@@ -284,7 +284,7 @@ at_most = "150 mm/s"
 def blank():
     """No figure is painted: nobody looks at one, and the same numbers paint the same picture."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "_painted", lambda page: "")
+        patch.setattr(style, "painted", lambda page: "")
         yield
 
 

@@ -300,13 +300,13 @@ def tip_alone(monkeypatch):
 
     from ehbench.report import style
 
-    paint = style._painted
+    paint = style.painted
 
     def painted(page):
         words = [text.get_text() for text in page.figure.findobj(Text)]
         return paint(page) if any("From above" in word for word in words) else ""
 
-    monkeypatch.setattr(style, "_painted", painted)
+    monkeypatch.setattr(style, "painted", painted)
 
 
 def test_a_run_tells_and_draws_the_tip(tmp_path, tip_alone):

@@ -119,9 +119,7 @@ def test_what_other_circuits_can_do():
     # a cross-port check valve lets oil through one way only, an edge drawn the other way round
     # serves as well
     checked = (*FIVE[:2], (ROD, HEAD, 2, 1, 1), (ROD, SUPPLY, 3), FIVE[4])
-    assert set(fn.available(circuit(checked))) == ALL - {
-        "retract_overrunning_regeneration"
-    }
+    assert set(fn.available(circuit(checked))) == ALL - {"retract_overrunning_regeneration"}
     # a spool that opens a third edge with the two of a function cannot do that function
     leaky = ((SUPPLY, HEAD, 0), (ROD, TANK, 0), (HEAD, TANK, 0), (SUPPLY, ROD, 1))
     assert fn.available(circuit(leaky)) == ("hold",)

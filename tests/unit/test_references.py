@@ -9,9 +9,8 @@ from pydantic import ValidationError
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.recipe.validate import Reference
-from ehbench.report.blocks import Grid
 from ehbench.report.saved import Table
-from ehbench.report.stages.validation import others_part
+from ehbench.report.stages.validation import others_rows
 from ehbench.report.template import Template
 
 RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
@@ -26,14 +25,13 @@ def test_figures_of_others_stand_beside_the_model_s_own():
         | {"value": 1e5},
     ]
     log = {"name": "second_half", "channels": [{"channel": "press.p_head", "rms_error": 2e5}]}
-    (part,) = others_part(page, Table({"logs": [log], "references": others}, RIGS))
-    (grid,) = part.inside
-    assert isinstance(grid, Grid)
+    rows = others_rows(Table({"logs": [log], "references": others}, RIGS))
+    grid = page.table("others", rows)
     names = [getattr(row[0], "text", row[0]) for row in grid.rows]
     assert names == ["GP", "this model", "ARX"]
     assert [getattr(row[3], "text", "") for row in grid.rows] == ["1", "2", "3"]
     assert all(row[4] == "bar" for row in grid.rows)
-    assert not others_part(page, Table({"logs": [log]}, RIGS))
+    assert not others_rows(Table({"logs": [log]}, RIGS))
 
 
 @pytest.mark.parametrize("value", ["3 mm", "-3 bar", "-0.1 bar", True])

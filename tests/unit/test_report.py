@@ -932,16 +932,3 @@ def test_prose_makes_paragraphs_and_lists():
         for one in prose("One\ntwo.\n\nBefore:\n- a\n  b\n- c")
     ]
     assert kinds == [("text", "One two."), ("text", "Before:"), ("bullets", ["a b", "c"])]
-
-
-@pytest.mark.parametrize("size", [3e-4, 1e-2, 1.0, 9e4, 4e6])
-def test_titles_stand_where_matplotlib_would_put_them(size, tmp_path, monkeypatch):
-    """Above a factor of the axis, such as 1e6, too."""
-    for name in ("kept", "sought"):
-        with canvas(tmp_path / f"{name}.svg", 2) as (_, axes):
-            for ax, high in zip(axes, (size, 1.0), strict=True):
-                ax.plot([0.0, 1.0], [0.0, high])
-                ax.set_title("a title")
-        monkeypatch.setattr(style, "_keep_titles", lambda figure: None)
-    kept, sought = ((tmp_path / f"{name}.svg").read_bytes() for name in ("kept", "sought"))
-    assert kept == sought

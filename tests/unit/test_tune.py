@@ -16,7 +16,7 @@ from ehbench.config.recipe import TuneRecipe, load_recipe, load_rig
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
 from ehbench.report.saved import Table
-from ehbench.report.stages.tuning import _parameters
+from ehbench.report.stages.tuning import parameter_rows
 from ehbench.runs import rundir
 from ehbench.tune import gains as module
 from ehbench.tune.draws import draw_parameters
@@ -295,7 +295,7 @@ def test_one_spool_has_no_off_side(tmp_path):
     assert {"softer off-side (× 0.2)"}.isdisjoint(a.what for a in t.alternatives)
     rundir.write_json(tmp_path / "tuning.json", t.as_json())
     table = Table(rundir.read_json(tmp_path / "tuning.json"), tmp_path / "tuning.json")
-    shown = [row["text"] for row in _parameters(table)]
+    shown = [row["text"] for row in parameter_rows(table)]
     assert "tick" in shown and not any("cross-port" in text for text in shown)
 
 

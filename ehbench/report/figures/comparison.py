@@ -34,9 +34,9 @@ def comparison(path: Path, rig: Rig, series: Series, channels: Sequence[str]) ->
             if place >= len(channels):
                 for ax in cells:
                     ax.remove()
-                continue
-            last = place + columns >= len(channels)
-            _panel(cells, rig, series, channels[place], last)
+            else:
+                last = place + columns >= len(channels)
+                _panel(cells, rig, series, channels[place], last)
         handles = [key("recorded", **_RECORDED | {"linewidth": 1.0})] if series.recorded else []
         handles += [key("simulated", **_SIMULATED)] if series.simulated else []
         legend(figure, handles)
@@ -44,35 +44,26 @@ def comparison(path: Path, rig: Rig, series: Series, channels: Sequence[str]) ->
 
 def _panel(cells: np.ndarray, rig: Rig, series: Series, channel: str, last: bool) -> None:
     """One channel, above its error if it has one; the last of a column names the time axis."""
-    _overlay(cells[0], rig, series, channel)
-    bottom = cells[0]
-    if channel in series.recorded and channel in series.simulated:
-        bottom = cells[1]
-        _error(bottom, rig, series, channel)
+    recorded, simulated = (
+        shown(rig, channel, side.get(channel)) for side in (series.recorded, series.simulated)
+    )
+    main = bottom = cells[0]
+    if recorded is not None:
+        main.plot(*thin(series.t, recorded), **_RECORDED)
+    if simulated is not None:
+        main.plot(*thin(series.t, simulated), alpha=0.95, **_SIMULATED)
+    main.set_title(axis(rig, channel, title_of(channel)))
+    main.margins(y=0.08)
+    if recorded is not None and simulated is not None:
+        bottom, error = cells[1], simulated - recorded
+        bottom.plot(*thin(series.t, error), color=MUTED, linewidth=0.8)
+        bottom.axhline(0.0, color="#111827", linewidth=0.6)
+        maximum = 1.1 * float(np.nanmax(np.abs(error), initial=1e-12))
+        bottom.set_ylim(-maximum, maximum)
+        bottom.set_ylabel("error", fontsize=8)
+        bottom.locator_params(axis="y", nbins=3)
     elif len(cells) == 2:
         cells[1].remove()
     bottom.tick_params(labelbottom=last)
     if last:
         bottom.set_xlabel("time [s]")
-
-
-def _error(ax, rig: Rig, series: Series, channel: str) -> None:
-    recorded, simulated = (
-        shown(rig, channel, side[channel]) for side in (series.recorded, series.simulated)
-    )
-    error = simulated - recorded
-    ax.plot(*thin(series.t, error), color=MUTED, linewidth=0.8)
-    ax.axhline(0.0, color="#111827", linewidth=0.6)
-    maximum = 1.1 * float(np.nanmax(np.abs(error), initial=1e-12))
-    ax.set_ylim(-maximum, maximum)
-    ax.set_ylabel("error", fontsize=8)
-    ax.locator_params(axis="y", nbins=3)
-
-
-def _overlay(ax, rig: Rig, series: Series, channel: str) -> None:
-    for side, look in ((series.recorded, _RECORDED), (series.simulated, _SIMULATED)):
-        if channel in side:
-            alpha = 0.95 if look is _SIMULATED else None
-            ax.plot(*thin(series.t, shown(rig, channel, side[channel])), alpha=alpha, **look)
-    ax.set_title(axis(rig, channel, title_of(channel)))
-    ax.margins(y=0.08)

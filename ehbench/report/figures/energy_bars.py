@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.report.figures.energy import Ledger, Unit, energy_text, half_of, part_of, unit_for
-from ehbench.report.style import ACCENT, INK, MUTED, canvas, key, swatch
+from ehbench.report.style import ACCENT, INK, MUTED, canvas, key, legend, swatch
 from ehbench.report.words import DASH, number
+from ehbench.vocabulary.messages import message
 
 SEEN = 2e-3  # share of the longest bar below which nobody sees a part
 _PARTS = {
@@ -32,7 +33,7 @@ _LIMITS: dict[str, tuple[str, Any]] = {
 def bars(
     path: Path,
     ledgers: Sequence[tuple[str, Ledger]],
-    bounds: Sequence[Sequence[Mapping[str, Any]]] | None = None,
+    bounds: Sequence[Sequence[Mapping[str, Any]]] = (),
 ) -> None:
     """A stacked bar a trial: what its energy went into; what was given back lies left of zero.
 
@@ -43,48 +44,43 @@ def bars(
             the bar; empty for none.
     """
     unit = unit_for([ledger for _, ledger in ledgers])
-    stacks = [_stack(ledger, unit) for _, ledger in ledgers]
+    stacks = []
+    for _, ledger in ledgers:
+        stacks.append(dict.fromkeys(_PARTS, 0.0))
+        for row in ledger["rows"]:
+            if (part := part_of(row)) is not None:
+                stacks[-1][part] += row["energy"] / unit[0]
     maximum = max(sum(max(v, 0.0) for v in parts.values()) for parts in stacks)
     minimum = min(sum(min(v, 0.0) for v in parts.values()) for parts in stacks)
-    limits = (
-        [_sum_of(bound, unit) for bound in bounds] if bounds is not None else [{}] * len(ledgers)
-    )
+    limits: list[dict[str, float]] = [{} for _ in ledgers]
+    for sums, items in zip(limits, bounds or (), strict=False):
+        for kind in _LIMITS:  # one that a cylinder has not is left out
+            values = [value for item in items if (value := item.get(kind)) is not None]
+            if values and len(values) == len(items):
+                sums[kind] = float(sum(values)) / unit[0]
     reach = max([maximum, *(value for limit in limits for value in limit.values())])
-    drawn = [key for key in _PARTS if any(abs(parts[key]) > SEEN * maximum for parts in stacks)]
+    drawn = [name for name in _PARTS if any(abs(parts[name]) > SEEN * maximum for parts in stacks)]
     with canvas(path, size=(7.4, 0.72 * len(ledgers) + 1.7)) as (figure, ax):
         for i, (_, ledger) in enumerate(ledgers):
-            parts = {key: stacks[i][key] for key in drawn}
-            ahead = _draw_stack(ax, i, parts, 0.065 * (reach - minimum))
-            _draw_total(ax, i, ledger, unit, ahead, abs(ahead) < 0.01 * maximum)
+            parts = {name: stacks[i][name] for name in drawn}
+            end = _draw_stack(ax, i, parts, 0.065 * (reach - minimum))
+            _draw_total(ax, i, ledger, unit, end, abs(end) < 0.01 * maximum)
             for kind, value in limits[i].items():
                 look = {"color": INK, "linestyle": _LIMITS[kind][1], "linewidth": 1.6, "zorder": 5}
                 for side in (-1, 1):  # above and below the bar, whose numbers stay free
                     ax.plot([value] * 2, [i + side * 0.28, i + side * 0.46], **look)
         ax.axvline(0.0, color=MUTED, linewidth=0.8)
         ax.set_yticks(range(len(ledgers)), [title for title, _ in ledgers])
-        ax.set_ylim(len(ledgers) - 0.45, -0.55)
-        ax.set_xlim(1.05 * minimum, 1.4 * reach)
+        ax.set(ylim=(len(ledgers) - 0.45, -0.55), xlim=(1.05 * minimum, 1.4 * reach))
         ax.grid(False, axis="y")
-        ax.set_xlabel(
-            f"energy [{unit[1]}]; the bar, less what lies left of zero, is what the supply gave"
-        )
+        ax.set_xlabel(message("report.bar", unit=unit[1]))
         handles: list = [swatch(*_PARTS[name]) for name in drawn]
         handles += [
             key(f"bound: {name}", color=INK, linestyle=style)
             for kind, (name, style) in _LIMITS.items()
             if any(kind in limit for limit in limits)
         ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
-
-
-def _stack(ledger: Ledger, unit: Unit) -> dict[str, float]:
-    """Energies of the parts of a bar, in the unit."""
-    parts = dict.fromkeys(_PARTS, 0.0)
-    for row in ledger["rows"]:
-        part = part_of(row)
-        if part is not None:
-            parts[part] += row["energy"] / unit[0]
-    return parts
+        legend(figure, handles, 3)
 
 
 def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> float:
@@ -101,10 +97,7 @@ def _draw_stack(ax, place: int, parts: Mapping[str, float], room: float) -> floa
             look = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white", "zorder": 6}
             box = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}
             ax.text(start + 0.5 * value, place, number(value, 3), bbox=box, **look)
-        if value >= 0.0:
-            right += value
-        else:
-            left += value
+        right, left = right + max(value, 0.0), left + min(value, 0.0)
     return right
 
 
@@ -125,26 +118,14 @@ def _draw_total(ax, place: int, ledger: Ledger, unit: Unit, end: float, empty: b
     look = {"textcoords": "offset points", "va": "center", "zorder": 6}
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
     label = ax.annotate(words, (right, place), (6, 0), fontsize=8, weight="bold", bbox=box, **look)
+    look |= {"xycoords": label, "fontsize": 7.5}
     if empty:
-        look |= {"xycoords": label, "fontsize": 7.5}
-        ax.annotate("next to nothing was drawn", (1.0, 0.5), (5, 0), **look)
+        ax.annotate(message("report.bar_empty"), (1.0, 0.5), (5, 0), **look)
         return
     rest = total - drawn
-    messages = [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]]
+    texts = [f"low rail {energy_text(row['energy'], None, unit)}" for row in given[1:]]
     if abs(rest) > SEEN * abs(total):
         sign = "+" if rest > 0.0 else "−"
-        messages.append(f"{sign} {number(abs(rest) / unit[0], 2)} {unit[1]} compression")
-    if text := "\n".join(messages):
-        ax.annotate(text, (1.0, 0.5), (5, 0), xycoords=label, fontsize=7.5, bbox=box, **look)
-
-
-def _sum_of(bounds: Sequence[Mapping[str, Any]], unit: Unit) -> dict[str, float]:
-    """Bounds of several cylinders added up, in the unit; one that a cylinder has not is left
-    out.
-    """
-    sums = {}
-    for kind in _LIMITS:
-        values = [value for bound in bounds if (value := bound.get(kind)) is not None]
-        if values and len(values) == len(bounds):
-            sums[kind] = float(sum(values)) / unit[0]
-    return sums
+        texts.append(f"{sign} {number(abs(rest) / unit[0], 2)} {unit[1]} compression")
+    if text := "\n".join(texts):
+        ax.annotate(text, (1.0, 0.5), (5, 0), bbox=box, **look)

@@ -20,14 +20,16 @@ from ehbench.report.style import (
     canvas,
     key,
     legend,
+    legend_right,
     shades,
     spread,
     swatch,
+    tag,
 )
 from ehbench.report.words import axis, number, shown
 from ehbench.vocabulary.terms import Z95
 
-_MARKS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
+_METERS = {"flowmeter": ("o", "flowmeter"), "cylinder": ("D", "cylinder speed")}
 
 Ends = dict[str, tuple[float, Any]]  # label of a curve → (where it ends, its colour)
 
@@ -38,25 +40,40 @@ def flow_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
     """
     commands = item.hull_command[item.hull_command > item.deadband]
     colours = dict(zip(commands, shades(commands.size), strict=True))
-    colour_of = _colour_of(item, colours)
     drop = np.linspace(0.0, 1.0, 161) ** 2 * max(item.drop_max, float(item.hull_high.max()))
     retained = points.flow.size and not points.outlier.all()
     ratios = [4.2, 1] if retained else [1]
-    look = {"sharex": True, "squeeze": False, "gridspec_kw": {"height_ratios": ratios}}
+
+    def colour_of(command: float) -> Any:
+        """That of the nearest curve, grey where the valve is shut."""
+        if not colours or command <= item.deadband:
+            return MUTED
+        return colours[min(colours, key=lambda known: abs(known - command))]
+
+    look = {"sharex": True, "squeeze": False, "height_ratios": ratios}
     with canvas(path, len(ratios), 1, (7.2, 5.6), **look) as (figure, axes):
         main = axes[0, 0]
         ends, tops = _curves(main, rig, item, drop, colours)
-        flows = shown(rig, "flow", points.flow[~points.outlier])
-        limits = _limits([*(y for y, _ in ends.values()), *tops], flows)
+        flows = shown(rig, "flow", points.flow[~points.outlier]).tolist()
+        high = max([*(y for y, _ in ends.values()), *tops, *flows, 1e-12])
+        low = min([0.0, *flows])
+        limits = low - 0.025 * (high - low), high + 0.05 * (high - low)
         main.set_ylim(*limits)
-        main.set_xlim(0.0, 1.01 * float(shown(rig, "pressure_drop", drop[-1])))
+        main.set_xlim(0.0, 1.01 * shown(rig, "pressure_drop", drop[-1]))
         handles = _readings(main, rig, points, colour_of)
         handles += _outliers(main, rig, points, limits)
-        _end_labels(main, ends)
+        tall = limits[1] - limits[0]
+        names = [y for y, _ in ends.values()]
+        places = spread(names, 0.034 * tall, limits[0] + 0.01 * tall, limits[1])
+        across = main.get_yaxis_transform()
+        for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
+            leader: Look = {"color": colour, "linewidth": 0.7, "transform": across}
+            main.plot([1.0, 1.018], [y, place], clip_on=False, **leader)
+            look = {"transform": across, "va": "center", "fontsize": 7.5}
+            main.text(1.023, place, text, color=INK, **look)
         main.set_ylabel(axis(rig, "flow"))
-        handles += _band_handles(
-            beyond=any(not item.inside(drop[1:], command).all() for command in commands)
-        )
+        beyond = any(not item.inside(drop[1:], command).all() for command in commands)
+        handles += _band_handles(beyond)
         if retained:
             _residuals(axes[1, 0], rig, points, colour_of)
         axes[-1, 0].set_xlabel(axis(rig, "pressure_drop"))
@@ -68,16 +85,14 @@ def level_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
     command = np.unique(np.append(np.linspace(0.0, item.command_max, 241), item.deadband))
     flow = shown(rig, "flow", item.flow(item.drop_max, command))
     band = shown(rig, "flow", Z95 * item.flow_std(item.drop_max, command))
+    used, read = ~points.outlier, shown(rig, "flow", points.flow)
     with canvas(path, size=(7.2, 4.2)) as (figure, ax):
         colour = shades(2)[0]
         ax.axvspan(*item.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
         ax.fill_between(command, flow - band, flow + band, color=colour, alpha=0.22, linewidth=0)
         ax.plot(command, flow, color=colour, linewidth=1.4)
-        retained, read = ~points.outlier, shown(rig, "flow", points.flow)
-        ax.plot(
-            points.command[retained], read[retained], "D", color=colour, markersize=2.6, alpha=0.7
-        )
-        ax.plot(points.command[~retained], read[~retained], "x", color=ACCENT, markersize=6)
+        ax.plot(points.command[used], read[used], "D", color=colour, markersize=2.6, alpha=0.7)
+        ax.plot(points.command[~used], read[~used], "x", color=ACCENT, markersize=6)
         ax.set_xlim(0.0, 1.01 * item.command_max)
         ax.set_xlabel("command [V]")
         ax.set_ylabel(axis(rig, "flow"))
@@ -111,11 +126,9 @@ def _curves(
 
 def _band_handles(beyond: bool) -> list:
     """Legend handles of bands, and of curves beyond the readings."""
-    handles: list = [swatch("95 % band", MUTED, alpha=0.3, linewidth=0)]
-    if beyond:
-        look: Look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
-        handles.append(key("beyond the readings", **look))
-    return handles
+    look: Look = {"color": MUTED, "alpha": 0.6, "linestyle": (0, (3, 2)), "linewidth": 1.1}
+    band = swatch("95 % band", MUTED, alpha=0.3, linewidth=0)
+    return [band, key("beyond the readings", **look)] if beyond else [band]
 
 
 def inverse_map(path: Path, rig: Rig, item: FlowMap) -> None:
@@ -128,27 +141,25 @@ def inverse_map(path: Path, rig: Rig, item: FlowMap) -> None:
             inside = item.inside(drop, span)
             x = shown(rig, "flow", item.flow(drop, span))
             band = shown(rig, "flow", Z95 * item.flow_std(drop, span))
-            ax.fill_betweenx(
-                span, x - band, x + band, where=inside, color=colour, alpha=0.2, linewidth=0
-            )
-            look: Look = {"color": colour, "linestyle": ("-", (0, (6, 1, 1, 1)))[i % 2]}
-            _in_and_out(ax, x, span, inside, colour, look["linestyle"])
+            look: Look = {"where": inside, "color": colour, "alpha": 0.2, "linewidth": 0}
+            ax.fill_betweenx(span, x - band, x + band, **look)
+            mark = ("-", (0, (6, 1, 1, 1)))[i % 2]
+            _in_and_out(ax, x, span, inside, colour, mark)
             beyond |= not inside.all()
-            ax.plot([], [], label=measure(rig, "pressure_drop", drop), **look)
+            label = measure(rig, "pressure_drop", drop)
+            ax.plot([], [], label=label, color=colour, linestyle=mark)
         ax.axhspan(*item.deadband_interval, color=MUTED, alpha=0.25, linewidth=0)
         ax.axhline(item.deadband, color=MUTED, linewidth=0.9, linestyle=(0, (4, 3)))
-        where = ("axes fraction", "data")
-        text, look = f"deadband {number(item.deadband, 3)} V", {"color": MUTED, "fontsize": 8}
-        look |= {"ha": "right", "va": "bottom"}
-        ax.annotate(text, (1.0, item.deadband), (0, 2), where, "offset points", **look)
+        text, look = f"deadband {number(item.deadband, 3)} V", {"ha": "right", "va": "bottom"}
+        tag(ax, text, 1.0, item.deadband, (0, 2), "x", color=MUTED, **look)
         low = 0.94 * min(item.deadband_interval[0], item.deadband)
         ax.set_ylim(low, item.command_max + 0.02 * (item.command_max - low))
         ax.set_xlim(left=0.0)
         ax.set_xlabel(axis(rig, "flow"))
         ax.set_ylabel("command [V]")
         legend(figure, _band_handles(beyond), handlelength=2.6)
-        where = {"loc": "center left", "bbox_to_anchor": (1.01, 0.5)}
-        ax.legend(title="pressure drop", title_fontsize=8, alignment="left", **where)
+        look = {"title": "pressure drop", "title_fontsize": 8, "alignment": "left"}
+        legend_right(ax, handlelength=2.6, **look)
 
 
 def _in_and_out(
@@ -164,35 +175,18 @@ def _in_and_out(
         ax.plot(x, np.where(inside, y, np.nan), color=colour, linewidth=1.4, linestyle=mark)
 
 
-def _limits(ends: list[float], flows: np.ndarray) -> tuple[float, float]:
-    high = max([*ends, *flows.tolist(), 1e-12])
-    low = min([0.0, *flows.tolist()])
-    return low - 0.025 * (high - low), high + 0.05 * (high - low)
-
-
-def _colour_of(item: FlowMap, colours: dict) -> Callable[[float], object]:
-    """The colour of a reading by its command: that of the nearest curve, grey where the valve is
-    shut.
-    """
-    return lambda command: (
-        colours[min(colours, key=lambda known: abs(known - command))]
-        if colours and command > item.deadband
-        else MUTED
-    )
-
-
 def _readings(ax, rig: Rig, points: Points, colour: Callable) -> list:
     """Readings by method in the colour of their curve; legend handles."""
     x, y = shown(rig, "pressure_drop", points.pressure_drop), shown(rig, "flow", points.flow)
     handles = []
     for method in dict.fromkeys(points.method.tolist()):
-        marker, text = _MARKS.get(method, ("s", method))
+        marker, text = _METERS.get(method, ("s", method))
         look: Look = {"marker": marker, "linestyle": "", "markerfacecolor": "none"}
         for command in np.unique(points.command):
-            at = (points.method == method) & (points.command == command) & ~points.outlier
-            if at.any():
+            rows = (points.method == method) & (points.command == command) & ~points.outlier
+            if rows.any():
                 edge = {"markersize": 2.6, "markeredgewidth": 0.6, "alpha": 0.8}
-                ax.plot(x[at], y[at], color=colour(command), **look, **edge)
+                ax.plot(x[rows], y[rows], color=colour(command), **look, **edge)
         handles.append(key(text, markersize=4, color=MUTED, **look))
     return handles
 
@@ -207,9 +201,9 @@ def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list
     seen = np.clip(y, *limits)
     gone = seen != y
     look: Look = {"color": ACCENT, "markersize": 6, "markeredgewidth": 1.6}
-    for marker, at in (("x", ~gone), ("^", y > limits[1]), ("v", y < limits[0])):
-        if at.any():
-            ax.plot(x[at], seen[at], marker, zorder=5, clip_on=marker == "x", **look)
+    for marker, rows in (("x", ~gone), ("^", y > limits[1]), ("v", y < limits[0])):
+        if rows.any():
+            ax.plot(x[rows], seen[rows], marker, zorder=5, clip_on=marker == "x", **look)
     handles = [key(f"left out ({out.sum()})", marker="x", linestyle="", **look)]
     if gone.any():
         moved: Look = {"marker": "^", "linestyle": "", "markersize": 5, "color": ACCENT}
@@ -219,37 +213,16 @@ def _outliers(ax, rig: Rig, points: Points, limits: tuple[float, float]) -> list
 
 def _residuals(ax, rig: Rig, points: Points, colour: Callable) -> None:
     used = ~points.outlier & np.isfinite(points.fitted)
+    drop = shown(rig, "pressure_drop", points.pressure_drop)
     error = shown(rig, "flow", points.flow - points.fitted)
     for command in np.unique(points.command):
-        at = used & (points.command == command)
-        if not at.any():
-            continue
-        ax.plot(
-            shown(rig, "pressure_drop", points.pressure_drop[at]),
-            error[at],
-            ".",
-            markersize=2.2,
-            color=colour(command),
-        )
+        rows = used & (points.command == command)
+        if rows.any():
+            ax.plot(drop[rows], error[rows], ".", markersize=2.2, color=colour(command))
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     maximum = 1.08 * float(np.max(np.abs(error[used]), initial=1e-12))
     ax.set_ylim(-maximum, maximum)
     ax.set_ylabel(axis(rig, "flow", "residual\n").replace("\n ", "\n"), fontsize=8)
-
-
-def _end_labels(ax, ends: dict) -> None:
-    """Labels at the right ends of the curves, moved apart by the height of one, with a leader to
-    the curve.
-    """
-    low, high = ax.get_ylim()
-    tall = high - low
-    places = spread([y for y, _ in ends.values()], 0.034 * tall, low + 0.01 * tall, high)
-    across = ax.get_yaxis_transform()
-    for (text, (y, colour)), place in zip(ends.items(), places, strict=True):
-        ax.plot(
-            [1.0, 1.018], [y, place], color=colour, linewidth=0.7, transform=across, clip_on=False
-        )
-        ax.text(1.023, place, text, color=INK, transform=across, va="center", fontsize=7.5)
 
 
 def _round_drops(rig: Rig, item: FlowMap, count: int = 6) -> list[float]:
@@ -258,7 +231,7 @@ def _round_drops(rig: Rig, item: FlowMap, count: int = 6) -> list[float]:
     low = float(np.median(item.hull_low[passing])) if passing.any() else item.drop_max / 50
     high = float(np.quantile(item.hull_high[passing], 0.1)) if passing.any() else item.drop_max
     low = min(max(low, high / 50), high / 2)
-    per = item.drop_max / float(shown(rig, "pressure_drop", item.drop_max))
+    per = item.drop_max / shown(rig, "pressure_drop", item.drop_max)
     even = np.geomspace(low / per, high / per, count)
     step = 10.0 ** (np.floor(np.log10(even)) - 1.0)
     return [float(drop) * per for drop in dict.fromkeys(np.floor(even / step + 1e-9) * step)]

@@ -26,12 +26,22 @@ def parameters(path: Path, rig: Rig, result: Sequence[Table]) -> None:
 
 def _strip(ax, rig: Rig, item: Table) -> None:
     name = item["name"]
-    value, start, low, high = (
-        _finite(rig, name, item.number(key)) for key in ("value", "start", "lower", "upper")
+    known = [item.number(key) for key in ("value", "start", "lower", "upper")]
+    value, start, low, high, *ends = (
+        None if v is None or not np.isfinite(v) else shown(rig, name, v)
+        for v in (*known, *(item.get("interval") or (None, None)))
     )
-    ends = [_finite(rig, name, end) for end in item.get("interval") or (None, None)]
-    _frame(ax, [v for v in (value, start, low, high, *ends) if v is not None])
-    left, right = ax.get_xlim()
+    known = [v for v in (value, start, low, high, *ends) if v is not None]
+    left, right = min(known), max(known)
+    if left > 0.0 and right / left > 30.0:
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
+        room = (right / left) ** 0.03
+        left, right = left / room, right * room
+    else:
+        room = 0.03 * ((right - left) or abs(right) or 1.0)
+        left, right = left - room, right + room
+    ax.set(xlim=(left, right), ylim=(-1, 1), yticks=[])
     bounds = [left if low is None else low, right if high is None else high]
     ax.plot(bounds, [0, 0], color="#d1d5db", linewidth=7, solid_capstyle="butt")
     if None not in ends:
@@ -40,29 +50,9 @@ def _strip(ax, rig: Rig, item: Table) -> None:
     ax.plot([start], [0], "o", markersize=6, **hollow)
     colour = RECORDED if item["status"] == "estimated" else ACCENT
     ax.plot([value], [0], "o", markersize=5.5, color=colour)
-    ax.set_yticks([])
-    ax.set_ylim(-1, 1)
     ax.spines["left"].set_visible(False)
     ax.tick_params(axis="x", labelsize=7.5, pad=1)
     text = f"{as_fitted(rig, name, item)} {pretty(unit_of(rig, name))}".rstrip()
     ax.set_title(f"{name}   {text}", fontsize=8.5, pad=2)
     status = {"fontsize": 8, "pad": 2, "color": colour, "fontweight": "normal"}
     ax.set_title(words(item["status"]), loc="right", **status)
-
-
-def _frame(ax, known: Sequence[float]) -> None:
-    """Limits with a little room; a logarithmic axis where the numbers lie a factor 30 apart."""
-    minimum, maximum = min(known), max(known)
-    if minimum > 0.0 and maximum / minimum > 30.0:
-        ax.set_xscale("log")
-        ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
-        room = (maximum / minimum) ** 0.03
-        ax.set_xlim(minimum / room, maximum * room)
-    else:
-        room = 0.03 * ((maximum - minimum) or abs(maximum) or 1.0)
-        ax.set_xlim(minimum - room, maximum + room)
-
-
-def _finite(rig: Rig, name: str, value: float | None) -> float | None:
-    """An SI number in the rig's unit; None where it is not finite."""
-    return None if value is None or not np.isfinite(value) else float(shown(rig, name, value))

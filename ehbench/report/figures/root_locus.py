@@ -12,13 +12,7 @@ from ehbench.report.captions import load_name
 from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, canvas, key, legend
 
-BETWEEN = 7  # points of a root locus drawn between two saved ones
-_NOT_LINEAR = 1e-6  # share of the linear part that a polynomial may have beside it
-_ROOM = 0.06  # share of a root locus below the real axis
-# share of a root locus's height that counts as on an axis, and damping ratio that counts as none
-_ON_AXIS = 1e-3
-_PALE, _BEYOND = "#d1d5db", "#9db4cf"
-
+_BEYOND = "#9db4cf"
 _ZERO: Look = {
     "marker": "o",
     "markerfacecolor": "none",
@@ -27,7 +21,7 @@ _ZERO: Look = {
     "markeredgewidth": 1.1,
 }
 
-Frame = Sequence[float]  # left, right, top [rad/s]
+Frame = Sequence[float]  # left, right, bottom, top [rad/s]
 
 
 def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
@@ -37,40 +31,35 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
     Where the stability limit lies far out, what swings comes first, and the way to it below.
     """
     whole = tuple(pick(item["frame"][i] for item in loci) for i, pick in enumerate((min, max, max)))
-    reach = max(_swing(item) for item in loci)
-    panels: list[tuple[Table, Frame, str]] = [(item, whole, "") for item in loci]
+    reach, frames = max(map(_swing, loci)), {"": whole}
     if whole[2] > 3.0 * 1.4 * reach:
         near = (-1.6 * reach, 0.4 * reach, 1.4 * reach)
-        panels = [(item, near, ", what swings") for item in loci]
-        panels += [(item, whole, ", as far as the stability limit") for item in loci]
+        frames = {", what swings": near, ", as far as the stability limit": whole}
+    panels = [(item, where) for where in frames for item in loci]
     columns = min(2, len(loci))
     rows = -(-len(panels) // columns)
     with canvas(path, rows, columns, (7.4, 3.7 * rows + 0.5), squeeze=False) as (figure, axes):
         for ax in axes.flat[len(panels) :]:
             ax.remove()
-        for ax, (item, frame, where) in zip(axes.flat, panels, strict=False):
-            _locus(ax, item, frame)
+        for ax, (item, where) in zip(axes.flat, panels, strict=False):
+            left, right, top = frames[where]
+            _locus(ax, item, (left, right, -0.06 * top, top))
             ax.set_title(load_name(by_name[item["name"]]["point"]["payload"]) + where)
             ax.set_xlabel("real part [rad/s]")
         for ax in axes[:, 0]:
             ax.set_ylabel("imaginary part [rad/s]")
-        crossing = any(item.get("crossing") is not None for item in loci)
         symbol = "K_p" if loci[0]["parameter"] == "feedback_gain" else "ω_w"
-        legend(figure, _handles(symbol, crossing), handletextpad=0.5)
-
-
-def _handles(symbol: str, crossing: bool) -> list:
-    handles = [
-        key(f"{symbol} up to the choice", color=RECORDED, linewidth=1.6),
-        key("beyond", color=_BEYOND, linewidth=1.3),
-        key(f"{symbol} = 0", marker="x", linestyle="", color=INK),
-        key("chosen", marker="o", linestyle="", color=SIMULATED),
-        key("zero, where a branch ends", **_ZERO, linestyle=""),
-    ]
-    if crossing:
-        look: Look = {"marker": "D", "linestyle": "", "markerfacecolor": "white", "color": ACCENT}
-        handles.append(key("stability limit", **look))
-    return handles
+        handles = [
+            key(f"{symbol} up to the choice", color=RECORDED, linewidth=1.6),
+            key("beyond", color=_BEYOND, linewidth=1.3),
+            key(f"{symbol} = 0", marker="x", linestyle="", color=INK),
+            key("chosen", marker="o", linestyle="", color=SIMULATED),
+            key("zero, where a branch ends", **_ZERO, linestyle=""),
+        ]
+        if any(item.get("crossing") is not None for item in loci):
+            look: Look = {"marker": "D", "markerfacecolor": "white", "color": ACCENT}
+            handles.append(key("stability limit", linestyle="", **look))
+        legend(figure, handles, handletextpad=0.5)
 
 
 def _swing(item: Table) -> float:
@@ -79,62 +68,53 @@ def _swing(item: Table) -> float:
     """
     start = np.array(item["real"][0], float) + 1j * np.array(item["imag"][0], float)
     start = start[np.abs(start) > 0.0]
-    pairs = start[start.imag > _ON_AXIS * np.abs(start)]
+    pairs = start[start.imag > 1e-3 * np.abs(start)]
     return float(
         np.abs(pairs[np.argmin(-pairs.real / np.abs(pairs))]) if pairs.size else np.abs(start).min()
     )
 
 
 def _locus(ax, item: Table, frame: Frame) -> None:
-    left, right, top = frame
+    """One locus: its branches dark up to the choice and pale beyond, poles and zeros."""
+    left, right, bottom, top = frame
     _damping_grid(ax, left, top)
     ax.axvspan(0.0, right, color=ACCENT, alpha=0.06, linewidth=0)
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     ax.axvline(0.0, color=MUTED, linewidth=0.8)
     poles = np.array(item["real"], float) + 1j * np.array(item["imag"], float)
     values = np.array(item["values"], float)
-    _branches(ax, values, poles, item["chosen"], frame)
+    fine, branches = refined(values, poles, top)
+    here = int(np.searchsorted(fine, item["chosen"]))
+    parts = ((slice(here, None), _BEYOND, 1.3), (slice(None, here + 1), RECORDED, 1.6))
+    for branch in branches.T:
+        x, y = branch.real.copy(), branch.imag
+        x[(x < 1.3 * left) | (x > 2.0 * right) | (y > 1.3 * top) | (y < 6.0 * bottom)] = np.nan
+        for part, colour, width in parts:
+            if np.isfinite(x[part]).sum() > 1:
+                look: Look = {"color": colour, "linewidth": width, "solid_capstyle": "round"}
+                ax.plot(x[part], y[part], zorder=3, **look)
     _poles(ax, [(z.real, z.imag) for z in zeros(values, poles)], frame, zorder=3.5, **_ZERO)
     start = zip(poles[0].real, poles[0].imag, strict=True)
     cross = {"marker": "x", "color": INK, "markersize": 5.5, "markeredgewidth": 1.3}
     _poles(ax, start, frame, zorder=4, **cross)
     if item.get("crossing") is not None:
         diamond = {"marker": "D", "color": ACCENT, "markersize": 6, "markeredgewidth": 1.4}
-        limit = _crossing(item["crossing_poles"], top)
+        limit = crossing(item["crossing_poles"], top)
         _poles(ax, limit, frame, markerfacecolor="white", zorder=6, **diamond)
     dot = {"marker": "o", "color": SIMULATED, "markersize": 5.5, "markeredgewidth": 0.6}
     _poles(ax, item["chosen_poles"], frame, markeredgecolor="white", zorder=5, **dot)
-    ax.set_xlim(left, right)
-    ax.set_ylim(-_ROOM * top, top)
+    ax.set(xlim=(left, right), ylim=(bottom, top))
     ax.grid(False)
 
 
-def _branches(ax, values: np.ndarray, poles: np.ndarray, chosen: float, frame: Frame) -> None:
-    """The branches of a root locus, dark up to the choice and pale beyond."""
-    left, right, top = frame
-    fine, branches = refined(values, poles, top)
-    here = int(np.searchsorted(fine, chosen))
-    for branch in branches.T:
-        x, y = branch.real.copy(), branch.imag.copy()
-        below = 6.0 * -_ROOM * top
-        away = (x < 1.3 * left) | (x > 2.0 * right) | (y > 1.3 * top) | (y < below)
-        x[away] = np.nan
-        for part, colour, width in (
-            (slice(here, None), _BEYOND, 1.3),
-            (slice(None, here + 1), RECORDED, 1.6),
-        ):
-            if np.isfinite(x[part]).sum() > 1:
-                look = {"color": colour, "linewidth": width, "solid_capstyle": "round"}
-                ax.plot(x[part], y[part], zorder=3, **look)
-
-
-def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
+def zeros(values: np.ndarray, poles: np.ndarray, nothing: float = 1e-6) -> np.ndarray:
     """Where the branches of a root locus end as its parameter grows [rad/s]: the roots of what the
     parameter multiplies; none where the characteristic polynomial is not linear in it.
 
     Args:
         values: of the parameter, shape (n,), from the least to the largest.
         poles: at each of them [rad/s], shape (n, m).
+        nothing: share of the linear part that a polynomial may have besides it.
     """
     scale, maximum = float(np.median(np.abs(poles))) or 1.0, float(np.abs(values).max())
     if values.size < 3 or maximum == 0.0:
@@ -142,71 +122,56 @@ def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
     polynomials = np.array([np.poly(row / scale).real for row in poles])
     parts = np.linalg.lstsq(np.vander(values / maximum, 3), polynomials, rcond=None)[0]
     square, linear, _ = (np.abs(part).max() for part in parts)
-    if linear == 0.0 or square > _NOT_LINEAR * linear:
+    if linear == 0.0 or square > nothing * linear:
         return np.empty(0)
-    significant = np.abs(parts[1]) > _NOT_LINEAR * linear
+    significant = np.abs(parts[1]) > nothing * linear
     return scale * np.roots(parts[1][int(np.argmax(significant)) :])
 
 
 def refined(
-    values: np.ndarray, poles: np.ndarray, top: float = math.inf
+    values: np.ndarray, poles: np.ndarray, top: float = math.inf, between: int = 7
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(values, poles) of a root locus with BETWEEN more points in every interval, each column one
-    branch; more where a pole goes farther than a share of ``top`` [rad/s], as where two part.
+    """(values, poles) of a root locus with so many points more in every interval, each column one
+    branch; 60 where a pole goes farther than a share of ``top`` [rad/s], as where two part.
 
     Between saved points the characteristic polynomial, at most of second degree in the parameter,
-    goes through that of three neighbours; branches are told apart by the least way in all from one
-    point to the next."""
+    goes through that of three neighbours; branches are told apart by the shortest way in all from
+    one point to the next."""
+    from scipy.interpolate import krogh_interpolate
     from scipy.optimize import linear_sum_assignment
 
     scale = float(np.median(np.abs(poles))) or 1.0
     polynomials = np.array([np.poly(row / scale).real for row in poles])
     fine, rows = [float(values[0])], [poles[0]]
     for i in range(values.size - 1):
-        near = slice(max(min(i, values.size - 3), 0), max(min(i, values.size - 3), 0) + 3)
-        near_axis = np.abs(poles[i : i + 2]) < 4.0 * top
-        way = float(
-            np.abs(np.diff(poles[i : i + 2], axis=0))[:, near_axis.all(axis=0)].max(initial=0.0)
-        )
-        more = BETWEEN if way < 0.02 * top else 60
-        between = np.linspace(values[i], values[i + 1], more + 2)[1:]
-        roots = _roots(_through(values[near], polynomials[near], between[:-1]))
-        for value, there in zip(between, (*(scale * roots), poles[i + 1]), strict=True):
+        first = max(min(i, values.size - 3), 0)
+        near = slice(first, first + 3)
+        inside = (np.abs(poles[i : i + 2]) < 4.0 * top).all(axis=0)
+        way = float(np.abs(np.diff(poles[i : i + 2], axis=0))[:, inside].max(initial=0.0))
+        count = between if way < 0.02 * top else 60
+        steps = np.linspace(values[i], values[i + 1], count + 2)[1:]
+        through = krogh_interpolate(values[near], polynomials[near], steps[:-1])
+        roots = [scale * np.roots(row) for row in through]
+        for value, there in zip(steps, [*roots, poles[i + 1]], strict=True):
             _, order = linear_sum_assignment(np.abs(rows[-1][:, None] - there[None, :]))
             fine.append(float(value))
             rows.append(there[order])
     return np.array(fine), np.array(rows)
 
 
-def _through(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """The polynomials of least degree through points, a row a value: Lagrange's form."""
-    rows = np.zeros((at.size, y.shape[1]))
-    for j, (item, row) in enumerate(zip(x, y, strict=True)):
-        other = np.delete(x, j)
-        rows += np.prod((at[:, None] - other) / (item - other), axis=1)[:, None] * row
-    return rows
-
-
-def _roots(polynomials: np.ndarray) -> np.ndarray:
-    """Roots of polynomials of one degree, a row each: eigenvalues of their companion matrices."""
-    count, degree = polynomials.shape[0], polynomials.shape[1] - 1
-    companion = np.zeros((count, degree, degree))
-    companion[:, 1:, :-1] = np.eye(degree - 1)
-    companion[:, 0, :] = -polynomials[:, 1:] / polynomials[:, :1]
-    return np.linalg.eigvals(companion)
-
-
-def _crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:
-    """Of the poles at the stability limit the pair without damping; slow ones may lie as near to
-    the imaginary axis.
+def crossing(
+    poles: Sequence[Sequence[float]], top: float, nothing: float = 1e-3
+) -> list[Sequence[float]]:
+    """Of the poles at the stability limit the pair whose damping ratio is next to ``nothing``; slow
+    ones may lie as near to the imaginary axis.
     """
-    near = [pole for pole in poles if abs(pole[0]) < _ON_AXIS * top]
-    return [pole for pole in near if abs(pole[0]) < _ON_AXIS * abs(pole[1])] or near[-1:]
+    near = [pole for pole in poles if abs(pole[0]) < nothing * top]
+    return [pole for pole in near if abs(pole[0]) < nothing * abs(pole[1])] or near[-1:]
 
 
-def _poles(ax, poles, frame: Sequence[float], **look) -> None:
-    left, right, top = frame
-    inside = [(x, y) for x, y in poles if left <= x <= right and -_ROOM * top <= y <= top]
+def _poles(ax, poles, frame: Frame, **look) -> None:
+    left, right, bottom, top = frame
+    inside = [(x, y) for x, y in poles if left <= x <= right and bottom <= y <= top]
     if inside:
         ax.plot(*np.array(inside).T, linestyle="", **look)
 
@@ -216,19 +181,10 @@ def _damping_grid(ax, left: float, top: float) -> None:
     leaves the frame.
     """
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+    look: Look = {"fontsize": 6.5, "color": MUTED, "va": "center", "bbox": box, "zorder": 2}
     for ratio in np.arange(1, 10) / 10.0:
         slope = math.sqrt(1.0 - ratio**2) / ratio
         x = max(left, -top / slope)
-        ax.plot([0.0, x], [0.0, -slope * x], color=_PALE, linewidth=0.7, zorder=1)
+        ax.plot([0.0, x], [0.0, -slope * x], color="#d1d5db", linewidth=0.7, zorder=1)
         side = "left" if x == left else "center"
-        ax.text(
-            0.98 * x,
-            -0.965 * slope * x,
-            f"{ratio:g}",
-            fontsize=6.5,
-            color=MUTED,
-            ha=side,
-            va="center",
-            bbox=box,
-            zorder=2,
-        )
+        ax.text(0.98 * x, -0.965 * slope * x, f"{ratio:g}", ha=side, **look)

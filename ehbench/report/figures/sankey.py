@@ -32,15 +32,6 @@ _MECHANICAL = (
 )
 
 
-@dataclass(frozen=True)
-class _Node:
-    """A bar of the picture, and where it stands."""
-
-    x: float
-    label: str
-    colour: str
-
-
 @dataclass(frozen=True, eq=False)
 class _Flow:
     """A ribbon. ``end`` is a node, or None for a leaf at the right; ``start`` None for a source at
@@ -74,7 +65,6 @@ class _Account:
     works: Mapping[str, float]  # of every cylinder
     busy: Sequence[str]  # cylinders worth a node
     given: float  # by the supply
-    whole: float  # what is small is a share of it
     small: float  # energy below which a row is drawn together with others
 
     @property
@@ -106,15 +96,7 @@ def _account(ledger: Ledger, share: float = 0.012) -> _Account:
         for cylinder in cylinders
     }
     busy = [cylinder for cylinder in cylinders if maximum[cylinder] > share * whole]
-    return _Account(rows, named, works, busy or cylinders[:1], given, whole, share * whole)
-
-
-def _nodes(account: _Account) -> dict[str, _Node]:
-    return {
-        PUMP: _Node(0.11 if account.rails else 0.0, "supply", GROUPS["supply"][0]),
-        **{cylinder: _Node(0.36, cylinder, INK) for cylinder in account.busy},
-        MECHANISM: _Node(0.16 if account.uphill else 0.62, MECHANISM, GROUPS["load"][0]),
-    }
+    return _Account(rows, named, works, busy or cylinders[:1], given, share * whole)
 
 
 def _flows(account: _Account) -> list[_Flow]:
@@ -131,7 +113,16 @@ def _flows(account: _Account) -> list[_Flow]:
         elif drawn < 0.0:
             label = f"{cylinder}: back into the supply"
             flows.append(_Flow(cylinder, None, -drawn, "supply", label))
-        flows += _work(account, cylinder)
+        work, to_mechanism = account.works[cylinder], account.works[cylinder] >= 0.0
+        start, end = (cylinder, MECHANISM) if to_mechanism else (MECHANISM, cylinder)
+        if to_mechanism != account.uphill:
+            flows.append(_Flow(start, end, abs(work), "load", ""))
+            continue
+        # against the picture: out of it and in again
+        label = f"work of {cylinder}" if to_mechanism else f"into {cylinder}"
+        flows.append(_Flow(start, None, abs(work), "load", label))
+        label = label if to_mechanism else f"load on {cylinder}"
+        flows.append(_Flow(None, end, abs(work), "load", label))
     if any(flow.start == PUMP for flow in flows):
         for label, names in SOURCES.items():
             rows = [account.named[name] for name in names if name in account.named]
@@ -169,30 +160,9 @@ def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
     return _Flow(start, end, abs(energy), group, label, half_of(row))
 
 
-def _work(account: _Account, cylinder: str) -> list[_Flow]:
-    """From a cylinder to the mechanism or back; where that runs against the picture, out of it and
-    in again.
-    """
-    work = account.works[cylinder]
-    if work >= 0.0 and not account.uphill:
-        return [_Flow(cylinder, MECHANISM, work, "load", "")]
-    if work < 0.0 and account.uphill:
-        return [_Flow(MECHANISM, cylinder, -work, "load", "")]
-    if work >= 0.0:
-        label = f"work of {cylinder}"
-        return [
-            _Flow(cylinder, None, work, "load", label),
-            _Flow(None, MECHANISM, work, "load", label),
-        ]
-    return [
-        _Flow(None, cylinder, -work, "load", f"load on {cylinder}"),
-        _Flow(MECHANISM, None, -work, "load", f"into {cylinder}"),
-    ]
-
-
 def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
-    """Small leaves and sources drawn together, by node, so that labels do not crowd; the
-    least are not drawn.
+    """Small leaves and sources drawn together, by node, so that labels do not crowd; what is next
+    to nothing is not drawn.
     """
     retained: list[_Flow] = []
     little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
@@ -202,23 +172,19 @@ def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
             little.setdefault((flow.start, flow.end, flow.group == "residual"), []).append(flow)
         else:
             retained.append(flow)
-    for (_, _, rest), few in little.items():
+    for (start, end, rest), few in little.items():
         energy = sum(flow.energy for flow in few)
-        if energy >= (0.5 if rest else 0.15) * account.small:
-            retained.append(_together(few, energy, account))
+        if energy < (0.5 if rest else 0.15) * account.small:
+            continue
+        if len(few) == 1:
+            retained += few
+            continue
+        halves = [flow.half for flow in few]
+        half = math.hypot(*(h for h in halves if h)) if None not in halves else None
+        group = few[0].group if len({flow.group for flow in few}) == 1 else "loss"
+        label = account.prefix(start or end) + f"{len(few)} smaller ones"
+        retained.append(_Flow(start, end, energy, group, label, half))
     return retained
-
-
-def _together(few: Sequence[_Flow], energy: float, account: _Account) -> _Flow:
-    first = few[0]
-    halves = [flow.half for flow in few]
-    known = [half for half in halves if half is not None]
-    half = math.sqrt(sum(h * h for h in known)) if len(known) == len(halves) else None
-    label = account.prefix(first.start or first.end) + f"{len(few)} smaller ones"
-    group = first.group if len({flow.group for flow in few}) == 1 else "loss"
-    return _Flow(
-        first.start, first.end, energy, group, first.label if len(few) == 1 else label, half
-    )
 
 
 def _fit(sizes: Sequence[float], lines: Sequence[float], gap: float = 0.012) -> float:
@@ -253,8 +219,9 @@ def _slots(
 class _Dock:
     """A node in place: as high as what passes it, ribbons stacked on both sides from the top."""
 
-    def __init__(self, node: _Node, middle: float, size: float) -> None:
-        self.node, self.middle, self.size = node, middle, size
+    def __init__(self, x: float, label: str, colour: str, middle: float, size: float) -> None:
+        self.x, self.label, self.colour = x, label, colour
+        self.middle, self.size = middle, size
         self._taken = {"left": 0.0, "right": 0.0}
 
     def dock(self, side: str, thick: float) -> float:
@@ -277,9 +244,13 @@ class _Layout:
 
 
 def _layout(account: _Account) -> _Layout:
-    nodes, flows = _nodes(account), _flows(account)
-    order = {name: i for i, name in enumerate([MECHANISM, *account.busy, PUMP])}
-    ranks = list(GROUPS)
+    flows = _flows(account)
+    nodes = {  # from right to left, mechanism and load drawn at the left where they drive
+        MECHANISM: (0.16 if account.uphill else 0.62, MECHANISM, GROUPS["load"][0]),
+        **{cylinder: (0.36, cylinder, INK) for cylinder in account.busy},
+        PUMP: (0.11 if account.rails else 0.0, "supply", GROUPS["supply"][0]),
+    }
+    order, ranks = {name: i for i, name in enumerate(nodes)}, list(GROUPS)
     leaves = sorted(
         (f for f in flows if f.end is None),
         key=lambda f: (order[f.start or ""], -ranks.index(f.group), -f.energy),
@@ -290,32 +261,36 @@ def _layout(account: _Account) -> _Layout:
     )
     tall = min(max(3.4 if account.rails else 3.0, 0.21 * len(leaves) + 1.3), 8.5)
     line = 0.175 / tall
-    right, left = (
-        [line] * len(leaves),
-        [(3.8 if f.has_compression else 2.1) * line for f in sources],
-    )
-    out, into = [f.energy for f in leaves], [f.energy for f in sources]
-    scale = min(_fit(out, right), _fit(into, left))
-    outer = dict(zip(leaves, _slots(out, scale, right), strict=True))
-    outer |= zip(sources, _slots(into, scale, left), strict=True)
-    sizes, middles = {}, {}
-    for name in sorted(nodes, key=lambda n: -nodes[n].x):  # from right to left
+    columns = [
+        (leaves, [f.energy for f in leaves], [line] * len(leaves)),
+        (
+            sources,
+            [f.energy for f in sources],
+            [(3.8 if f.has_compression else 2.1) * line for f in sources],
+        ),
+    ]
+    scale = min(_fit(sizes, lines) for _, sizes, lines in columns)
+    outer: dict[_Flow, float] = {}
+    for ends, sizes, lines in columns:
+        outer |= zip(ends, _slots(sizes, scale, lines), strict=True)
+    heights, middles = {}, {}
+    for name in sorted(nodes, key=lambda name: -nodes[name][0]):
         out = [f for f in flows if f.start == name]
         into = sum(f.energy for f in flows if f.end == name)
         if not out and not any(f.end == name for f in flows):
             continue
         weight = sum(f.energy for f in out)
-        sizes[name] = max(weight, into) * scale
+        heights[name] = max(weight, into) * scale
         ends = [(outer[f] if f.end is None else middles[f.end], f.energy) for f in out]
         # where most of what leaves it goes
         middles[name] = sum(y * e for y, e in ends) / weight if weight > 0.0 else 0.5
-    _make_room(sizes, middles, line)
+    _make_room(heights, middles, line)
     if len(sources) == 1:
         outer[sources[0]] = middles[sources[0].end or ""]
     for flow in sources:
         if flow.feeds_pump and flow.label == PUMP and not account.rails:
             middles[PUMP] = outer[flow]
-    docks = {n: _Dock(nodes[n], middles[n], sizes[n]) for n in nodes if n in sizes}
+    docks = {n: _Dock(*nodes[n], middles[n], heights[n]) for n in nodes if n in heights}
     return _Layout(flows, docks, outer, scale, line, tall)
 
 
@@ -337,7 +312,7 @@ def sankey(path: Path, ledger: Ledger) -> None:
     What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 %
     are drawn together."""
     account = _account(ledger)
-    layout, unit = _layout(account), unit_for([ledger])
+    layout, unit, given = _layout(account), unit_for([ledger]), account.given
     with canvas(path, size=(7.4, layout.tall)) as (figure, ax):
         ax.set_xlim(-0.36, 1.98)
         ax.set_ylim(-0.04, 1.03)
@@ -352,15 +327,31 @@ def sankey(path: Path, ledger: Ledger) -> None:
         ):
             if flow.start is None:
                 _draw_source(ax, layout, flow, unit, account)
+            colour, thick = GROUPS[flow.group][0], flow.energy * layout.scale
             if account.rails or not flow.feeds_pump:
-                _draw_flow(ax, layout, flow)
+                y = layout.outer.get(flow, 0.0)
+                start, end = (_BAR, y), (1.0, y)
+                if flow.start is not None:
+                    dock = layout.docks[flow.start]
+                    start = (dock.x + _BAR, dock.dock("right", thick))
+                if flow.end is not None:
+                    dock = layout.docks[flow.end]
+                    end = (dock.x, dock.dock("left", thick))
+                _draw_ribbon(ax, start, end, thick, colour)
             if flow.end is None:
-                _draw_leaf(ax, layout, flow, unit, account.given)
+                y, words = layout.outer[flow], energy_text(flow.energy, flow.half, unit, given)
+                _draw_bar(ax, 1.0, y, thick, colour)
+                ax.text(1.0 + 2.0 * _BAR, y, flow.label, va="center", fontsize=8)
+                ax.text(1.98, y, words, va="center", ha="right", fontsize=8)
+        box = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6}
+        look = {"va": "bottom", "ha": "center", "fontsize": 8.5, "weight": "bold", "zorder": 5}
         for name, dock in layout.docks.items():
             if account.rails or name != PUMP:
-                _draw_node(ax, dock)
+                _draw_bar(ax, dock.x, dock.middle, dock.size, dock.colour)
+                top = dock.middle + 0.5 * dock.size + 0.008
+                ax.text(dock.x + 0.5 * _BAR, top, dock.label, bbox=box, **look)
         rest = next(row for row in ledger["rows"] if row["group"] == "residual")
-        amount = energy_text(rest["energy"], half_of(rest), unit, account.given)
+        amount = energy_text(rest["energy"], half_of(rest), unit, given)
         ax.text(-0.36, -0.03, f"{rest['label']} in all: {amount}", fontsize=8, color=MUTED)
         present = {flow.group for flow in layout.flows}
         looks = [look for group, look in GROUPS.items() if group in present]
@@ -371,78 +362,34 @@ def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account
     """Bar and label at the left; of the pump and a low rail in bold, with what compression gave
     apart.
     """
-    at, thick = layout.outer[flow], flow.energy * layout.scale
+    y, thick = layout.outer[flow], flow.energy * layout.scale
     energy, style = flow.energy, {"fontsize": 8}
     if flow.has_compression:
         gained = account.named[SOURCES[flow.label][1]]["energy"]
         energy, style = flow.energy - gained, {"fontsize": 8.5, "weight": "bold"}
         below = f"+ {energy_text(gained, None, unit)} compression"
         look = {"va": "center", "ha": "right", "fontsize": 7, "color": MUTED}
-        ax.text(-0.025, at - 1.35 * layout.line, below, **look)
+        ax.text(-0.025, y - 1.35 * layout.line, below, **look)
         thick = thick if account.rails else max(thick, layout.docks[PUMP].size)
     words = f"{flow.label}\n{energy_text(energy, flow.half, unit)}"
-    ax.text(-0.025, at, words, va="center", ha="right", linespacing=1.2, **style)
-    ax.add_patch(_bar(0.0, at, thick, GROUPS[flow.group][0]))
+    ax.text(-0.025, y, words, va="center", ha="right", linespacing=1.2, **style)
+    _draw_bar(ax, 0.0, y, thick, GROUPS[flow.group][0])
 
 
-def _draw_flow(ax, layout: _Layout, flow: _Flow) -> None:
-    thick, docks = flow.energy * layout.scale, layout.docks
-    if flow.start is None:
-        start = (_BAR, layout.outer[flow])
-    else:
-        dock = docks[flow.start]
-        start = (dock.node.x + _BAR, dock.dock("right", thick))
-    if flow.end is None:
-        end = (1.0, layout.outer[flow])
-    else:
-        end = (docks[flow.end].node.x, docks[flow.end].dock("left", thick))
-    _ribbon(ax, start, end, thick, GROUPS[flow.group][0])
-
-
-def _draw_leaf(ax, layout: _Layout, flow: _Flow, unit: Unit, given: float) -> None:
-    """Bar, label and energy at the right."""
-    at = layout.outer[flow]
-    ax.add_patch(_bar(1.0, at, flow.energy * layout.scale, GROUPS[flow.group][0]))
-    ax.text(1.0 + 2.0 * _BAR, at, flow.label, va="center", fontsize=8)
-    words = energy_text(flow.energy, flow.half, unit, given)
-    ax.text(1.98, at, words, va="center", ha="right", fontsize=8)
-
-
-def _draw_node(ax, dock: _Dock) -> None:
-    node = dock.node
-    ax.add_patch(_bar(node.x, dock.middle, dock.size, node.colour))
-    ax.text(
-        node.x + 0.5 * _BAR,
-        dock.middle + 0.5 * dock.size + 0.008,
-        node.label,
-        va="bottom",
-        ha="center",
-        fontsize=8.5,
-        weight="bold",
-        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.6},
-        zorder=5,
-    )
-
-
-def _bar(x: float, y: float, thick: float, colour: str):
+def _draw_bar(ax, x: float, y: float, thick: float, colour: str) -> None:
     from matplotlib.patches import Rectangle
 
-    return Rectangle(
-        (x, y - 0.5 * thick), _BAR, thick, facecolor=colour, edgecolor="none", zorder=3
-    )
+    look = {"facecolor": colour, "edgecolor": "none", "zorder": 3}
+    ax.add_patch(Rectangle((x, y - 0.5 * thick), _BAR, thick, **look))
 
 
-def _ribbon(
+def _draw_ribbon(
     ax, start: tuple[float, float], end: tuple[float, float], thick: float, colour: str
 ) -> None:
     """A band of even height that leaves and arrives level."""
-    from matplotlib.patches import Polygon
-
     s = np.linspace(0.0, 1.0, 60)
     x = start[0] + s * (end[0] - start[0])
     y = start[1] + (3 * s**2 - 2 * s**3) * (end[1] - start[1])
     half = 0.5 * max(thick, 0.0012)
-    edge = np.concatenate([np.stack([x, y + half], 1), np.stack([x, y - half], 1)[::-1]])
-    ax.add_patch(
-        Polygon(edge, closed=True, facecolor=colour, alpha=0.42, edgecolor="none", zorder=2)
-    )
+    look = {"facecolor": colour, "alpha": 0.42, "edgecolor": "none", "zorder": 2}
+    ax.fill(np.append(x, x[::-1]), np.append(y + half, (y - half)[::-1]), **look)

@@ -98,8 +98,8 @@ def bars(path: Path, rows: Sequence[Table], way: str) -> None:
 
 def field(
     path: Path,
-    names: tuple[str, str],
-    ticks: tuple[list[str], list[str]],
+    names: Sequence[str],
+    ticks: Sequence[Sequence[str]],
     z: np.ndarray,
     label: str,
 ) -> None:

@@ -12,10 +12,6 @@ from ehbench.report.saved import Table
 from ehbench.report.style import MUTED, RECORDED, SIMULATED, canvas, key, legend
 from ehbench.report.words import number, pretty, shown, title_of, unit_of
 
-CAPTION = (
-    "Frequency response to the command, recorded and simulated, where the recording is coherent. "
-    "Dashed line: the coherence asked for."
-)
 _LOOKS = {
     "recorded": {"color": RECORDED, "linestyle": "-", "marker": "o", "markersize": 2.2},
     "simulated": {"color": SIMULATED, "linestyle": (0, (4, 1.6)), "marker": "", "linewidth": 1.7},
@@ -39,8 +35,7 @@ def sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -> Non
             unit = pretty(unit_of(rig, sweep["channel"]))
             title = title_of(sweep["channel"])
             top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
-            top.set_xscale("log")
-            top.set_yscale("log")
+            top.set(xscale="log", yscale="log")
             for way, marks in (
                 (top.xaxis, (1.0, 2.0, 5.0)),
                 (top.yaxis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)),
@@ -61,13 +56,11 @@ def _curves(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> 
     curve, channel = sweep[side], sweep["channel"]
     frequency = np.array(curve["frequency"], float)
     coherent = np.array(sweep["recorded"]["coherent"], bool)
-    scale = float(shown(rig, channel, 1.0)) - float(shown(rig, channel, 0.0))
-    for ax, row in zip(axes, ("gain", "phase", "coherence"), strict=True):
-        values = np.array(curve[row], float) * (scale if row == "gain" else 1.0)
-        if row == "coherence":
-            ax.plot(frequency, values, **look | {"marker": ""})
-            continue
-        if row == "phase" and side == "simulated":
-            recorded = np.array(sweep["recorded"][row], float)
-            values = values + 360.0 * np.round((recorded - values) / 360.0)  # on the nearest turn
-        ax.plot(frequency[coherent], values[coherent], **look)
+    scale = shown(rig, channel, 1.0) - shown(rig, channel, 0.0)
+    gain, phase, coherence = (np.array(curve[row], float) for row in ("gain", "phase", "coherence"))
+    if side == "simulated":
+        recorded = np.array(sweep["recorded"]["phase"], float)
+        phase = phase + 360.0 * np.round((recorded - phase) / 360.0)  # on the nearest turn
+    axes[0].plot(frequency[coherent], scale * gain[coherent], **look)
+    axes[1].plot(frequency[coherent], phase[coherent], **look)
+    axes[2].plot(frequency, coherence, **look | {"marker": ""})

@@ -12,39 +12,44 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.captions import capital
 from ehbench.report.cases import Case, payloads_carried
-from ehbench.report.figures.channels import stop_line
+from ehbench.report.figures.channels import mark_stop
 from ehbench.report.style import (
     ACCENT,
     CYCLE,
     MUTED,
     RECORDED,
     SIMULATED,
+    Look,
     canvas,
     cycled,
+    legend,
     legend_right,
     swatch,
+    tag,
     thin,
 )
 from ehbench.report.trial_captions import ESTIMATES
 from ehbench.report.words import axis, number, shown, words
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 
-_SHADES = (
+FUNCTION_SHADES = (
     *("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b"),
     *("#b5543c", "#7fb069"),
 )
-_LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
+LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
 
 
 def plot_channel(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
-    """A channel over time, in the rig's unit."""
-    ax.plot(*thin(record.t, np.asarray(shown(rig, name, record[name]))), **look)
+    """A channel over time, in the rig's unit; nothing where the log has none."""
+    if name in record:
+        ax.plot(*thin(record.t, shown(rig, name, record[name])), **look)
 
 
-def stretches(t: np.ndarray, mask: np.ndarray, shortest: float) -> list[tuple[float, float]]:
-    """(start, length) of the stretches where ``mask`` holds; gaps below ``shortest`` [s], which
-    nobody could see, are closed.
+def stretches(t: np.ndarray, mask: np.ndarray, runs: int = 700) -> list[tuple[float, float]]:
+    """(start, length) of the stretches where ``mask`` holds; gaps too short to be seen in a figure
+    that can show so many ``runs`` are closed.
     """
+    shortest = float(t[-1] - t[0]) / runs
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     spans: list[list[float]] = []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
@@ -56,15 +61,10 @@ def stretches(t: np.ndarray, mask: np.ndarray, shortest: float) -> list[tuple[fl
     return [(first, max(last - first, shortest)) for first, last in spans]
 
 
-def flags_of(record: Record, cylinder: str, word: str) -> np.ndarray | None:
-    """A whole-numbered channel of a cylinder; None where the log has none."""
-    name = f"{cylinder}.{word}"
-    return record[name].round().astype(int) if name in record else None
-
-
-def visible(record: Record, runs: int = 700) -> float:
-    """The shortest stretch of time [s] of which a figure can show so many."""
-    return float(record.t[-1] - record.t[0]) / runs
+def flags_of(record: Record, cylinder: str, word: str) -> np.ndarray:
+    """A whole-numbered channel of a cylinder; zeros where the log has none."""
+    values = record.channels.get(f"{cylinder}.{word}", np.zeros(record.t.size))
+    return values.round().astype(int)
 
 
 def function_bars(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -> list:
@@ -74,59 +74,46 @@ def function_bars(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -
     rows: list[str] = []
     seen: set[int] = set()
 
-    def bar(t: np.ndarray, mask: np.ndarray, shortest: float, height: float, colour: str) -> None:
+    def bar(t: np.ndarray, mask: np.ndarray, height: float, colour: str) -> None:
         where = (len(rows) - 0.5 * height, height)
-        ax.broken_barh(stretches(t, mask, shortest), where, facecolors=colour, linewidth=0)
+        ax.broken_barh(stretches(t, mask), where, facecolors=colour, linewidth=0)
 
     for name, case, record in cases:
-        functions = flags_of(record, case.cylinder, "function")
-        if functions is None:
+        if f"{case.cylinder}.function" not in record:
             continue
-        shortest = visible(record)
+        functions = flags_of(record, case.cylinder, "function")
         for function in map(int, np.unique(functions)):
             seen.add(function)
-            bar(record.t, functions == function, shortest, 0.8, _SHADES[function])
+            bar(record.t, functions == function, 0.8, FUNCTION_SHADES[function])
         rows.append(name)
-        met = flags_of(record, case.cylinder, "limits") if limits else None
-        for bit, word in LIMITS.items():
-            if met is not None and (met & bit).any():
-                bar(record.t, met & bit > 0, shortest, 0.6, _LIMIT_SHADES[bit])
+        met = flags_of(record, case.cylinder, "limits")
+        for bit, word in LIMITS.items() if limits else ():
+            if (met & bit).any():
+                bar(record.t, met & bit > 0, 0.6, LIMIT_SHADES[bit])
                 rows.append(word)
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_yticks(range(len(rows)), rows, fontsize=7.5)
     ax.grid(False, axis="y")
     ax.tick_params(axis="y", length=0)
-    return [swatch(words(FUNCTIONS[item]), _SHADES[item]) for item in sorted(seen)]
+    return [swatch(words(FUNCTIONS[item]), FUNCTION_SHADES[item]) for item in sorted(seen)]
 
 
-def _limits_met(record: Record, cylinder: str) -> int:
-    """How many limits a case met."""
-    flags = flags_of(record, cylinder, "limits")
-    met = 0 if flags is None else int(np.bitwise_or.reduce(flags))
-    return sum(met & bit > 0 for bit in LIMITS)
-
-
-def shade_saturation(ax, record: Record, cylinder: str) -> bool:
-    """Shade a panel where an edge is saturated; whether one ever is."""
-    flags = flags_of(record, cylinder, "limits")
-    if flags is None:
-        return False
-    mask = flags & 1 > 0
-    if mask.any():
-        across = ax.get_xaxis_transform()
-        look = {"facecolors": ACCENT, "alpha": 0.13, "linewidth": 0, "zorder": 0}
-        ax.broken_barh(stretches(record.t, mask, visible(record)), (0, 1), transform=across, **look)
-    return bool(mask.any())
-
-
-def plot_commands(ax, rig: Rig, record: Record, cylinder: str) -> None:
-    """The commands of a cylinder's valves that change."""
+def plot_commands(ax, rig: Rig, record: Record, cylinder: str) -> bool:
+    """The commands of a cylinder's valves that change, shaded where an edge is saturated; whether
+    one ever is.
+    """
     names = [c for c in record.channels if c.startswith(f"{cylinder}.") and c.endswith(".command")]
     for index, name in enumerate(names):
         if np.ptp(record[name]) > 0.0:
             valve = name.removeprefix(f"{cylinder}.").removesuffix(".command")
             plot_channel(ax, rig, record, name, **cycled(index, linewidth=1.1, label=valve))
     ax.margins(y=0.08)
+    mask = flags_of(record, cylinder, "limits") & 1 > 0
+    if mask.any():
+        look: Look = {"facecolors": ACCENT, "alpha": 0.13, "linewidth": 0, "zorder": 0}
+        across = ax.get_xaxis_transform()
+        ax.broken_barh(stretches(record.t, mask), (0, 1), transform=across, **look)
+    return bool(mask.any())
 
 
 def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
@@ -137,45 +124,42 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
     strip = ["strip"] if f"{cylinder}.function" in record else []
     motion = ["v", "x"] if case.steps else ["x", "error", "v"]
     panels = [*motion, "pressure", "command", *strip]
-    bars = 1 + _limits_met(record, cylinder)
+    met = int(np.bitwise_or.reduce(flags_of(record, cylinder, "limits")))
+    bars = 1 + sum(met & bit > 0 for bit in LIMITS)
     heights = [0.16 * bars + 0.12 if panel == "strip" else 1.0 for panel in panels]
     size = (7.4, 1.25 * sum(heights) + 0.28 * len(panels) + 0.5)
-    look = {"sharex": True, "squeeze": False, "height_ratios": heights}
+    look: Look = {"sharex": True, "squeeze": False, "height_ratios": heights}
     with canvas(path, len(panels), 1, size, **look) as (figure, axes):
         places = dict(zip(panels, axes[:, 0], strict=True))
         for word, text in (("x", "Stroke"), ("v", "Cylinder speed")):
             _motion(places[word], rig, record, f"{cylinder}.{word}", axis(rig, word, text))
         if "error" in places:
-            ax = places["error"]
-            ax.plot(
-                *thin(record.t, tracking_error(rig, record, cylinder)),
-                color=RECORDED,
-                linewidth=1.0,
-            )
+            ax, error = places["error"], tracking_error(rig, record, cylinder)
+            ax.plot(*thin(record.t, error), color=RECORDED, linewidth=1.0)
             ax.axhline(0.0, color=MUTED, linewidth=0.7)
             ax.set_title(axis(rig, "x", "Tracking error, actual minus desired"))
         _pressures(places["pressure"], rig, case, record)
-        saturated = _commands_panel(places["command"], rig, record, cylinder)
-        handles = (
-            function_bars(places["strip"], [("function", case, record)], True) if strip else []
-        )
+        saturated = plot_commands(places["command"], rig, record, cylinder)
+        places["command"].set_title(axis(rig, "command", "Commands"))
+        legend_right(places["command"])
+        named = [("function", case, record)]
+        handles = function_bars(places["strip"], named, True) if strip else []
         if saturated:
             handles.append(swatch("an edge is saturated", ACCENT, alpha=0.2))
-        stop_line(axes[:, 0], record, offset=(0, 3), ha="center")
+        mark_stop(axes[:, 0], record, (0, 3), ha="center")
         axes[-1, 0].set_xlabel("time [s]")
         axes[-1, 0].set_xlim(record.t[0], record.t[-1])
-        if handles:
-            figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        legend(figure, handles, 3)
 
 
 def _motion(ax, rig: Rig, record: Record, name: str, title: str) -> None:
     """Actual and desired, and shaped where the shaping changed it."""
     desired, shaped = f"{name}_desired", f"{name}_shaped"
     plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.2, label="actual")
-    dashed = {"color": SIMULATED, "linewidth": 1.5, "linestyle": (0, (4, 1.6))}
+    dashed: Look = {"color": SIMULATED, "linewidth": 1.5, "linestyle": (0, (4, 1.6))}
     plot_channel(ax, rig, record, desired, label="desired", **dashed)
     if shaped in record and not np.array_equal(record[shaped], record[desired]):
-        dotted = {"color": MUTED, "linewidth": 1.0, "linestyle": ":"}
+        dotted: Look = {"color": MUTED, "linewidth": 1.0, "linestyle": ":"}
         plot_channel(ax, rig, record, shaped, label="shaped", **dotted)
     ax.set_title(title)
     ax.margins(y=0.08)
@@ -184,42 +168,29 @@ def _motion(ax, rig: Rig, record: Record, name: str, title: str) -> None:
 
 def tracking_error(rig: Rig, record: Record, cylinder: str) -> np.ndarray:
     """Actual minus desired stroke, in the rig's unit."""
-    error = record[f"{cylinder}.x"] - record[f"{cylinder}.x_desired"]
-    return np.asarray(shown(rig, "x", error))
+    return shown(rig, "x", record[f"{cylinder}.x"] - record[f"{cylinder}.x_desired"])
 
 
 def _pressures(ax, rig: Rig, case: Case, record: Record) -> None:
     """Of the chambers; of the supply as well where it follows the load."""
-    cylinder, follows = case.cylinder, case.row.get("energy", {}).get("supply") == "load sensing"
-    if follows and "p_supply" in record:
-        look = {"color": MUTED, "linewidth": 0.9, "label": "supply"}
+    if case.row.get("energy", {}).get("supply") == "load sensing":
+        look: Look = {"color": MUTED, "linewidth": 0.9, "label": "supply"}
         plot_channel(ax, rig, record, "p_supply", **look)
-    planned = {"color": MUTED, "linestyle": (0, (3, 2)), "linewidth": 1.0}
+    planned: Look = {"color": MUTED, "linestyle": (0, (3, 2)), "linewidth": 1.0}
     for word, text, look in (
         ("p_head", "head end", {"color": CYCLE[0], "linewidth": 1.1}),
         ("p_rod", "rod end", {"color": CYCLE[1], "linewidth": 1.1}),
         ("pressure_set", "set-point", planned),
     ):
-        if f"{cylinder}.{word}" in record:
-            plot_channel(ax, rig, record, f"{cylinder}.{word}", label=text, **look)
+        plot_channel(ax, rig, record, f"{case.cylinder}.{word}", label=text, **look)
     ax.set_title(axis(rig, "p_head", "Chamber pressures"))
     ax.margins(y=0.08)
     legend_right(ax)
 
 
-def _commands_panel(ax, rig: Rig, record: Record, cylinder: str) -> bool:
-    """Commands, shaded where an edge is saturated; whether one ever is."""
-    plot_commands(ax, rig, record, cylinder)
-    saturated = shade_saturation(ax, record, cylinder)
-    ax.set_title(axis(rig, "command", "Commands"))
-    if ax.get_legend_handles_labels()[0]:
-        legend_right(ax)
-    return saturated
-
-
 def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
-    """What a controller has learnt over time, each within its bounds, the payload beside the true
-    one and the oil beside what pressures and flows tell of it.
+    """What a controller has learnt over time, each within its bounds, the payload with the true one
+    and the oil with what pressures and flows show of it.
     """
     learnt = [word for word in ESTIMATES if f"{case.cylinder}.{word}" in record]
     bounds = case.row.get("estimate_bounds", {})
@@ -228,17 +199,26 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
         for ax in axes.flat[len(learnt) :]:
             ax.remove()
         for place, (ax, word) in enumerate(zip(axes.flat, learnt, strict=False)):
-            name = f"{case.cylinder}.{word}"
+            name, height = f"{case.cylinder}.{word}", 0.24
             if word == "payload_estimate":
-                _weighed(ax, rig, record, case.cylinder)
-            if word == "inverse_bulk":
-                _felt(ax, record, case.cylinder)
+                _measured_payload(ax, rig, record, case.cylinder)
+                height = 0.68  # clear of the lines
+            oil = record.channels.get(f"{case.cylinder}.bulk_measured", np.zeros(1))
+            if word == "inverse_bulk" and np.ptp(oil) > 0.0:
+                look: Look = {"color": SIMULATED, "linewidth": 1.0}
+                share = oil[0] / oil  # at the first tick it is the design's
+                ax.plot(*thin(record.t, share), label="by pressures and flows", **look)
             plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.4, label="of the law")
             if ax.get_legend_handles_labels()[1][1:]:
-                height = 0.68 if word == "payload_estimate" else 0.24  # clear of the lines
                 ax.legend(fontsize=7, loc="center left", bbox_to_anchor=(0.0, height))
-            if word == "payload_estimate":
-                _truth(ax, rig, payloads_carried(rig, case.row), float(record.t[-1]))
+            carried = payloads_carried(rig, case.row) if word == "payload_estimate" else None
+            if carried:
+                times = [*(time for time, _ in carried), float(record.t[-1])]
+                levels = [shown(rig, "payload_estimate", mass) for _, mass in carried]
+                look = {"color": CYCLE[2], "linewidth": 1.1, "linestyle": (0, (5, 3))}
+                ax.stairs(levels, times, baseline=None, **look)
+                look = {"color": CYCLE[2], "ha": "left", "va": "bottom", "fontsize": 7.5}
+                tag(ax, "truth, from the rig file", 0.0, levels[0], (3, 2), "x", **look)
             for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
                 _bound(ax, rig, word, text, end)
             ax.margins(y=0.2)
@@ -248,51 +228,25 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
                 ax.set_xlabel("time [s]")
 
 
-def _weighed(ax, rig: Rig, record: Record, cylinder: str) -> None:
-    """The payload that pressures and motion tell, in its interval, where the law says it."""
+def _measured_payload(ax, rig: Rig, record: Record, cylinder: str) -> None:
+    """The payload that pressures and motion show, in its interval, where the log has it."""
     names = [f"{cylinder}.payload_{word}" for word in ("low", "high", "measured")]
     if not all(name in record for name in names):
         return
-    ends = (thin(record.t, np.asarray(shown(rig, name, record[name]))) for name in names[:2])
+    ends = (thin(record.t, shown(rig, name, record[name])) for name in names[:2])
     (low_t, low), (high_t, high) = ends
     t = np.union1d(low_t, high_t)
-    band = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0, "label": "its interval"}
+    band: Look = {"color": SIMULATED, "alpha": 0.2, "linewidth": 0, "label": "its interval"}
     ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
-    look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
+    look: Look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
     plot_channel(ax, rig, record, names[2], **look)
-
-
-def _felt(ax, record: Record, cylinder: str) -> None:
-    """The oil that pressures and flows tell, as the design's bulk modulus over it [1]; nothing
-    where they tell nothing.
-    """
-    name = f"{cylinder}.bulk_measured"
-    if name in record and np.ptp(record[name]) > 0.0:
-        share = record[name][0] / record[name]  # at the first tick it is the design's
-        look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and flows"}
-        ax.plot(*thin(record.t, share), **look)
-
-
-def _truth(ax, rig: Rig, payloads: list[tuple[float, float]] | None, end: float) -> None:
-    """The true payload [kg] over time, up to ``end`` [s], named at the left."""
-    if payloads is None:
-        return
-    times = [*(at for at, _ in payloads), end]
-    levels = [float(shown(rig, "payload_estimate", mass)) for _, mass in payloads]
-    look = {"color": CYCLE[2], "linewidth": 1.1, "linestyle": (0, (5, 3))}
-    ax.stairs(levels, times, baseline=None, **look)
-    at, where = (0.0, levels[0]), ("axes fraction", "data")
-    look = {"color": CYCLE[2], "ha": "left", "va": "bottom", "fontsize": 7.5}
-    ax.annotate("truth, from the rig file", at, (3, 2), where, "offset points", **look)
 
 
 def _bound(ax, rig: Rig, word: str, which: str, value: float | None) -> None:
     """A bound of an estimate, named outside of it, at the right."""
     if value is not None:
-        y = float(shown(rig, word, value))
-        below = which == "lower"
-        look = {"color": ACCENT, "ha": "right", "va": "top" if below else "bottom"}
+        y, below = shown(rig, word, value), which == "lower"
         ax.axhline(y, color=ACCENT, linewidth=1.1, linestyle=(0, (5, 3)))
-        where, offset = ("axes fraction", "data"), (-3, -2 if below else 2)
-        text = f"{which} bound {number(y, 3)}"
-        ax.annotate(text, (1.0, y), offset, where, "offset points", fontsize=7.5, **look)
+        look: Look = {"color": ACCENT, "ha": "right", "va": "top" if below else "bottom"}
+        offset, text = (-3, -2 if below else 2), f"{which} bound {number(y, 3)}"
+        tag(ax, text, 1.0, y, offset, "x", fontsize=7.5, **look)

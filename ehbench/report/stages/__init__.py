@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.stages import (
     arc_tuning,
@@ -37,24 +37,18 @@ SECTIONS: dict[str, StageReport] = {
 
 
 def report_of(run: Saved) -> StageReport:
-    """How a run is drawn and told; one of a kind this version does not know by its files alone."""
-    unknown = StageReport(words(run.stage), _files_section, _draw_nothing)
+    """How a run is drawn and reported; one of a kind this version does not know by its files."""
+    unknown = StageReport(words(run.stage), _files_section, lambda run, index: None)
     return SECTIONS.get(run.what, unknown)
 
 
 def place_of(run: Saved) -> int:
     """The place of a run on the page; unknown kinds come last."""
-    kinds = [*SECTIONS]
-    return kinds.index(run.what) if run.what in SECTIONS else len(kinds)
+    return [*SECTIONS, run.what].index(run.what)
 
 
 def _files_section(run: Saved, pictures: Pictures) -> SectionContent:
     """Its figures and its files."""
-    figures = pictures(FigureKey())
     files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]
-    parts = [Part("Results", [*figures, Grid(["file"], files)])]
+    parts = [Part("Results", [*pictures(FigureKey()), Grid(["file"], files)])]
     return SectionContent("done", f"{count(len(files), 'file')}.", parts)
-
-
-def _draw_nothing(run: Saved, index: FigureIndex) -> None:
-    """No figures, an empty index."""

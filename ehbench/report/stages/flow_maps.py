@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
-from ehbench.config.rig import Rig
 from ehbench.report.blocks import Part
 from ehbench.report.content import (
     OFTEN,
@@ -19,63 +19,56 @@ from ehbench.report.figures import flow_maps as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table, read_points
 from ehbench.report.template import Template
-from ehbench.report.words import DASH, count, interval, number, pretty, shown, unit_of, words
+from ehbench.report.words import count
 from ehbench.vocabulary.messages import message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
     """A figure for each flow map, then one for each inverse map."""
-    from ehbench.physics.flow_map import load_flow_maps
+    from ehbench.physics.flow_map import FlowMap, load_flow_maps
 
-    page = Template("flow_maps")
-    maps, points = load_flow_maps(run.folder), read_points(run.folder / "points.csv")
+    page, points = Template("flow_maps"), read_points(run.folder / "points.csv")
 
-    def place(kind: str, title: str, caption: str, valve: str, direction: str):
-        about = FigureKey(kind, valve=valve, direction=direction)
-        key, title = f"{kind}_{valve}_{direction}", f"{title} of {valve}, {direction}"
+    def place(kind: str, title: str, caption: str, item: FlowMap) -> Path:
+        about = FigureKey(kind, valve=item.valve, direction=item.direction)
+        key = f"{kind}_{item.valve}_{item.direction}"
+        title = f"{title} of {item.valve}, {item.direction}"
         return index.add(key, title, page.text(caption), about)
 
-    for item in maps.each():
-        named = (item.valve, item.direction)
-        path = place("flow_map", "Flow map", "level" if item.level else "map", *named)
+    maps = [*load_flow_maps(run.folder).each()]
+    for item in maps:
+        path = place("flow_map", "Flow map", "level" if item.level else "map", item)
         picture = figures.level_map if item.level else figures.flow_map
-        picture(path, run.rig, item, points.of(*named))
-    for item in maps.each():
+        picture(path, run.rig, item, points.of(item.valve, item.direction))
+    for item in maps:
         if not item.level:
-            path = place("inverse_map", "Inverse map", "inverse", item.valve, item.direction)
-            figures.inverse_map(path, run.rig, item)
+            figures.inverse_map(place("inverse_map", "Inverse map", "inverse", item), run.rig, item)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Maps, inverse maps, deadbands, calibration, readings left out."""
-    rig, maps, page = run.rig, run.rows("summary.json"), Template("flow_maps", run.rig)
+    maps, page = run.rows("summary.json"), Template("flow_maps", run.rig)
     calibration = [(item, point) for item in maps for point in item["calibration"]]
     left_out = [(item, reading) for item in maps for reading in item["outliers"]]
-    ways = [row for item in maps for row in _ways(rig, item)]
-
-    def noise(item: Table) -> str:
-        return "; ".join(
-            f"{words(method)} {_in_unit(rig, 'flow', floor, 2)} {pretty(unit_of(rig, 'flow'))} "
-            f"and {number(100 * share, 2)} %"
-            for method, (floor, share) in item.get("noise", {}).items()
-        )
-
-    def drops(point: Table) -> str:
-        ends = [_in_unit(rig, "pressure_drop", point[f"drop_{end}"]) for end in ("low", "high")]
-        return " … ".join(dict.fromkeys(ends))
-
+    ways: list[tuple[Table, str, Any]] = []  # what a valve does besides opening smoothly
+    for item in maps:
+        if item.get("leakage_interval", (0.0, 0.0))[0] > 0.0:
+            ways.append((item, "leak", [item["leakage"], *item["leakage_interval"]]))
+        if item.get("hysteresis") is not None:
+            ways.append((item, "hysteresis", [item["hysteresis"], *item["hysteresis_interval"]]))
+        ways += [(item, "kink", kink) for kink in item.get("kinks", ())]
+        ways += [(item, "falls", [falls]) for falls in [item.get("falls")] if falls]
+    tables = {
+        "Deadbands": page.table("deadbands", maps),
+        "Beyond the opening": page.table("ways", ways),
+        "Calibration": page.table("calibration", calibration),
+        "Readings left out": page.table("outliers", left_out),
+    }
     parts = [
         Part("Flow maps", pictures(FigureKey("flow_map"))),
         Part("Inverse maps", pictures(FigureKey("inverse_map"))),
-        Part("Deadbands", [page.table("deadbands", maps, noise=noise)]),
+        *(Part(title, [table]) for title, table in tables.items() if table.rows),
     ]
-    if ways:
-        parts.append(Part("Beyond the opening", [page.table("ways", ways)]))
-    if calibration:
-        table = page.table("calibration", calibration, drops=drops)
-        parts.append(Part("Calibration", [table]))
-    if left_out:
-        parts.append(Part("Readings left out", [page.table("outliers", left_out)]))
     sentence = page.text(
         "sentence",
         maps=maps,
@@ -85,28 +78,6 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         verdicts=[point["verdict"] for _, point in calibration],
     )
     return SectionContent("done", sentence, parts)
-
-
-def _ways(rig: Rig, item: Table) -> Iterator[tuple[Table, str, str, str]]:
-    """(map, what, value, interval) of what a valve does besides opening smoothly: leak, hysteresis,
-    kinks, a fall.
-    """
-    leak, ends = item.get("leakage"), item.get("leakage_interval", (0.0, 0.0))
-    if ends[0] > 0.0:
-        between = " … ".join(_in_unit(rig, "flow", end, 3) for end in ends)
-        name = Template("flow_maps", rig).text("leak")
-        yield item, name, _in_unit(rig, "flow", leak, 3), between
-    if (lag := item.get("hysteresis")) is not None:
-        yield item, "hysteresis [V]", number(lag, 3), interval(*item["hysteresis_interval"])
-    for value, low, high in item.get("kinks", ()):
-        yield item, "kink at [V]", number(value, 4), interval(low, high)
-    if item.get("falls"):
-        yield item, "falls from its largest flow [%]", number(100.0 * item["falls"], 2), DASH
-
-
-def _in_unit(rig: Rig, name: str, value: float, digits: int = 4) -> str:
-    """An SI number in the rig's unit."""
-    return number(float(shown(rig, name, value)), digits)
 
 
 def findings(run: Saved) -> Findings:

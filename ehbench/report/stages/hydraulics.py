@@ -5,14 +5,14 @@ and the fit to each log.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Grid, Heat, Part, Text
 from ehbench.report.captions import as_fitted, capital
-from ehbench.report.comparisons import draw_comparisons, ringing_table
+from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
 from ehbench.report.content import (
     OFTEN,
     PARAMETER,
@@ -27,7 +27,6 @@ from ehbench.report.content import (
     remedy_step,
 )
 from ehbench.report.figures import hydraulics as figures
-from ehbench.report.figures.sweeps import CAPTION, sweeps
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.template import Template
@@ -36,7 +35,6 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import BEYOND, CORRELATED, Z95
 
 DOUBTFUL = "estimated, doubtful"  # as it is sensitive to a fixed number that the logs deny
-_METHODS = {"thesis": "matching frequency and decay"}
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -51,44 +49,49 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for log in fit["logs"]:
         draw_comparisons(run, index, log["name"], "fit", "Fitted to")
         if responses := log.get("responses"):
-            command = responses[0]["input"].removesuffix(".command")
-            title = f"Response to {command} in {words(log['name'])}"
-            about = FigureKey("response", log=log["name"])
-            path = index.add(f"response_{log['name']}", title, CAPTION, about)
-            sweeps(path, run.rig, responses, responses[0]["coherence"])
+            about, key = FigureKey("response", log=log["name"]), f"response_{log['name']}"
+            draw_responses(run, index, about, key, responses, responses[0]["coherence"])
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Parameters with intervals, correlation, what was matched, and the fit to each log."""
     page, fit = Template("hydraulics", run.rig), run.json("parameters.json")
     parameters = estimates_of(fit)
-    sensitive = [lean["sentence"] for lean in fit.get("leans", [])]
+    sensitive = [item["sentence"] for item in fit.get("leans", [])]
     notes = [fit["left_over"]] if fit.get("left_over") else []
     notes += [*fit.get("counts_on", []), *fit.get("compared", [])]
     inside: list[Block] = [_parameters(page, parameters, fit.get("sensors", []))]
     inside += [Bullets(sensitive, "warn")] if sensitive else []
     inside += [Bullets(notes)] if notes else []
-    parts = [Part("Parameters", [*inside, *pictures(FigureKey("parameters"))])]
-    names, matrix = fit.get("correlated_names", []), fit.get("correlation", [])
-    if len(names) > 1:
-        parts.append(Part("Correlation of the estimates", correlations(names, matrix)))
-    if groups := fit.get("groups", []):
-        table = page.table("groups", groups, z95=Z95)
-        parts.append(Part("What the logs know together", [table]))
-    if matches := fit.get("matches", []):
-        parts.append(Part("What was matched", [ringing_table(run.rig, matches, True)]))
-    if responses := pictures(FigureKey("response")):
-        parts.append(Part("Frequency responses that were compared", responses))
-    drawn = folded(pictures(FigureKey("fit")), "recorded and simulated")
-    parts.append(Part("Fit to each log", [*_log_fits(page, fit["logs"]), *drawn]))
-    if variants := fit.get("dynamics_comparison", []):
-        parts.append(Part("Valve dynamics compared", _dynamics(page, variants)))
-    weak = [parameter for parameter in parameters if parameter["status"] != "estimated"]
-    method = _METHODS.get(fit["method"], words(fit["method"]))
-    first = next((parameter for parameter in parameters if parameter not in weak), parameters[0])
-    weakness = Counter(item["status"] for item in weak)
-    fields = {"parameters": parameters, "logs": fit["logs"], "first": first, "weak": weakness}
-    sentence = page.text("sentence", method=method, **fields)
+    inside += pictures(FigureKey("parameters"))
+    names = fit.get("correlated_names", [])
+    correlated = correlations(names, fit.get("correlation", [])) if len(names) > 1 else []
+    groups, matches = fit.get("groups", []), fit.get("matches", [])
+    matched = [ringing_table(run.rig, matches, True)] if matches else []
+    rows = [
+        {"log": log, "cylinder": cylinder, "errors": log.get("residual_rms", {})}
+        for log in fit["logs"]
+        for cylinder in dict.fromkeys(name.rpartition(".")[0] for name in log["fit_percent"])
+    ]
+    channels = dict.fromkeys(name for log in fit["logs"] for name in log["fit_percent"])
+    fitted = list(dict.fromkeys(channel.rsplit(".", 1)[1] for channel in channels))
+    fits = [page.table("logs", rows, fitted=fitted)] if rows else []
+    fits += folded(pictures(FigureKey("fit")), "recorded and simulated")
+    variants = fit.get("dynamics_comparison", [])
+    parts = [
+        Part("Parameters", inside),
+        Part("Correlation of the estimates", correlated),
+        Part("What the logs know together", [page.table("groups", groups, z95=Z95)] * bool(groups)),
+        Part("What was matched", matched),
+        Part("Frequency responses that were compared", pictures(FigureKey("response"))),
+        Part("Fit to each log", fits),
+        Part("Valve dynamics compared", _dynamics(page, variants) if variants else []),
+    ]
+    weak = Counter(item["status"] for item in parameters if item["status"] != "estimated")
+    sound = [item for item in parameters if item["status"] == "estimated"]
+    fields = {"parameters": parameters, "logs": fit["logs"], "weak": weak}
+    first = (sound or parameters)[0]
+    sentence = page.text("sentence", method=fit["method"], first=first, **fields)
     return SectionContent("partly_estimated" if weak else "done", sentence, parts)
 
 
@@ -138,19 +141,9 @@ def correlations(
     return [*([Bullets(texts, "warn")] if texts else []), Heat(names, matrix)]
 
 
-def _log_fits(page: Template, logs: Sequence[Table]) -> list[Block]:
-    channels = dict.fromkeys(channel for log in logs for channel in log["fit_percent"])
-    fitted = list(dict.fromkeys(channel.rsplit(".", 1)[1] for channel in channels))
-    rows = [
-        {"log": log, "cylinder": cylinder, "errors": log.get("residual_rms", {})}
-        for log in logs
-        for cylinder in dict.fromkeys(channel.rpartition(".")[0] for channel in log["fit_percent"])
-    ]
-    return [page.table("logs", rows, fitted=fitted)] if rows else []
-
-
 def _dynamics(page: Template, variants: Sequence[Table]) -> list[Block]:
     """Whether the data tell the best of some valve dynamics from the others, and each fit."""
+    assert page.rig is not None
     best, *others = variants
     sensors = best.get("fit", {}).get("sensors", [])
     text = page.text(
@@ -160,16 +153,12 @@ def _dynamics(page: Template, variants: Sequence[Table]) -> list[Block]:
         undecided=[other["dynamics"] for other in others if other["interval"][0] <= 1.0],
         lags=[sensor for sensor in sensors if sensor["word"] == "lag"],
     )
-    rows = _dynamics_rows(page, variants)
-    return [Text(text), page.table("dynamics", rows, variants=list(variants))]
-
-
-def _dynamics_rows(page: Template, variants: Sequence[Table]) -> Iterator[dict[str, Any]]:
-    assert page.rig is not None
     errors = {v["dynamics"]: num(number(v["relative_rms"], 4)) for v in variants}
-    ends = {v["dynamics"]: num(interval(*v["interval"])) for v in variants[1:]}
-    yield {"text": "error relative to the best", "cells": errors}
-    yield {"text": "its 95 % interval", "cells": {variants[0]["dynamics"]: ""} | ends}
+    ends = {v["dynamics"]: num(interval(*v["interval"])) for v in others}
+    rows: list[dict[str, Any]] = [
+        {"text": "error relative to the best", "cells": errors},
+        {"text": "its 95 % interval", "cells": {best["dynamics"]: ""} | ends},
+    ]
     fits = {
         variant["dynamics"]: {item["name"]: item for item in variant["fit"]["parameters"]}
         for variant in variants
@@ -180,7 +169,8 @@ def _dynamics_rows(page: Template, variants: Sequence[Table]) -> Iterator[dict[s
         for dynamics, fitted in fits.items():
             if name in fitted:
                 cells[dynamics] = num(as_fitted(page.rig, name, fitted[name]))
-        yield {"text": axis(page.rig, name, name), "cells": cells}
+        rows.append({"text": axis(page.rig, name, name), "cells": cells})
+    return [Text(text), page.table("dynamics", rows, variants=list(variants))]
 
 
 def findings(run: Saved) -> Findings:
@@ -213,7 +203,7 @@ def estimates_of(fit: Table) -> list[Table]:
     """The parameters of a fit; those estimated are doubtful that would come out beyond their
     intervals if a fixed number were as the logs would have it.
     """
-    moved = [item for lean in fit.get("leans", []) for item in lean["moved"]]
+    moved = [item for fixed in fit.get("leans", []) for item in fixed["moved"]]
     far = {item["name"] for item in moved if item["halves"] > BEYOND}
     return [
         parameter.having("status", DOUBTFUL)

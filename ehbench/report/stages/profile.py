@@ -25,9 +25,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Picture, ends and the others' values."""
     rig, result, page = run.rig, run.json("profile.json"), Template("profile", run.rig)
     name, limits = result["name"], result["ends"]
-    best, *ends = (
-        None if v is None else float(shown(rig, name, v)) for v in (result["best"], *limits)
-    )
+    best, *ends = (shown(rig, name, v) for v in (result["best"], *limits))
     texts = ["open" if end is None else number(end) for end in ends]
     by_fit = range_of(rig, name, result.get("interval"))
     rows = [("by the profile", " … ".join(texts)), ("by the fit", by_fit)]

@@ -5,6 +5,8 @@ worst samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,37 +33,53 @@ _ENDED = ("done", "incomplete", "rejected")
 
 def draw(run: Saved, index: FigureIndex) -> None:
     """Each measure's distribution, scatter, what moves it, and its maps."""
-    study, table = run.json("study.json"), _columns(run)
-    targets = {item["measure"]: item for item in study["targets"]}
-    page = Template("study")
-    for measure in study["measures"]:
-        name, head = measure["name"], _head(measure["name"], measure["unit"])
-        y = table[head]
-        there = np.isfinite(y)
-        if there.sum() < 2:
-            continue
-        if np.ptp(y[there]) > 0.0:
-            target = targets.get(name)
-            caption = page.text("spread", target=target)
-            path = index.add(f"spread_{name}", f"Spread of {name}", caption, _key("spread", name))
-            figures.distribution(path, _shown(measure), y[there], measure, target)
-            _scatter(index, study, table, measure, y)
-    for item in study["sensitivity"]:
-        rows = sorted(item["inputs"], key=lambda row: -abs(_weight(row)))
-        name = item["measure"]
-        caption = page.text("sobol" if item["method"] == "sobol" else "rank")
-        path = index.add(f"moves_{name}", f"What moves {name}", caption, _key("moves", name))
-        figures.bars(path, rows[:20], item["method"])
-    _maps(index, study)
-
-
-def _columns(run: Saved) -> dict[str, np.ndarray]:
-    """The columns of numbers of the table, by their heads; nan where a cell is no number."""
     import pandas as pd
 
-    table = pd.read_csv(run.folder / "samples.csv", low_memory=False)
-    numbers = table.apply(pd.to_numeric, errors="coerce").astype(float)
-    return {str(name): np.asarray(numbers[name]) for name in numbers.columns}
+    study, page = run.json("study.json"), Template("study")
+    samples = pd.read_csv(run.folder / "samples.csv", low_memory=False)
+    samples = samples.apply(pd.to_numeric, errors="coerce").astype(float)
+    table = {str(name): np.asarray(samples[name]) for name in samples.columns}
+    targets = {item["measure"]: item for item in study["targets"]}
+
+    def place(kind: str, title: str, text: str, measure: str, **fields: Any) -> Path:
+        key, caption = f"{kind}_{measure}", page.text(text, **fields)
+        return index.add(key, title, caption, FigureKey(kind, case=measure))
+
+    inputs = []
+    for item in study["inputs"]:
+        x = table[_head(item["key"], item["unit"])]
+        if item["varied"] != "seed" and not item["is_text"] and np.ptp(x) > 0.0:
+            inputs.append((_head(item["key"], _unit(item)), x))
+    marks = np.array([item["sample"] for item in study["worst"]], int)
+    for measure in study["measures"]:
+        name, y = measure["name"], table[_head(measure["name"], measure["unit"])]
+        there = np.isfinite(y)
+        if there.sum() < 2 or np.ptp(y[there]) == 0.0:
+            continue
+        target = targets.get(name)
+        path = place("spread", f"Spread of {name}", "spread", name, target=target)
+        figures.distribution(path, _shown(measure), y[there], measure, target)
+        if inputs:
+            path = place("over", f"{name} over the inputs", "over", name)
+            figures.scatter(path, _shown(measure), y, inputs[:12], marks)
+    for item in study["sensitivity"]:
+        rows = sorted(item["inputs"], key=lambda row: -abs(row.get("total", row.get("rank", 0.0))))
+        text = "sobol" if item["method"] == "sobol" else "rank"
+        path = place("moves", f"What moves {item['measure']}", text, item["measure"])
+        figures.bars(path, rows[:20], item["method"])
+    listed = [item for item in study["inputs"] if item["values"]]
+    if len(listed) != 2:
+        return
+    ticks, keys = [item["values"] for item in listed], [item["key"] for item in listed]
+    for column, measure in enumerate(study["measures"]):
+        z = np.full((len(ticks[1]), len(ticks[0])), np.nan)
+        for group in study["groups"]:
+            j, i = (t.index(group["values"][key]) for t, key in zip(ticks, keys, strict=True))
+            median = group["measures"][column].get("median")
+            z[i, j] = np.nan if median is None else median
+        if np.isfinite(z).any():
+            path = place("map", f"Map of {measure['name']}", "map", measure["name"])
+            figures.field(path, keys, ticks, z, _shown(measure))
 
 
 def _head(name: str, unit: str) -> str:
@@ -75,54 +93,6 @@ def _shown(item: Table) -> str:
 def _unit(item: Table) -> str:
     """The unit of an input; that of factors is ×."""
     return "×" if item["factor"] else pretty(item["unit"])
-
-
-def _key(kind: str, measure: str) -> FigureKey:
-    return FigureKey(kind, case=measure)
-
-
-def _weight(row: Table) -> float:
-    return row.get("total", row.get("rank", 0.0))
-
-
-def _scatter(
-    index: FigureIndex, study: Table, table: dict[str, np.ndarray], measure: Table, y: np.ndarray
-) -> None:
-    inputs = []
-    for item in study["inputs"]:
-        x = table[_head(item["key"], item["unit"])]
-        if item["varied"] != "seed" and not item["is_text"] and np.ptp(x) > 0.0:
-            inputs.append((_head(item["key"], _unit(item)), x))
-    if inputs:
-        marks = np.array([item["sample"] for item in study["worst"]], int)
-        name = measure["name"]
-        caption = Template("study").text("over")
-        path = index.add(f"over_{name}", f"{name} over the inputs", caption, _key("over", name))
-        figures.scatter(path, _shown(measure), y, inputs[:12], marks)
-
-
-def _maps(index: FigureIndex, study: Table) -> None:
-    """A map of each measure over the first two swept keys, where two were swept."""
-    listed = [item for item in study["inputs"] if item["values"]]
-    if len(listed) != 2 or not study["groups"]:
-        return
-    across, up = (item["values"] for item in listed)
-    for at, measure in enumerate(study["measures"]):
-        z = np.full((len(up), len(across)), np.nan)
-        for group in study["groups"]:
-            values = group["values"]
-            i, j = up.index(values[listed[1]["key"]]), across.index(values[listed[0]["key"]])
-            z[i, j] = (
-                np.nan
-                if group["measures"][at].get("median") is None
-                else (group["measures"][at]["median"])
-            )
-        name = measure["name"]
-        if np.isfinite(z).any():
-            caption = Template("study").text("map")
-            path = index.add(f"map_{name}", f"Map of {name}", caption, _key("map", name))
-            names = (listed[0]["key"], listed[1]["key"])
-            figures.field(path, names, (across, up), z, _shown(measure))
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -139,30 +109,28 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         if item.get("explained") is not None
     ]
     results: list[Block] = [Bullets(unfinished, "warn")] if unfinished else []
-    results.append(page.table("measures", study["measures"], quantile=_quantile))
+    results.append(page.table("measures", study["measures"]))
     if study["targets"]:
         results.append(page.table("targets", study["targets"], text=page.text))
     moves: list[Block] = [Bullets(explained)] if explained else []
+    inputs = [
+        (place, _head(item["key"], _unit(item)))
+        for place, item in enumerate(study["inputs"])
+        if item["varied"] != "seed"
+    ]
+    measures = [(place, _shown(measure)) for place, measure in enumerate(study["measures"])]
+    worst = page.table("worst", study["worst"], inputs=inputs, measures=measures)
     parts = [
         Part("Results", results),
         Part("By swept values", [*_groups(page, study), *pictures(FigureKey("map"))]),
         Part("Spread", [*pictures(FigureKey("spread"))]),
         Part("What moves them", [*moves, *pictures(FigureKey("moves"))]),
-        Part("The worst", [*_worst(page, study), *pictures(FigureKey("over"))]),
+        Part("The worst", [*[worst] * bool(worst.rows), *pictures(FigureKey("over"))]),
         Part("Inputs", [page.table("inputs", study["inputs"], unit=_unit)], paper=False),
     ]
     ended = sum(study["status"].get(word, 0) for word in _ENDED)
     sentence = page.text("sentence", study=study, ended=ended)
     return SectionContent("done", sentence, [part for part in parts if part.inside])
-
-
-def _quantile(item: Table, percent: int) -> str | None:
-    """A quantile with its 95 % interval; None where the measure has none."""
-    for quantile in item.get("quantiles", []):
-        if round(100 * quantile["share"]) == percent:
-            low, high = (number(quantile.get(end), 3) for end in ("low", "high"))
-            return f"{number(quantile['value'])} ({low} … {high})"
-    return None
 
 
 def _groups(page: Template, study: Table, maximum: int = 60) -> list[Block]:
@@ -180,18 +148,6 @@ def _groups(page: Template, study: Table, maximum: int = 60) -> list[Block]:
     keys = [item["key"] for item in study["inputs"] if item["values"]]
     fields = {"keys": keys, "measures": measures, "study": study, "text": page.text}
     return [page.table("groups", groups, **fields)]
-
-
-def _worst(page: Template, study: Table) -> list[Block]:
-    """The samples that were retained: what they measured and what was set, and where they are."""
-    inputs = [
-        (place, _head(item["key"], _unit(item)))
-        for place, item in enumerate(study["inputs"])
-        if item["varied"] != "seed"
-    ]
-    measures = [(place, _shown(measure)) for place, measure in enumerate(study["measures"])]
-    table = page.table("worst", study["worst"], inputs=inputs, measures=measures)
-    return [table] if table.rows else []
 
 
 def findings(run: Saved, lost: Sequence[str] = ("failed", "refused", "late")) -> Findings:

@@ -38,7 +38,15 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for group in groups_of(cases).values():
         if len(group) > 1:
             _draw_comparison(rig, index, group)
-    _draw_trajectories(rig, index, cases)
+    first = {case.row["motion"]: case for case in reversed(cases) if not case.steps}
+    if first:  # what is desired of the cylinder in each motion that is no steps of speed
+        drawn = [(name, first[name], first[name].record()) for name in reversed(first)]
+        spans = "; ".join(
+            f"{words(name)} {trajectory_caption(rig, case, log)}" for name, case, log in drawn
+        )
+        title, about = f"Trajectories, on the {cases[0].row['on']}", FigureKey("trajectories")
+        path = index.add("trajectories", title, f"Desired motion. {capital(spans)}.", about)
+        figures.trajectories(path, rig, drawn)
     for motion in dict.fromkeys(case.row["motion"] for case in cases):
         _draw_energies(rig, index, motion, [c for c in cases if c.row["motion"] == motion])
     _draw_map(rig, index, cases)
@@ -66,20 +74,6 @@ def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> Non
     figures.compare(path, rig, list(zip(names, cases, records, strict=True)))
 
 
-def _draw_trajectories(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
-    """What is asked of the cylinder in each motion that is no steps of speed."""
-    first = {case.row["motion"]: case for case in reversed(cases) if not case.steps}
-    if first:
-        shown = [(name, first[name], first[name].record()) for name in reversed(first)]
-        spans = "; ".join(
-            f"{words(name)} {trajectory_caption(rig, case, log)}" for name, case, log in shown
-        )
-        about = FigureKey("trajectories")
-        title = f"Trajectories, on the {cases[0].row['on']}"
-        path = index.add("trajectories", title, f"Desired motion. {capital(spans)}.", about)
-        figures.trajectories(path, rig, shown)
-
-
 def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:
     """The bars of one motion: from the ledgers where all trials have one, else the pump's energy
     alone.
@@ -93,7 +87,7 @@ def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Ca
         limits = [
             [bound for bound in ledger.get("bounds", []) if bound["closed"]] for ledger in ledgers
         ]
-        bars(path, list(zip(names, ledgers, strict=True)), limits if any(limits) else None)
+        bars(path, list(zip(names, ledgers, strict=True)), limits)
     else:
         figures.pump_energies(path, rig, cases, names)
 
@@ -107,8 +101,8 @@ def _draw_map(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
     if any(case.steps for case in cases) or min(len(loads), len(laws)) < 2 or len(motions) < 3:
         return
     known = {
-        (case.row["controller"], case.row["payload"], case.row["motion"]): float(
-            shown(rig, "energy", case.row["energy"]["pump"])
+        tuple(case.row[key] for key in ("controller", "payload", "motion")): shown(
+            rig, "energy", case.row["energy"]["pump"]
         )
         for case in cases
         if case.fit
@@ -134,46 +128,37 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if stopped:
         reasons = [f"{case.row['case']}: {case.row['stopped']}" for case in stopped]
         first = [Text("Stopped by a limit:", "bad"), Bullets(reasons)]
-    open_ones, folds = _each_trial(cases, pictures)
-    parts = [
-        Part("Each trial" if open_ones else "", open_ones),
-        Part("Compared", [*first, *pictures(FigureKey("compare"))]),
-        Part("Trajectories", pictures(FigureKey("trajectories"))),
-        Part("Measures", measure_tables(rig, cases)),
-        Part("Energy", _energy_blocks(rig, cases, pictures)),
-        Part("Other trials" if open_ones else "Each trial", folds),
-        Part("Settings", settings_blocks(rig, cases), paper=False),
-    ]
-    more = tuple(controller_captions(rig, cases))
-    return SectionContent(stopped_status(stopped), trials_caption(cases), parts, more)
-
-
-def _energy_blocks(rig: Rig, cases: Sequence[Case], pictures: Pictures) -> list[Block]:
-    return [
+    named: list[Picture] = []  # those that a campaign names, in its order; the others folded
+    folds: list[Block] = []
+    for case in cases:
+        name = case.row["case"]
+        drawn = [
+            picture
+            for kind in ("tip", "trial", "estimates")
+            for picture in pictures(FigureKey(kind, case=name))
+        ]
+        named += [picture for picture in drawn if picture.named is not None]
+        if others := [picture for picture in drawn if picture.named is None]:
+            folds.append(Fold(f"{name}, on the {case.row['on']}", others))
+    named.sort(key=lambda item: item.named or 0)
+    energy = [
         *saving_blocks(rig, cases),
         *supply_blocks(rig, cases),
         *pictures(FigureKey("energy_map")),
         *pictures(FigureKey("energy")),
         *folded(pictures(FigureKey("sankey")), "where the energy of each trial went"),
     ]
-
-
-def _each_trial(cases: Sequence[Case], pictures: Pictures) -> tuple[list[Block], list[Block]]:
-    """(figures that a campaign names, in its order; the others, folded)."""
-    named: list[Picture] = []
-    folds: list[Block] = []
-    for case in cases:
-        name = case.row["case"]
-        drawn = [
-            *pictures(FigureKey("tip", case=name)),
-            *pictures(FigureKey("trial", case=name)),
-            *pictures(FigureKey("estimates", case=name)),
-        ]
-        named += [picture for picture in drawn if picture.named is not None]
-        if others := [picture for picture in drawn if picture.named is None]:
-            folds.append(Fold(f"{name}, on the {case.row['on']}", others))
-    named.sort(key=lambda item: item.named or 0)
-    return [*named], folds
+    parts = [
+        Part("Each trial" if named else "", named),
+        Part("Compared", [*first, *pictures(FigureKey("compare"))]),
+        Part("Trajectories", pictures(FigureKey("trajectories"))),
+        Part("Measures", measure_tables(rig, cases)),
+        Part("Energy", energy),
+        Part("Other trials" if named else "Each trial", folds),
+        Part("Settings", settings_blocks(rig, cases), paper=False),
+    ]
+    more = tuple(controller_captions(rig, cases))
+    return SectionContent(stopped_status(stopped), trials_caption(cases), parts, more)
 
 
 REPORT = StageReport(

@@ -5,6 +5,7 @@ promise, loci, steps, what else was tried, draws.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -97,8 +98,7 @@ def _draw_function(page: Template, tuning: Table, function: str, index: FigureIn
     counts = any(item["point"]["function"] == function for item in counted(tuning))
     whose = f"{words(tuning['cylinder'])}, {words(function)}"
 
-    def about(kind: str) -> FigureKey:
-        return FigureKey(kind, function=function, counts="yes" if counts else "no")
+    about = partial(FigureKey, function=function, counts="yes" if counts else "no")
 
     def of_function(key: str) -> list[Table]:
         return [r for r in tuning[key] if by_name[r["name"]]["point"]["function"] == function]
@@ -112,9 +112,8 @@ def _draw_function(page: Template, tuning: Table, function: str, index: FigureIn
     if steps := of_function("steps"):
         caption = page.text("steps", steps=steps, by_name=by_name, overshoot=overshoot_of)
         title, key = f"Step response: {whose}", f"step_response_{function}"
-        figures.step_responses(
-            index.add(key, title, caption, about("step_response")), steps, by_name
-        )
+        path = index.add(key, title, caption, about("step_response"))
+        figures.step_responses(path, steps, by_name)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -122,26 +121,40 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     what else was tried, draws.
     """
     rig, tuning = run.rig, run.json("tuning.json")
-    page, met = Template("tuning", rig), tuning["met"]
+    page, met, points = Template("tuning", rig), tuning["met"], tuning["points"]
     choice: list[Block] = [
         Text(page.text("verdict", tuning=tuning), "good" if met else "bad"),
         *supply_blocks(rig, tuning),
         *pictures(FigureKey("damping")),
-        page.table("parameters", _parameters(tuning)),
+        page.table("parameters", parameter_rows(tuning)),
     ]
-    every = Fold(
-        f"All {count(len(tuning['points']), 'operating point')}",
-        [page.table("points", tuning["points"])],
-    )
+    loads = [item["payload"] for item in tuning["equivalents"]]
+    groups = {(function, load): [] for function in function_names(tuning) for load in loads}
+    for item in points:
+        groups[item["point"]["function"], item["point"]["payload"]].append(item)
+    by_load = page.table("points_by_load", filter(None, groups.values()), minimum=_minimum)
+    every = Fold(f"All {count(len(points), 'operating point')}", [page.table("points", points)])
+    laws = tuning["alternatives"]
+    others: list[Block] = []
+    if laws:
+        ratio, second = laws[0]["damping_ratio"], any(law.get("ramp_washout") for law in laws)
+        better = [other["what"] for other in laws[1:] if other["damping_ratio"] > ratio]
+        others = [Text(page.text("alternatives_lead", better=better))]
+        others.append(page.table("alternatives", laws, second=second))
+    draws: list[Block] = [Text(page.text("no_draws"), "note")]
+    if tuning["robustness"]["draws"]:
+        names = [[Cell(name, "code")] for name in tuning["robustness"]["parameters"]]
+        drawn = Grid(["drawn, with their covariance"], names)
+        draws = [*pictures(FigureKey("draws")), Fold(count(len(names), "parameter"), [drawn])]
     parts = [
         Part("Working functions", [*_functions(page, tuning), *pictures(FigureKey("function"))]),
         Part("Equivalent mass and gravity force", pictures(FigureKey("equivalents"))),
-        Part("Operating points", [_by_load(page, tuning), every]),
+        Part("Operating points", [by_load, every]),
         Part("The gain", choice),
         Part("Root loci", _by_count(pictures, "locus")),
         Part("Step responses", _by_count(pictures, "step_response")),
-        Part("What else was tried", _alternatives(page, tuning)),
-        Part("Draws of the identified parameters", _draws(page, tuning, pictures)),
+        Part("What else was tried", others),
+        Part("Draws of the identified parameters", draws),
     ]
     corners = [tuning[key] for key in ("washout", "ramp_washout") if tuning.get(key)]
     sentence = page.text(
@@ -200,23 +213,12 @@ def _by_count(pictures: Pictures, kind: str) -> list[Block]:
     return [*counting, *folded(others, "functions that no load calls for")]
 
 
-def _by_load(page: Template, tuning: Table) -> Grid:
-    """A row a function and payload."""
-    groups: dict[tuple[str, str], list[Table]] = {}
-    for function in function_names(tuning):
-        for item in tuning["equivalents"]:
-            groups[function, item["payload"]] = []
-    for item in tuning["points"]:
-        groups[item["point"]["function"], item["point"]["payload"]].append(item)
-    return page.table("points_by_load", filter(None, groups.values()), minimum=_minimum)
-
-
 def _minimum(points: Sequence[Table], key: str) -> float | None:
     """The minimum of a margin over those points that have it."""
     return min((m for p in points if (m := p["margins"].get(key)) is not None), default=None)
 
 
-def _parameters(tuning: Table) -> list[dict[str, Any]]:
+def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
     """Controller parameters (thesis Table B.3), then what was demanded and what is reached at
     worst.
     """
@@ -240,26 +242,6 @@ def _parameters(tuning: Table) -> list[dict[str, Any]]:
         row = {"name": "natural_frequency" if key == "bandwidth" else key, "text": words(key)}
         rows.append(row | {"demanded": demanded, "reached": _minimum(counted(tuning), key)})
     return rows
-
-
-def _alternatives(page: Template, tuning: Table) -> list[Block]:
-    laws = tuning["alternatives"]
-    if not laws:
-        return []
-    ratio = laws[0]["damping_ratio"]
-    better = [other["what"] for other in laws[1:] if other["damping_ratio"] > ratio]
-    second = any(law.get("ramp_washout") for law in laws)
-    lead = page.text("alternatives_lead", better=better)
-    return [Text(lead), page.table("alternatives", laws, second=second)]
-
-
-def _draws(page: Template, tuning: Table, pictures: Pictures) -> list[Block]:
-    draws = tuning["robustness"]
-    if not draws["draws"]:
-        return [Text(page.text("no_draws"), "note")]
-    names = [[Cell(name, "code")] for name in draws["parameters"]]
-    drawn = Fold(count(len(names), "parameter"), [Grid(["drawn, with their covariance"], names)])
-    return [*pictures(FigureKey("draws")), drawn]
 
 
 def findings(run: Saved) -> Findings:

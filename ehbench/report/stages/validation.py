@@ -4,8 +4,10 @@ residual correlations.
 
 from __future__ import annotations
 
+from typing import Any
+
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
-from ehbench.report.comparisons import draw_comparisons, ringing_table
+from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
 from ehbench.report.content import (
     FIT,
     Findings,
@@ -18,7 +20,6 @@ from ehbench.report.content import (
     remedy_step,
 )
 from ehbench.report.figures import validation as figures
-from ehbench.report.figures.sweeps import CAPTION, sweeps
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved, Table
 from ehbench.report.template import Template
@@ -29,7 +30,9 @@ from ehbench.vocabulary.messages import message
 def draw(run: Saved, index: FigureIndex) -> None:
     """For each log recorded against simulated, then the correlations of its residuals."""
     caption = Template("validation").text("residuals")
-    for log in run.json("validation.json")["logs"]:
+    table = run.json("validation.json")
+    coherence = table.get("thresholds", {}).get("response_coherence", 0.0)
+    for log in table["logs"]:
         name, status = log["name"], log.get("status", "held_out")
         lead = "Held out" if status == "held_out" else words(status).capitalize()
         draw_comparisons(run, index, name, "validation", lead)
@@ -38,30 +41,15 @@ def draw(run: Saved, index: FigureIndex) -> None:
             if channel.get("autocorrelation") is not None:
                 by_cylinder.setdefault(channel["channel"].rpartition(".")[0], []).append(channel)
         for cylinder, channels in by_cylinder.items():
-            path = index.add(
-                f"residuals_{name}_{cylinder}",
-                f"Residuals of {words(name)}, {cylinder}",
-                caption,
-                FigureKey("residuals", log=name, cylinder=cylinder),
-            )
-            figures.correlations(path, channels)
-        _draw_sweeps(run, index, log)
-
-
-def _draw_sweeps(run: Saved, index: FigureIndex, log: Table) -> None:
-    """A figure for each command of a log that sweeps."""
-    minimum = run.json("validation.json").get("thresholds", {}).get("response_coherence", 0.0)
-    by_command: dict[str, list[Table]] = {}
-    for sweep in log.get("sweeps", []):
-        by_command.setdefault(sweep["input"], []).append(sweep)
-    for command, result in by_command.items():
-        path = index.add(
-            f"sweep_{log['name']}_{command.replace('.', '_')}",
-            f"Response to {command.removesuffix('.command')} in {words(log['name'])}",
-            CAPTION,
-            FigureKey("sweep", log=log["name"]),
-        )
-        sweeps(path, run.rig, result, minimum)
+            about = FigureKey("residuals", log=name, cylinder=cylinder)
+            key, title = f"residuals_{name}_{cylinder}", f"Residuals of {words(name)}, {cylinder}"
+            figures.correlations(index.add(key, title, caption, about), channels)
+        by_command: dict[str, list[Table]] = {}
+        for sweep in log.get("sweeps", []):
+            by_command.setdefault(sweep["input"], []).append(sweep)
+        for command, result in by_command.items():
+            key = f"sweep_{name}_{command.replace('.', '_')}"
+            draw_responses(run, index, FigureKey("sweep", log=name), key, result, coherence)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -72,10 +60,18 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     status = "accepted" if table["accepted"] else "rejected"
     if table["accepted"] and table.get("reservations"):
         status = "accepted_with_reservation"
+    diagnosis, diagnosed = table.get("structure") or {"findings": [], "follows": []}, []
+    if faults := diagnosis["findings"]:
+        diagnosed = [Text(page.text("faults")), page.table("fault_table", faults)]
+    if follows := diagnosis["follows"]:
+        title = page.text("follows_title", follows=follows)
+        diagnosed = diagnosed or [Text(page.text("no_faults"))]
+        diagnosed.append(Fold(title, [page.table("follows", follows)]))
+    others = page.table("others", others_rows(table))
     parts = [
         Part("Verdict", _verdict(page, table, status)),
-        *others_part(page, table),
-        *_structure(page, table),
+        Part("Compared with what others reached", [others] if others.rows else []),
+        Part("What the residuals follow", diagnosed),
         *(
             Part(words(log["name"]).capitalize(), _log_blocks(page, log, pictures))
             for log in table["logs"]
@@ -102,12 +98,18 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
         blocks.append(Bullets(left, "warn"))
     if unjudged := silence(table):
         blocks.append(Text(unjudged, "note"))
-    rows = [{"log": log, "result": _result(log)} for log in table["logs"]]
-    blocks.append(page.table("logs", rows))
-    beside = [(log, item) for log in table["logs"] for item in log.get("channels", [])]
-    beside = [row for row in beside if row[1].get("baseline_percent") is not None]
-    if beside:
-        blocks.append(page.table("black_box", beside, box=table["black_box"]))
+    results = {log["name"]: "shown only" for log in table["logs"]}
+    results |= {n["name"]: "passed" if n.get("passed") else "not passed" for n in held_out(table)}
+    results |= {log["name"]: "failed" for log in table["logs"] if log.get("failure")}
+    chips = {
+        name: Cell(result, "bad" if result == "not passed" else look_of(result))
+        for name, result in results.items()
+    }
+    blocks.append(page.table("logs", table["logs"], results=chips))
+    channels = [(log, item) for log in table["logs"] for item in log.get("channels", [])]
+    channels = [row for row in channels if row[1].get("baseline_percent") is not None]
+    if channels:
+        blocks.append(page.table("black_box", channels, box=table["black_box"]))
     checks = [(log, check) for log in table["logs"] for check in log.get("checks", [])]
     if checks:
         title = page.text("checks", checks=checks)
@@ -115,17 +117,7 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
     return blocks
 
 
-def _result(log: Table) -> Cell:
-    """How a log came out, as a chip."""
-    result = "shown only"
-    if log.get("failure"):
-        result = "failed"
-    elif log["status"] == "held_out":
-        result = "passed" if log.get("passed") else "not passed"
-    return Cell(result, "bad" if result == "not passed" else look_of(result))
-
-
-def others_part(page: Template, table: Table) -> list[Part]:
+def others_rows(table: Table) -> list[dict[str, Any]]:
     """What others reached on the same recordings, with this model's figures among theirs, the
     nearest to the recording first.
     """
@@ -147,21 +139,7 @@ def others_part(page: Template, table: Table) -> list[Part]:
             {"value": value, "name": name, "source": source, "channel": channel, "fit": fit}
             for value, name, source in sorted(results, reverse=fit)
         ]
-    return [Part("Compared with what others reached", [page.table("others", rows)])] * bool(rows)
-
-
-def _structure(page: Template, table: Table) -> list[Part]:
-    """What the residuals say of the model: the likeliest faults, and what each channel follows."""
-    diagnosis = table.get("structure")
-    if diagnosis is None or not (diagnosis["findings"] or diagnosis["follows"]):
-        return []
-    blocks: list[Block] = [Text(page.text("no_faults"))]
-    if faults := diagnosis["findings"]:
-        blocks = [Text(page.text("faults")), page.table("fault_table", faults)]
-    if follows := diagnosis["follows"]:
-        title = page.text("follows_title", follows=follows)
-        blocks.append(Fold(title, [page.table("follows", follows)]))
-    return [Part("What the residuals follow", blocks)]
+    return rows
 
 
 def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
@@ -175,7 +153,7 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
     if channels := log.get("channels", []):
         blocks.append(page.table("channels", channels))
     if sensors := log.get("sensors", {}):
-        blocks.append(Text(page.text("sensors", sensors=_sensors(sensors)), "note"))
+        blocks.append(Text(page.text("sensors", sensors=sensors), "note"))
     if rings := log.get("transients", []):
         blocks.append(ringing_table(page.rig, rings))
         if notes := [page.text("unjudged", ring=ring) for ring in rings if ring.get("note")]:
@@ -188,15 +166,6 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
     if log.get("warnings"):
         blocks.append(Bullets(log["warnings"], "note"))
     return blocks
-
-
-def _sensors(values: Table) -> list[tuple[str, str, str, float]]:
-    """(error, channel, row of the vocabulary, value) of what was estimated of a log's sensors."""
-    names = [(name.rpartition(".")[::2], value) for name, value in values.items()]
-    return [
-        (word, channel, {"offset": channel, "scale": "sensor_scale"}.get(word, word), value)
-        for (channel, word), value in names
-    ]
 
 
 def findings(run: Saved) -> Findings:
@@ -262,19 +231,18 @@ def silence(table: Table) -> str:
     parts = [page.text("silent_fit", word=word, fits=fit) for word, fit in fits.items()]
     limit = limits.get("outside_percent")
     for key in ("whiteness", "independence"):
-        tested = [shares for channel in channels if (shares := _outside(channel, key))]
-        beyond = sum(max(shares) > limit for shares in tested) if limit is not None else 0
+        shares = [
+            [item["outside_percent"] for item in channel.get("cross_correlation", [])]
+            if key == "independence"
+            else [item["outside_percent"] for item in [channel.get("autocorrelation")] if item]
+            for channel in channels
+        ]
+        tested = [item for item in shares if item]
+        beyond = sum(max(item) > limit for item in tested) if limit is not None else 0
         if beyond and not limits.get(key):
             fields = {"key": key, "limit": limit, "beyond": beyond, "tested": len(tested)}
             parts.append(page.text("silent_test", **fields))
     return page.text("silence", parts=parts)
-
-
-def _outside(item: Table, key: str) -> list[float]:
-    """Shares [%] of the lags at which a residual correlates beyond its band."""
-    if key == "whiteness":
-        return [item["autocorrelation"]["outside_percent"]] if item.get("autocorrelation") else []
-    return [other["outside_percent"] for other in item.get("cross_correlation", [])]
 
 
 REPORT = StageReport(

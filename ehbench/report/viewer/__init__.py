@@ -163,7 +163,7 @@ def _map(item: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) 
 
     def seen(name: str, values: np.ndarray) -> np.ndarray:
         if rig is not None:
-            return np.asarray(shown(rig, name, values), float)
+            return shown(rig, name, values)
         return np.asarray(from_si(values, row_of(name).display, row_of(name)), float)
 
     unit = pretty(unit_of(rig, "flow") if rig else row_of("flow").display)
