@@ -52,8 +52,8 @@ class Axis(NamedTuple):
     ``tip`` are the links of the mechanism without mass, but 1 kg at the end of the last link.
     ``cylinder`` is its row of `ehbench.parts.cylinder.CYLINDER`. ``spool`` [functions] is 1 for
     each working function whose two edges hang on one command, and for hold if there is such a
-    function. ``onset`` [V] of each of the cylinder's edges: where it begins to pass oil, 0 where its valve
-    has other edges as well."""
+    function. ``onset`` [V] of each of the cylinder's edges: where it begins to pass oil, 0
+    where its valve has other edges as well."""
 
     circuit: Circuit
     mechanism: Mechanism

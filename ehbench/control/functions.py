@@ -123,16 +123,16 @@ class Circuit(NamedTuple):
     """One cylinder's metering edges as controllers take them: plain numbers and arrays, made by
     `circuit`.
 
-    ``edges, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of
-    every valve's command; ``first, count`` where this cylinder's edges stand in ``edges``.
-    ``paths`` [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1
-    where the edge points along the path, else −1. ``able`` [functions] is 1 for each working
-    function that the circuit can do. ``domain``, ``domain_at`` [edges, 2]: the validity domain of
-    each map, see `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of each edge's
-    hysteresis as its map has it, 0 where that is not known. ``supply`` [1] is the plant's line,
-    which says at what pressure an edge finds the supply, see `supply_pressure`. ``trim``, shape
-    (count, 2): gain [1] and shift of the deadband [V] by which each edge differs from its law; a
-    controller that learns writes it (`ehbench.control.map_learning`)."""
+    ``edges, maps`` are the plant's (all cylinders'); ``lowest, highest`` [V] the range of every
+    valve's command; ``first, count`` where this cylinder's edges stand in ``edges``. ``paths``
+    [6] is the edge that serves each path, −1 for none, ``along`` [6] its direction: +1 where
+    the edge points along the path, else −1. ``able`` [functions] is 1 for each working function
+    that the circuit can do. ``domain``, ``domain_at`` [edges, 2]: the validity domain of each
+    map, see `ehbench.control.valve_level.inside`. ``play`` [V], shape (count,): the width of
+    each edge's hysteresis as its map has it, 0 where that is not known. ``supply`` [1] is the
+    plant's line, which says at what pressure an edge finds the supply, see `supply_pressure`.
+    ``trim``, shape (count, 2): gain [1] and shift of the deadband [V] by which each edge
+    differs from its law; a controller that learns writes it (`ehbench.control.map_learning`)."""
 
     cylinder: int
     area_head: float

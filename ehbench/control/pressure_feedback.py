@@ -160,11 +160,7 @@ def feed_back(function, v_d, p, circuit, gains, memory):
     flow_head, flow_rod, back = circuit.area_head * v_d, circuit.area_rod * v_d, 0.0
     if METERED[function] == HEAD:
         back = gain * memory.ends[0].ramp_washed
-        low = (
-            p.head + gains.rules.cross_drop
-            if RAISED[function]
-            else p.tank + gains.low_pressure
-        )
+        low = p.head + gains.rules.cross_drop if RAISED[function] else p.tank + gains.low_pressure
         flow_head -= back
         flow_rod += off * (p.rod - low)
     elif METERED[function] == ROD:
