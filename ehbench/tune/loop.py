@@ -47,8 +47,8 @@ class Loop:
 
     ``b`` is the feedback flow's way in, ``c`` what is fed back [Pa], so the root locus is that of
     ``1 + K_p L``, L = −c (s − a)⁻¹ b. ``off`` is the part of a that the off-side's pressure control
-    makes, of rank one. Poles beyond ``fastest`` [rad/s] are those of the delay's Padé form. States
-    are scaled; ``v`` stays in m/s."""
+    makes, of rank one. Poles beyond ``fastest`` [rad/s] are those of the delay's Padé form, whose
+    states are ``late``. States are scaled; ``v`` stays in m/s."""
 
     a: np.ndarray
     b: np.ndarray
@@ -57,6 +57,8 @@ class Loop:
     e: np.ndarray
     off: np.ndarray
     fastest: float
+    delay: float
+    late: slice
 
     def closed(self, gain: float | np.ndarray) -> np.ndarray:
         """State matrix at a gain [m³/(s·Pa)], or a stack of them."""
@@ -122,6 +124,8 @@ def close(linear: LinearModel, point: OperatingPoint, circuit: Circuit, law: Law
         e / scale,
         put @ off * ratio,
         fastest,
+        law.delay,
+        slice(size, size + fixed),
     )
 
 
@@ -224,10 +228,11 @@ def speed_of(loop: Loop, gain: float):
 
 def _open_loops(loop: Loop, gain: float) -> list[OpenLoop]:
     """The loop of the feedback, and of the off-side pressure control if there is one."""
-    loops = [OpenLoop(loop.a, gain * loop.b, -loop.c)] if gain > 0 else []
+    late = loop.delay, loop.late
+    loops = [OpenLoop(loop.a, gain * loop.b, -loop.c, *late)] if gain > 0 else []
     u, s, v = np.linalg.svd(loop.off)
     if s[0] > 0:
-        loops.append(OpenLoop(loop.closed(gain) - loop.off, s[0] * u[:, 0], -v[0]))
+        loops.append(OpenLoop(loop.closed(gain) - loop.off, s[0] * u[:, 0], -v[0], *late))
     return loops
 
 

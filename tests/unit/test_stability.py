@@ -1,5 +1,5 @@
-"""Margins against closed forms, and against the poles of loops made faster and turned until one
-crosses the axis.
+"""Margins against closed forms, against the poles of loops made faster and turned until one
+crosses the axis, and against dense sweeps of the response with its exact delay.
 """
 
 from __future__ import annotations
@@ -62,6 +62,87 @@ def test_margins_of_three_lags_by_hand(gain):
     assert phase_margin(loop) == pytest.approx(phase, abs=1e-4)
 
 
+def delayed(plant: OpenLoop, delay: float) -> OpenLoop:
+    """A loop with a delay of its input, in the Padé form of the second order."""
+    size, root, twice = len(plant.a), math.sqrt(12.0) / delay, 12.0 / delay
+    a = np.zeros((size + 2, size + 2))
+    a[:size, :size], a[:size, -1] = plant.a, -twice / root * plant.b
+    a[-2:, -2:] = [[0.0, root], [-root, -0.5 * twice]]
+    return OpenLoop(
+        a, np.append(plant.b, [0.0, root]), np.append(plant.c, [0.0, 0.0]), delay, slice(size, None)
+    )
+
+
+@pytest.mark.parametrize("late", [0.01, 0.3, 0.9, 1.5])
+def test_margins_of_a_late_integrator_by_hand(late):
+    """``e^(−sT)/s`` with T in s: gain margin π/(2T), phase margin π/2 − T."""
+    loop = delayed(chain(1.0, 0.0), late)
+    assert gain_margin(loop) == pytest.approx(0.5 * math.pi / late, rel=1e-6)
+    assert phase_margin(loop) == pytest.approx(0.5 * math.pi - late, abs=1e-6)
+
+
+def late_loops(count: int) -> Iterator[tuple[OpenLoop, np.ndarray, np.ndarray]]:
+    """Stable loops with a delay of their input, each with its poles and residues; poles are real
+    and in pairs, some almost cancelled.
+    """
+    rng = np.random.default_rng(7)
+    while count > 0:
+        real = -(10.0 ** rng.uniform(0.0, 3.0, rng.integers(1, 4)))
+        size, zeta = 10.0 ** rng.uniform(0.5, 3.0, 2), rng.uniform(0.02, 0.9, 2)
+        pair = size * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
+        weights = rng.choice([1e-6, 1.0], 2) * rng.uniform(0.3, 3.0, 2)
+        poles = np.concatenate([real, pair, pair.conj()])
+        residues = np.concatenate(
+            [-real * rng.uniform(-0.3, 1.0, real.size), *2 * [-0.5j * weights * size]]
+        )
+        residues[-2:] = residues[-4:-2].conj()
+        a = np.zeros((poles.size, poles.size))
+        a[range(real.size), range(real.size)] = real
+        b, c = np.ones(poles.size), np.zeros(poles.size)
+        c[: real.size] = residues[: real.size].real
+        for k, at in enumerate(range(real.size, poles.size, 2)):
+            root, share = pair[k], residues[real.size + k]
+            a[at : at + 2, at : at + 2] = [[root.real, root.imag], [-root.imag, root.real]]
+            # (s − a)⁻¹ [1, 1] of a block, by its partial fractions
+            c[at] = share.real - share.imag
+            c[at + 1] = share.real + share.imag
+        loop = delayed(OpenLoop(a, b, c), 10.0 ** rng.uniform(-3.0, -1.0))
+        if loop.growth() <= 0.0:
+            count -= 1
+            yield loop, poles, residues
+
+
+def swept(reply: np.ndarray) -> tuple[float, float]:
+    """(gain, phase) margins from a dense response: least −1/re where im turns, least angle where
+    the size passes 1.
+    """
+    ends = []
+    for level in (reply.imag, np.abs(reply) - 1.0):
+        at = np.flatnonzero((level[1:] > 0.0) != (level[:-1] > 0.0))
+        part = level[at] / (level[at] - level[at + 1])
+        ends.append(reply[at] + part * (reply[at + 1] - reply[at]))
+    real = np.append(ends[0].real, reply[0].real)  # at standstill it is real
+    real = real[(real < 0.0) & (real > -1.0)]
+    return (
+        float((-1.0 / real).min(initial=math.inf)),
+        float(np.abs(np.angle(-ends[1])).min(initial=math.inf)),
+    )
+
+
+def test_margins_of_late_loops_are_those_of_a_dense_sweep():
+    off = []
+    for loop, poles, residues in late_loops(60):
+        omega = np.geomspace(1e-2, 3e4, 400_001)
+        reply = np.exp(-1j * omega * loop.delay) * sum(
+            share / (1j * omega - pole) for pole, share in zip(poles, residues, strict=True)
+        )
+        by_hand = swept(reply)
+        result = gain_margin(loop), phase_margin(loop)
+        if not np.allclose(result, by_hand, rtol=2e-3, atol=2e-3):
+            off.append((result, by_hand))
+    assert not off
+
+
 @pytest.mark.parametrize("gain, margin", [(-0.5, 4.0), (-1.9, 2.0 / 1.9), (0.5, math.inf)])
 def test_a_loop_may_leave_at_standstill_or_never(gain, margin):
     loop = chain(gain, 1.0, 2.0)
@@ -69,7 +150,7 @@ def test_a_loop_may_leave_at_standstill_or_never(gain, margin):
     assert phase_margin(chain(0.5, 1.0)) == math.inf
 
 
-def rig_loops(count: int) -> Iterator[OpenLoop]:
+def rig_loops(count: int, delays: tuple[float, ...] = (0.0, 1e-3)) -> Iterator[OpenLoop]:
     """Stable loops of two rigs at random operating points, laws and gains, most without control of
     the off-side.
     """
@@ -93,7 +174,7 @@ def rig_loops(count: int) -> Iterator[OpenLoop]:
         law = Law(
             rng.choice([0.0, 2.0, 20.0]),
             rng.choice([0.0, 0.0, 1e-11]),
-            rng.choice([1e-3, 20e-3]),
+            rng.choice(delays),
             rng.choice([0.0, 5.0]),
             rng.choice(["metered", "load"]),
         )
@@ -117,3 +198,19 @@ def test_margins_of_rigs_are_where_their_poles_cross():
         if not (np.isclose(gain, factor, rtol=0.01) and np.isclose(phase, angle, atol=0.005)):
             off.append((gain, factor, phase, angle))
     assert not off
+
+
+def test_the_response_of_a_rig_has_its_delay_exactly():
+    """Against the matrices without Padé's states: what a pressure does late turns with e^(−jωT)."""
+    for loop in rig_loops(6, (20e-3,)):
+        size, ends = loop.late.start, range(loop.late.start + 1, loop.late.stop, 2)
+        rest = [i for i in range(len(loop.a)) if not loop.late.start <= i < loop.late.stop]
+        for omega in (3.0, 100.0, 157.1, 900.0):
+            a, c, turn = loop.a.astype(complex), loop.c.astype(complex), np.exp(-1j * omega * 20e-3)
+            for end in ends:
+                source = int(np.abs(loop.a[end, :size]).argmax())
+                for of, late in ((a, loop.a[:, end]), (c, loop.c[end])):
+                    of[..., source] += (turn - 1.0) * late / -math.sqrt(12.0)
+            inverse = np.linalg.inv(1j * omega * np.eye(len(rest)) - a[np.ix_(rest, rest)])
+            by_hand = c[rest] @ inverse @ loop.b[rest]
+            assert loop.response(np.array([omega]))[0] == pytest.approx(by_hand, rel=1e-6)
