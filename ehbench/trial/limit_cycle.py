@@ -22,7 +22,7 @@ class LimitCycleSettings:
     periods: float = setting(0.35, "", "difference of a period from the median", "chosen")
     lasting: float = setting(0.75, "", "amplitude of the second half over the first", "chosen")
     smallest: float = setting(5.0e-4, "", "smallest swing, of the stroke", "chosen")
-    sizes: tuple = setting((1.0, 3.0, 10.0), "", "turns to look at, of that", "nested swings")
+    windows: tuple = setting((0.2, 0.6, 2.0), "s", "what is slower is taken off", "5, 2, 0.5 Hz")
     counts: float = setting(4.0, "", "smallest swing, in counts of the sensor", "quantisation")
     coarse: float = setting(0.02, "", "largest limit by counts, of the stroke", "coarse sensors")
     reference: float = setting(0.5, "", "share of the swing in the reference", "chosen")
@@ -56,9 +56,9 @@ def limit_cycle(
 ) -> LimitCycle | None:
     """The largest lasting swing of a stroke about the desired one, None where there is none.
 
-    Turning points of the error that lie further apart than a sensor's counts make half swings;
-    ``cycles`` periods of like length and height in a row are a limit cycle, unless the reference
-    itself swings like that.
+    Turning points of the error, without what is slow in it, that lie further apart than a sensor's
+    counts make half swings; ``cycles`` periods of like length and height in a row are a limit
+    cycle, unless the reference itself swings like that.
 
     Args:
         t: [s], evenly spaced, shape (samples,).
@@ -68,6 +68,8 @@ def limit_cycle(
             rings.
         stroke: of the cylinder [m].
     """
+    from scipy.ndimage import uniform_filter1d  # a tenth of a second to import
+
     steps = np.abs(np.diff(x))
     count = float(steps[steps > 0.0].min(initial=np.inf)) if (steps > 0.0).any() else 0.0
     minimum = max(
@@ -76,10 +78,13 @@ def limit_cycle(
     )
     error = x - x_desired
     best: LimitCycle | None = None
-    for size in LIMIT_CYCLE.sizes:  # small turns within a large swing are none of its own
-        rows = np.empty(error.size, np.int64)
-        rows = rows[: _zigzag(np.ascontiguousarray(error, float), 2.0 * (size * minimum), rows)]
-        for result, span in _lasting(t, _Swings(rows, error[rows])):
+    for window in LIMIT_CYCLE.windows:  # a swing on a slow error turns only without it
+        width, slow = max(1, round(0.5 * window / float(t[1] - t[0]))), error
+        for _ in range(2):
+            slow = uniform_filter1d(slow, width, mode="nearest")
+        fast, rows = error - slow, np.empty(error.size, np.int64)
+        rows = rows[: _zigzag(fast, 2.0 * minimum, rows)]
+        for result, span in _lasting(t, _Swings(rows, fast[rows])):
             larger = best is None or result.amplitude > best.amplitude
             acts = np.ptp(commands[span], axis=0).any()
             if larger and acts and not _follows_reference(t[span], x_desired[span], result):
@@ -154,8 +159,8 @@ def _follows_reference(t: np.ndarray, x_desired: np.ndarray, result: LimitCycle)
     turns = int(np.count_nonzero(np.diff(ways)))
     if turns >= 3 and LIMIT_CYCLE.harmonics * turns >= 2.0 * result.duration / result.period:
         return True
+    # the ends of a ramp have energy at every frequency, but not through Hann's window
     line = np.polynomial.Polynomial.fit(t, x_desired, 1)
-    turn = np.exp(-2j * np.pi * (t - t[0]) / result.period)
-    return (
-        2.0 * abs(complex(np.mean((x_desired - line(t)) * turn)))
-    ) >= LIMIT_CYCLE.reference * result.amplitude
+    turn = np.hanning(t.size) * np.exp(-2j * np.pi * (t - t[0]) / result.period)
+    amplitude = 4.0 * abs(complex(np.mean((x_desired - line(t)) * turn)))
+    return amplitude >= LIMIT_CYCLE.reference * result.amplitude

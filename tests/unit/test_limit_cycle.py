@@ -35,6 +35,36 @@ def test_a_lasting_swing_is_told_with_its_size_and_period():
     assert found.duration == pytest.approx(2.0, abs=0.2)
 
 
+def s_curve(speed: float, acceleration: float, jerk: float) -> np.ndarray:
+    """A stroke of 150 mm out and back, as a motion with limited jerk goes."""
+    push = np.zeros(T.size)
+    for begin, way in ((1.0, 1.0), (4.5, -1.0)):
+        rise = np.clip(jerk * np.minimum(T - begin, begin + speed / acceleration - T), 0.0, None)
+        up = np.minimum(rise, acceleration)
+        late = int(round(1000.0 * 0.15 / speed))
+        push += way * (up - np.roll(up, late))
+    x = np.cumsum(np.cumsum(push)) * 1e-6
+    return 0.05 + 0.15 * x / np.abs(x).max()
+
+
+@pytest.mark.parametrize("speed, acceleration, jerk", [(0.18, 1.0, 20.0), (0.06, 0.3, 6.0)])
+@pytest.mark.parametrize("frequency", [9.5, 11.0, 13.0])
+def test_a_swing_during_a_ramp_is_no_part_of_the_ramp(speed, acceleration, jerk, frequency):
+    """A ramp has energy at every frequency: its edges excused swings of fast motions."""
+    desired = s_curve(speed, acceleration, jerk)
+    lag = np.gradient(desired, T) * 2.0e-3  # what a sound controller leaves
+    acts = np.sin(2.0 * np.pi * frequency * T)[:, None]
+    noise = 2.0e-5 * np.random.default_rng(3).standard_normal(T.size)
+    assert limit_cycle(T, desired - lag + noise, desired, acts, STROKE) is None
+    moves = np.abs(np.gradient(desired, T)) > 0.01 * speed
+    moves |= np.roll(moves, 200)  # it goes on a little after each edge
+    swing = np.where(moves, 5.0e-4 * np.sin(2.0 * np.pi * frequency * T), 0.0)
+    found = limit_cycle(T, desired - lag + noise + swing, desired, acts, STROKE)
+    assert found is not None
+    assert found.amplitude == pytest.approx(5.0e-4, rel=0.3)
+    assert found.period == pytest.approx(1.0 / frequency, rel=0.1)
+
+
 @pytest.mark.parametrize("damping", [0.05, 0.1, 0.3])
 def test_ringing_that_dies_out_is_none(damping):
     assert limit_cycle(T, RAMP + error_of(damping), RAMP, ACTING, STROKE) is None
