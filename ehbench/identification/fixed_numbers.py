@@ -8,6 +8,7 @@ import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
+from ehbench.vocabulary.messages import message
 
 WORD = "bulk_modulus"
 MORE = 0.1  # share by which volumes and inertia are thought larger
@@ -29,51 +30,39 @@ def counts_on(
         replays: simulated logs by cylinder that moves in them.
     """
     results = []
-    for name in fitted:
-        if name.rpartition(".")[2] != WORD:
-            continue
-        own = [
+    for name in (n for n in fitted if n.rpartition(".")[2] == WORD):
+        owners = [
             c
             for c in rig.cylinder
             if c.name in replays
             and (WORD if c.bulk_modulus is None else f"{c.name}.{WORD}") == name
         ]
-        fixed = [
-            volume
-            for c in own
-            for volume in (f"{c.name}.volume_head", f"{c.name}.volume_rod")
-            if volume not in fitted
-        ]
-        on, more = [], []
+        volumes = [f"{c.name}.{key}" for c in owners for key in ("volume_head", "volume_rod")]
+        fixed = [volume for volume in volumes if volume not in fitted]
+        inertia = any(c.linkage is not None or f"{c.joint}.mass" not in fitted for c in owners)
+        fields = {"name": name, "volumes": " and ".join(fixed), "more": 100.0 * MORE}
         if fixed:
-            on.append(f"{' and '.join(fixed)} of the rig file")
-            share = 100.0 * MORE * _share(own, replays, fixed)
-            more.append(f"with {100.0 * MORE:g} % more oil there it would come out {share:.2g} %")
-        if any(c.linkage is not None or f"{c.joint}.mass" not in fitted for c in own):
-            on.append("the inertia that moves")
-            more.append(f"with {100.0 * MORE:g} % more inertia up to {100.0 * MORE:g} %")
-        if on:
-            results.append(
-                f"{name} counts on {' and on '.join(on)}: {', '.join(more)} higher, which its "
-                "interval does not hold"
-            )
+            fields["share"] = 100.0 * MORE * _share(owners, replays, fixed)
+            key = "identification.counts_on_both" if inertia else "identification.counts_on_volumes"
+            results.append(message(key, **fields))
+        elif inertia:
+            results.append(message("identification.counts_on_inertia", **fields))
     return tuple(results)
 
 
 def _share(
-    cylinders: Sequence[Cylinder], replays: Mapping[str, Sequence[Record]], held: Sequence[str]
+    cylinders: Sequence[Cylinder], replays: Mapping[str, Sequence[Record]], fixed: Sequence[str]
 ) -> float:
-    """By how much the bulk modulus grows with the volumes that are held, as a share of a share."""
+    """By how much the bulk modulus grows with fixed volumes, as a share of a share."""
     stiff, moved = 0.0, 0.0
     for cylinder in cylinders:
-        head, rod = cylinder.areas()
-        x = float(
-            np.mean([np.mean(replay[f"{cylinder.name}.x"]) for replay in replays[cylinder.name]])
-        )
-        for key, area, sign in (("volume_head", head, 1.0), ("volume_rod", rod, -1.0)):
-            own = float(getattr(cylinder, key))
-            volume = max(own + sign * area * x, 1e-9)
+        strokes = [replay[f"{cylinder.name}.x"] for replay in replays[cylinder.name]]
+        x = float(np.mean([np.mean(stroke) for stroke in strokes]))
+        ends = zip(("volume_head", "volume_rod"), cylinder.areas(), (1.0, -1.0), strict=True)
+        for key, area, sign in ends:
+            dead = float(getattr(cylinder, key))
+            volume = max(dead + sign * area * x, 1e-9)
             stiff += area**2 / volume
-            if f"{cylinder.name}.{key}" in held:
-                moved += area**2 / volume * own / volume
+            if f"{cylinder.name}.{key}" in fixed:
+                moved += area**2 / volume * dead / volume
     return moved / stiff

@@ -8,22 +8,28 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import SETTINGS as RESPONSE
-from ehbench.frequency_response.response import (
-    Averaging,
-    Curve,
-    Response,
-    Signals,
-    estimate,
-)
+from ehbench.frequency_response.response import Averaging, Curve, Response, estimate
 from ehbench.identification.band import Band, band_signals
 from ehbench.identification.simulator import Log, columns_of
 from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import like_channel
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
 
-SURE = 0.01  # share of its size that no number of a response is better known than
-LATE = 0.25  # of a sample, and …
-SURELY = 4.0  # … so many standard errors, by which a phase must lag to be said
+
+@dataclass(frozen=True)
+class ResponseFitSettings:
+    """Numbers of fits to frequency responses."""
+
+    known: float = setting(
+        0.01, "", "smallest error of a response, of its size", "no sensor is better"
+    )
+    late: float = setting(0.25, "", "part of a sample by which a phase must lag", "chosen")
+    surely: float = setting(4.0, "", "standard errors by which it must", "one in 16 000 by chance")
+
+
+SETTINGS = ResponseFitSettings()
 
 
 def on_response(log: Log, command: str, choice: Averaging) -> Log:
@@ -33,37 +39,29 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
         InputError: the log has no such command, or a chamber of its cylinder cavitates.
         InsufficientData: no channel answers coherently, at four frequencies at least.
     """
+    fields = {"log": log.name, "command": command, "channels": ", ".join(log.channels)}
     if command not in log.record:
-        raise InputError(
-            f"{log.name}: [response] names '{command}', which the log does not have",
-            hint=like_channel(command, list(log.record.channels)),
-        )
-    cylinder = command.partition(".")[0]
-    own = [i for i, name in enumerate(log.channels) if name.startswith(f"{cylinder}.")]
+        text = message("identification.no_command", **fields)
+        raise InputError(text, hint=like_channel(command, list(log.record.channels)))
+    fields["cylinder"] = command.partition(".")[0]
+    own = [i for i, name in enumerate(log.channels) if name.startswith(f"{fields['cylinder']}.")]
     if not own or not command.endswith(".command"):
-        raise InputError(
-            f"{log.name}: {', '.join(log.channels)}: none of them answers '{command}'",
-            hint="[response] input is a valve's command, channels are of its cylinder",
-        )
+        raise InputError(message("identification.no_answer", **fields))
     names = tuple(log.channels[i] for i in own)
     if not log.counts[:, own].all():
-        raise InputError(
-            f"{log.name}: a chamber of {cylinder} cavitates, which the model only has as a floor "
-            "of pressure; a response is of all samples",
-            hint="take a part of the log in which it does not (start, stop)",
-        )
+        raise InputError(message("identification.response_cavitates", **fields))
     log = replace(log, channels=names, recorded=log.recorded[:, own])
-    results = [
-        _estimated(band_signals(log.record, command, y, choice), f"{log.name}: {channel}")
-        for channel, y in zip(log.channels, log.recorded.T, strict=True)
-    ]
+    results = []
+    for channel, y in zip(log.channels, log.recorded.T, strict=True):
+        try:
+            results.append(estimate(band_signals(log.record, command, y, choice)))
+        except InsufficientData as error:
+            text = f"{log.name}: {channel}: {error.message}"
+            raise InsufficientData(text, hint=error.hint) from None
     coherent = np.column_stack([item.coherent for item in results])
     at = np.flatnonzero(coherent.any(axis=1))
     if at.size < RESPONSE.line:
-        raise InsufficientData(
-            f"{log.name}: only {at.size} frequencies answer {command} coherently",
-            hint="a log in which it sweeps, or a smaller coherence_min",
-        )
+        raise InsufficientData(message("identification.few_coherent", count=at.size, **fields))
     errors = np.column_stack([_error(item) for item in results])[at]
     errors = np.where(coherent[at], errors, np.inf)
     band = Band(command, choice, at, results[0].frequency[at], errors)
@@ -89,10 +87,7 @@ def followed(log: Log, replayed: Record) -> tuple[ResponseFit, ...]:
     command, choice, highest = log.band.command, log.band.choice, float(log.band.frequency[-1])
     sides = (
         (columns_of(log, log.record), choice),
-        (
-            columns_of(log, replayed),
-            choice._replace(coherence=0.0),
-        ),
+        (columns_of(log, replayed), choice._replace(coherence=0.0)),
     )
     results = []
     for k, channel in enumerate(log.channels):
@@ -116,25 +111,15 @@ def late_responses(log: Log, simulated: np.ndarray) -> list[str]:
     results = []
     for channel, built, seen in zip(log.channels, simulated.T, log.recorded.T, strict=True):
         late, error = log.band.behind(built, seen)
-        if abs(late) > max(LATE * log.record.sample_time, SURELY * error):
-            word = "behind" if late > 0 else "ahead of"
-            results.append(
-                f"{log.name}: {channel} answers {log.band.command} {1e3 * abs(late):.2g} ± "
-                f"{1e3 * Z95 * error:.1g} ms {word} the model, by the slope of its phase: a delay "
-                f'that is not modelled? [[sensor]] channel = "{log.band.command}", delay = '
-                '"estimate"'
-            )
+        if abs(late) > max(SETTINGS.late * log.record.sample_time, SETTINGS.surely * error):
+            fields = {"log": log.name, "channel": channel, "command": log.band.command}
+            fields |= {"word": "behind" if late > 0 else "ahead of"}
+            fields |= {"delay": 1e3 * abs(late), "half": 1e3 * Z95 * error}
+            results.append(message("identification.late_response", **fields))
     return results
-
-
-def _estimated(signals: Signals, where: str) -> Response:
-    try:
-        return estimate(signals)
-    except InsufficientData as error:
-        raise InsufficientData(f"{where}: {error.message}", hint=error.hint) from None
 
 
 def _error(item: Response) -> np.ndarray:
     """Standard errors [SI] of the real and of the imaginary part."""
     share = np.nan_to_num((item.gain_high / item.gain - 1.0) / Z95, nan=np.inf)
-    return item.gain * np.maximum(share, SURE)
+    return item.gain * np.maximum(share, SETTINGS.known)

@@ -13,12 +13,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.terms import Z95
 
-# a product is one of a group where it is known to this share of what its parameters are known to
-_MUCH_BETTER = 0.25
-# exponents are told in halves up to this, where the product stays that much better known
-_HALVES, _MOST_EXPONENT = 2.0, 3.0
+
+@dataclass(frozen=True)
+class GroupSettings:
+    """Numbers of products of parameters."""
+
+    better: float = setting(
+        0.25, "", "error of a product over that of its parameters up to which it is one", "clear"
+    )
+    halves: float = setting(2.0, "", "parts of one in which exponents are told", "physics has few")
+    largest: float = setting(3.0, "", "largest exponent told so", "cubes")
+
+
+SETTINGS = GroupSettings()
 
 
 @dataclass(frozen=True)
@@ -64,8 +75,13 @@ def groups_of(
         )
         power = _rounded(power, covariance)
         std = _std(power, covariance)
-        if np.count_nonzero(power) > 1 and std < _MUCH_BETTER * _least(power, covariance):
-            groups.append(_group(names, values, power, covariance))
+        if np.count_nonzero(power) > 1 and std < SETTINGS.better * _least(power, covariance):
+            powers = {name: float(p) for name, p in zip(names, power, strict=True) if p}
+            value = math.exp(sum(p * math.log(v) for p, v in zip(power, values, strict=True) if p))
+            reach = math.exp(min(Z95 * std, 50.0))
+            alone = {n: math.sqrt(covariance[k, k]) for k, n in enumerate(names) if n in powers}
+            ends = (value / reach, value * reach)
+            groups.append(Group(_text(powers), powers, value, ends, std, alone))
     return tuple(groups)
 
 
@@ -88,7 +104,7 @@ def _leaders(covariance: np.ndarray) -> list[int]:
     own = np.diag(covariance)
     while len(result) < len(own) - 1:
         rest = [i for i in range(len(own)) if i not in result and left[i, i] > 1e-9 * own[i]]
-        best, gain = -1, 1.0 / _MUCH_BETTER**2
+        best, gain = -1, 1.0 / SETTINGS.better**2
         for i in rest:
             after = np.diag(left) - left[:, i] ** 2 / left[i, i]
             others = [k for k in rest if k != i]
@@ -108,47 +124,30 @@ def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """Exponents in halves where the product stays much better known than its factors, else to two
     digits; whole ones where halves are left.
     """
-    halves = np.round(_HALVES * power) / _HALVES
-    plain = np.max(np.abs(halves)) <= _MOST_EXPONENT
-    if plain and _std(halves, covariance) < _MUCH_BETTER * _least(halves, covariance):
+    halves = np.round(SETTINGS.halves * power) / SETTINGS.halves
+    plain = np.max(np.abs(halves)) <= SETTINGS.largest
+    if plain and _std(halves, covariance) < SETTINGS.better * _least(halves, covariance):
         return halves if np.all(halves == np.round(halves)) else 2.0 * halves
     return np.where(np.abs(power) < 0.05, 0.0, np.round(power, 2))
 
 
-def _group(
-    names: Sequence[str], values: Sequence[float], power: np.ndarray, covariance: np.ndarray
-) -> Group:
-    powers = {name: float(p) for name, p in zip(names, power, strict=True) if p}
-    value = math.exp(sum(p * math.log(v) for p, v in zip(power, values, strict=True) if p))
-    std = _std(power, covariance)
-    reach = math.exp(min(Z95 * std, 50.0))
-    alone = {n: math.sqrt(covariance[i, i]) for i, n in enumerate(names) if n in powers}
-    return Group(_text(powers), powers, value, (value / reach, value * reach), std, alone)
-
-
 def _text(powers: dict[str, float]) -> str:
     """``mass/area_head^2``."""
-
-    def side(sign: float) -> str:
-        parts = []
-        for name, power in powers.items():
-            if power * sign > 0:
-                size = abs(power)
-                parts.append(name if size == 1.0 else f"{name}^{size:g}")
-        return "·".join(parts)
-
-    above, below = side(1.0), side(-1.0)
+    sides: dict[bool, list[str]] = {True: [], False: []}
+    for name, power in powers.items():
+        sides[power > 0].append(name if abs(power) == 1.0 else f"{name}^{abs(power):g}")
+    above, below = ("·".join(sides[side]) for side in (True, False))
     if not below:
         return above
     return f"{above or '1'}/{below if '·' not in below else f'({below})'}"
 
 
-def sentence(groups: Sequence[Group]) -> str:
+def sentence(groups: Sequence[Group]) -> Message:
     """What people read: the products, and that the logs do not know each."""
     known = " and ".join(f"{group.text} ({_percent(group.std)})" for group in groups)
     alone = {name: std for group in groups for name, std in group.alone.items()}
     each = ", ".join(f"{name} {_percent(std)}" for name, std in alone.items())
-    return f"the logs know {known}, and not each so well: {each}"
+    return message("identification.groups", known=known, each=each)
 
 
 def _percent(std: float) -> str:

@@ -28,7 +28,8 @@ from ehbench.identification.estimate import fit
 from ehbench.identification.frequency_domain import on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
-from ehbench.identification.means import Decimate, refuse_few
+from ehbench.identification.means import SETTINGS as MEANS
+from ehbench.identification.means import Decimate
 from ehbench.identification.problem import problem_of
 from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
@@ -42,6 +43,7 @@ from ehbench.preprocessing.observations import payload_of
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.signals.series import correlation_time
 from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY, meant
 from ehbench.vocabulary.terms import Z95
@@ -54,7 +56,6 @@ __all__ = [
     "Match",
     "PreparedFit",
     "Variant",
-    "compare_dynamics",
     "identify_hydraulics",
     "prepare_fit",
     "run_fit",
@@ -158,63 +159,34 @@ def prepare_fit(
         InsufficientData: a log in which nothing is commanded, or none in which a valve opens.
     """
     requested = options or FitOptions()
-    _refuse_together(records, requested, where)
-    _refuse_unknown(requested.channels, where)
+    decimate = _decimate(records, requested, where)
     _refuse_inert(rig, parameters, flow_maps, where)
-    search = coordinates(
-        rig, parameters, requested.start, requested.lower, requested.upper, where, requested.prior
-    )
+    bounds = (requested.start, requested.lower, requested.upper)
+    search = coordinates(rig, parameters, *bounds, where, requested.prior)
     records = [(name, known_taken_out(name, record, requested.sensors)) for name, record in records]
     terms = terms_of(requested.sensors, [record for _, record in records])
-    decimate = _decimate(records, requested, where)
+    _refuse_options(records, requested, search, terms, where)
     logs, closed = [], []
     for index, (name, record) in enumerate(records):
         try:
             rig.with_payload(payload_of(record))
         except InputError as error:
-            raise InputError(
-                f"{name}: {error.message}", **where("data", index), hint=error.hint
-            ) from None
+            text = f"{name}: {error.message}"
+            raise InputError(text, **where("data", index), hint=error.hint) from None
         model = Model.of(rig, flow_maps, payload_of(record))
         log = prepare(model, record, name, requested.channels, terms, decimate, requested.cutoff)
-        if (why := shut(model, log)) and not any(
-            parameter.endswith(".deadband") for parameter in parameters
-        ):
-            closed.append(f"{name}: {why}: no valve opens")
+        freed = any(parameter.endswith(".deadband") for parameter in parameters)
+        if not freed and (why := shut(model, log)):
+            closed.append(message("identification.all_shut", log=name, reason=why))
             log = replace(log, warnings=(*log.warnings, closed[-1]))
         logs.append(log if requested.response is None else on_response(log, *requested.response))
-        if requested.cutoff is not None and requested.cutoff * log.sample_time >= 0.5:
-            half = 0.5 / log.sample_time
-            raise InputError(
-                f"a cutoff of {requested.cutoff:g} Hz is not below half the rate of {name}, "
-                f"{half:.4g} Hz",
-                **where("cutoff"),
-            )
+        half = 0.5 / log.sample_time
+        if requested.cutoff is not None and requested.cutoff >= half:
+            fields = {"cutoff": requested.cutoff, "log": name, "half": half}
+            raise InputError(message("identification.high_cutoff", **fields), **where("cutoff"))
     if len(closed) == len(logs):
-        raise InsufficientData(
-            closed[0],
-            hint="use larger steps; where the log shows motion, the rig's dead band is too wide: "
-            "correct it, or add it to the parameters",
-        )
-    if requested.method == "thesis":
-        _refuse_for_matching(search, [log.record for log in logs], requested, terms, where)
+        raise InsufficientData(closed[0])
     return PreparedFit(rig, tuple(parameters), search, tuple(logs), requested, flow_maps)
-
-
-def _refuse_together(
-    records: Sequence[tuple[str, Record]], requested: FitOptions, where: Where
-) -> None:
-    """Refuse an unknown method, options that do not go together, and logs that no name tells."""
-    if requested.method not in ("output_error", "thesis"):
-        raise InputError(f"unknown method '{requested.method}'", hint="output_error or thesis")
-    if requested.response is not None and requested.cutoff is not None:
-        raise InputError(
-            "a frequency response is compared without a low-pass",
-            **where("cutoff"),
-            hint="frequency_max of [response] leaves out what lies above",
-        )
-    if not records or len({name for name, _ in records}) < len(records):
-        raise InputError("identification needs at least one log, each with a name of its own")
 
 
 def _decimate(
@@ -223,71 +195,62 @@ def _decimate(
     """How many samples of a log are compared as one mean; one where a method needs every sample.
 
     Raises:
-        InputError: a given number is none, or leaves a log too few, or the method needs them all.
+        InputError: a given number is none, or leaves a log too few, or the method needs them all;
+            an unknown method, logs that no name tells.
     """
-    whole = requested.method == "thesis" or requested.response is not None
-    given = requested.decimate
+    if requested.method not in ("output_error", "thesis"):
+        raise InputError(message("identification.unknown_method", name=requested.method))
+    if not records or len({name for name, _ in records}) < len(records):
+        raise InputError(message("identification.unnamed_logs"))
+    given, thesis = requested.decimate, requested.method == "thesis"
+    whole = thesis or requested.response is not None
     if given == "auto":
         return 1 if whole else given
+    place = where("decimate")
     if isinstance(given, bool) or not isinstance(given, int) or given < 1:
-        raise InputError(
-            f"decimate = {given!r} is no number of samples",
-            **where("decimate"),
-            hint='a whole number from 1 on, or "auto"',
-        )
+        raise InputError(message("identification.no_count", given=repr(given)), **place)
     if whole and given > 1:
-        what = "method 'thesis' looks for ringing" if requested.method == "thesis" else "[response]"
-        what += "" if requested.method == "thesis" else " looks at frequencies"
-        raise InputError(
-            f"{what} in every sample, so there are no means of {given} to compare",
-            **where("decimate"),
-            hint="leave decimate out",
-        )
+        key = "identification.thesis_means" if thesis else "identification.response_means"
+        raise InputError(message(key, count=given), **place)
     for name, record in records:
-        refuse_few(name, record, given, where)
+        count = record.t.size
+        if given > 1 and count < MEANS.fewest * given:
+            several = count // MEANS.fewest > 1
+            key = "identification.large_means" if several else "identification.short_log"
+            fields = {"log": name, "each": given, "samples": count, "means": count // given}
+            fields |= {"fewest": MEANS.fewest, "maximum": count // MEANS.fewest}
+            raise InputError(message(key, **fields), **place)
     return given
 
 
-def _refuse_for_matching(
-    search: Sequence[Coordinate],
-    records: Sequence[Record],
+def _refuse_options(
+    records: Sequence[tuple[str, Record]],
     requested: FitOptions,
+    search: Sequence[Coordinate],
     terms: Sequence[Term],
     where: Where,
 ) -> None:
-    """Refuse what the thesis's way cannot fit, and what it cannot know."""
-    refuse_unmatched(search)
-    if requested.prior:
-        raise InputError(
-            "method 'thesis' takes no priors", **where("prior"), hint="use 'output_error'"
-        )
-    if requested.response is not None:
-        raise InputError(
-            "method 'thesis' compares ringing after steps, no response to a sweep",
-            **where("response"),
-            hint="use 'output_error'",
-        )
-    if any(tied_words(record) for record in records):
-        raise InputError(
-            "method 'thesis' takes no tied motion, which rings as recorded whatever the parameters",
-            **where("tied"),
-            hint="use 'output_error'",
-        )
-    if any(term.std > 0.0 for term in terms):
-        raise InputError(
-            "method 'thesis' estimates no sensors",
-            **where("sensor"),
-            hint="give their values, or use 'output_error'",
-        )
-
-
-def _refuse_unknown(channels: Sequence[str], where: Where) -> None:
-    """Refuse channels to compare that no log of any rig has."""
-    for channel in channels:
+    """Refuse options that do not go together, what the thesis's way cannot fit or know, and
+    channels to compare that no log of any rig has.
+    """
+    thesis, response = requested.method == "thesis", requested.response is not None
+    if thesis:
+        refuse_unmatched(search)
+    tied = any(tied_words(record) for _, record in records)
+    wrong = {
+        "identification.response_low_pass": (response and requested.cutoff is not None, "cutoff"),
+        "identification.thesis_prior": (thesis and requested.prior, "prior"),
+        "identification.thesis_response": (thesis and response, "response"),
+        "identification.thesis_tied": (thesis and tied, "tied"),
+        "identification.thesis_sensor": (thesis and any(t.std > 0.0 for t in terms), "sensor"),
+    }
+    for key, (is_so, place) in wrong.items():
+        if is_so:
+            raise InputError(message(key), **where(place))
+    for channel in requested.channels:
         if (word := channel.rpartition(".")[2]) not in VOCABULARY:
-            raise InputError(
-                f"there is no quantity '{word}' to compare{meant(channel)}", **where("channels")
-            )
+            text = message("identification.no_quantity", word=word, near=meant(channel))
+            raise InputError(text, **where("channels"))
 
 
 def _refuse_inert(
@@ -298,22 +261,15 @@ def _refuse_inert(
     """
     for edge_name, edge in rig.all_edges().items():
         measured = map_of(flow_maps, edge_name) is not None
-        for name in (
-            parameter for parameter in parameters if parameter.rpartition(".")[0] == edge_name
-        ):
-            word = name.rpartition(".")[2]
-            if measured and word not in ("map_factor", "cracking_pressure"):
-                why, right = f"goes by its measured flow map, not by its {word}", "map_factor"
-            elif not measured and word == "map_factor":
+        for word in (n.rpartition(".")[2] for n in parameters if n.rpartition(".")[0] == edge_name):
+            key, right = "identification.edge_is_mapped", "map_factor"
+            if not measured:
                 needs = edge_law(edge.law).needs
-                why, right = "has no measured flow map", needs[0] if needs else "flow_gain"
-            else:
-                continue
-            raise InputError(
-                f"edge '{edge_name}' of rig '{rig.name}' {why}",
-                **where("parameters"),
-                hint=f"fit {edge_name}.{right}",
-            )
+                key, right = "identification.edge_is_unmapped", (*needs, "flow_gain")[0]
+            inert = word not in ("map_factor", "cracking_pressure")
+            if inert if measured else word == "map_factor":
+                fields = {"edge": edge_name, "rig": rig.name, "word": word, "right": right}
+                raise InputError(message(key, **fields), **where("parameters"))
 
 
 def run_fit(
@@ -325,22 +281,19 @@ def run_fit(
     Raises:
         InsufficientData: no log tells anything about any parameter, or the fit follows none.
     """
-    item, requested = prepared, prepared.options
-    simulator = simulator_of(item, item.logs)
-    tell = progress or (lambda sentence, share: None)
-    maximum = requested.max_iterations
+    requested, search = prepared.options, prepared.search
+    simulator, maximum = simulator_of(prepared, prepared.logs), requested.max_iterations
     if requested.method == "thesis":
-        return Matching(simulator, item.search, tell, maximum).fit()
-    problem = problem_of(simulator, item.search, tell, maximum, requested.cutoff, journal=journal)
-    return fit(problem)
+        return Matching(simulator, search, progress or (lambda text, share: None), maximum).fit()
+    return fit(problem_of(simulator, search, progress, maximum, requested.cutoff, journal))
 
 
 def simulator_of(prepared: PreparedFit, logs: Sequence[Log]) -> Simulator:
     """Logs simulated at the parameters of a fit and at what is shared of their sensors."""
-    item, requested = prepared, prepared.options
-    sensors = of_sensors(logs[0].start.terms)
-    names = [*item.parameters, *(c.name for c in sensors)]
-    return Simulator(item.rig, logs, names, item.flow_maps, requested.workers, requested.step)
+    sensors, requested = of_sensors(logs[0].start.terms), prepared.options
+    names = [*prepared.parameters, *(c.name for c in sensors)]
+    given = prepared.flow_maps, requested.workers, requested.step
+    return Simulator(prepared.rig, logs, names, *given)
 
 
 @dataclass(frozen=True)
@@ -364,31 +317,6 @@ class Variant:
         }
 
 
-def compare_dynamics(
-    rig: Rig,
-    records: Sequence[tuple[str, Record]],
-    parameters: Sequence[str],
-    variants: Sequence[str],
-    options: FitOptions | None = None,
-    flow_maps: Maps | None = None,
-    progress: Progress | None = None,
-    where: Where = lambda *location: {},
-) -> tuple[Variant, ...]:
-    """The same logs fitted with each named valve dynamics in place of any of the others, best
-    first.
-
-    Args:
-        variants: names in ``rig.dynamics``; every valve on one of them takes each in turn. The
-            other arguments are those of `identify_hydraulics`.
-
-    Raises:
-        InputError: a variant the rig does not have, or no valve on any of them.
-    """
-    rigs = with_each_dynamics(rig, variants)
-    given = (records, parameters, options, flow_maps, progress, where)
-    return ranked({name: identify_hydraulics(item, *given) for name, item in rigs.items()})
-
-
 def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
     """The rig with each named valve dynamics in place of any of the others, by name.
 
@@ -397,14 +325,13 @@ def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
     """
     for name in variants:
         if name not in rig.dynamics:
+            known = ", ".join(rig.dynamics) or "none"
             raise InputError(
-                f"rig '{rig.name}' has no dynamics '{name}'",
-                hint="it has " + (", ".join(rig.dynamics) or "none"),
+                message("identification.no_dynamics", rig=rig.name, name=name, known=known)
             )
     if not any(set(valve.series) & set(variants) for _, valve in rig.valves()):
-        raise InputError(
-            f"no valve of rig '{rig.name}' has one of the dynamics " + ", ".join(variants)
-        )
+        names = ", ".join(variants)
+        raise InputError(message("identification.unused_dynamics", rig=rig.name, names=names))
 
     def changed(cylinder: Cylinder, name: str) -> Cylinder:
         valves = (valve.with_dynamics(variants, name) for valve in cylinder.valve)

@@ -4,27 +4,44 @@ many as take next to nothing from what it tells."""
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ehbench.data.record import BlockAverages, Record
-from ehbench.identification.search import Where
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model
 from ehbench.plant.paced import CLOSE, pace_of
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
 
 Decimate = int | Literal["auto"]
-# A mean over T keeps sinc²(fT) of what white noise leaves known at a frequency f, so that of a
-# share fT of a period the interval is (π fT)²/6 wider: 0.4 % of a twentieth.
-SHARE = 0.05  # of the fastest period that a mean may last, …
-LONGEST = 1.0e-3  # … and [s]: from there on the simulations take the time, not the samples
-WORTH = 3  # means of fewer samples spare too little
-FEWEST = 200  # means that a log is left with
-SWINGS = 0.1  # of an eigenvalue's size that is imaginary where it is of an oscillation
-STEP = 1.0e-5  # of finite differences, in states' scales, or in units of states without one
+
+
+@dataclass(frozen=True)
+class MeansSettings:
+    """How many samples of a log are compared as one mean.
+
+    A mean over T keeps sinc²(fT) of what white noise leaves known at a frequency f, so that of a
+    share fT of a period the interval is (π fT)²/6 wider: 0.4 % of a twentieth."""
+
+    share: float = setting(0.05, "", "part of the fastest period that a mean may last", "0.4 %")
+    longest: float = setting(
+        1.0e-3, "s", "longest mean", "from there on simulations take the time, not the samples"
+    )
+    worth: int = setting(3, "", "smallest number of samples of a mean", "fewer spare too little")
+    fewest: int = setting(200, "", "smallest number of means that a log is left with", "chosen")
+    swings: float = setting(
+        0.1, "", "part of an eigenvalue's size that is imaginary in an oscillation", "chosen"
+    )
+    step: float = setting(
+        1.0e-5, "", "step of finite differences, in states' scales or units", "half the digits"
+    )
+
+
+SETTINGS = MeansSettings()
 
 
 def means_of(
@@ -40,33 +57,12 @@ def means_of(
     count, tick = record.t.size, record.sample_time
     if decimate != "auto":
         return BlockAverages.of(record, decimate) if decimate > 1 else None
-    if WORTH * tick > LONGEST or count < WORTH * FEWEST:
+    worth, share = SETTINGS.worth, SETTINGS.share
+    if worth * tick > SETTINGS.longest or count < worth * SETTINGS.fewest:
         return None
-    longest = SHARE / max(fastest(model, record), cutoff or 0.0, SHARE / LONGEST)
-    each = min(math.floor(longest / tick * (1.0 + 1e-6)), count // FEWEST)
-    return BlockAverages.of(record, each) if each >= WORTH else None
-
-
-def refuse_few(name: str, record: Record, each: int, where: Where) -> None:
-    """Refuse means of so many samples that a log is left with too few.
-
-    Raises:
-        InputError: says how many would do.
-    """
-    count = record.t.size
-    if each > 1 and count < FEWEST * each:
-        maximum = count // FEWEST
-        some = (
-            f"at most {maximum} samples a mean"
-            if maximum > 1
-            else "decimate = 1 compares each sample"
-        )
-        raise InputError(
-            f"{name}: means of {each} of its {count} samples are {count // each}, and a log is "
-            f"compared by {FEWEST} at least",
-            **where("decimate"),
-            hint=some,
-        )
+    longest = share / max(fastest(model, record), cutoff or 0.0, share / SETTINGS.longest)
+    each = min(math.floor(longest / tick * (1.0 + 1e-6)), count // SETTINGS.fewest)
+    return BlockAverages.of(record, each) if each >= worth else None
 
 
 def fastest(model: Model, record: Record) -> float:
@@ -79,42 +75,27 @@ def fastest(model: Model, record: Record) -> float:
     for valve in plant.valves:
         own = plant.elements.fastest[valve.first : valve.first + valve.count]
         rates += [float(np.min(own))] if own.size else []
-    for y in _states(model, record):
-        values = np.linalg.eigvals(_jacobian(model, y))
-        rates += np.abs(values[np.abs(values.imag) > SWINGS * np.abs(values)]).tolist()
-    return max(rates) / (2.0 * math.pi)
-
-
-def _states(model: Model, record: Record) -> list[np.ndarray]:
-    """States on the way in which each joint runs through its range in a second, so that dry
-    friction does not hold it: where cylinders are at the start, and all where they are furthest
-    out and in.
-    """
-    seen = [
-        {
+    command, rest = model.commands_of(record)[0] if model.layout.played else None, plant.at.rates
+    for end in (lambda y: y[0], np.min, np.max):
+        seen = {
             channel: float(end(y))
             for channel, y in record.channels.items()
             if channel.rpartition(".")[2] in ("q", "x")
         }
-        for end in (lambda y: y[0], np.min, np.max)
-    ]
-    command = model.commands_of(record)[0] if model.layout.played else None
-    results = []
-    for item in seen:
-        y = model.posed(item, command)
-        n = model.plant.at.rates
-        for index, row in enumerate(model.plant.cylinders):
+        y = model.posed(seen, command)
+        for index, row in enumerate(plant.cylinders):
+            # each joint runs through its range in a second, so that dry friction does not hold it
             low, high = sorted(model.stroke_range(index))
-            y[n + row.joint] = high - low
-        results.append(y)
-    return results
+            y[rest + row.joint] = high - low
+        values = np.linalg.eigvals(_jacobian(model, y))
+        rates += np.abs(values[np.abs(values.imag) > SETTINGS.swings * np.abs(values)]).tolist()
+    return max(rates) / (2.0 * math.pi)
 
 
 def _jacobian(model: Model, y: np.ndarray) -> np.ndarray:
     """∂ẏ/∂y at a state with valves at rest, by central differences, shape (states, states)."""
     plant: Plant = model.plant
-    weights = pace_of(plant, model.layout, LONGEST).weights * CLOSE
-    steps = STEP / np.where(weights > 0.0, weights, 1.0)
+    weights = pace_of(plant, model.layout, SETTINGS.longest).weights * CLOSE
     command, work = model.rest_commands(1)[0], np.empty(plant.at.work)
 
     def slope(at: np.ndarray) -> np.ndarray:
@@ -122,18 +103,13 @@ def _jacobian(model: Model, y: np.ndarray) -> np.ndarray:
         derivatives(at, command, plant, dy, work)
         return dy
 
-    columns = [
-        (slope(y + step * item) - slope(y - step * item)) / (2.0 * step)
-        for step, item in zip(steps, np.eye(y.size), strict=True)
-    ]
+    moves = np.diag(SETTINGS.step / np.where(weights > 0.0, weights, 1.0))
+    columns = [(slope(y + move) - slope(y - move)) / (2.0 * move.sum()) for move in moves]
     return np.column_stack(columns)
 
 
-def said(record: Record, means: BlockAverages) -> str:
+def compared_as(record: Record, means: BlockAverages) -> Message:
     """As what a recording is compared, in words."""
-    rates = (_rate(1.0 / tick) for tick in (means.each * record.sample_time, record.sample_time))
-    return f"as means of {means.each} samples, {' of '.join(rates)}"
-
-
-def _rate(rate: float) -> str:
-    return f"{rate / 1e3:.3g} kHz" if rate >= 999.5 else f"{rate:.3g} Hz"
+    rates = {"mean": 1.0 / (means.each * record.sample_time), "sample": 1.0 / record.sample_time}
+    fields = {k: f"{x / 1e3:.3g} kHz" if x >= 999.5 else f"{x:.3g} Hz" for k, x in rates.items()}
+    return message("identification.as_means", each=means.each, **fields)

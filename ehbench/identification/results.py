@@ -16,7 +16,7 @@ from ehbench.data.record import Record
 from ehbench.identification.fixed_numbers import counts_on
 from ehbench.identification.frequency_domain import ResponseFit, followed, late_responses
 from ehbench.identification.groups import Group
-from ehbench.identification.means import said
+from ehbench.identification.means import compared_as
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of, seen_as
 from ehbench.plant.ties import tied_words
@@ -25,15 +25,36 @@ from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import GAUGES, quantity
+from ehbench.vocabulary.settings import setting
 
-LITTLE = 0.1  # share of a channel's spread up to which what is left of it is not spoken of
-STRUCTURE = 3.0  # times a channel's noise from which what is left of it is more than noise
-FINE = 0.005  # share of a channel's spread that counts as noise, whatever the noise
 # channels by which each log goes in place of a parameter
-OPPOSITE = -0.5  # correlation below which a channel goes the other way than the model
 READ_OFF = {"supply.pressure": "p_supply", "supply.tank_pressure": "p_tank"}
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
+
+
+@dataclass(frozen=True)
+class ResultSettings:
+    """Numbers of the notes on a fit."""
+
+    little: float = setting(
+        0.1,
+        "",
+        "residual of a channel, of its spread, up to which nothing is said",
+        "fits of 90 %",
+    )
+    structure: float = setting(3.0, "", "residual over noise that is more than noise", "clear")
+    fine: float = setting(0.005, "", "smallest noise of a channel, of its spread", "best sensors")
+    opposite: float = setting(
+        -0.5, "", "correlation below which a channel goes the other way", "clear"
+    )
+    late: float = setting(0.25, "", "smallest delay that is told, in samples", "fits hide half")
+    latest: float = setting(5.0, "", "largest delay of first order, in samples", "chosen")
+    explains: float = setting(0.2, "", "part of the residual that a delay explains", "clear")
+
+
+SETTINGS = ResultSettings()
 
 
 @dataclass(frozen=True)
@@ -270,13 +291,13 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     Raises:
         InsufficientData: the fitted model follows no channel of any log better than its mean.
     """
-    warnings = [text for log in simulator.logs for text in log.warnings]
+    warnings: list[str] = [text for log in simulator.logs for text in log.warnings]
     warnings += [*result.warnings, *_statuses(result.fitted, simulator)]
     logs, recordings = [], []
     shifts = simulator.unshifted() if result.shifts is None else result.shifts
-    starts, replays = simulator.replay(
-        [*(item.value for item in result.fitted), *result.held], shifts
-    )
+    values = [*(item.value for item in result.fitted), *result.held]
+    starts, replays = simulator.replay(values, shifts)
+    moving: dict[str, list[Record]] = {}
     for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)
         fit = _log_fit(log, simulated, result.cutoff)
@@ -291,6 +312,9 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
         warnings += [f"{log.name}: {text}" for text in off]
         logs.append(fit)
         recordings.append((log.name, _recording(log, seen_as(log, replayed))))
+        for name in log.live:
+            moving.setdefault(name, []).append(replayed)
+    known = [item.name for item in result.fitted if item.interval is not None]
     return HydraulicsFit(
         rig=_identified(simulator.rig, result, len(simulator.logs)),
         method=result.method,
@@ -306,14 +330,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
         recordings=tuple(recordings),
         sensors=tuple(result.sensors),
         groups=tuple(result.groups),
-        counts_on=counts_on(
-            simulator.rig,
-            [item.name for item in result.fitted if item.interval is not None],
-            {
-                name: [replay for log, replay in zip(simulator.logs, replays) if name in log.live]
-                for name in {name for log in simulator.logs for name in log.live}
-            },
-        ),
+        counts_on=counts_on(simulator.rig, known, moving),
         left_over=_left_over(simulator.logs, logs),
         compared=_compared(simulator.logs),
         leans=tuple(result.leans),
@@ -331,61 +348,42 @@ def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[s
     """A warning of each parameter that is not excited or at a bound."""
     warnings, rig = [], simulator.rig
     for item in fitted:
-        value = rig.shown(item.name, item.value)
+        fields = {"name": item.name, "value": rig.shown(item.name, item.value)}
         if item.status == "not_excited" and (channel := read_off(item.name, simulator.logs)):
-            warnings.append(
-                f"{item.name} stays at {value}: each log goes by its own {channel} instead"
-            )
+            warnings.append(message("identification.read_off", channel=channel, **fields))
         elif item.status == "not_excited":
-            warnings.append(f"{item.name} is not excited by these logs; it stays at {value}")
+            warnings.append(message("identification.not_excited", **fields))
         elif item.status == "at_bound":
-            side = "lower" if item.value - item.lower < item.upper - item.value else "upper"
-            warnings.append(f"{item.name} ran into its {side} bound, {value}")
-            if item.name.endswith(".deadband") and item.value == 0.0:
-                warnings[-1] += ": where the edge is open at rest, write underlap in its place"
+            is_low = item.value - item.lower < item.upper - item.value
+            shut = item.name.endswith(".deadband") and item.value == 0.0
+            key = "identification.closed_deadband" if shut else "identification.at_bound"
+            warnings.append(message(key, side="lower" if is_low else "upper", **fields))
     return warnings
 
 
 def _identified(rig: Rig, result: Estimate, count: int) -> Rig:
     """The rig with the values that ``count`` logs tell."""
     source = f"identified from {count} log{'s' if count > 1 else ''}, {result.method}"
-    return rig.with_values(
-        {
-            item.name: Value(
-                item.value,
-                sure="identified",
-                source=source,
-                std=item.std,
-                lower=item.lower,
-                upper=item.upper,
-            )
-            for item in result.fitted
-            if item.status != "not_excited"
-        }
-    )
+    values = {}
+    for item in (item for item in result.fitted if item.status != "not_excited"):
+        known = {"std": item.std, "lower": item.lower, "upper": item.upper, "source": source}
+        values[item.name] = Value(item.value, sure="identified", **known)
+    return rig.with_values(values)
 
 
 def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:
     left = simulated - log.recorded
     left = lowpass(left, log.sample_time, cutoff) if cutoff else left
-    sizes: dict[str, list[float]] = {}
+    fit = LogFit(log.name, log.payload or "none", log.each * len(left), {}, {}, {}, {})
     for channel, y, model, rest, counts in zip(
         log.channels, log.recorded.T, simulated.T, left.T, log.counts.T, strict=True
     ):
         some = counts if counts.any() else ~counts
-        sizes[channel] = [
-            fit_percent(y[some], model[some]),
-            rms(rest[some]),
-            correlation_time(rest[some]),
-            100.0 * float(np.mean(counts)),
-        ]
-    percent, error, time, counted = (
-        {channel: size[k] for channel, size in sizes.items()} for k in range(4)
-    )
-    sizes_of = (percent, error, time, counted)
-    return LogFit(
-        log.name, log.payload or "none", log.each * len(left), *sizes_of, mean_of=log.each
-    )
+        fit.fit_percent[channel] = fit_percent(y[some], model[some])
+        fit.residual_rms[channel] = rms(rest[some])
+        fit.correlation_time[channel] = correlation_time(rest[some])
+        fit.counted[channel] = 100.0 * float(np.mean(counts))
+    return replace(fit, mean_of=log.each)
 
 
 def _recording(log: Log, replayed: Record) -> dict[str, np.ndarray]:
@@ -409,11 +407,10 @@ def _turned(log: Log, simulated: np.ndarray) -> list[str]:
     ):
         seen, built = (item[counts] - np.mean(item[counts]) for item in (y, model))
         size = rms(seen) * rms(built) if counts.any() else 0.0
-        if size > 0.0 and (likeness := float(np.mean(seen * built)) / size) < OPPOSITE:
-            results.append(
-                f"{log.name}: {channel} goes the other way than the model (correlation "
-                f"{likeness:.2f}): is its sign turned, or a command's?"
-            )
+        likeness = float(np.mean(seen * built)) / size if size > 0.0 else 0.0
+        if likeness < SETTINGS.opposite:
+            fields = {"log": log.name, "channel": channel, "likeness": likeness}
+            results.append(message("identification.other_way", **fields))
     return results
 
 
@@ -430,57 +427,45 @@ def _poor(logs: Sequence[LogFit]) -> list[str]:
     poor = {name: value for name, value in fits.items() if value < 0.0}
     if not poor:
         return []
-    some = ", ".join(
-        f"{name} {value:.0f} %"
-        for name, value in sorted(poor.items(), key=lambda item: item[1])[:4]
-    )
+    worst = sorted(poor.items(), key=lambda item: item[1])[:4]
+    fields = {"worst": ", ".join(f"{name} {value:.0f} %" for name, value in worst)}
     if len(poor) == len(fits):
-        raise InsufficientData(
-            f"the fitted model follows no channel of any log better than its mean would ({some})",
-            hint="is it this rig's log, with the right payload, units, commands and flow maps?",
-        )
-    return [
-        f"THE FITTED MODEL DOES NOT FOLLOW {len(poor)} OF {len(fits)} CHANNELS (worse than their "
-        f"mean): {some}; "
-        "do not trust its numbers"
-    ]
+        raise InsufficientData(message("identification.follows_nothing", **fields))
+    fields |= {"poor": len(poor), "all": len(fits)}
+    return [message("identification.does_not_follow", **fields)]
 
 
 def _left_over(logs: Sequence[Log], fits: Sequence[LogFit]) -> str:
     """A sentence on the channel that is followed worst, where what is left of it is neither little
     nor noise: a parameter takes up what the model lacks, and its interval does not know of that.
     """
-    worst = (LITTLE, "")
+    worst: tuple[float, str] = (SETTINGS.little, "")
     for log, fit in zip(logs, fits, strict=True):
         for channel, y, counts in zip(log.channels, log.recorded.T, log.counts.T, strict=True):
             if log.band is not None or not counts.any():
                 continue
             share = 1.0 - 0.01 * fit.fit_percent[channel]
-            noise = max(noise_of(log.seen, channel), FINE * float(np.std(y)), 1e-300)
+            smallest = SETTINGS.fine * float(np.std(y))
+            noise = max(noise_of(log.seen, channel), smallest, 1e-300)
             times = fit.residual_rms[channel] / noise
-            if share > worst[0] and times > STRUCTURE:
-                text = (
-                    f"the model leaves {100.0 * share:.0f} % of {channel} in {log.name}, "
-                    f"{times:.0f} times its noise: something is missing in it, and numbers may "
-                    "have taken its place beyond their intervals; --suggest tries what that is"
-                )
-                worst = (share, text)
+            if share > worst[0] and times > SETTINGS.structure:
+                fields = {"channel": channel, "log": log.name, "share": 100.0 * share}
+                worst = share, message("identification.left_over", times=times, **fields)
     return worst[1]
 
 
 def _compared(logs: Sequence[Log]) -> tuple[str, ...]:
     """How logs are compared that are not sample by sample, in words: those alike together."""
-    ways: dict[str, list[str]] = {}
+    alike: dict[str, list[str]] = {}
     for log in logs:
         if log.means is not None:
-            ways.setdefault(said(log.record, log.means), []).append(log.name)
-    who = {way: " and ".join(names) for way, names in ways.items()}
-    if len(logs) > 1 and len(ways) == 1 and len(next(iter(ways.values()))) == len(logs):
-        who = dict.fromkeys(ways, "all logs")
-    return tuple(
-        f"{who[way]} {'is' if len(names) == 1 else 'are'} compared {way}"
-        for way, names in ways.items()
-    )
+            alike.setdefault(compared_as(log.record, log.means), []).append(log.name)
+    texts = []
+    for how, names in alike.items():
+        listed = "all logs" if len(names) == len(logs) > 1 else " and ".join(names)
+        key = "identification.is_compared" if len(names) == 1 else "identification.are_compared"
+        texts.append(message(key, logs=listed, how=how))
+    return tuple(texts)
 
 
 def _late(log: Log, simulated: np.ndarray) -> list[str]:
@@ -489,20 +474,14 @@ def _late(log: Log, simulated: np.ndarray) -> list[str]:
     To first order ``simulated(t) − recorded(t) = delay · d simulated/dt``. Fitted parameters take
     up more than half of a shift, so a quarter of a sample may well be a whole one."""
     tick = log.sample_time
-    left, slope = (
-        (simulated - log.recorded) * log.counts,
-        np.gradient(simulated, tick, axis=0) * log.counts,
-    )
+    left = (simulated - log.recorded) * log.counts
+    slope = np.gradient(simulated, tick, axis=0) * log.counts
     size = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-300)
     left, slope = left / size, slope / size
     power = float(np.sum(slope**2))
     delay = float(np.sum(slope * left)) / power if power > 0.0 else 0.0
-    if not 0.25 * tick <= abs(delay) <= 5.0 * tick or delay**2 * power < 0.2 * float(
-        np.sum(left**2)
-    ):
+    told = SETTINGS.late * tick <= abs(delay) <= SETTINGS.latest * tick
+    if not told or delay**2 * power < SETTINGS.explains * float(np.sum(left**2)):
         return []
     word = "behind" if delay > 0 else "ahead of"
-    return [
-        f"{log.name}: the recording is {abs(delay) * 1e3:.2g} ms {word} the model: a sensor's lag, "
-        "or samples that are not the state at their time"
-    ]
+    return [message("identification.late", log=log.name, delay=abs(delay) * 1e3, word=word)]

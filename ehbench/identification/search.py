@@ -15,6 +15,7 @@ from ehbench.preprocessing.sensors import Term
 from ehbench.vocabulary import units
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import Quantity
 
 LEVEL = 0.95
@@ -165,25 +166,26 @@ def _refuse_unknown(
     known = rig.parameters()
     for key, table in {"parameters": names, **given}.items():
         for name in table:
-            at = where(key) if key == "parameters" else where(key, name)
+            place = where(key) if key == "parameters" else where(key, name)
             if name not in known:
                 near = get_close_matches(name, known, 1)
+                text = message("identification.no_parameter", rig=rig.name, name=name)
                 hint = f"nearest is '{near[0]}'" if near else None
-                raise InputError(f"rig '{rig.name}' has no parameter '{name}'", **at, hint=hint)
+                raise InputError(text, **place, hint=hint)
             if name not in names:
-                raise InputError(
-                    f"{key} names '{name}', which is not among the parameters to fit",
-                    **at,
-                    hint=", ".join(names),
-                )
+                fields = {"key": key, "name": name, "fitted": ", ".join(names)}
+                raise InputError(message("identification.not_fitted", **fields), **place)
     if not names or len(set(names)) < len(names):
-        raise InputError("the parameters to fit must be named, each once", **where("parameters"))
+        raise InputError(message("identification.parameters_once"), **where("parameters"))
 
 
 def _coordinate(
     rig: Rig, name: str, value: Value, given: Mapping[str, Given], where: Where
 ) -> Coordinate:
-    row, minimum = parameter_row(name), _least(rig, name)
+    row, minimum = parameter_row(name), -math.inf
+    for cylinder in rig.cylinder:  # the rod end holds oil over the whole stroke
+        if name == f"{cylinder.name}.volume_rod":
+            minimum = 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
 
     def bound(key: str, own: float | None) -> float | None:
         return _number(given[key][name], name, where(key, name)) if name in given[key] else own
@@ -195,40 +197,28 @@ def _coordinate(
         low, high = max(row.lower, first / WIDE, minimum), min(row.upper, first * WIDE)
     low = max(row.lower, minimum) if low is None else low
     high = row.upper if high is None else high
-    own = where("start", name) if name in given["start"] else where("parameters")
+    place = where("start", name) if name in given["start"] else where("parameters")
+    shown = {"low": low, "high": high, "start": first}
+    fields = {key: rig.shown(name, x) for key, x in shown.items()}
+    fields |= {"name": name, "unit": row.display}
     if not low < high:
-        raise InputError(
-            f"{name}: the lower bound {rig.shown(name, low)} is not below the upper bound "
-            f"{rig.shown(name, high)}",
-            **where("upper" if name in given["upper"] else "lower", name),
-        )
+        key = "upper" if name in given["upper"] else "lower"
+        raise InputError(message("identification.no_range", **fields), **where(key, name))
     if not low <= first <= high:
-        raise InputError(
-            f"{name} starts at {rig.shown(name, first)}, outside its bounds "
-            f"{rig.shown(name, low)} to {rig.shown(name, high)}",
-            **own,
-        )
+        raise InputError(message("identification.start_outside", **fields), **place)
     log = low > 0.0
     unit = high - low if bounded and math.isfinite(high - low) else abs(first)
     if unit == 0.0:
-        raise InputError(
-            f"{name} starts at zero and has no upper bound",
-            **own,
-            hint=f'give it one, so that the search has a scale: [upper] "{name}" = '
-            f'"… {row.display}"',
-        )
+        raise InputError(message("identification.zero_start", **fields), **place)
     std, centre = math.inf, math.nan
     if name in given["prior"]:
         centre = min(max(float(value), low), high)
-        raw = given["prior"][name]
-        at = where("prior", name)
+        raw, place = given["prior"][name], where("prior", name)
         share = _SHARE.match(raw) if isinstance(raw, str) else None
-        std = abs(centre) * float(share[1]) / 100.0 if share else _number(raw, name, at, False)
+        std = abs(centre) * float(share[1]) / 100.0 if share else _number(raw, name, place, False)
         if not 0.0 < std < math.inf:
-            hint = f'give it in {parameter_row(name).display}, as "… {parameter_row(name).display}"'
-            raise InputError(
-                f"a prior of {raw} about {centre:g} says nothing of {name}", **at, hint=hint
-            )
+            fields |= {"raw": raw, "centre": centre}
+            raise InputError(message("identification.empty_prior", **fields), **place)
     return Coordinate(name, log, 1.0 if log else unit, first, low, high, std, centre)
 
 
@@ -241,13 +231,3 @@ def _number(raw: str | float, name: str, at: Mapping[str, Any], check: bool = Tr
         return units.parse(raw, row if check else replace(row, lower=-math.inf, upper=math.inf))
     except InputError as error:
         raise type(error)(error.message, **at, hint=error.hint) from None
-
-
-def _least(rig: Rig, name: str) -> float:
-    """A bound from the rig's geometry: the rod end holds oil over the whole stroke. Minus infinity
-    where there is none.
-    """
-    for cylinder in rig.cylinder:
-        if name == f"{cylinder.name}.volume_rod":
-            return 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
-    return -math.inf

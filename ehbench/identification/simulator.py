@@ -35,21 +35,34 @@ from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
 from ehbench.signals.series import transients, white_noise
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import like_channel, quantity
+from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
     from ehbench.identification.band import Band
 
-# a chamber counts as empty below this share of the way from zero gauge pressure to the cavitation
-# pressure; so long before and after [s] its cylinder's samples do not count either
-EMPTY, EMPTYING = 0.5, 0.05
 # rates and pressures: an angle is the integral of the flow map's error
 CHANNELS = ("qd", "p_head", "p_rod")
 FLOWS = ("flow", "flow_supply")  # words of what a simulation has only where it is asked for
 # words of what means of its state do not tell: openings, and a force that turns with the speed
 BENT = ("opening", "rod_force")
-MOVES = 0.01  # share of the stroke beyond which a cylinder counts as moving
 
+
+@dataclass(frozen=True)
+class LogSettings:
+    """Which samples of a log count, and what moves in it."""
+
+    empty: float = setting(
+        0.5, "", "part of the cavitation pressure below which a chamber is empty", "half its slope"
+    )
+    emptying: float = setting(
+        0.05, "s", "time about an empty chamber in which samples do not count", "it fills"
+    )
+    moves: float = setting(0.01, "", "part of the stroke from which a cylinder moves", "slips")
+
+
+SETTINGS = LogSettings()
 
 Shifts = list[np.ndarray]  # by log, of its start [prior standard deviations], one a doubt
 Meshes = Sequence[np.ndarray]  # by log, the steps that its simulation takes (`plant.paced`)
@@ -165,14 +178,11 @@ def prepare(
     requested = [cylinder.name for cylinder in rig.cylinder if _asked(cylinder, record)]
     live = [c.name for c in rig.cylinder if c.name in requested or _moves(c, record)]
     if not requested:
-        raise InsufficientData(
-            f"{name}: no valve command of rig '{rig.name}' changes, so the log shows no response "
-            "to one"
-        )
+        raise InsufficientData(message("identification.no_command_changes", log=name, rig=rig.name))
     means = means_of(model, record, decimate, cutoff)
     columns = _compared(name, record if means is None else means.record, live, required)
     warnings += [
-        f"{name}: nothing is compared by '{word}': the log has none that changes"
+        message("identification.not_compared", log=name, word=word)
         for word in required
         if word not in CHANNELS and not _columns(record, live, [word])
     ]
@@ -205,11 +215,9 @@ def _counts(
         own = [i for i, channel in enumerate(channels) if channel.startswith(cylinder.name + ".")]
         if own and void.any():
             counts[np.ix_(void, np.array(own))] = False
-            when = record.t[int(np.argmax(void))]
-            messages.append(
-                f"{name}: {cylinder.name} cavitates at {when:.6g} s, which the model has only as a "
-                f"floor of pressure; {100 * np.mean(void):.0f} % of its samples do not count"
-            )
+            fields = {"t": record.t[int(np.argmax(void))], "share": 100 * np.mean(void)}
+            fields |= {"log": name, "cylinder": cylinder.name}
+            messages.append(message("identification.cavitates", **fields))
     for i, channel in enumerate(channels):
         if channel in record and quantity(channel).unit in LIMITED:
             counts[at_limit(record[channel]), i] = False
@@ -239,11 +247,9 @@ def shut(model: Model, log: Log) -> str | None:
         if maximum > onset:
             return None
         if maximum > 0.0 and (closest is None or onset - maximum < closest[0]):
-            why = (
-                f"{channel} reaches {maximum:.3g} V, within the dead band of {name}, {onset:.3g} V"
-            )
-            closest = onset - maximum, why
-    return closest[1] if closest else "every command stays on the side that opens nothing"
+            fields = {"channel": channel, "maximum": maximum, "edge": name, "onset": onset}
+            closest = onset - maximum, message("identification.within_deadband", **fields)
+    return closest[1] if closest else message("identification.opens_nothing")
 
 
 def _asked(cylinder: Cylinder, record: Record) -> bool:
@@ -256,10 +262,8 @@ def _moves(cylinder: Cylinder, record: Record) -> bool:
     """Whether a recorded position of the cylinder changes."""
     stroke = float(cylinder.stroke)
     spans = {"x": stroke, "q": 1.0 if cylinder.linkage else stroke}
-    return any(
-        (channel := f"{cylinder.name}.{word}") in record and np.ptp(record[channel]) > MOVES * span
-        for word, span in spans.items()
-    )
+    limits = {f"{cylinder.name}.{word}": SETTINGS.moves * span for word, span in spans.items()}
+    return any(c in record and np.ptp(record[c]) > limit for c, limit in limits.items())
 
 
 def _compared(
@@ -272,16 +276,12 @@ def _compared(
     """
     result, given = _columns(record, live, required), tied_words(record)
     free = {channel: y for channel, y in result.items() if channel.rpartition(".")[2] not in given}
+    fields = {"log": name, "live": ", ".join(live), "required": ", ".join(required)}
     if result and not free:
-        raise InputError(
-            f"{name}: {', '.join(required)}: being tied, they cannot be compared",
-            hint="add p_head and p_rod to channels",
-        )
+        raise InputError(message("identification.tied_channels", **fields))
     if not result:
-        raise InputError(
-            f"{name}: of {', '.join(live)} the log has none of {', '.join(required)} that changes",
-            hint=like_channel(required[0] if len(required) == 1 else "", list(record.channels)),
-        )
+        hint = like_channel(required[0] if len(required) == 1 else "", list(record.channels))
+        raise InputError(message("identification.nothing_changes", **fields), hint=hint)
     return free
 
 
@@ -309,27 +309,18 @@ def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
     """Where a recorded chamber is empty, or has been and no command of the cylinder has changed
     since, shape (samples,).
     """
-    pressures = [
-        record[c] for word in ("p_head", "p_rod") if (c := f"{cylinder.name}.{word}") in record
-    ]
+    channels = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
+    pressures = [record[channel] for channel in channels if channel in record]
     void = np.zeros(record.t.size, dtype=bool)
-    if not pressures:
-        return void
-    empty = np.flatnonzero(np.min(pressures, axis=0) < EMPTY * float(rig.oil.cavitation_pressure))
-    if not empty.size:
-        return void
-    ahead = round(EMPTYING / record.sample_time)
+    lowest = np.min(pressures, axis=0, initial=np.inf) if pressures else np.full(void.size, np.inf)
+    limit = SETTINGS.empty * float(rig.oil.cavitation_pressure)
+    ahead = round(SETTINGS.emptying / record.sample_time)
     commands = _commands(cylinder, record)
-    table = (
-        np.column_stack([record[channel] for channel in commands])
-        if commands
-        else np.zeros((record.t.size, 1))
-    )
+    table = np.column_stack([record[channel] for channel in commands] or [0.0 * record.t])
     minimum = np.array(list(commands.values())) if commands else 0.0
-    stops = np.array(
-        [window.start for window in transients(record.t, table, least=minimum)] + [record.t.size]
-    )
-    for first in empty:
+    starts = [window.start for window in transients(record.t, table, least=minimum)]
+    stops = np.array([*starts, record.t.size])
+    for first in np.flatnonzero(lowest < limit):
         if not void[first]:
             stop = int(stops[np.searchsorted(stops, first, side="right")])
             void[max(0, first - ahead) : stop + ahead] = True

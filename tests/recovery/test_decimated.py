@@ -17,7 +17,7 @@ from ehbench.data.record import BlockAverages, Record
 from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
-from ehbench.identification.means import SHARE, fastest
+from ehbench.identification.means import SETTINGS, fastest
 from ehbench.identification.simulator import seen_as
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
@@ -154,7 +154,7 @@ def test_how_many_is_by_the_fastest_of_the_machine():
     frequency = fastest(Model.of(rig()), record)
     assert frequency == pytest.approx(80.0, rel=1e-6)
     (log,) = prepared([("log", record)]).logs
-    assert log.each == math.floor(SHARE / frequency * RATE)
+    assert log.each == math.floor(SETTINGS.share / frequency * RATE)
     (log,) = prepared([("log", record)], cutoff=100.0).logs
     assert log.each == 5
     (log,) = prepared([("log", record)], decimate=4).logs

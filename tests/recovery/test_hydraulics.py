@@ -18,8 +18,11 @@ from ehbench.data.record import Record
 from ehbench.identification.hydraulics import (
     CHANNELS,
     FitOptions,
-    compare_dynamics,
     identify_hydraulics,
+    prepare_fit,
+    ranked,
+    run_fit,
+    with_each_dynamics,
 )
 from ehbench.identification.simulator import Simulator, prepare
 from ehbench.physics.flow_map import FlowMap, ValveMaps
@@ -643,14 +646,15 @@ def test_valve_dynamics_are_told_apart():
         }
     )
     machine = machine.model_copy(update={"dynamics": {**machine.dynamics, "slow": slow}})
-    ranking = compare_dynamics(machine, slide_logs(11, count=1), SLIDE, ["slow", "spool"])
+    rigs, logs = with_each_dynamics(machine, ["slow", "spool"]), slide_logs(11, count=1)
+    ranking = ranked({n: run_fit(prepare_fit(one, logs, SLIDE)) for n, one in rigs.items()})
     assert [one.dynamics for one in ranking] == ["spool", "slow"]
     assert ranking[0].relative_rms == 1.0 and ranking[1].relative_rms > 1.5
     assert (
         ranking[0].interval == (1.0, 1.0) and 1.0 < ranking[1].interval[0] < ranking[1].relative_rms
     )
     with pytest.raises(InputError, match="no dynamics 'none'"):
-        compare_dynamics(machine, slide_logs(11), SLIDE, ["none"])
+        with_each_dynamics(machine, ["none"])
 
 
 def test_volumes_and_bulk_modulus_are_told_as_ratios_where_the_stroke_does_not_tell_them_apart():
