@@ -20,9 +20,12 @@ def stop_force(row, x, v):
 
 
 @part_kernel
-def stop_rate(row):
-    """Fastest rate [1/s] of a cylinder in its end stop."""
-    return 2.0 * math.sqrt(row.mobility * row.stop_stiffness)
+def stop_rate(row, x):
+    """Fastest rate [1/s] of a cylinder in its end stop at stroke x [m]: of its spring, and of its
+    damping, which grows with the depth.
+    """
+    stiff = row.mobility * row.stop_stiffness
+    return 2.0 * math.sqrt(stiff) + stiff * STOP_DISSIPATION * max(-x, x - row.stroke, 0.0)
 
 
 @part_kernel

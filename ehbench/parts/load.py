@@ -57,15 +57,17 @@ def force_on(c, x, v, command, plant):
 
 
 @part_kernel
-def force_steepness(c, v, plant):
-    """Largest slope [N·s/m] over speed of the forces on a rod near speed v [m/s]."""
-    steep = 0.0
+def force_slope(c, v, plant):
+    """(slope of the forces on a rod at speed v [m/s], the largest near it) [N·s/m], as of a damper;
+    of a force that drives as well.
+    """
+    steep, turned = 0.0, math.tanh(v / COULOMB_SPEED)
     if abs(v) <= 4.0 * COULOMB_SPEED:
         for i in range(plant.forces.shape[0]):
             row = plant.forces[i]
             if row.cylinder == c:
                 steep += 0.5 * abs(row.extending - row.retracting) / COULOMB_SPEED
-    return steep
+    return steep * (1.0 - turned * turned), steep
 
 
 @part_kernel

@@ -300,15 +300,15 @@ def inertia_turned(kind, links, j, work):
 
 
 @kernel
-def forward(kind, links, gravity, q, qd, torque, qdd, work):
-    """Write the acceleration q̈ = D⁻¹ (τ − h − c − B q̇) into ``qdd`` (n,) [rad/s²], or [m/s²] of a
-    slide.
+def forward(kind, links, gravity, q, qd, drive, qdd, work):
+    """Write the acceleration q̈ = (D + diag(added))⁻¹ (τ − h − c − B q̇) into ``qdd`` (n,) [rad/s²],
+    or [m/s²] of a slide.
 
-    ``torque`` is what drives the joints beside gravity and joint damping; ``qdd`` may be ``torque``
-    itself."""
+    ``drive`` (2n,) holds τ, what drives the joints beside gravity and joint damping, then inertia
+    added about each [kg·m²], or [kg]; ``qdd`` may be its first half."""
     if kind == SLIDE:
-        m = links[0].mass
-        qdd[0] = (torque[0] - links[0].damping * qd[0]) / m - gravity[2] * links[0].sin_alpha
+        m, weight = links[0].mass, links[0].mass * gravity[2] * links[0].sin_alpha
+        qdd[0] = (drive[0] - links[0].damping * qd[0] - weight) / (m + drive[1])
         return
     n = links.shape[0]
     turn(links, q, work)
@@ -318,8 +318,8 @@ def forward(kind, links, gravity, q, qd, torque, qdd, work):
     # D = L diag(p) Lᵀ in place, the right-hand side solved along the way
     for i in range(n):
         row = tail + i * n
-        value = torque[i] - work[rest + i]
-        pivot = work[row + i]
+        value = drive[i] - work[rest + i]
+        pivot = work[row + i] + drive[n + i]
         for k in range(i):
             element = work[row + k]
             for j in range(k):

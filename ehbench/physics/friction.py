@@ -46,3 +46,14 @@ def stribeck(v, viscous, coulomb, static, stribeck_speed, smoothing):
     return viscous * v + (coulomb + (static - coulomb) * math.exp(-ratio * ratio)) * math.tanh(
         v / smoothing
     )
+
+
+@kernel
+def stribeck_slope(v, viscous, coulomb, static, stribeck_speed, smoothing):
+    """Slope [N·s/m] of `stribeck` over speed; it falls where the dip is steeper than the viscous
+    part. Arguments as there.
+    """
+    ratio, turned = v / stribeck_speed, math.tanh(v / smoothing)
+    dip = (static - coulomb) * math.exp(-ratio * ratio)
+    turning = (coulomb + dip) * (1.0 - turned * turned) / smoothing
+    return viscous + turning - 2.0 * ratio / stribeck_speed * dip * turned

@@ -13,9 +13,15 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import edge_flow, edge_leaks, edge_opening, edge_slope
 from ehbench.parts.edge.preload import preload
 from ehbench.parts.end_stop import stop_force, stop_rate
-from ehbench.parts.friction import friction_fastest, friction_force, friction_rates
+from ehbench.parts.friction import (
+    friction_fastest,
+    friction_force,
+    friction_rates,
+    friction_slope,
+)
+from ehbench.parts.friction.law import SETTLING
 from ehbench.parts.line import line_rates
-from ehbench.parts.load import force_on, force_steepness
+from ehbench.parts.load import force_on, force_slope
 from ehbench.parts.mount import any_resistance, mount_rate, piston_of, resistance_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
@@ -49,12 +55,15 @@ _stiff = Generic("stiff", "row, pressure, plant")
 _steep = Generic("steep", "row, side, pressure, inflow, slope, plant")
 # write the rates of a friction's own states; the fastest rate [1/s] that it makes near speed v
 _rubbing = Generic("rubbing", "row, v, y, dy, plant")
+# slope [N·s/m] of a steady friction over the speed v of the piston
+_gripping = Generic("gripping", "row, v, plant")
 derivatives_of, finish_of, opens_of = _derivatives.of, _finish.of, _sensing.of
 wanted_of, shut_of, along_of, change_of = _wanted.of, _shut.of, _along.of, _change.of
-stiff_of, steep_of, rubbing_of = _stiff.of, _steep.of, _rubbing.of
+stiff_of, steep_of, rubbing_of, gripping_of = _stiff.of, _steep.of, _rubbing.of, _gripping.of
 any_derivatives, any_finish, any_opens = _derivatives.call, _finish.call, _sensing.call
 any_wanted, any_shut, any_along, any_change = _wanted.call, _shut.call, _along.call, _change.call
 any_stiff, any_steep, any_rubbing = _stiff.call, _steep.call, _rubbing.call
+any_gripping = _gripping.call
 
 
 @wanted_of(Plant)
@@ -182,10 +191,19 @@ def _rubbing_piston(row, v, y, dy, plant):
     return friction_fastest(row, v)
 
 
+@gripping_of(Plant)
+@part_kernel
+def _gripping_piston(row, v, plant):
+    return friction_slope(row, v)
+
+
 @part_kernel
 def cylinders(y, command, plant, dy, work):
-    """Pressure rates of the chambers; torques of the cylinders into ``work``; the fastest rate
-    [1/s].
+    """Pressure rates of the chambers; torques of the cylinders, and the inertia with which friction
+    settles in SETTLING, into ``work``; the fastest rate [1/s].
+
+    ``(m + m_a) a = F(v)`` with ``m_a = max(0, F′ SETTLING − m)`` is the linearly implicit step of
+    friction, whose rest and creep are those of F itself.
     """
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
@@ -208,14 +226,20 @@ def cylinders(y, command, plant, dy, work):
             force += p * area
             spring += stiffness * area * area
         force -= any_resistance(row, v, y, plant)
-        rate = any_rubbing(row, v, y, dy, plant)
+        rate, grip = any_rubbing(row, v, y, dy, plant), any_gripping(row, v, plant)
+        if row.mount_state >= 0 and grip > 0.0:  # behind the mount's damper
+            grip *= row.mount_damping / (grip + row.mount_damping)
         if plant.forces.shape[0] > 0:
             force += force_on(c, way, speed, command, plant)
-            rate += row.mobility * force_steepness(c, speed, plant)
+            slope, steep = force_slope(c, speed, plant)
+            grip += slope
+            rate += min(row.mobility * steep, 1.0 / SETTLING)
+        added = max(0.0, grip * SETTLING - 1.0 / row.mobility)
+        work[at.inertia + row.joint] += lever * lever * added
         fastest = max(fastest, rate)
         if x < 0.0 or x > row.stroke:
             force += stop_force(row, x, v)
-            fastest = max(fastest, stop_rate(row))
+            fastest = max(fastest, stop_rate(row, x))
             spring += row.stop_stiffness
         if row.mount_state >= 0:
             dy[row.mount_state] = v - speed
@@ -241,7 +265,7 @@ def move(y, plant, dy, work):
         plant.gravity,
         y[:n],
         y[at.rates : at.rates + n],
-        work[at.torque : at.torque + n],
+        work[at.torque : at.torque + 2 * n],
         dy[at.rates : at.rates + n],
         work,
     )

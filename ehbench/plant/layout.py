@@ -24,9 +24,10 @@ class Offsets(NamedTuple):
     In the state: joint coordinates stand first, ``joints`` of them; their rates from ``rates`` on;
     the pressure of the supply line at ``supply``; ``states`` in all.
 
-    In the workspace, after that of the mechanism: ``torque`` of each joint [N·m]; ``net`` inflow of
-    each node [m³/s]; ``slope`` of the flow over the pressure at each node [m³/(s·Pa)]; ``opening``
-    of each valve [V]; ``flow`` of each edge [m³/s], then the ``pump``'s; ``work`` in all.
+    In the workspace, after that of the mechanism: ``torque`` of each joint [N·m]; ``inertia`` that
+    friction adds to it [kg·m²]; ``net`` inflow of each node [m³/s]; ``slope`` of the flow over the
+    pressure at each node [m³/(s·Pa)]; ``opening`` of each valve [V]; ``flow`` of each edge [m³/s],
+    then the ``pump``'s; ``work`` in all.
     """
 
     joints: int
@@ -34,6 +35,7 @@ class Offsets(NamedTuple):
     supply: int
     states: int
     torque: int
+    inertia: int
     net: int
     slope: int
     opening: int
@@ -154,7 +156,7 @@ class Layout:
         """Where things begin, for kernels."""
         n, nodes = len(self.joints), self.nodes
         ends = [int(work_size(n))]
-        for size in (n, nodes, nodes, len(self.valves), len(self.edges), 1):
+        for size in (n, n, nodes, nodes, len(self.valves), len(self.edges), 1):
             ends.append(ends[-1] + size)
         return Offsets(n, n, self.state("p_supply"), self.states, *ends)
 

@@ -90,8 +90,9 @@ def kernels(links):
         arm.mass_matrix(kind, links, q, out := np.empty((n, n)), work)
         return out
 
-    def forward(q, qd, torque):
-        arm.forward(kind, links, GRAVITY, q, qd, torque, out := np.empty(n), work)
+    def forward(q, qd, torque, added=0.0):
+        drive = np.append(torque, np.broadcast_to(added, n))
+        arm.forward(kind, links, GRAVITY, q, qd, drive, out := np.empty(n), work)
         return out
 
     def weight(q):
@@ -246,7 +247,7 @@ def test_slide_on_an_incline():
     assert out[0] == pytest.approx(weight, rel=1e-14)
     arm.mass_matrix(arm.SLIDE, links, q, full, work)
     assert full[0, 0] == m
-    arm.forward(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, force, out, work)
+    arm.forward(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, np.append(force, 0.0), out, work)
     assert out[0] == pytest.approx((100.0 - weight - b * 0.2) / m, rel=1e-13)
     assert arm.energy(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, work) == pytest.approx(
         (0.5 * m * 0.2**2, weight * 0.4), rel=1e-14
@@ -261,9 +262,24 @@ def test_acceleration_may_overwrite_the_torque():
     links, _ = random_chain(3, rng)
     _, _, forward, _, _ = kernels(links)
     q, qd, torque = next(states(3, rng))
-    expected, shared = forward(q, qd, torque), torque.copy()
+    expected, shared = forward(q, qd, torque), np.append(torque, np.zeros(3))
     arm.forward(arm.CHAIN, links, GRAVITY, q, qd, shared, shared, np.empty(arm.work_size(3)))
-    assert (shared == expected).all()
+    assert (shared[:3] == expected).all()
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_inertia_may_be_added_to_a_joint(n):
+    """Against MuJoCo's armature of a joint."""
+    rng = np.random.default_rng(n)
+    links, given = random_chain(n, rng)
+    model, data = mujoco_model(given)
+    _, _, forward, _, _ = kernels(links)
+    for q, qd, torque in states(n, rng, 3):
+        model.dof_armature[:] = added = rng.uniform(0.0, 3.0, n)
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q, qd, torque
+        mujoco.mj_forward(model, data)
+        slack = 1e-10 * np.abs(data.qacc).max()
+        assert forward(q, qd, torque, added) == pytest.approx(data.qacc, rel=0, abs=slack)
 
 
 def test_workspace_is_not_overrun():
@@ -273,6 +289,8 @@ def test_workspace_is_not_overrun():
         work = np.full(arm.work_size(n) + 8, 7.0)
         q, qd, torque = next(states(n, rng))
         out = np.empty(n)
-        arm.forward(arm.CHAIN, links, GRAVITY, q, qd, torque, out, work[:-8])
+        arm.forward(
+            arm.CHAIN, links, GRAVITY, q, qd, np.append(torque, np.zeros(n)), out, work[:-8]
+        )
         arm.gravity_torque(arm.CHAIN, links, GRAVITY, q, out, work[:-8])
         assert (work[-8:] == 7.0).all() and np.isfinite(out).all()

@@ -13,6 +13,7 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import CHECK, PUMP, check, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.edge.preload import metered
+from ehbench.parts.friction.law import SETTLING
 from ehbench.parts.line import line_rates
 from ehbench.parts.mount import resistance_of
 from ehbench.parts.nodes import SUPPLY
@@ -22,7 +23,7 @@ from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.valve import limited
 from ehbench.parts.valve.delay import line_felt, line_push
 from ehbench.physics.cylinder import relief_flow
-from ehbench.physics.friction import stribeck
+from ehbench.physics.friction import stribeck, stribeck_slope
 from ehbench.plant.derivatives import (
     along_of,
     change_of,
@@ -30,6 +31,7 @@ from ehbench.plant.derivatives import (
     derivatives_of,
     edges,
     finish_of,
+    gripping_of,
     highest_load,
     move,
     opens_of,
@@ -187,7 +189,14 @@ def _steep(row, side, pressure, inflow, slope, plant):
 @part_kernel
 def _rubbing(row, v, y, dy, plant):
     steep = 0.0 if abs(v) > 4.0 * CREEP else row.friction_static / CREEP
-    return row.mobility * (steep + row.friction_viscous)
+    return min(row.mobility * (steep + row.friction_viscous), 1.0 / SETTLING)
+
+
+@gripping_of(VirtualPlant)
+@part_kernel
+def _gripping(row, v, plant):
+    viscous, static = row.friction_viscous, row.friction_static
+    return stribeck_slope(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
 
 
 @part_kernel

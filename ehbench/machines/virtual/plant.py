@@ -75,6 +75,7 @@ class BenchOffsets(NamedTuple):
     size: int
     channels: int
     torque: int
+    inertia: int
     net: int
     slope: int
     opening: int
@@ -107,6 +108,7 @@ def offsets_of(names: Layout, depth: int) -> BenchOffsets:
         size=place + 1,
         channels=channels,
         torque=at.torque,
+        inertia=at.inertia,
         net=at.net,
         slope=at.slope,
         opening=at.opening,

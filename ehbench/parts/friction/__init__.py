@@ -14,7 +14,7 @@ FAULTS = (*coulomb_viscous.FAULTS, *stribeck.FAULTS, *lugre.FAULTS)
 COLUMNS = tuple(dict.fromkeys(column for law in LAWS for column in law.columns))
 
 _steady = choice("steady", [law.steady for law in LAWS], "row, v")
-_slope = choice("slope", [law.steepness() for law in LAWS], "row, v")
+_slope = choice("slope", [law.slope for law in LAWS], "row, v")
 _fastest = choice("fastest", [law.fastest for law in LAWS], "row, v")
 _force = choice("force", [law.resistance() for law in LAWS], "row, v, y")
 _loss = choice("loss", [law.heat() for law in LAWS], "row, v, y")

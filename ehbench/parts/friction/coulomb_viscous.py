@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Literal
 
 from ehbench.parts.fault import Amount, Fault
-from ehbench.parts.friction.law import FrictionLaw, FrictionTable
-from ehbench.physics.friction import coulomb_viscous
+from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
+from ehbench.physics.friction import coulomb_viscous, stribeck_slope
 from ehbench.runtime.compiled import part_kernel
 
 COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
@@ -33,10 +33,17 @@ def steady(row, v):
 
 
 @part_kernel
+def slope(row, v):
+    """Slope [N·s/m] of the resistance at speed v [m/s]."""
+    coulomb = row.friction_coulomb
+    return stribeck_slope(v, row.friction_viscous, coulomb, coulomb, 1.0, COULOMB_SPEED)
+
+
+@part_kernel
 def fastest(row, v):
     """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
     steep = 0.0 if abs(v) > 4.0 * COULOMB_SPEED else row.friction_coulomb / COULOMB_SPEED
-    return row.mobility * (steep + row.friction_viscous)
+    return min(row.mobility * (steep + row.friction_viscous), 1.0 / SETTLING)
 
 
 LAW = FrictionLaw(
@@ -44,6 +51,7 @@ LAW = FrictionLaw(
     table=CoulombViscous,
     columns=(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
     steady=steady,
+    slope=slope,
     fastest=fastest,
 )
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
-from ehbench.parts.friction.law import FrictionLaw, FrictionTable
-from ehbench.physics.friction import coulomb_viscous
+from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
+from ehbench.physics.friction import coulomb_viscous, stribeck_slope
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
 
@@ -32,11 +32,18 @@ def steady(row, v):
 
 
 @part_kernel
+def slope(row, v):
+    """Slope [N·s/m] of the resistance at speed v [m/s]."""
+    coulomb = row.friction_coulomb if v >= 0.0 else row.friction_retracting
+    return stribeck_slope(v, row.friction_viscous, coulomb, coulomb, 1.0, COULOMB_SPEED)
+
+
+@part_kernel
 def fastest(row, v):
     """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
     coulomb = max(row.friction_coulomb, row.friction_retracting)
     steep = 0.0 if abs(v) > 4.0 * COULOMB_SPEED else coulomb / COULOMB_SPEED
-    return row.mobility * (steep + row.friction_viscous)
+    return min(row.mobility * (steep + row.friction_viscous), 1.0 / SETTLING)
 
 
 LAW = FrictionLaw(
@@ -47,5 +54,6 @@ LAW = FrictionLaw(
         ("friction_retracting", "f8"),
     ),
     steady=steady,
+    slope=slope,
     fastest=fastest,
 )

@@ -9,8 +9,9 @@ from typing import Any
 from ehbench.runtime.compiled import inlined, part_kernel
 from ehbench.vocabulary.fields import FileModel
 
-ROUND = 1.0e-5  # relative step of central differences
-TURN = 2.0e-3  # [m/s]: speed from which on the step is relative
+# [s]: a piston so light that its friction stops it sooner settles in this time: it gets as much
+# inertia as that takes, in place of steps of microseconds for as long as it creeps
+SETTLING = 5.0e-4
 
 
 class FrictionTable(FileModel):
@@ -51,8 +52,8 @@ class FrictionLaw:
     Its kernels read the cylinder's row, where ``columns`` are its own; ``table`` is what the rig
     file says of it. ``steady(row, v)`` is the resistance [N], of the sign of v, once a speed [m/s]
     has lasted; ``fastest(row, v)`` the fastest rate [1/s] that it makes near that speed, for the
-    substep guard; ``slope(row, v)`` [N·s/m] that of the steady resistance, by central differences
-    where the law does not give it.
+    substep guard, at most 1/SETTLING for what ``slope(row, v)`` says, the slope [N·s/m] of the
+    steady resistance.
 
     A law with ``states`` has them from ``row.friction_state`` on, and six more kernels:
     ``force(row, v, y)`` is the resistance now [N], ``loss(row, v, y)`` the power that turns to heat
@@ -65,8 +66,8 @@ class FrictionLaw:
     table: type[FrictionTable]
     columns: tuple[tuple[str, str], ...]
     steady: Callable
+    slope: Callable
     fastest: Callable
-    slope: Callable | None = None
     states: tuple[str, ...] = ()
     force: Callable | None = None
     loss: Callable | None = None
@@ -104,16 +105,3 @@ class FrictionLaw:
             return steady(row, v) * v
 
         return loss
-
-    def steepness(self) -> Callable:
-        """``slope(row, v)`` of a law that gives it or not."""
-        if self.slope is not None:
-            return self.slope
-        steady = self.steady
-
-        @inlined
-        def slope(row, v):
-            around = ROUND * max(abs(v), TURN)
-            return (steady(row, v + around) - steady(row, v - around)) / (2 * around)
-
-        return slope

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from ehbench.parts.fault import Amount, Fault
-from ehbench.parts.friction.law import FrictionLaw, FrictionTable
-from ehbench.physics.friction import stribeck
+from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
+from ehbench.physics.friction import stribeck, stribeck_slope
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
 
@@ -41,12 +41,20 @@ def steady(row, v):
 
 
 @part_kernel
+def slope(row, v):
+    """Slope [N·s/m] of the resistance at speed v [m/s]."""
+    speeds = row.stribeck_speed, SMOOTHING
+    viscous, static = row.friction_viscous, row.friction_static
+    return stribeck_slope(v, viscous, row.friction_coulomb, static, *speeds)
+
+
+@part_kernel
 def fastest(row, v):
     """Fastest rate [1/s] near speed v: the largest slope there, on the lightest mass."""
     maximum = max(row.friction_static, row.friction_coulomb)
     steep = 0.0 if abs(v) > 4.0 * SMOOTHING else maximum / SMOOTHING
     dip = 0.86 * abs(row.friction_static - row.friction_coulomb) / row.stribeck_speed
-    return row.mobility * (max(steep, dip) + row.friction_viscous)
+    return min(row.mobility * (max(steep, dip) + row.friction_viscous), 1.0 / SETTLING)
 
 
 LAW = FrictionLaw(
@@ -57,6 +65,7 @@ LAW = FrictionLaw(
         *(("friction_static", "f8"), ("stribeck_speed", "f8")),
     ),
     steady=steady,
+    slope=slope,
     fastest=fastest,
 )
 
