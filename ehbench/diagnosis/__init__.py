@@ -24,7 +24,7 @@ from ehbench.vocabulary.errors import EhbenchError
 __all__ = ["Case", "Finding", "Follows", "Structure", "ask", "followed"]
 
 CERTAIN = 30.0  # log-likelihood ratio that the best of all faults hardly reaches by chance
-MATTERS = 0.1  # share of the residuals' sum of squares that a fault must explain
+MATTERS = 0.1  # share of the squares beyond the noise that a fault must explain
 NEAR = 0.6  # share of what the best fault explains, from which another is told too
 BESIDE = 0.3  # share of what the best leaves, that one beside it must explain
 ALIKE = 0.97  # of two that explain this nearly alike, the plainer comes first
@@ -44,10 +44,9 @@ Best = tuple[float, float, list[np.ndarray]]  # a size, sum of squares, what is 
 class Finding:
     """One thing that the residuals say: its ``kind`` (``gain``, ``deadband``, ``lag``, …), what it
     is ``about`` (a part or a channel), a ``sentence``, the ``remedy`` as a line of recipe or rig
-    file, and the share of the residuals' squares that it ``explains``; ``size`` is the fault's
-    δ, such as a share of a gain. ``above_noise`` says whether the residuals exceed what
-    the sensors' noise makes, ``beyond`` by how many half-widths of its interval an
-    identified number would be off."""
+    file, and the share that it ``explains`` of the residuals' squares beyond those of the sensors'
+    noise; ``size`` is the fault's δ, such as a share of a gain; ``beyond`` by how many half-widths
+    of its interval an identified number would be off."""
 
     kind: str
     about: str
@@ -55,13 +54,12 @@ class Finding:
     remedy: str
     explains: float
     size: float
-    above_noise: bool = False
     beyond: float = 0.0
 
     @property
     def dominant(self) -> bool:
-        """Whether it explains most of a residual that is above the noise."""
-        return self.above_noise and self.explains > DOMINANT
+        """Whether it explains most of what is above the noise."""
+        return self.explains > DOMINANT
 
 
 @dataclass(frozen=True)
@@ -112,6 +110,7 @@ class _Search:
         self.cases = [case for case, _ in known]
         self.left = [left for _, left in known]
         self.now = total(self.left)
+        self.noise = sum(case.noise_squares for case in self.cases)
         self.count = sum(case.independent(left) for case, left in known)
 
     def findings(self) -> list[Finding]:
@@ -119,7 +118,7 @@ class _Search:
         slopes = self._slopes(self._faults())
         promises = {fault: self._promise(fault, slope) for fault, slope in slopes.items()}
         ranked = sorted(slopes, key=lambda fault: -promises[fault])
-        quiet = not self._above_noise
+        quiet = self.now < QUIET * sum(left.size for left in self.left)
         tried = [fault for fault in ranked[:TRIED] if promises[fault] > 0.0]
         if quiet and not any(self._counts(promises[fault], self.now) for fault in tried):
             return []
@@ -255,10 +254,13 @@ class _Search:
         return now
 
     def _counts(self, gain: float, of: float) -> bool:
-        """Whether so much less in a sum of squares is more than chance, and more than a trifle."""
-        if gain < MATTERS * of:
+        """Whether so much less in a sum of squares is more than chance, by the noise and by what is
+        left, and more than a trifle of what exceeds the noise.
+        """
+        if gain < MATTERS * (of - self.noise):
             return False
-        return self.count * math.log(of / max(of - gain, 1.0e-12 * of)) > CERTAIN
+        ratio = self.count * math.log(of / max(of - gain, 1.0e-12 * of))
+        return min(0.5 * gain, ratio) > CERTAIN
 
     def _beside(
         self,
@@ -280,13 +282,9 @@ class _Search:
             return []
         return [self._finding(fault, delta, gain)]
 
-    @property
-    def _above_noise(self) -> bool:
-        return self.now >= QUIET * sum(left.size for left in self.left)
-
     def _finding(self, fault: Hypothesis, delta: float, gain: float) -> Finding:
         rig = self.cases[0].model.rig
-        explains, above = float(gain / self.now), self._above_noise
+        explains = float(min(1.0, gain / max(self.now - self.noise, gain)))
         says, line = fault.sentence(rig, delta), fault.remedy(rig, delta)
         size, beyond = float(delta), fault.beyond(delta)
-        return Finding(fault.kind, fault.about, says, line, explains, size, above, beyond)
+        return Finding(fault.kind, fault.about, says, line, explains, size, beyond)

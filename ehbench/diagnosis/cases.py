@@ -135,17 +135,31 @@ class Case:
         return results
 
     @cached_property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of the white noise of a block of each channel."""
+        return {
+            channel: white_noise(values) / math.sqrt(self.block)
+            for channel in self.recorded
+            if (values := column(self.record, channel, self.record)) is not None
+        }
+
+    @cached_property
     def scales(self) -> dict[str, float]:
         """What an error of each channel is measured by: the noise of a block, and a share of the
         channel's spread.
         """
-        results = {}
-        for channel, values in self.recorded.items():
-            raw = column(self.record, channel, self.record)
-            assert raw is not None
-            noise = white_noise(raw) / math.sqrt(self.block)
-            results[channel] = math.hypot(noise, FINE * float(np.std(values)))
-        return results
+        return {
+            channel: math.hypot(self.noise[channel], FINE * float(np.std(values)))
+            for channel, values in self.recorded.items()
+        }
+
+    @property
+    def noise_squares(self) -> float:
+        """Sum of the squares that noise alone leaves of `left`."""
+        return sum(
+            values.size * (self.noise[channel] / self.scales[channel]) ** 2
+            for channel, values in self.recorded.items()
+        )
 
     def left(self, simulated: Record) -> np.ndarray:
         """Blocks of simulated minus recorded of all channels, one after the other, in their scales;

@@ -59,10 +59,10 @@ class SensitivitySettings:
         "less does not show in a fit percentage",
     )
     alike: float = setting(
-        0.9,
+        0.5,
         "",
-        "share of what the best explains from which another is as likely",
-        "closer than this the logs do not tell them apart",
+        "share of what the best explains from which another is reported",
+        "the machine may lack both: leakage past the piston and to the outside",
     )
     looked: int = setting(
         8,
@@ -153,12 +153,14 @@ def _asked(fit: Problem, state: State) -> list[Hypothesis]:
     records, rig = [log.record for log in logs], simulator.rig.with_values(values)
     terms = {(term.channel, term.word) for log in logs for term in log.start.terms}
     spectra = any(log.band is not None for log in logs)
+    rows = hypotheses(rig, cylinders, channels, records, simulator.maps)
     return [
         row
-        for row in hypotheses(rig, cylinders, channels, records, simulator.maps)
+        for row in (row.without(simulator.names, ()) if row.edits else row for row in rows)
         if row.row.step != 0.0
         and (row.level > 0 or row.kind == "gain")
         and row.kind != "drift"
+        and (row.numbers or row.readings)
         and not {*row.parameters} & {*simulator.names}
         and not {(channel, word) for channel, word, _ in row.readings} & terms
         and not (spectra and row.readings)
@@ -310,7 +312,7 @@ def _confirmed(fit: Problem, result: Errors, item: _Suspect) -> tuple[Hypothesis
             prior_weight=state.prior_weight,
             coarse=False,
         )
-        end, _ = solve(freed, begin, 1e-4)
+        end, _ = solve(freed, begin, 1e-3)
         there = errors_of(freed, evaluate(freed, end))
     except IMPOSSIBLE:
         return None
