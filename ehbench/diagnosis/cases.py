@@ -16,9 +16,9 @@ from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
-from ehbench.preprocessing.observations import column
+from ehbench.preprocessing.observations import column, noise_of
 from ehbench.preprocessing.sensors import Term, corrected, sensed
-from ehbench.signals.series import correlation_time, white_noise
+from ehbench.signals.series import correlation_time
 from ehbench.vocabulary.quantities import GAUGES
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
@@ -136,12 +136,8 @@ class Case:
 
     @cached_property
     def noise(self) -> dict[str, float]:
-        """Standard deviation of the white noise of a block of each channel."""
-        return {
-            channel: white_noise(values) / math.sqrt(self.block)
-            for channel in self.recorded
-            if (values := column(self.record, channel, self.record)) is not None
-        }
+        """Standard deviation that white noise gives a block of each channel."""
+        return {name: noise_of(self.record, name, self.block) for name in self.recorded}
 
     @cached_property
     def scales(self) -> dict[str, float]:

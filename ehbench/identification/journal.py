@@ -40,11 +40,12 @@ class Journal:
         self.path, self.about, self.known = path, dict(about or {}), known or []
         self.steps: list[dict[str, Any]] = []
         self.stands: dict[str, Any] = {}
+        self.search = ""  # the search that steps belong to
         self._written = time.monotonic()
 
     def begin(self, *start: object) -> dict[str, Any]:
         """Begin a step; what is known of it, empty where nothing is. ``left`` is how many known
-        steps come after it.
+        steps of the same search come after it.
 
         Args:
             start: all that the step's result depends on: bytes, or what `repr` tells exactly.
@@ -57,8 +58,9 @@ class Journal:
         if at < len(self.known) and self.known[at].get("from") != name:
             self.known = self.known[:at]
         result = dict(self.known[at]) if at < len(self.known) else {}
-        self.steps.append(result or {"from": name})
-        return result | {"left": len(self.known) - at - 1} if result else {}
+        self.steps.append(result or {"from": name, "search": self.search})
+        left = sum(step["search"] == self.search for step in self.known[at + 1 :])
+        return result | {"left": left} if result else {}
 
     def keep(self, stands: Mapping[str, Any], **result: Any) -> None:
         """Note what the step that was begun last has come to, and where the search stands."""

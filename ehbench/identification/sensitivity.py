@@ -30,7 +30,7 @@ from ehbench.identification.problem import (
 )
 from ehbench.identification.results import Lean, Moved
 from ehbench.identification.search import coordinates
-from ehbench.identification.simulator import Log, Simulator
+from ehbench.identification.simulator import Effort, Log, Simulator
 from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.preprocessing.sensors import VAGUE, Term
 from ehbench.signals.series import white_noise
@@ -70,8 +70,11 @@ class SensitivitySettings:
         "rows that promise most, of which a standard error is asked",
         "an error costs as much as ten simulations",
     )
-    confirmed: int = setting(
-        3, "", "rows that are freed in a further fit", "each costs a tenth of the fit's time"
+    effort: float = setting(
+        0.2,
+        "",
+        "share of the fit's simulations after which no further row is freed",
+        "one row is freed whatever it takes",
     )
 
 
@@ -103,7 +106,8 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> tuple[list[str], tu
     """
     if _only_noise(fit, state):
         return [], ()
-    suspects = _promising(fit, result, list(_columns(fit, state, _asked(fit, state))))
+    effort = Effort()
+    suspects = _promising(fit, result, list(_columns(fit, state, _asked(fit, state), effort)))
     rig = fit.simulator.rig
     warnings: list[str] = [
         message(
@@ -118,8 +122,13 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> tuple[list[str], tu
     ]
     if not any(item.beyond > BEYOND for item in suspects):
         return warnings, ()
-    tried = (_confirmed(fit, result, item) for item in suspects[: SETTINGS.confirmed])
-    confirmed = [pair for pair in tried if pair is not None]
+    suspects.sort(key=lambda item: item.beyond <= BEYOND)
+    confirmed: list[tuple[Hypothesis, Lean]] = []
+    for item in suspects:
+        pair = _confirmed(fit, result, item, effort)
+        confirmed += [] if pair is None else [pair]
+        if effort.evaluations > SETTINGS.effort * fit.simulator.effort.evaluations:
+            break
     best = max((item.explains for _, item in confirmed), default=0.0)
     likely = [
         (row, item)
@@ -182,7 +191,9 @@ def _with_terms(logs: Sequence[Log], terms: Sequence[Term]) -> list[Log]:
     ]
 
 
-def _columns(fit: Problem, state: State, rows: Sequence[Hypothesis]) -> Iterator[_Suspect]:
+def _columns(
+    fit: Problem, state: State, rows: Sequence[Hypothesis], effort: Effort
+) -> Iterator[_Suspect]:
     """The rows that change something: those of numbers that the rig has at once, those of sensors
     at once, each of those that alter the rig by itself.
     """
@@ -201,6 +212,7 @@ def _columns(fit: Problem, state: State, rows: Sequence[Hypothesis]) -> Iterator
         except IMPOSSIBLE:
             continue
         built = Simulator(rig, logs, names, simulator.maps, simulator.workers, simulator.step)
+        built.effort = effort
         points, keys = [], []
         for row in group:
             changed = {n.name: n.at(row.inside) for n in row.numbers}
@@ -281,9 +293,12 @@ def _moved(fit: Problem, result: Errors, theta: np.ndarray) -> tuple[Moved, ...]
     return tuple(sorted(moved, key=lambda item: -item.halves))
 
 
-def _confirmed(fit: Problem, result: Errors, item: _Suspect) -> tuple[Hypothesis, Lean] | None:
+def _confirmed(
+    fit: Problem, result: Errors, item: _Suspect, effort: Effort
+) -> tuple[Hypothesis, Lean] | None:
     """A row by a fit in which it is free; None where that has it otherwise."""
     row, old, state = item.row, fit.simulator, result.state
+    fit.journal.search = row.name
     sensor = len(row.readings) == 1 and (bool(row.edits) or not row.numbers)
     terms = _terms([row], True) if sensor else ()
     starts = {} if sensor else {n.name: n.begin(item.delta) for n in row.numbers}
@@ -294,8 +309,10 @@ def _confirmed(fit: Problem, result: Errors, item: _Suspect) -> tuple[Hypothesis
         names += [term.name for term in terms]
         logs = _with_terms(fit.logs, terms)
         simulator = Simulator(rig, logs, names, old.maps, old.workers, old.step)
+        simulator.effort = effort
         search = [*fit.search[: fit.requested], *more]
-        freed = problem_of(simulator, search, None, fit.max_iterations, fit.cutoff)
+        given = None, fit.max_iterations, fit.cutoff, fit.journal
+        freed = problem_of(simulator, search, *given)
         index = {c.name: i for i, c in enumerate(freed.search)}
         live = [index[fit.search[i].name] for i in state.live]
         new = [index[name] for name in (*starts, *(term.name for term in terms))]

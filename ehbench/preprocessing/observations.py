@@ -85,17 +85,21 @@ def count_error(y: np.ndarray) -> float:
     return count / math.sqrt(12.0) * math.exp(-2.0 * noise * (math.pi / count) ** 2)
 
 
-def noise_of(record: Record, channel: str) -> float:
-    """Standard deviation of a channel's white noise [SI], by third differences; of a rate that is
-    taken from a position, what that position's noise makes of it.
+def noise_of(record: Record, channel: str, each: int = 1) -> float:
+    """Standard deviation that white noise gives a channel [SI], or means of ``each`` samples of it,
+    by third differences; of a rate that is taken from a position, what that position's noise makes
+    of it.
     """
     position = position_of(channel)
     if channel in record or position not in record:
-        return white_noise(record[channel])
+        return white_noise(record[channel]) / math.sqrt(each)
     pulse = np.zeros(record.t.size)
     pulse[record.t.size // 2] = 1.0
     answer = column(replace(record, channels={position: pulse}), channel, record)
-    return 0.0 if answer is None else white_noise(record[position]) * float(np.linalg.norm(answer))
+    if answer is None:
+        return 0.0
+    means = np.convolve(answer, np.full(each, 1.0 / each))
+    return white_noise(record[position]) * float(np.linalg.norm(means))
 
 
 def position_of(channel: str) -> str:

@@ -15,10 +15,10 @@ METHODS: Mapping[str, int] = {
     "plant": 1,  # equations of the plant, its parts and their integration
     "bench": 1,  # virtual bench: delays, noise, quantisation
     "flow_maps": 2,
-    "output_error": 2,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 3,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 3,
+    "diagnosis": 4,
     "validation": 3,
     "control": 1,  # controllers
     "tuning": 2,
@@ -35,7 +35,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "hydraulics": (2, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (1, (*_SIMULATED, "frequency_response")),
-    "validation": (4, (*_SIMULATED, "diagnosis", "validation")),
+    "validation": (5, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (1, ("plant", "control", "tuning")),
     "trial": (1, _TRIAL),
