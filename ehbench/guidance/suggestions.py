@@ -16,19 +16,29 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.recipe.sensor import WORDS, Sensor
+from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
-from ehbench.identification.basins import descend, foreseen, nearest_basin
+from ehbench.guidance.comparison import Comparison, comparison_of
+from ehbench.identification.basins import at_values, descend, foreseen, nearest_basin
 from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
-from ehbench.identification.problem import Problem, initial, problem_of
+from ehbench.identification.problem import SETTINGS as PROBLEM
+from ehbench.identification.problem import (
+    Problem,
+    effects,
+    evaluate,
+    initial,
+    jacobian,
+    problem_of,
+)
 from ehbench.identification.search import of_sensors
 from ehbench.identification.simulator import Log, Simulator
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.terminal import Answer
 from ehbench.signals.series import white_noise
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
@@ -127,11 +137,13 @@ class Suggestion:
 @dataclass(frozen=True, eq=False)
 class Suggestions:
     """The table, simplest that is not worse first; ``setups`` are the fits behind its rows;
-    ``untried`` names what there was no time for on top of the best."""
+    ``untried`` names what there was no time for on top of the best; ``compared`` is what all rows
+    compare."""
 
     rows: tuple[Suggestion, ...]
     setups: tuple[Setup, ...]
     untried: tuple[str, ...]
+    compared: Comparison = Comparison(())
 
     def answer(self, recipe: Path, written: Path | None = None) -> Answer:
         """What the command says: the rows by what they leave, the lines of the first as a step.
@@ -147,17 +159,22 @@ class Suggestions:
             freedom = Cell(str(row.freedom), "number")
             rows.append([left, freedom, "" if row.not_worse else "yes", row.words])
         best = self.rows[0]
-        lines = "\n".join([*best.recipe_lines, *best.rig_lines])
+        lines = "\n".join([*self.compared.lines, *best.recipe_lines, *best.rig_lines])
         steps = [message("steps.write_lines", lines=lines)] if lines else []
         if lines and written is None:
             steps.append(message("steps.write_suggested", recipe=recipe))
         untried = ", ".join(self.untried)
-        key = "guidance.best" if lines else "guidance.nothing_better"
+        key = "guidance.best" if best.changes else "guidance.nothing_better"
+        if len(self.rows) == 1 and self.untried:
+            key = "guidance.nothing_tried"
         return Answer(
             message(key, left=f"{100.0 * best.misfit:.3g}"),
             [Grid(["left out", "numbers", "worse", "what"], rows)],
             steps,
-            [message("guidance.untried", names=untried)] if untried else [],
+            [
+                *self.compared.steps,
+                *([message("guidance.untried", names=untried)] if untried else []),
+            ],
             written,
             {"rows": [row.as_json() for row in self.rows], "untried": self.untried},
         )
@@ -176,7 +193,8 @@ def suggest(
         prepared: the fit.
         records: its logs.
         progress: told what is tried, and the share done.
-        seconds: after which nothing more is begun.
+        seconds: of processor time, the recipe's own fit among them, after which nothing more is
+            begun.
         rounds: how many changes are tried on top of one another, at most.
 
     Raises:
@@ -188,7 +206,15 @@ def suggest(
             "windows left out of a log have no frequency response to compare",
             hint="ask --suggest of a recipe without [response]",
         )
-    return _Trials(prepared, records, progress or (lambda text, share: None), seconds).run(rounds)
+    begun, compared = time.process_time(), comparison_of(prepared)
+    if compared.steps:
+        records = compared.records(records)
+        options = replace(prepared.options, channels=compared.channels)
+        given = prepared.rig, records, prepared.parameters, options, prepared.flow_maps
+        prepared = prepare_fit(*given)
+    tell = progress or (lambda text, share: None)
+    result = _Trials(prepared, records, tell, begun + seconds).run(rounds)
+    return replace(result, compared=compared)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,12 +236,12 @@ class _Trials:
         prepared: PreparedFit,
         records: Sequence[tuple[str, Record]],
         tell: Progress,
-        seconds: float,
+        until: float,
     ) -> None:
         options = replace(prepared.options, method="output_error", max_iterations=STEPS)
         self.base = Setup(prepared.rig, prepared.parameters, options)
         self.records, self.maps, self.tell = records, prepared.flow_maps, tell
-        self.begun, self.seconds = time.monotonic(), seconds
+        self.begun, self.until = time.process_time(), until
         self.tried: list[Tried] = []
         self.spread: dict[str, float] = {}
         self.noise: dict[str, float] = {}
@@ -268,13 +294,12 @@ class _Trials:
         reached: list[Tried] = []
         best = 1.0 - WORTH
         for promise, change in promised:
-            spent = time.monotonic() - self.begun
             if promise > best**hope:
                 break
-            if spent > self.seconds:
+            if time.process_time() > self.until:
                 untried.append(change.name)
                 continue
-            self.tell(f"suggest: {change.name}", spent / self.seconds)
+            self.tell(f"suggest: {change.name}", self._spent)
             tried = self._try(now, change)
             if tried is not None:
                 reached.append(tried)
@@ -294,11 +319,10 @@ class _Trials:
         results: list[tuple[float, Hypothesis]] = []
         untried, without = [], self._foreseen(now, now.setup, ({},))
         for change in left:
-            spent = time.monotonic() - self.begun
-            if spent > self.seconds:
+            if time.process_time() > self.until:
                 untried.append(change.name)
                 continue
-            self.tell(f"suggest: what {change.name} promises", spent / self.seconds)
+            self.tell(f"suggest: what {change.name} promises", self._spent)
             try:
                 cost = self._foreseen(now, now.setup.with_change(change), change.starts)
             except IMPOSSIBLE:
@@ -306,6 +330,11 @@ class _Trials:
             rise = (cost - min(without, now.costs[0])) / len(self.channels)
             results.append((math.exp(rise) if rise < 0.0 else 1.0, change))
         return sorted(results, key=lambda item: item[0]), untried
+
+    @property
+    def _spent(self) -> float:
+        """The share of the time that is spent."""
+        return (time.process_time() - self.begun) / max(self.until - self.begun, 1e-9)
 
     def _foreseen(self, now: Tried, setup: Setup, starts: Sequence[Mapping[str, float]]) -> float:
         """The least cost that a fit should come to, were all linear, from some starts beside the
@@ -505,14 +534,40 @@ class _Trials:
                     tuple(line for c in setup.changes for line in c.rig_lines(setup.rig)),
                 )
             )
-        return Suggestions(tuple(rows), tuple(map(_begun, (self.tried[i] for i in order))), untried)
+        best, *others = (self.tried[i] for i in order)
+        setups = self._begun(best), *(item.setup for item in others)
+        return Suggestions(tuple(rows), setups, untried)
 
-
-def _begun(item: Tried) -> Setup:
-    """A fit that begins where it was tried."""
-    setup, result = item.setup, item.found[int(np.argmin(item.costs))]
-    start = {name: result[name] for name in setup.parameters}
-    return replace(setup, options=replace(setup.options, start=start))
+    def _begun(self, item: Tried) -> Setup:
+        """A fit that begins where it was tried; parameters that the logs do not excite stay at
+        the rig's values.
+        """
+        setup, result = item.setup, item.found[int(np.argmin(item.costs))]
+        logs, problem = self._prepared(setup, None)
+        state = evaluate(problem, at_values(problem, result))
+        sizes = effects(problem, state, jacobian(problem, state, state.free))
+        pairs = zip(state.free, sizes, strict=True)
+        excited = {problem.search[i].name for i, size in pairs if size >= PROBLEM.faint}
+        start = {name: result[name] for name in setup.parameters if name in excited}
+        known = {
+            (term.channel, term.word): Value(
+                max(term.value(result[term.name]), 0.0 if term.word != "offset" else -math.inf),
+                std=abs(term.per) * term.std,
+            )
+            for term in logs[0].start.terms
+            if term.name in result and term.std > 0.0 and term.value(result[term.name]) != 0.0
+        }
+        sensors = tuple(
+            sensor.model_copy(
+                update={
+                    w: known[sensor.channel, w]
+                    for w in WORDS
+                    if sensor[w] == ESTIMATE and (sensor.channel, w) in known
+                }
+            )
+            for sensor in setup.options.sensors
+        )
+        return replace(setup, options=replace(setup.options, start=start, sensors=sensors))
 
 
 def _by_cost(item: _Fold) -> float:

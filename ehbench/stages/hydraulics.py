@@ -107,6 +107,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             return super().run(replace(prepared, journal=journal), host)
 
     def work(self, prepared: PreparedHydraulics, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.guidance.comparison import comparison_of
         from ehbench.identification.hydraulics import ranked, run_fit
 
         recipe, logs = prepared.recipe, prepared.logs
@@ -119,6 +120,8 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         compared = [variant.as_json() for variant in (ranked(fits) if fits else ())]
         write_rig(folder, fit.rig, prepared.state.flow_maps)
         additional = tables_of(recipe.sensor) | {"dynamics_comparison": compared}
+        advice = comparison_of(prepared.fit).steps
+        additional["advice"] = [{"key": step.key, "fields": step.fields} for step in advice]
         rundir.write_json(folder / "parameters.json", fit.as_json() | additional)
         write_series(folder / "series", fit.series())
         fitted_on = [rundir.sha256(path) for _, path in logs.inputs]
@@ -173,6 +176,9 @@ def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: P
     if bounds:
         more = {name: setup.rig.shown(name, maximum, 5) for name, maximum in bounds}
         table["upper"] = table.get("upper", {}) | more
+    if result.compared.lines:
+        table["channels"] = list(result.compared.channels)
+        table |= {"tied": "position"} if result.compared.tied else {}
     if setup.options.sensors:
         table["sensor"] = [sensor.as_toml() for sensor in setup.options.sensors]
     with filling(folder) as scratch:

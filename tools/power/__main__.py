@@ -1,4 +1,6 @@
-"""``python -m tools.power [--rigs N] [--exact N] [--json FILE] [--write]``"""
+"""``python -m tools.power [--rigs N] [--exact N] [--json FILE] [--write]``: a study that is stopped
+goes on with the outcomes in FILE.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.power", description=__doc__)
     parser.add_argument("--rigs", type=int, default=8, help="machines with every single error")
     parser.add_argument("--exact", type=int, default=None, help="machines with exact models")
-    parser.add_argument("--json", type=Path, help="write every outcome, a line each")
+    parser.add_argument("--json", type=Path, help="outcomes, a line each: goes on with those there")
     parser.add_argument("--workers", type=int, default=0, help="processes, 0 for one a core")
     parser.add_argument("--write", action="store_true", help=f"write {PAGE.name} of the docs")
     given = parser.parse_args(arguments)
@@ -58,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
     if apart > ALIKE:
         parser.error(f"plant and model differ by {apart:.1e} of a channel's range")
     trials = [*wrong_trials(given.rigs), *exact_trials(exact)]
-    results = list(_kept(outcomes(trials, given.workers), given.json, len(trials)))
+    results = [item for item in _kept(trials, given.workers, given.json) if not item.skipped]
     wrong = wrong_table([item for item in results if item.trial.error])
     right = exact_table([item for item in results if not item.trial.error])
     print(wrong, right, sep="\n\n")
@@ -67,15 +69,23 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _kept(results: Iterator[Outcome], path: Path | None, count: int) -> Iterator[Outcome]:
-    lines = []
-    for number, result in enumerate(results):
+def _kept(trials: Sequence[Trial], workers: int, path: Path | None) -> Iterator[Outcome]:
+    """Outcomes of trials: those that a file has, and the others, which it gets as they come."""
+    known: dict[Trial, Outcome] = {}
+    if path is not None and path.is_file():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            table = json.loads(line)
+            trial = Trial(**table.pop("trial"))
+            known[trial] = Outcome(trial, **table)
+    yield from (known[trial] for trial in trials if trial in known)
+    rest = [trial for trial in trials if trial not in known]
+    for number, result in enumerate(outcomes(rest, workers) if rest else ()):
         if number % 50 == 0:
-            print(f"{number} of at most {count}", file=sys.stderr, flush=True)
-        lines.append(json.dumps(asdict(result), ensure_ascii=False))
+            print(f"{number} of {len(rest)}", file=sys.stderr, flush=True)
+        if path is not None:
+            with path.open("a", encoding="utf-8") as lines:
+                lines.write(json.dumps(asdict(result), ensure_ascii=False) + "\n")
         yield result
-    if path is not None:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

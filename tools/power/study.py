@@ -250,9 +250,7 @@ def outcomes(trials: Sequence[Trial], workers: int = 0) -> Iterator[Outcome]:
 
     judged(Trial(0, "steps", 1.0))  # compiles what the workers share
     with one_thread(), ProcessPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        yield from (
-            item for item in pool.map(judged, trials, chunksize=len(ERRORS)) if not item.skipped
-        )
+        yield from pool.map(judged, trials, chunksize=len(ERRORS))
 
 
 def _share(some: Sequence[bool]) -> str:

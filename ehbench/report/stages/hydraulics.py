@@ -190,7 +190,8 @@ def findings(run: Saved) -> Findings:
     weak = [item for item in parameters if item["status"] not in ("estimated", DOUBTFUL)]
     against = [item["sentence"] for item in sensitive] + [residual] * bool(residual)
     against += [page.text("weak", item=item) for item in weak]
-    steps = [remedy_step(item["remedy"]) for item in sensitive]
+    steps = [message(item["key"], **item["fields"]) for item in fit.get("advice", [])]
+    steps += [remedy_step(item["remedy"]) for item in sensitive]
     steps += [message("steps.suggest", **names(run))] * bool(residual)
     first = {item["status"]: item["name"] for item in reversed(weak)}
     for status, parameter in first.items():
