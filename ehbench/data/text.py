@@ -18,7 +18,6 @@ from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
-_GZIP = b"\x1f\x8b"
 _MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
 _LINE_END = re.compile("\r\n|\r|\n")
 _OTHER = {".": ",", ",": "."}
@@ -129,7 +128,17 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
         data = read_bytes(path, DATA, LogError)
     except FileNotFoundError:
         raise LogError(message("data.no_file"), file=path) from None
-    data = _unpacked(data, path)
+    if data.startswith(b"\x1f\x8b"):  # gzip
+        maximum = int(available() / COPIES)
+        unpacker = zlib.decompressobj(31)
+        try:
+            data = unpacker.decompress(data, maximum)
+        except zlib.error as error:
+            raise LogError(message("data.bad_gzip", reason=error), file=path) from None
+        if unpacker.unconsumed_tail:
+            raise LogError(message("data.gzip_too_large", limit=maximum / 1e6), file=path)
+        if not unpacker.eof:
+            raise LogError(message("data.gzip_breaks_off"), file=path)
     refuse_beyond(COPIES * len(data), "reading it")
     marked = [name for mark, name in _MARKS.items() if data.startswith(mark)]
     if not marked and b"\0" in data:  # every second byte of western text in UTF-16
@@ -146,27 +155,6 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
     if encoding:
         raise LogError(message("data.other_encoding", encoding=encoding), file=path)
     raise LogError(message("data.no_text"), file=path)
-
-
-def _unpacked(data: bytes, path: Path) -> bytes:
-    """The bytes of a file, unpacked where gzip has packed them.
-
-    Raises:
-        LogError: broken, or larger than fits.
-    """
-    if not data.startswith(_GZIP):
-        return data
-    maximum = int(available() / COPIES)
-    unpacker = zlib.decompressobj(31)
-    try:
-        result = unpacker.decompress(data, maximum)
-    except zlib.error as error:
-        raise LogError(message("data.bad_gzip", reason=error), file=path) from None
-    if unpacker.unconsumed_tail:
-        raise LogError(message("data.gzip_too_large", limit=maximum / 1e6), file=path)
-    if not unpacker.eof:
-        raise LogError(message("data.gzip_breaks_off"), file=path)
-    return result
 
 
 def split(line: str, separator: str) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -156,9 +155,8 @@ def payload_of(record: Record) -> str | None:
     if changes:
         time, after = changes[0]
         before, after = payload or "none", after or "none"
-        raise InputError(
-            message("preprocessing.payload_changes", before=before, after=after, time=time)
-        )
+        fields = {"before": before, "after": after, "time": time}
+        raise InputError(message("preprocessing.payload_changes", **fields))
     return payload
 
 
@@ -168,8 +166,17 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
     """
     if supplied(record):
         return []
-    notes = list(_empty(record, simulated, rig))
-    if "p_supply" not in record:
+    notes, seen, accumulator = [], "p_supply" in record, rig.supply.accumulator
+    if accumulator is not None:  # by the recording where it has the pressure, else by the model
+        pressure = (record if seen else simulated)["p_supply"]
+        precharge = float(accumulator.precharge)
+        low = precharge - SETTINGS.empty * abs(precharge) - 4.0 * white_noise(pressure) * seen
+        if (below := pressure < low).any():
+            fields = {"time": f"{record.t[int(np.argmax(below))]:.4g} s"}
+            fields |= {"precharge": rig.shown("precharge", precharge)}
+            key = "preprocessing.empty_recorded" if seen else "preprocessing.empty_simulated"
+            notes.append(message(key, **fields))
+    if not seen:
         return notes
     off = simulated["p_supply"] - record["p_supply"]
     worst, noise = int(np.argmax(np.abs(off))), white_noise(record["p_supply"])
@@ -179,27 +186,6 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
         shown, way = rig.shown("p_supply", abs(far), 3), "below" if far > 0.0 else "above"
         notes.append(message("preprocessing.supply_off", off=shown, way=way, time=time))
     return notes
-
-
-def _empty(record: Record, simulated: Record, rig: Rig) -> Iterator[Message]:
-    """A note where the supply falls below its accumulator's precharge, by the recording where it
-    has the pressure, else by the model.
-    """
-    accumulator = rig.supply.accumulator
-    if accumulator is None:
-        return
-    seen = "p_supply" in record
-    pressure = record["p_supply"] if seen else simulated["p_supply"]
-    precharge = float(accumulator.precharge)
-    low = precharge - SETTINGS.empty * abs(precharge) - 4.0 * white_noise(pressure) * seen
-    below = pressure < low
-    if below.any():
-        time = f"{record.t[int(np.argmax(below))]:.4g} s"
-        fields = {"time": time, "precharge": rig.shown("precharge", precharge)}
-        if seen:
-            yield message("preprocessing.empty_recorded", **fields)
-        else:
-            yield message("preprocessing.empty_simulated", **fields)
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:

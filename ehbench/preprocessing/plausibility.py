@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from itertools import permutations
 
 import numpy as np
 
@@ -94,15 +95,13 @@ def replay_notes(name: str, record: Record, model: Model) -> Iterator[Message]:
     tied = record.meta[TIED]
     if not any(seen.values()):
         cylinder = rig.cylinder[0].name
-        raise InputError(
-            message("preprocessing.no_position", log=name, tied=tied, cylinder=cylinder)
-        )
+        text = message("preprocessing.no_position", log=name, tied=tied, cylinder=cylinder)
+        raise InputError(text)
     joints = {c.joint for c in rig.cylinder if seen[c.name]}
     lacking = ", ".join(joint for joint in model.layout.joints if joint not in joints)
     if "qd" in words and lacking:
-        raise InputError(
-            message("preprocessing.motion_unknown", log=name, tied=tied, joints=lacking)
-        )
+        text = message("preprocessing.motion_unknown", log=name, tied=tied, joints=lacking)
+        raise InputError(text)
     channels = ", ".join(filter(None, seen.values()))
     if "qd" not in words:
         yield message("preprocessing.position_replayed", channels=channels)
@@ -128,7 +127,7 @@ def _coarse(record: Record, model: Model) -> Iterator[Message]:
             spread = float(np.std(record[pressure])) if pressure in record else 0.0
             worth = float(row.bulk_modulus * area / volume) * noise
             if worth > SETTINGS.worth * spread > 0.0:
-                shown, share = _pressure_text(model.rig, worth), worth / spread
+                shown, share = model.rig.shown("p_head", worth, 3), worth / spread
                 fields = {"position": channel, "noise": shown, "pressure": pressure}
                 yield message("preprocessing.position_noise", share=share, **fields)
 
@@ -152,11 +151,9 @@ def foreign_channels(name: str, record: Record, rig: Rig) -> list[Message]:
         what = "a valve" if valve else "a cylinder"
         some = listed((f"'{channel}'" for channel in channels), 3)
         near = get_close_matches(owner, valves if "." in owner else cylinders, 1)
-        fields = {"channels": some, "what": what, "rig": rig.name}
-        if near:
-            notes.append(message("preprocessing.foreign_near", near=near[0], **fields))
-        else:
-            notes.append(message("preprocessing.foreign", **fields))
+        fields = {"channels": some, "what": what, "rig": rig.name, "near": "".join(near)}
+        key = "preprocessing.foreign_near" if near else "preprocessing.foreign"
+        notes.append(message(key, **fields))
     if not any(channel.partition(".")[0] in cylinders for channel in record.channels):
         there = {"cylinders": ", ".join(c.name for c in rig.cylinder)}
         there |= {"channels": ", ".join(record.channels), "notes": "; ".join(notes)}
@@ -193,23 +190,20 @@ def refuse_commands(name: str, record: Record, rig: Rig) -> None:
             raise InputError(message("preprocessing.outside_driver", log=name, **fields))
 
 
-def _pressure_text(rig: Rig, pressure: float) -> str:
-    unit = rig.unit_of("p_head")
-    return f"{from_si(pressure, unit, VOCABULARY['p_head']):.3g} {unit}"
-
-
-def _unit_mistake(ratio: float) -> str:
-    """The mistake of units that makes a pressure ``ratio`` times as large as it should be; '' for
-    none.
-    """
-    pairs = [
-        (abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b)
-        for a in _MIXED
-        for b in _MIXED
-        if a != b
-    ]
-    miss, a, b = min(pairs)
-    return f" it looks like {b} labelled {a}" if miss < math.log(1.3) else ""
+def _refuse_supply(name: str, record: Record, model: Model) -> None:
+    """Refuse a supply pressure that is not of the unit it says."""
+    rig, line = model.rig, model.plant.supply
+    supply, seen = float(line.pressure), float(np.percentile(record["p_supply"], 90))
+    minimum = float(line.margin) or supply  # which a load-sensing pump may stand at
+    if minimum / SETTINGS.apart <= seen <= supply * SETTINGS.apart:
+        return
+    ratio, misses = max(seen, 1.0) / supply, []
+    for a, b in permutations(_MIXED, 2):
+        misses.append((abs(math.log(ratio * factor(b, "Pa") / factor(a, "Pa"))), a, b))
+    miss, a, b = min(misses)
+    fields = {key: rig.shown("p_head", p, 3) for key, p in (("seen", seen), ("supply", supply))}
+    fields["like"] = f" it looks like {b} labelled {a}" if miss < math.log(1.3) else ""
+    raise InputError(message("preprocessing.supply_pressure", log=name, rig=rig.name, **fields))
 
 
 def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: bool) -> None:
@@ -217,16 +211,7 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
     rig, plant, names = model.rig, model.plant, model.layout
     supply = float(plant.supply.pressure)
     if "p_supply" in record:
-        seen = float(np.percentile(record["p_supply"], 90))
-        minimum = float(plant.supply.margin) or supply  # which a load-sensing pump may stand at
-        if not minimum / SETTINGS.apart <= seen <= supply * SETTINGS.apart:
-            fields = {"seen": _pressure_text(rig, seen), "supply": _pressure_text(rig, supply)}
-            like = _unit_mistake(max(seen, 1.0) / supply)
-            raise InputError(
-                message(
-                    "preprocessing.supply_pressure", log=name, rig=rig.name, like=like, **fields
-                )
-            )
+        _refuse_supply(name, record, model)
     try:
         start = model.start_of(record, rest)
     except EhbenchError:
@@ -245,10 +230,12 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         need = abs(force) / areas[carrying]
         peak = _peak(name, rig, cylinder, seen, supply, need)
         if len(seen) == 2 and peak < supply / SETTINGS.far_apart and _fed(cylinder, record):
-            fields = {"supply": _pressure_text(rig, supply), "peak": _pressure_text(rig, peak)}
-            raise InputError(
-                message("preprocessing.low_pressures", log=name, cylinder=cylinder.name, **fields)
-            )
+            fields = {
+                "supply": rig.shown("p_head", supply, 3),
+                "peak": rig.shown("p_head", peak, 3),
+            }
+            fields |= {"log": name, "cylinder": cylinder.name}
+            raise InputError(message("preprocessing.low_pressures", **fields))
         light = need < SETTINGS.loaded * supply
         if not still or carrying not in seen or light or _at_end(record, cylinder, rest):
             continue
@@ -260,8 +247,11 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         if (fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart) or (
             other in seen and fixed > need * SETTINGS.apart
         ):
-            fields = {"channel": f"{cylinder.name}.{carrying}", "load": _pressure_text(rig, need)}
-            fields |= {"fixed": _pressure_text(rig, fixed), "rig": rig.name}
+            fields = {
+                "channel": f"{cylinder.name}.{carrying}",
+                "load": rig.shown("p_head", need, 3),
+            }
+            fields |= {"fixed": rig.shown("p_head", fixed, 3), "rig": rig.name}
             raise InputError(message("preprocessing.load_pressure", log=name, **fields))
 
 
@@ -283,8 +273,8 @@ def _peak(
     peaks = {word: float(np.percentile(values, 99)) for word, values in seen.items()}
     for word, peak in peaks.items():
         if peak > SETTINGS.apart * max(supply, relief, need):
-            fields = {"channel": f"{cylinder.name}.{word}", "peak": _pressure_text(rig, peak)}
-            fields |= {"supply": _pressure_text(rig, supply), "rig": rig.name}
+            fields = {"channel": f"{cylinder.name}.{word}", "peak": rig.shown("p_head", peak, 3)}
+            fields |= {"supply": rig.shown("p_head", supply, 3), "rig": rig.name}
             raise InputError(message("preprocessing.high_pressure", log=name, **fields))
     return max(peaks.values())
 
@@ -340,10 +330,9 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
         ends = (from_si(float(end), unit, VOCABULARY["x"]) for end in (low, high, stroke))
         first, last, largest = (f"{end:.4g}" for end in ends)
         fields = {"channel": channel, "low": first, "high": last, "stroke": largest, "unit": unit}
-        if -slack * stroke <= -high and -low <= (1.0 + slack) * stroke:
-            yield message("preprocessing.stroke_turned", **fields)
-        else:
-            yield message("preprocessing.stroke_shifted", **fields)
+        turned = -slack * stroke <= -high and -low <= (1.0 + slack) * stroke
+        key = "preprocessing.stroke_turned" if turned else "preprocessing.stroke_shifted"
+        yield message(key, **fields)
 
 
 def _stuck(record: Record, rig: Rig) -> Iterator[Message]:
@@ -489,10 +478,8 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
             y = y if word in ("x", "q") else np.cumsum(y) * record.sample_time
             gone = np.diff(y[np.minimum(ends, y.size - 1)])[driven]
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
-            if (
-                path > SETTINGS.travel * _travel_of(cylinder, word)
-                and along < SETTINGS.against * path
-            ):
+            far = path > SETTINGS.travel * _travel_of(cylinder, word)
+            if far and along < SETTINGS.against * path:
                 falls, name = "falls" if turn > 0 else "rises", cylinder.name
                 yield message("preprocessing.backwards", channel=channel, way=falls, cylinder=name)
 
@@ -519,11 +506,8 @@ def _travels(record: Record, cylinder: Cylinder) -> bool:
         channel = f"{cylinder.name}.{word}"
         if channel not in record:
             continue
-        way = (
-            record[channel]
-            if word in ("q", "x")
-            else np.cumsum(record[channel]) * record.sample_time
-        )
+        y = record[channel]
+        way = y if word in ("q", "x") else np.cumsum(y) * record.sample_time
         if np.ptp(way) > SETTINGS.travel * _travel_of(cylinder, word):
             return True
     return False
@@ -550,10 +534,8 @@ def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
 def _begins_fast(speed: np.ndarray, rest: int, tick: float) -> bool:
     count = min(rest, max(1, round(SETTINGS.first / tick)))
     noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
-    return (
-        abs(float(np.mean(speed[:count])))
-        > SETTINGS.ongoing * float(np.abs(speed).max()) + 4.0 * noise
-    )
+    limit = SETTINGS.ongoing * float(np.abs(speed).max()) + 4.0 * noise
+    return abs(float(np.mean(speed[:count]))) > limit
 
 
 def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
@@ -565,9 +547,8 @@ def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
     if noise == 0.0 and jumps.any():  # an encoder that stands between two of its counts
         noise = 0.5 * float(np.min(jumps[jumps > 0.0]))
     way = float(np.polyfit(np.arange(count), place[:count], 1)[0]) * count
-    maximum = (
-        float(np.abs(place[count:] - place[:-count]).max()) if place.size > count else abs(way)
-    )
+    steps = np.abs(place[count:] - place[:-count])
+    maximum = float(steps.max(initial=0.0 if steps.size else abs(way)))
     return abs(way) > SETTINGS.ongoing * maximum + 4.0 * noise
 
 

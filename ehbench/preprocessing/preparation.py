@@ -30,6 +30,7 @@ from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.preprocessing.time_base import evened
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.text import numbered
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,8 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     """
     count, rig = record.t.size, model.rig
     if count < LEAST_SAMPLES:
-        raise InputError(
-            message("preprocessing.few_samples", log=name, count=count, least=LEAST_SAMPLES)
-        )
+        text = message("preprocessing.few_samples", log=name, count=count, least=LEAST_SAMPLES)
+        raise InputError(text)
     for channel, values in record.channels.items():
         if not np.isfinite(values).all():
             when = record.t[int(np.argmin(np.isfinite(values)))]
@@ -102,19 +102,5 @@ def distinct_names(paths: Sequence[Path]) -> list[str]:
     numbered if need be.
     """
     names = [Path(path.name.removesuffix(".gz")).stem for path in paths]
-    crowd = Counter(names)
-    names = [
-        f"{path.parent.name}_{name}" if crowd[name] > 1 else name
-        for path, name in zip(paths, names, strict=True)
-    ]
-    return numbered(names)
-
-
-def numbered(names: Sequence[str]) -> list[str]:
-    """The names, those that come again numbered from the second on."""
-    seen: Counter[str] = Counter()
-    results = []
-    for name in names:
-        seen[name] += 1
-        results.append(name if seen[name] == 1 else f"{name}_{seen[name]}")
-    return results
+    crowd, pairs = Counter(names), zip(paths, names, strict=True)
+    return numbered(f"{p.parent.name}_{name}" if crowd[name] > 1 else name for p, name in pairs)

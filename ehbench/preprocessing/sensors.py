@@ -111,16 +111,13 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
             elif isinstance(given, Value) and given.std:
                 std = given.std / abs(per)
             if std > 0.0 or (word in ("lag", "delay") and known > 0.0):
-                _refuse_tied(sensor.channel, word, records)
+                late = word in ("lag", "delay") and sensor.channel.endswith((".q", ".x"))
+                if late and any("qd" in tied_words(record) for record in records):
+                    # what comes too late cannot be given as motion
+                    text = message("preprocessing.late_motion", channel=sensor.channel, word=word)
+                    raise InputError(text)
                 results.append(Term(sensor.channel, word, known, per, std, sensor.per_log))
     return tuple(results)
-
-
-def _refuse_tied(channel: str, word: str, records: Sequence[Record]) -> None:
-    """Refuse a late sensor of a motion that is given: what comes too late cannot be given."""
-    late, position = word in ("lag", "delay"), channel.rpartition(".")[2] in ("q", "x")
-    if late and position and any("qd" in tied_words(record) for record in records):
-        raise InputError(message("preprocessing.late_motion", channel=channel, word=word))
 
 
 def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:

@@ -32,7 +32,7 @@ from ehbench.preprocessing.observations import (
     stood_for,
     supply_off,
 )
-from ehbench.preprocessing.preparation import PreparedLog, numbered, prepare
+from ehbench.preprocessing.preparation import PreparedLog, prepare
 from ehbench.runtime.cores import cores
 from ehbench.validation.baseline import beside
 from ehbench.validation.checks import checks_of, unrequested
@@ -45,6 +45,7 @@ from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import GAUGES
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.text import numbered
 
 CHANNELS = ("q", "qd", "p_head", "p_rod")
 

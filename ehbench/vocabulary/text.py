@@ -29,6 +29,14 @@ def listed(items: Iterable[Any], maximum: int = 4, kind: str = "") -> str:
     return ", ".join(texts[:maximum]) + more * (len(texts) > maximum)
 
 
+def numbered(names: Iterable[str], joint: str = "_") -> list[str]:
+    """The names, those that come again numbered from 2 on."""
+    results: list[str] = []
+    for name in names:
+        results.append(unlike(name, results, joint))
+    return results
+
+
 def shortened(value: Any, maximum: int) -> str:
     """A value as Python writes it, cut where it would take ``maximum`` characters; only its type
     where that fails.

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.app.mapping.guesses import CYLINDER, VALVE, Guess, guessed
+from ehbench.app.mapping.guesses import CYLINDER, LIMITS, VALVE, Guess, guessed
 from ehbench.app.mapping.picture import draw
 from ehbench.app.mapping.readings import holds_readings, reading_guesses
 from ehbench.app.mapping.written import drafted, own_rows, range_of, remark
@@ -34,7 +34,6 @@ from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import to_si
 
 _MARKS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
-EVEN = 0.01  # share by which the mean of even steps may be off their median
 
 __all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
 
@@ -100,7 +99,7 @@ def draft(path: Path, out: Path | None = None, rig: Rig | None = None) -> Draft:
     lines, rows = _overview(path, source, guesses)
     others = ", ".join(f"'{table.name}'" for table in sheets[1:])
     lines += [message("app.same_columns", tables=others)] if many else []
-    tried = _taken_readings(path, out) if readings else _tried(path, out, guesses, rig)
+    tried = _tried(path, out, guesses, rig, readings)
     sure = sum(guess.sure and bool(guess.channel) for guess in guesses.values())
     return Draft(out, picture, (*lines, *tried), tuple(rows), sure)
 
@@ -125,9 +124,9 @@ def _overview(
         title = f"table '{table.name}'" if table.name else "table"
         span = _span(table, index, names, guesses)
         lines.append(message("app.table_span", table=title, count=table.size, span=span))
-        own = [name for name, at in names.items() if at[0] == index]
-        wide = min(max(map(len, own), default=0), 40)
-        for name in own:
+        here = [name for name, at in names.items() if at[0] == index]
+        wide = min(max(map(len, here), default=0), 40)
+        for name in here:
             column, guess = table.columns[names[name][1]], guesses[name]
             text = range_of(column) + _bad_text(column, rows[name], table)
             columns.append((name, text, _guess_text(guess)))
@@ -149,14 +148,14 @@ def _guess_text(guess: Guess) -> str:
     return f"{guess.channel or '?'}{unit}  {guess.certainty}{reasons and ': ' + reasons}"
 
 
-def _bad_text(column: SourceColumn, own: np.ndarray, table: SourceTable) -> str:
+def _bad_text(column: SourceColumn, rows: np.ndarray, table: SourceTable) -> str:
     """How many cells of a column hold no number, and in how many rows it stands."""
-    bad = np.flatnonzero(~np.isfinite(column.values) & own)
+    bad = np.flatnonzero(~np.isfinite(column.values) & rows)
     text = message("app.bad_in_column", count=bad.size) if bad.size else ""
     odd = next((int(row) for row in bad if column.odd.get(int(row))), None)
     if odd is not None:
         text += message("app.first_bad", cell=remark(column.odd[odd]), where=_where(table, odd))
-    return text if own.all() else message("app.rows_of_a_rate", count=int(own.sum()), bad=text)
+    return text if rows.all() else message("app.rows_of_a_rate", count=int(rows.sum()), bad=text)
 
 
 def _where(table: SourceTable, row: int) -> str:
@@ -168,12 +167,11 @@ def _odd(column: SourceColumn, guess: Guess, table: SourceTable) -> list[str]:
     """Notes on the odd samples of a column that is neither a time nor commanded."""
     if guess.channel == "t" or guess.channel.endswith(".command"):
         return []
-    return [
-        message(
-            f"app.odd_{odd.kind}", count=odd.count, value=odd.value, where=_where(table, odd.first)
-        )
-        for odd in oddities(column.values)
-    ]
+    notes = []
+    for odd in oddities(column.values):
+        fields = {"count": odd.count, "value": odd.value, "where": _where(table, odd.first)}
+        notes.append(message(f"app.odd_{odd.kind}", **fields))
+    return notes
 
 
 def _span(
@@ -192,39 +190,27 @@ def _span(
     step = float(np.nanmedian(np.diff(t)))
     span = float(np.nanmax(t) - np.nanmin(t))
     even = span / (t.size - 1)  # which tells a rate better than steps that the recorder rounded
-    step = even if abs(even - step) < EVEN * step else step
+    step = even if abs(even - step) < LIMITS.even * step else step
     rate = f", {1 / step:.5g} Hz" if step > 0.0 else ""
-    return f", {span:.5g} s{rate}{_from(began, table.daytime)}"
+    first, form = (began, "%Y-%m-%d ") if began is not None else (table.daytime, "")
+    since = ""
+    if first is not None:
+        since = f", from {datetime.fromtimestamp(first, UTC):{form}%H:%M:%S.%f}"[:-3]
+    return f", {span:.5g} s{rate}{since}"
 
 
-def _from(began: float | None, daytime: float | None) -> str:
-    """When a table begins, where it knows."""
-    if began is not None:
-        return f", from {datetime.fromtimestamp(began, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3]
-    if daytime is not None:
-        return f", from {datetime.fromtimestamp(daytime, UTC):%H:%M:%S.%f}"[:-3]
-    return ""
-
-
-def _taken_readings(path: Path, out: Path) -> list[str]:
-    """Whether the draft takes a file of readings as it stands, and what to do next."""
-    try:
-        data = read_flowmeter(path, load_columns(out))
-    except EhbenchError as error:
-        return [message("app.not_yet", error=error)]
-    groups = ", ".join(
-        f"{len(data.select(*group))} of {' '.join(group)}" for group in data.groups()
-    )
-    return [message("app.readings_taken", groups=groups), _next(out)]
-
-
-def _next(out: Path) -> str:
-    return message("app.next_look", map=out, name=out.name)
-
-
-def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) -> list[str]:
+def _tried(
+    path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None, readings: bool
+) -> list[str]:
     """Whether the draft takes the file as it stands, and what to do next."""
-    lines = []
+    lines, step = [], message("app.next_look", map=out, name=out.name)
+    if readings:
+        try:
+            data = read_flowmeter(path, load_columns(out))
+        except EhbenchError as error:
+            return [message("app.not_yet", error=error)]
+        each = (f"{len(data.select(*group))} of {' '.join(group)}" for group in data.groups())
+        return [message("app.readings_taken", groups=", ".join(each)), step]
     if rig is None and any(CYLINDER in guess.channel for guess in guesses.values()):
         lines.append(message("app.no_rig_given", cylinder=CYLINDER, valve=VALVE))
     if not any(guess.sure and guess.channel != "t" for guess in guesses.values()):
@@ -241,4 +227,4 @@ def _tried(path: Path, out: Path, guesses: dict[str, Guess], rig: Rig | None) ->
     lines.append(message("app.taken_in_part" if undecided else "app.taken", **fields))
     lines += [f"  {note}" for note in (*lost(record.losses), *recovered(path.name, record.losses))]
     lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
-    return [*lines, _next(out)]
+    return [*lines, step]

@@ -11,7 +11,6 @@ import tomllib
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,15 +22,13 @@ from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.signals.timestamps import resolution, unrounded
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.units import from_si, is_of, is_share, to_si
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
 CERTAIN, LIKELY, UNDECIDED = "certain", "likely", "undecided"
-AGAIN = 0.01  # share of the rows at most at which a clock begins again
-DAYS_TICK = 2e-5  # below which a count from 20 000 on is of days, not of seconds
 DIFFERENTIAL = ("psid", "bard")  # units of a pressure across something
 CURRENTS = {"mA", "A"}
-FULL, LETTER = 2, 1  # weight of a word, and of a port's letter or number
 # of valve drivers, in their unit
 _FULL_SCALES = (10, 20, 25, 30, 40, 50, 60, 75, 80, 100, 150, 200, 250, 300, 400, 500, 600, 800)
 
@@ -39,7 +36,6 @@ _FULL_SCALES = (10, 20, 25, 30, 40, 50, 60, 75, 80, 100, 150, 200, 250, 300, 400
 with Path(__file__).with_name("words.toml").open("rb") as _file:
     WORDS = {key: set(words) for key, words in tomllib.load(_file).items()}
 _ENDS = ("p_supply", "p_tank", "p_rod", "p_head")
-_LOOP = 25.0  # [mA] beyond which a current is no signal of 4 to 20 mA but that of a coil
 # what compounds are made of: Systemdruck, Ventilstrom, supplypressure
 _STEMS = tuple(
     word
@@ -49,21 +45,30 @@ _STEMS = tuple(
 )
 
 
-class _Row(NamedTuple):
-    """A quantity of a sensor: its words, and whether a unit alone may say so."""
-
-    channel: str
-    words: str
-    by_unit: bool = True
-
-
+# quantities of sensors, their words, and whether a unit alone may say so
 _SENSORS = (
-    _Row("rod_force", "force"),
-    _Row("v", "speed", False),
-    _Row("qd", "speed", False),
-    _Row("x", "place"),
-    _Row("q", "angle"),
+    ("rod_force", "force", True),
+    ("v", "speed", False),
+    ("qd", "speed", False),
+    ("x", "place", True),
+    ("q", "angle", True),
 )
+
+
+@dataclass(frozen=True)
+class GuessSettings:
+    """Numbers by which a draft decides."""
+
+    again: float = setting(0.01, "", "share of rows at which a clock begins again", "restarts")
+    days: float = setting(2e-5, "d", "step below which a count from 20 000 on is of days", "2 s")
+    full: int = setting(2, "", "weight of a word for a port", "it outweighs a letter")
+    letter: int = setting(1, "", "weight of a port's letter or number", "each recorder's own")
+    loop: float = setting(25.0, "mA", "current from which it is that of a coil", "4 to 20 mA")
+    even: float = setting(0.01, "", "share by which a mean step may be off the median", "rounding")
+    few: float = setting(0.01, "", "share of bad cells that a draft leaves out", "faults are rare")
+
+
+LIMITS = GuessSettings()
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
             guess = replace(guess, certainty=UNDECIDED, remark=column.doubt[1])
         elif guess.sure and guess.channel != "t" and guess.ends is None and row in VOCABULARY:
             values = to_si(column.values[np.isfinite(column.values)], guess.unit, VOCABULARY[row])
-            if np.mean(is_bad(guess.channel, values)) > AGAIN:
+            if np.mean(is_bad(guess.channel, values)) > LIMITS.again:
                 note = message("app.out_of_range", unit=guess.unit)
                 guess = replace(guess, certainty=UNDECIDED, remark=note)
         results[name] = guess
@@ -191,14 +196,13 @@ def words_of(name: str) -> set[str]:
     parts = [part.lower() for part in parts]
     parts = [part for at, part in enumerate(parts) if parts[at - 1 : at][:1] not in _COUNTED]
     words = set(parts) | ({"pp"} if parts.count("p") > 1 else set())
-    return words | {stem for stem in _STEMS for word in words if _made_of(word, stem)}
+    ends = {
+        (stem, word.startswith(stem) or word.endswith(stem)) for stem in _STEMS for word in words
+    }
+    return words | {stem for stem, is_part in ends if is_part}
 
 
 _COUNTED = [[word] for word in WORDS["counted"]]
-
-
-def _made_of(word: str, stem: str) -> bool:
-    return word.startswith(stem) or word.endswith(stem)
 
 
 def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) -> Guess | None:
@@ -211,7 +215,7 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
         return None
     is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
     if steps.min() < 0.0:
-        if not (is_time and words & WORDS["time"] and np.mean(steps < 0.0) < AGAIN):
+        if not (is_time and words & WORDS["time"] and np.mean(steps < 0.0) < LIMITS.again):
             return None
         return Guess("t", unit, UNDECIDED, message("app.time_goes_back"))
     lvm = words >= {"x", "value"}
@@ -228,7 +232,7 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
         note = message("app.time_rounded", rate=rate, unit=unit or "s")
         return Guess("t", unit or "s", UNDECIDED, note)
     tick = float(np.median(steps))
-    if not is_time and tick < DAYS_TICK and since_1970(86400.0 * float(values[0]), True):
+    if not is_time and tick < LIMITS.days and since_1970(86400.0 * float(values[0]), True):
         return Guess("t", "d", LIKELY, message("app.days_guessed"))
     if not is_time:
         unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
@@ -255,12 +259,12 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
         return _end(unit, words)
     if unit and is_of(unit, VOCABULARY["command"]) or words & WORDS["command"]:
         return "", UNDECIDED, ()
-    for row in _SENSORS:
-        named = WORDS[row.words] & words
-        if may(row.channel, named) and (unit or row.channel not in ("qd", "rod_force")):
+    for channel, kind, by_unit in _SENSORS:
+        named = WORDS[kind] & words
+        if may(channel, named) and (unit or channel not in ("qd", "rod_force")):
             why = tuple(message("app.why_word", word=word) for word in sorted(named))
-            alone = LIKELY if row.by_unit else UNDECIDED
-            return row.channel, CERTAIN if named else alone, why
+            alone = LIKELY if by_unit else UNDECIDED
+            return channel, CERTAIN if named else alone, why
     return "", UNDECIDED, ()
 
 
@@ -275,13 +279,14 @@ def _end(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
         ports["p_head"] = ports["p_head"] - {"pa"}
     for end, letter in (("p_supply", "p"), ("p_tank", "t")):  # beside a word: Druck P
         ports[end] = {letter} & words if pressure - {letter} else set()
-    weights = {end: FULL * bool(named & WORDS[end]) + LETTER * bool(ports[end]) for end in _ENDS}
+    full, letter = LIMITS.full, LIMITS.letter
+    weights = {end: full * bool(named & WORDS[end]) + letter * bool(ports[end]) for end in _ENDS}
     first, second = sorted(weights, key=lambda end: -weights[end])[:2]
     if weights[first] == weights[second]:
         return "", UNDECIDED, ()
-    alone = weights[first] >= FULL and not weights[second]
-    found = sorted((named & WORDS[first]) | ports[first])
-    why = tuple(message("app.why_word", word=word) for word in found)
+    alone = weights[first] >= full and not weights[second]
+    spoken = sorted((named & WORDS[first]) | ports[first])
+    why = tuple(message("app.why_word", word=word) for word in spoken)
     return first, CERTAIN if alone else LIKELY, why
 
 
@@ -308,11 +313,11 @@ def command_guess(unit: str, words: set[str], known: np.ndarray, rig: Rig | None
     cylinder, certainty, why = _cylinder(words, rig)
     valve, low, high = VALVE, -10.0, 10.0
     if rig is not None and certainty != UNDECIDED:
-        own = rig.cylinder_named(cylinder).valve
-        named = [item for item in own if words_of(item.name) <= words]
-        if len(named) != 1 and len(own) > 1:
+        valves = rig.cylinder_named(cylinder).valve
+        named = [item for item in valves if words_of(item.name) <= words]
+        if len(named) != 1 and len(valves) > 1:
             certainty = UNDECIDED
-        chosen = (named or list(own))[0]
+        chosen = (named or list(valves))[0]
         valve, low, high = chosen.name, float(chosen.command_min), float(chosen.command_max)
     if any(unit and not is_share(unit) and is_of(unit, VOCABULARY[row]) for row in ("x", "q")):
         return Guess(unit=unit, remark=message("app.commanded_position"))
@@ -346,11 +351,11 @@ def _span_of(unit: str, known: np.ndarray, low: float) -> tuple[float, float]:
     minimum, maximum = float(known.min()) / scale, float(known.max()) / scale
     reach = max(-minimum, maximum)
     whole = next((item for item in _FULL_SCALES if reach <= item), 50.0 * np.ceil(reach / 50.0))
-    if reach <= _LOOP and minimum >= 3.0:
+    if reach <= LIMITS.loop and minimum >= 3.0:
         first, last = 4.0, 20.0
     elif minimum < -0.5:  # of either sign, so none of it is rest
         first, last = -max(whole, 20.0), max(whole, 20.0)
-    elif reach > _LOOP:
+    elif reach > LIMITS.loop:
         first, last = 50.0 * np.floor(minimum / 50.0), 50.0 * np.ceil(maximum / 50.0)
     else:
         first, last = 0.0, 20.0

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.app.mapping.guesses import Guess
+from ehbench.app.mapping.guesses import LIMITS, Guess
 from ehbench.data.rates import apart
 from ehbench.data.readers import Source, SourceColumn
 from ehbench.vocabulary.messages import message
 
-_FEW = 0.01  # share of a column that may be bad and yet be left out by itself
 _MARKS = {"\t": "tab", " ": "space"}
 
 
@@ -48,10 +47,9 @@ def _dialect(source: Source) -> list[str]:
         "encoding": result.encoding,
     }
     lines = {key: f"{key} = {json.dumps(value)}" for key, value in keys.items()}
-    columns = (column for table in source.tables for column in table.columns)
-    for row_and_doubt in (column.doubt for column in columns):
-        if row_and_doubt is not None:
-            doubt = row_and_doubt[1]
+    for column in (column for table in source.tables for column in table.columns):
+        if column.doubt is not None:
+            doubt = column.doubt[1]
             key = "decimal" if doubt.key == "data.two_readings" else "day_first"
             lines[key] = f"# {key} = ?    # {remark(doubt, 200)}"
     return [*lines.values()]
@@ -102,7 +100,7 @@ def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
     if not counts:
         return []
     places = ", ".join(f"{count} in {remark(name)}" for name, count in counts.items())
-    few = max(counts.values()) <= max(_FEW * size, 1)
+    few = max(counts.values()) <= max(LIMITS.few * size, 1)
     key = 'bad_samples = "leave out"' if few else '# bad_samples = "leave out"'
     return [f"{key}     # " + message("app.bad_cells", places=places)]
 
@@ -110,22 +108,17 @@ def _policy(source: Source, guesses: dict[str, Guess]) -> list[str]:
 def _line(name: str, guess: Guess, column: SourceColumn) -> str:
     """A line of the map; a remark where nothing sure is known."""
     key, unit = _quoted(name), f" [{guess.unit}]" if guess.unit else ""
+    keys = f'channel = "{guess.channel}"'
     if guess.ends is not None:
         first, last, low, high = guess.ends
-        value = (
-            f'{{ channel = "{guess.channel}", from = ["{first}", "{last}"], '
-            f'to = ["{low}", "{high}"] }}'
-        )
+        value = f'{{ {keys}, from = ["{first}", "{last}"], to = ["{low}", "{high}"] }}'
     elif guess.offset:
-        value = (
-            f'{{ channel = "{guess.channel}", unit = "{guess.unit}", offset = "{guess.offset}" }}'
-        )
+        value = f'{{ {keys}, unit = "{guess.unit}", offset = "{guess.offset}" }}'
     else:
         value = _quoted((guess.channel or "?") + unit)
     about = ", ".join(part for part in (range_of(column), *guess.why, guess.remark) if part)
-    return (
-        f"{'' if guess.sure else '# '}{key} = {value}    # {guess.certainty}: {remark(about, 300)}"
-    )
+    mark = "" if guess.sure else "# "
+    return f"{mark}{key} = {value}    # {guess.certainty}: {remark(about, 300)}"
 
 
 def range_of(column: SourceColumn) -> str:

@@ -264,13 +264,10 @@ class Salvage:
             self.streams.pop(channel.id, None)
         else:
             layout, labels = fields
-            room = min(
-                2 * len(self.data) // layout.itemsize, 1 << 20
-            )  # a guess that saves copies; pages never touched cost nothing
-            table = np.empty((len(labels), room))
-            self.streams[channel.id] = Stream(
-                channel.topic, layout, labels, "ehbench" in channel.metadata, table
-            )
+            # a guess that saves copies; pages never touched cost nothing
+            room = min(2 * len(self.data) // layout.itemsize, 1 << 20)
+            numbered, table = "ehbench" in channel.metadata, np.empty((len(labels), room))
+            self.streams[channel.id] = Stream(channel.topic, layout, labels, numbered, table)
 
     def _run(self, body: bytes, pos: int) -> int:
         """Read messages from ``pos`` as long as one pattern of channels repeats; return where it
@@ -293,7 +290,17 @@ class Salvage:
             for offset, _ in pattern.values()
             for part in HEADS
         ]
-        count = _repeats(heads)
+        count, block = (
+            0,
+            256,
+        )  # how many messages have the opcodes, lengths and channels of the first
+        while count < maximum:
+            same = np.ones(min(block, maximum - count), bool)
+            for head in heads:
+                same &= head[count : count + block] == head[0]
+            count, block = count + int(np.argmin(np.append(same, False))), 4 * block
+            if not same.all():
+                break
         if count < SCATTERED < maximum:
             return self._scattered(body, pos)
         for id, (offset, length) in pattern.items():
@@ -334,19 +341,6 @@ class Salvage:
         if ((messages["#cdr"] & 0xFFFF) != CDR_LITTLE_ENDIAN).any():
             raise Unreadable(message("data.message_not_cdr", topic=stream.topic))
         stream.add(messages)
-
-
-def _repeats(heads: list[np.ndarray]) -> int:
-    """How many rows from the first on have its opcodes, lengths and channels."""
-    count, block, size = 0, 256, heads[0].size
-    while count < size:
-        same = np.ones(min(block, size - count), bool)
-        for head in heads:
-            same &= head[count : count + block] == head[0]
-        if not same.all():
-            return count + int(np.argmin(same))
-        count, block = count + same.size, 4 * block
-    return count
 
 
 def _short(stream: Stream) -> Unreadable:

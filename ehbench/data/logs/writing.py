@@ -268,19 +268,8 @@ class LogWriter:
             entries = b"".join(parts)
             indexes[id] = self._offset
             self._write(struct.pack("<BQHI", INDEX, 6 + len(entries), id, len(entries)) + entries)
-        self._chunks.append(
-            ChunkIndex(
-                length,
-                offset,
-                "zstd",
-                len(packed),
-                last,
-                self._offset - start,
-                indexes,
-                first,
-                len(body),
-            )
-        )
+        ends, size = (last, self._offset - start, indexes, first), len(body)
+        self._chunks.append(ChunkIndex(length, offset, "zstd", len(packed), *ends, size))
         self._new_chunk()
 
     def _maybe_sync(self) -> None:
@@ -396,8 +385,10 @@ def _topics(channels: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dic
     for id, (topic, names) in enumerate(groups.items(), 1):
         word = topic.strip("/").replace("/", ".")
         fields = ["t"]
-        for name in names:
-            fields.append(unlike(_ros_name(name.removeprefix(word + ".")), fields))
+        for name in names:  # letters a to z first, then letters, digits and single underscores
+            plain = re.sub(r"[^a-z0-9]+", "_", name.removeprefix(word + ".").lower()).strip("_")
+            plain = plain if plain[:1].isalpha() else f"c_{plain}".rstrip("_")
+            fields.append(unlike(plain, fields))
         labels = ["t [s]", *(f"{name} [{quantity(name).unit}]" for name in names)]
         words = [part.capitalize() for part in re.findall(r"[A-Za-z0-9]+", topic)]
         kind = "".join(words) if words and words[0][0].isalpha() else "T" + "".join(words)
@@ -413,11 +404,3 @@ def _topics(channels: Sequence[str], groups: Mapping[str, Sequence[str]]) -> dic
             np.dtype([*MESSAGE_HEAD, ("data", "<f8", (len(fields),))]),
         )
     return topics
-
-
-def _ros_name(name: str) -> str:
-    """A channel name as a ROS field name: letters a–z first, then letters, digits and single
-    underscores.
-    """
-    word = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-    return word if word[:1].isalpha() else f"c_{word}".rstrip("_")

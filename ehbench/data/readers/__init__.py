@@ -66,7 +66,6 @@ READERS = (
         "ROS 2 bag", (".mcap", ".db3"), "ros", "rosbags", (b"\x89MCAP0\r\n", b"SQLite format 3")
     ),
 )
-_HEAD = 24  # bytes that tell a format
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ def reader_of(path: Path) -> Reader:
         head = b""
         if stat.S_ISREG(path.stat().st_mode):  # a pipe would keep the process waiting
             with path.open("rb") as file:
-                head = file.read(_HEAD)
+                head = file.read(24)
     except (FileNotFoundError, NotADirectoryError):
         raise LogError(message("data.no_file"), file=path) from None
     except (OSError, ValueError) as error:
@@ -119,7 +118,13 @@ def reader_of(path: Path) -> Reader:
     name = path.name.lower().removesuffix(".gz")
     begins = [reader for reader in READERS if head.startswith(reader.magic)]
     if head.startswith(ZIP):
-        members = _members(path)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                members = archive.namelist()
+        except Exception as error:  # a damaged archive raises all kinds
+            reason = str(error) or type(error).__name__
+            text = message("data.unreadable_as", format="a zip archive", reason=reason)
+            raise LogError(text, file=path) from None
         begins = [reader for reader in begins if filter_names(members, reader.member)]
         if not begins:
             text = message("data.unknown_archive", members=listed(members, 3))
@@ -130,21 +135,6 @@ def reader_of(path: Path) -> Reader:
         return reader
     kind, known = path.suffix or path.name, ", ".join((".toml", *suffixes()))
     raise LogError(message("data.unknown_format", kind=kind, known=known), file=path)
-
-
-def _members(path: Path) -> list[str]:
-    """The names in a zip archive.
-
-    Raises:
-        LogError: it is damaged.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return archive.namelist()
-    except Exception as error:  # a damaged archive raises all kinds
-        reason = str(error) or type(error).__name__
-        text = message("data.unreadable_as", format="a zip archive", reason=reason)
-        raise LogError(text, file=path) from None
 
 
 def open_source(path: Path, dialect: Dialect | None = None) -> Source:
@@ -202,11 +192,9 @@ def _confined(reader: Reader, path: Path, dialect: Dialect) -> Source:
         bounds = Bounds(memory, seconds, SETTINGS.patience * seconds)
         return received(confined(work, bounds, [whole]), path)
     except Ended as end:
-        about = {"format": reader.name, "package": reader.package or "its library"}
-        if end.late:
-            text = message("data.reading_late", seconds=seconds, **about)
-        else:
-            text = message("data.reading_crashed", signal=end.name, **about)
+        key = "data.reading_late" if end.late else "data.reading_crashed"
+        fields = {"format": reader.name, "package": reader.package or "its library"}
+        text = message(key, seconds=seconds, signal=end.name, **fields)
         raise LogError(text, file=path) from None
 
 

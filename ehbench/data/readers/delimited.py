@@ -11,7 +11,14 @@ from itertools import islice
 from pathlib import Path
 
 from ehbench.data.readers.clock import clock, is_date, is_time, order_of, time_of_day
-from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered, unit_in
+from ehbench.data.readers.table import (
+    Dialect,
+    Source,
+    SourceColumn,
+    SourceTable,
+    column_names,
+    unit_in,
+)
 from ehbench.data.text import (
     cells_of,
     is_hole,
@@ -70,7 +77,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
     top = [] if layout.header is None else split(_bare(lines[layout.header]), separator)
     units = [] if layout.units is None else split(_bare(lines[layout.units]), separator)
     width = len(layout.kinds)
-    names = numbered((top + [""] * width)[:width])
+    names = column_names((top + [""] * width)[:width])
     at = [n for n in range(layout.first, len(lines)) if _is_row(lines[n], separator)]
     rows = [lines[n] for n in at]
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
@@ -87,7 +94,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
         if kind == "numbers":
             place = of_numbers.index(index)
             unit = _unit(units[index]) if index < len(units) else ""
-            if index < len(top) and names[index] != top[index]:  # numbered behind its unit
+            if index < len(top) and names[index] != top[index]:  # column_names behind its unit
                 unit = unit or unit_in(top[index])
             doubt = doubts.get(index)
             columns.append(SourceColumn(names[index], values[:, place], unit, odd[place], doubt))
@@ -181,7 +188,7 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
     if not kinds:
         raise LogError(message("data.no_rows_of_numbers"))
 
-    def fits(n: int, least: float) -> bool:
+    def fits(n: int, share: float) -> bool:
         row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
         row += ["holes"] * (len(kinds) - len(row))
         requested = [got for got, kind in zip(row, kinds) if kind != "words"]
@@ -189,7 +196,7 @@ def _layout(lines: Sequence[str], separator: str, decimal: str, dialect: Dialect
         if requested[:1] == ["words"]:
             return False
         fine = good + requested.count("holes")
-        return len(row) >= len(kinds) and good > 0 and fine >= least * len(requested)
+        return len(row) >= len(kinds) and good > 0 and fine >= share * len(requested)
 
     strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
     if strict is None:
@@ -254,22 +261,18 @@ def _heads(
             at.append(n)
     for index, cells in enumerate(wide[:-1]):
         head = cells[0].strip(": ").lower().removeprefix("trace_")
-        own = cells[1:] if head in _UNIT_HEADS else cells
-        if own and (_are_units(own, wide[index + 1]) or all(map(_BRACKETED.fullmatch, own))):
+        units = cells[1:] if head in _UNIT_HEADS else cells
+        known = sum(map(_is_unit, units))
+        # three in four below names that are none: a recorder may have words of its own for one
+        mostly = known >= 0.75 * len(units) and not any(map(_is_unit, wide[index + 1]))
+        all_of_it = known == len(units) or all(map(_BRACKETED.fullmatch, units))
+        if units and (mostly or all_of_it):
             names = index + 1
             if len(set(wide[names])) < len(wide[names]):  # another row tells the columns apart
                 others = (i for i, row in enumerate(wide) if len(set(row)) == len(row))
                 names = next((i for i in others if i != index), names)
             return at[names], at[index]
     return (at[0], None) if at else (None, None)
-
-
-def _are_units(cells: Sequence[str], above: Sequence[str]) -> bool:
-    """Whether a row is one of units: all of it, or three in four below names that are none, as a
-    recorder may have words of its own for one.
-    """
-    known = sum(map(_is_unit, cells))
-    return known == len(cells) or (known >= 0.75 * len(cells) and not any(map(_is_unit, above)))
 
 
 def _is_unit(cell: str) -> bool:

@@ -32,7 +32,9 @@ def read(path: Path, dialect: Dialect) -> Source:
                 continue
             place, _, last = name.rpartition("/")
             values, unit = None, _unit(item.attrs)
-            if _of_numbers(item):
+            words = h5py.check_enum_dtype(item.dtype) or "MATLAB_empty" in item.attrs
+            words = words or item.attrs.get("MATLAB_class") == b"char"
+            if item.size and item.dtype.kind in "fiubV" and not words:
                 try:
                     values = converted(item[()], item.attrs)
                     values, unit = since(values, unit)
@@ -64,13 +66,6 @@ def _data_sets(
             yield name, item
         elif isinstance(item, h5py.Group):
             yield from _data_sets(item, f"{name}/", seen, losses)
-
-
-def _of_numbers(item: Any) -> bool:
-    """Whether a data set holds numbers, and not the codes of words or characters."""
-    words = h5py.check_enum_dtype(item.dtype) or "MATLAB_empty" in item.attrs
-    words = words or item.attrs.get("MATLAB_class") == b"char"
-    return bool(item.size) and item.dtype.kind in "fiubV" and not words
 
 
 def _unit(attributes: Mapping[str, Any]) -> str:

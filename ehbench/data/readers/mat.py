@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
-from ehbench.data.readers.table import Dialect, Gathered, Source, SourceColumn, numbered
+from ehbench.data.readers.table import Dialect, Gathered, Source, column_names
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
 
@@ -39,22 +39,16 @@ def read(path: Path, dialect: Dialect) -> Source:
     start, step = result.get("Tstart"), result.get("Tinterval")  # of a PicoScope
     tables = []
     for table in gathered.tables():
-        columns = [_labelled(column, names, units) for column in table.columns]
-        unlike = numbered([column.name for column in columns])
-        columns = tuple(replace(item, name=name) for item, name in zip(columns, unlike))
+        labels = column_names([str(names.get(item.name, item.name)) for item in table.columns])
+        columns = tuple(
+            replace(item, name=label, unit=str(units.get(item.name, item.unit)))
+            for item, label in zip(table.columns, labels)
+        )
         t = table.t
         if isinstance(start, Real) and isinstance(step, Real) and not table.name:
             t = float(start) + float(step) * np.arange(table.size)
         tables.append(replace(table, columns=columns, t=t))
     return Source(tuple(tables), losses=tuple(losses))
-
-
-def _labelled(
-    column: SourceColumn, names: Mapping[str, Any], units: Mapping[str, Any]
-) -> SourceColumn:
-    """A column with the name and unit that structs ``names`` and ``units`` of the file give it."""
-    name, unit = names.get(column.name, column.name), units.get(column.name, column.unit)
-    return replace(column, name=str(name), unit=str(unit))
 
 
 def _add(gathered: Gathered, place: str, name: str, value: Any, losses: list[str]) -> None:

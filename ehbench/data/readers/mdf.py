@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from asammdf import MDF
 
 from ehbench.data.readers.formula import evaluate
-from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, numbered
+from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, column_names
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
@@ -37,7 +38,9 @@ def read(path: Path, dialect: Dialect) -> Source:
             losses += unread
             if table.columns:
                 tables.append(table)
-    return Source(_renamed(tables), losses=tuple(losses))
+    names = column_names([table.name for table in tables])
+    tables = [replace(table, name=name) for name, table in zip(names, tables)]
+    return Source(tuple(tables), losses=tuple(losses))
 
 
 def _refuse_outside(file) -> None:
@@ -118,7 +121,7 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
         LogError: the time of the group is converted by a formula.
     """
     group, master = file.groups[index], file.masters_db.get(index)
-    columns, names, unread, t = [], [], [], None
+    columns, unread, t = [], [], None
     if master is not None and _has_formula(group.channels[master].conversion):
         raise LogError(message("data.time_by_formula", name=name))
     by_library, by_raw = [], []
@@ -146,11 +149,9 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
             continue
         if signal.invalidation_bits is not None:
             values[np.asarray(signal.invalidation_bits, bool)] = np.nan
-        columns.append((values, signal.unit or ""))
-        names.append(signal.name)
-    built = [
-        SourceColumn(item, values, unit) for item, (values, unit) in zip(numbered(names), columns)
-    ]
+        columns.append(SourceColumn(signal.name, values, signal.unit or ""))
+    names = column_names([column.name for column in columns])
+    built = [replace(column, name=name) for name, column in zip(names, columns)]
     clock = None if master is None else group.channels[master]
     timed = clock is not None and clock.channel_type in _CLOCKS[_version(clock)]
     return SourceTable(name, tuple(built), t if timed else None, began), unread
@@ -159,11 +160,3 @@ def _group(file, index: int, name: str, began: float | None) -> tuple[SourceTabl
 def _version(channel) -> int:
     """Of the format that a block is of, 3 or 4."""
     return 4 if type(channel).__module__.endswith("v4_blocks") else 3
-
-
-def _renamed(tables: list[SourceTable]) -> tuple[SourceTable, ...]:
-    """The tables with names of their own."""
-    names = numbered([table.name for table in tables])
-    return tuple(
-        SourceTable(name, table.columns, table.t, table.began) for name, table in zip(names, tables)
-    )

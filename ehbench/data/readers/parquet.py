@@ -13,8 +13,8 @@ from ehbench.data.readers.table import (
     Source,
     SourceColumn,
     SourceTable,
+    column_names,
     columns_of,
-    numbered,
 )
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.messages import message
@@ -41,7 +41,7 @@ def read(path: Path, dialect: Dialect) -> Source:
         ):
             columns.append(column)
             began = first if began is None else began
-    names = numbered([column.name for column in columns])
+    names = column_names([column.name for column in columns])
     built = tuple(SourceColumn(name, item.values, item.unit) for name, item in zip(names, columns))
     return Source((SourceTable("", built, None, began),), losses=tuple(losses))
 

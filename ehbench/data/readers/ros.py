@@ -43,8 +43,12 @@ def read(path: Path, dialect: Dialect) -> Source:
             if topic in unread or dialect.table not in (None, topic):
                 continue
             try:
-                if connection.id not in stores:
-                    stores[connection.id] = _store(connection)
+                if connection.id not in stores:  # by the definition in the file, else the usual
+                    described = connection.msgdef.format == MessageDefinitionFormat.MSG
+                    store = get_typestore(Stores.EMPTY if described else Stores.LATEST)
+                    if described:
+                        store.register(get_types_from_msg(connection.msgdef.data, kind))
+                    stores[connection.id] = store
                 content = stores[connection.id].deserialize_cdr(data, kind)
             except Exception as error:  # not described, or not as it is described
                 why = (str(error).splitlines() or [type(error).__name__])[0][:80]
@@ -63,17 +67,6 @@ def read(path: Path, dialect: Dialect) -> Source:
     ]
     losses = tuple(message("data.topic_not_read", topic=topic) for topic in unread.values())
     return Source(tuple(tables), losses=losses)
-
-
-def _store(connection: Any) -> Any:
-    """What reads the messages of a connection: by the definition in the file, else by the usual
-    one.
-    """
-    if connection.msgdef.format != MessageDefinitionFormat.MSG:
-        return get_typestore(Stores.LATEST)
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(connection.msgdef.data, connection.msgtype))
-    return store
 
 
 def _stamps(pairs: list[tuple[int, int]]) -> np.ndarray:
@@ -117,8 +110,8 @@ def _numbers(message: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str
         if isinstance(value, (bool, int, float, np.number, np.bool_)):
             yield name, float(value)
         elif isinstance(value, (list, tuple, np.ndarray)) and 0 < len(value) <= _LONGEST:
-            own = labels if len(labels) == len(value) else range(len(value))
-            for label, item in zip(own, value):
+            places = labels if len(labels) == len(value) else range(len(value))
+            for label, item in zip(places, value):
                 if isinstance(item, (bool, int, float, np.number, np.bool_)):
                     yield f"{name}.{label}", float(item)
                 elif depth < _DEEPEST and is_dataclass(item):

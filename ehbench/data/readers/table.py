@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -14,7 +15,7 @@ from ehbench.data.readers.clock import moments
 from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.text import listed, unlike
+from ehbench.vocabulary.text import listed, numbered
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _UNIT_LAST = (
@@ -139,11 +140,11 @@ class Source:
         """(table, column) by name: a column's own, and ``table/column`` where several tables have
         it.
         """
-        own = [column.name for table in self.tables for column in table.columns]
+        count = Counter(column.name for table in self.tables for column in table.columns)
         results = {}
         for i, table in enumerate(self.tables):
             for j, column in enumerate(table.columns):
-                name = column.name if own.count(column.name) == 1 else f"{table.name}/{column.name}"
+                name = column.name if count[column.name] == 1 else f"{table.name}/{column.name}"
                 results.setdefault(name, (i, j))
         return results
 
@@ -168,14 +169,11 @@ class Source:
         raise LogError(message("data.no_column", name=name, there=there), file=file)
 
 
-def numbered(names: Sequence[str]) -> list[str]:
+def column_names(names: Sequence[str]) -> list[str]:
     """Names of columns made unlike: one that is empty by its number, one that comes again by how
     often it came.
     """
-    results: list[str] = []
-    for at, name in enumerate(names, 1):
-        results.append(unlike(name.strip() or f"column {at}", results, " "))
-    return results
+    return numbered((name.strip() or f"column {at}" for at, name in enumerate(names, 1)), " ")
 
 
 def columns_of(

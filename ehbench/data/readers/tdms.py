@@ -49,7 +49,21 @@ def read(path: Path, dialect: Dialect) -> Source:
                 losses.append(message("data.not_read", name=name))
                 continue
             gathered.setdefault(base, []).append(column)
-    return Source(_tables(gathered, moved), losses=tuple(losses))
+    # on one zero of time: that of the first to begin
+    first = min((began for *_, began in gathered if began is not None), default=None)
+    names = [group for group, *_ in gathered]
+    tables: list[SourceTable] = []
+    for (group, size, increment, offset, began), columns in gathered.items():
+        name = group if names.count(group) == 1 else f"{group}[{size}]"
+        if any(table.name == name for table in tables):
+            name = f"{group}[{size}, {1 / increment if increment else 0:g} Hz]"
+        t = None
+        if increment > 0.0:
+            t = offset + increment * np.arange(size)
+            t += 0.0 if began is None or first is None else began - first
+        zero = first if t is not None else moved.get(group)
+        tables.append(SourceTable(name, tuple(columns), t, zero))
+    return Source(tuple(tables), losses=tuple(losses))
 
 
 def _unknown_scale(*properties: Mapping[str, Any]) -> str:
@@ -74,24 +88,3 @@ def _base(channel: Any) -> _Base:
         began = began if began > 0.0 else None  # LabVIEW's zero is in 1904: it says nothing
     offset = float(properties.get("wf_start_offset", 0.0) or 0.0)
     return channel.group_name, len(channel), increment, offset, began
-
-
-def _tables(
-    gathered: dict[_Base, list[SourceColumn]], moved: dict[str, float]
-) -> tuple[SourceTable, ...]:
-    """Tables on one zero of time: that of the first to begin."""
-    known = [began for *_, began in gathered if began is not None]
-    first = min(known, default=None)
-    groups = [group for group, *_ in gathered]
-    tables = []
-    for (group, size, increment, offset, began), columns in gathered.items():
-        name = group if groups.count(group) == 1 else f"{group}[{size}]"
-        if any(table.name == name for table in tables):
-            name = f"{group}[{size}, {1 / increment if increment else 0:g} Hz]"
-        t = None
-        if increment > 0.0:
-            t = offset + increment * np.arange(size)
-            t += 0.0 if began is None or first is None else began - first
-        zero = first if t is not None else moved.get(group)
-        tables.append(SourceTable(name, tuple(columns), t, zero))
-    return tuple(tables)
