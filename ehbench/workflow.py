@@ -11,7 +11,7 @@ recipe that makes it; in the last case that recipe is run first, unless its run 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,12 +66,14 @@ class Session(Host):
     Args:
         allow_code: let recipes run Python code.
         unvalidated: let a controller be tuned on a rig that no validation accepted.
+        ask: (what is about to happen, a token) → what a person typed; a machine moves only then.
         finished: outcomes by recipe file: each recipe is run once.
         under_way: the recipes that wait for the one at work.
     """
 
     allow_code: bool = False
     unvalidated: bool = False
+    ask: Callable[[str, str], str] | None = None
     finished: dict[Path, Outcome] = field(default_factory=dict)
     under_way: tuple[Path, ...] = ()
 
@@ -90,6 +92,7 @@ class Session(Host):
             lambda path: session.outcome_of(path).folder,
             allow_code=self.allow_code,
             unvalidated=self.unvalidated,
+            ask=self.ask,
         )
 
     def outcome_of(self, path: Path) -> Outcome:

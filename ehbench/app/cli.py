@@ -120,6 +120,22 @@ Workers = Annotated[
 ]
 
 
+On = Annotated[
+    str | None,
+    typer.Option(
+        "--on",
+        metavar="URL",
+        help="The machine, udp://host:port, in place of the recipe's.",
+        show_default=False,
+    ),
+]
+Arm = Annotated[bool, typer.Option("--arm", help="Let the machine move: a token is asked for.")]
+Token = Annotated[
+    str | None,
+    typer.Option("--token", help="The token, in a script that lets it move.", show_default=False),
+]
+
+
 def _pem(name: str, what: str) -> Any:
     return typer.Option(name, help=f"With --workers tls://…: {what} (PEM).", show_default=False)
 
@@ -227,14 +243,20 @@ def _runner(command: Command) -> Callable[..., None]:
     ) -> None:
         _run(command.name, recipe, out, Says.of(loud, as_json), unvalidated=unvalidated)
 
-    def trusting(
+    def moving(
         recipe: RecipeFile,
         out: Out = None,
         loud: Loud = None,
         as_json: AsJson = False,
         allow_code: AllowCode = False,
+        on: On = None,
+        arm: Arm = False,
+        token: Token = None,
     ) -> None:
-        _run(command.name, recipe, out, Says.of(loud, as_json), allow_code=allow_code)
+        says, ask = Says.of(loud, as_json), _typed if arm else None
+        if token is not None:
+            ask = lambda about, expected: token
+        _run(command.name, recipe, out, says, on=on, allow_code=allow_code, ask=ask)
 
     def asking(
         recipe: RecipeFile,
@@ -252,7 +274,7 @@ def _runner(command: Command) -> Callable[..., None]:
         else:
             _run(command.name, recipe, out, says, profile=profile, resume=resume)
 
-    kinds = {"": plain, "unvalidated": insisting, "allow_code": trusting, "asking": asking}
+    kinds = {"": plain, "unvalidated": insisting, "moving": moving, "asking": asking}
     kinds["sampling"] = _sampling
     return kinds[command.allows]
 
@@ -487,6 +509,62 @@ def convert(
     print(converting.convert(log, to.value, out, columns))
 
 
+@app.command(epilog="Example:  ehbench wire recipes/rigs/slide_servo.toml --csv")
+def wire(
+    rig: Annotated[Path, typer.Argument(help="A rig file, or a run with one.")],
+    c: Annotated[bool, typer.Option("--c", help="A C header; with --out its responder.")] = False,
+    m: Annotated[bool, typer.Option("--m", help="A MATLAB script.")] = False,
+    py: Annotated[bool, typer.Option("--py", help="Python; with --out its responder.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="A table, the default.")] = False,
+    rate: Annotated[float, typer.Option("--rate", help="Of the target [Hz].", min=1.0)] = 1000.0,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write to.", show_default=False)
+    ] = None,
+) -> None:
+    """Write the layout of the packets of a rig, for its own computer."""
+    from ehbench.app import linking
+
+    chosen = {"c": c, "m": m, "py": py, "csv": csv}
+    kind = next((name for name, wanted in chosen.items() if wanted), "csv")
+    print(linking.wire(rig, kind, rate, out), end="")
+
+
+@app.command(epilog="Example:  ehbench link udp://192.168.0.5:47000 --seconds 60")
+def link(
+    url: Annotated[str, typer.Argument(help="Of the machine, udp://host:port.")],
+    seconds: Annotated[float, typer.Option("--seconds", help="How long.", min=0.1)] = 60.0,
+    as_json: AsJson = False,
+) -> None:
+    """Measure round trip, lost and late ticks of a link; exit 4 where no trial may run over it."""
+    from ehbench.app import linking
+
+    answer, code = linking.measured(url, seconds)
+    _say(answer, Says(as_json=as_json))
+    raise typer.Exit(code)
+
+
+@app.command(epilog="Example:  ehbench serve recipes/trials/arc_slow.toml --on bench")
+def serve(
+    file: Annotated[Path, typer.Argument(help="A trial, whose machine it is, or a bench file.")],
+    at: Annotated[
+        str, typer.Option("--at", metavar="URL", help="Where.")
+    ] = "udp://127.0.0.1:47000",
+    on: Annotated[
+        str | None, typer.Option("--on", help="model or bench.", show_default=False)
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option("--rate", help="Of the target [Hz].", show_default=False)
+    ] = None,
+    watchdog: Annotated[float, typer.Option("--watchdog", help="[ms].", min=1.0)] = 20.0,
+    allow_code: AllowCode = False,
+) -> None:
+    """Serve a model or the virtual bench as a machine by itself, in real time, with watchdog,
+    clamps and the trial's faults: what a target must do."""
+    from ehbench.app import linking
+
+    linking.serve(file, at, on, rate, 1e-3 * watchdog, allow_code)
+
+
 def _run(
     command: str,
     file: Path,
@@ -494,6 +572,7 @@ def _run(
     says: Says,
     *,
     profile: str | None = None,
+    on: str | None = None,
     **settings: Any,
 ) -> None:
     """Run a recipe, or make a sample of a study again; ``settings`` are those of a session."""
@@ -502,8 +581,13 @@ def _run(
     study, _, index = file.name.partition("#")
     is_sample = index.isdecimal() and not file.exists()
     recipe = None if is_sample else workflow.expect_stage(file, command)
+    if on is not None:
+        from ehbench.app.linking import moved_to
+
+        recipe = moved_to(recipe, on)
     _say_first(says.quiet)
-    with _progress(says.quiet) as tell:
+    # to draw a bar would hold up a machine in real time
+    with _progress(says.quiet or "://" in getattr(recipe, "on", "")) as tell:
         session = workflow.Session(out=out, progress=tell, **settings)
         if recipe is None:
             built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
@@ -517,6 +601,12 @@ def _run(
     losses = built.code == workflow.INCOMPLETE
     _say(answer(built.folder, built.notes, built.code, losses), says)
     raise typer.Exit(built.code)
+
+
+def _typed(about: str, token: str) -> str:
+    """What a person types who lets a machine move."""
+    print(about, file=sys.stderr)
+    return typer.prompt(f"type {token} to let it move", err=True)
 
 
 def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 
 from ehbench.app import starter
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe, TrialSetRecipe, load_rig
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.control import LAW_NAMES
 from ehbench.control.registry import LAWS
@@ -139,7 +139,7 @@ def main() -> None:
     """Compile for all machines, a process each, and say how far it is."""
     if sys.argv[1:] == ["--ahead"]:
         return ahead()
-    names = get_args(TrialRecipe.model_fields["on"].annotation)
+    names = get_args(TrialSetRecipe.model_fields["on"].annotation)
     compile_dir(PACKAGE, quiet=2)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
     with ProcessPoolExecutor(len(names) + 2, mp_context=get_context("spawn")) as pool:

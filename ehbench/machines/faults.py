@@ -169,6 +169,10 @@ class FaultyMachine:
         self._seen = self._sensed(sample)
         return self._seen.copy()
 
+    def begin(self) -> None:
+        """Let the time of the faults begin now."""
+        self._tick = 0
+
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`: the command as it arrives, the sample as the sensors give it."""
         t = self._tick / self.rate

@@ -52,12 +52,14 @@ class Inputs(NamedTuple):
 
 class Stamp(NamedTuple):
     """When a sample was taken: ``time`` [s] since the start by the machine's clock, ``sequence``
-    counts its samples, ``age`` [s] is how long ago that was.
+    counts its samples, ``age`` [s] is how long ago that was. ``stopped`` is the number of the
+    reason, among the machine's ``reasons``, for which it stopped by itself, 0 where it did not.
     """
 
     time: float
     sequence: int
     age: float
+    stopped: int = 0
 
 
 @runtime_checkable
@@ -178,6 +180,25 @@ def stamp_of(machine: Machine) -> Stamp | None:
 def unmeasured_of(machine: Machine) -> tuple[str, ...]:
     """The channels that a machine has no sensor for, nan in every sample; none by default."""
     return getattr(machine, "unmeasured", ())
+
+
+def reasons_of(machine: Machine) -> tuple[str, ...]:
+    """Why a machine may stop by itself, by the number in its stamp."""
+    return getattr(machine, "reasons", ())
+
+
+def applied_of(machine: Machine) -> np.ndarray | None:
+    """The commands [V] that acted in the last tick of a machine that reports them: it may have
+    clamped those that it got, or made them itself; None of one whose commands act as they are.
+    """
+    return getattr(machine, "applied", None)
+
+
+def halt_of(machine: Machine) -> Callable[[], None] | None:
+    """How a machine that makes its own commands is stopped, its valves to rest by its own ramp;
+    None of one that only takes commands.
+    """
+    return getattr(machine, "halt", None)
 
 
 def in_real_time(machine: Machine) -> bool:

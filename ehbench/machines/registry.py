@@ -21,7 +21,7 @@ MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
 
 
 def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Machine:
-    """The machine that a trial's recipe asks for.
+    """The machine that a trial's recipe asks for; the model where it asks for one at an address.
 
     Args:
         recipe: its ``on`` names the machine.
@@ -37,7 +37,9 @@ def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Mac
         raise InputError(error.message, **recipe.at("payload"), hint=error.hint) from None
     change = recipe.machine
     machine = (
-        MACHINES[recipe.on](recipe, rig, maps) if change is None else varied(recipe, rig, maps)
+        MACHINES.get(recipe.on, SimulatedMachine.of)(recipe, rig, maps)
+        if change is None
+        else varied(recipe, rig, maps)
     )
     faults = [(fault, recipe.at("fault", i)) for i, fault in enumerate(recipe.fault)]
     if change is not None:

@@ -20,11 +20,11 @@ from ehbench.runtime.compiled import WITHIN, kernel, part_kernel
 LIMITS = (
     *("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max"),
     *("command_rate", "pressure_range", "sample_age", "overrun", "following_time"),
-    *("following_error", "position_mismatch", "finite"),
+    *("following_error", "position_mismatch", "finite", "machine"),
 )
 PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
 COMMAND_RATE, PRESSURE_RANGE, AGE, OVERRUN, FOLLOWING_TIME = range(5, 10)
-FOLLOWING, MISMATCH, FINITE = range(10, 13)
+FOLLOWING, MISMATCH, FINITE, MACHINE = range(10, 14)
 VACUUM = -1.5e5  # [Pa] gauge: a perfect vacuum, and half a bar of a sensor's offset
 
 
@@ -35,7 +35,8 @@ class Checks(NamedTuple):
     that the machine measures; ``cylinders`` are the rig's. ``desired`` strokes [m], shape (samples,
     cylinders), nan where no law controls the stroke; ``following`` and ``mismatch`` their bounds
     [m], shape (cylinders,); ``since`` the first row of a following error, −1 without one. ``stamp``
-    is (time [s], sequence, age [s], time [s] that the controller took) of the present sample."""
+    is (time [s], sequence, age [s], reason of a machine that stopped by itself, time [s] that the
+    controller took) of the present sample."""
 
     armed: np.ndarray
     measured: np.ndarray
@@ -137,10 +138,12 @@ def violated(rows, i):
     for j in range(sample.shape[0]):
         if checks.measured[j] and not math.isfinite(sample[j]):
             return _stop(rows, FINITE, -1, j, sample[j], math.inf)
+    if checks.stamp[3] != 0.0:
+        return _stop(rows, MACHINE, -1, -1, checks.stamp[3], 0.0)
     if checks.stamp[2] > limits[AGE]:
         return _stop(rows, AGE, -1, -1, checks.stamp[2], limits[AGE])
-    if checks.stamp[3] > limits[OVERRUN]:
-        return _stop(rows, OVERRUN, -1, -1, checks.stamp[3], limits[OVERRUN])
+    if checks.stamp[4] > limits[OVERRUN]:
+        return _stop(rows, OVERRUN, -1, -1, checks.stamp[4], limits[OVERRUN])
     for c in range(rows.strokes.shape[0]):
         if _of_cylinder(rows, i, c):
             return True

@@ -97,6 +97,7 @@ class Inputs:
         check: the notes of a recipe file, in a dry run.
         allow_code: whether recipes may run Python code.
         unvalidated: whether a controller may be tuned on a rig that no validation accepted.
+        ask: gets a token from a person before a machine moves, see `ehbench.links.arming`.
     """
 
     recipe: Recipe
@@ -105,6 +106,7 @@ class Inputs:
     check: Callable[[Path], Notes] | None = None
     allow_code: bool = False
     unvalidated: bool = False
+    ask: Callable[[str, str], str] | None = None
 
     def existing(self, name: str) -> Path:
         """The file or folder that the recipe names.

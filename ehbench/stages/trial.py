@@ -1,11 +1,12 @@
-"""One trial on the model or on the virtual bench → ``log.mcap`` and ``trial.json``; a limit stops
-it with exit 5.
+"""One trial on the model, the virtual bench or a machine at an address → ``log.mcap`` and
+``trial.json``; a limit stops it with exit 5.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,6 +34,7 @@ class PreparedOne(Prepared):
     recipe: TrialRecipe
     state: RigState
     trial: Ready
+    ask: Callable[[str, str], str] | None = None
 
 
 class TrialStage(Stage[TrialRecipe, PreparedOne]):
@@ -56,12 +58,21 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         does = message(
             "stages.does_trial",
             control="open loop" if law is None else f"controller '{law.label}'",
-            place=PLACES[recipe.on],
+            place=PLACES.get(recipe.on, recipe.on),
             length=length_of(lengths, float(recipe.rate)),
             payload=recipe.payload or "none",
         )
-        seeds = {"trial": recipe.seed}
-        return PreparedOne(recipe, (*state.inputs, *files), does, state, prepared, seeds=seeds)
+        seeds, named = {"trial": recipe.seed}, (*state.inputs, *files)
+        return PreparedOne(recipe, named, does, state, prepared, inputs.ask, seeds=seeds)
+
+    def default_place(self, prepared: PreparedOne, root: Path) -> Path:
+        """As `Stage.default_place`; a machine does nothing twice, so each of its trials has a
+        folder by its time.
+        """
+        place = super().default_place(prepared, root)
+        if prepared.recipe.on in PLACES:
+            return place
+        return place.with_name(f"{place.name}_{datetime.now():%Y%m%d_%H%M%S}")
 
     def results(self, prepared: PreparedOne) -> list[Any]:
         from ehbench.trial import Facts
@@ -81,17 +92,25 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         from ehbench import trial
 
         state = prepared.state
-        result = trial.run(prepared.trial, log=folder / "log.mcap", progress=progress)
+        log, on, more, late = folder / "log.mcap", prepared.recipe.on, {}, []
+        if on in PLACES:
+            result = trial.run(prepared.trial, log=log, progress=progress)
+        else:
+            from ehbench.links.arming import run_remote
+
+            remote = run_remote(prepared.trial, on, prepared.ask, log, progress)
+            result, late = remote.result, remote.warnings
+            more = {"link": remote.link, "dry_run": remote.dry_run}
         write_rig(folder, state.rig, state.flow_maps)
         facts, ledger, warnings = trial.account(prepared.trial, result)
         if ledger is not None:
             rundir.write_json(folder / "ledger.json", ledger)
-        rundir.write_json(folder / "trial.json", facts.as_json())
+        rundir.write_json(folder / "trial.json", facts.as_json() | more)
         about = {
             "rig": state.rig.name,
-            "on": prepared.recipe.on,
+            "on": on,
             "stopped": facts.stopped,
-            "warnings": [*facts.warnings, *warnings],
+            "warnings": [*facts.warnings, *warnings, *late],
         }
         if facts.stopped:
             return Work(about, [facts.stopped], STOPPED)

@@ -20,6 +20,7 @@ from ehbench.machines.protocol import (
     carry_of,
     hidden_of,
     plays_of,
+    reasons_of,
     seeded_of,
     truth_of,
     unmeasured_of,
@@ -250,6 +251,10 @@ class Prepared:
         which, index, entry = (int(v) for v in rows.reached)
         (value, bound), t = rows.by.tolist(), float(rows.t[row])
         limit, word = LIMITS[which], LIMITS[which]
+        if limit == "machine":
+            reason = reasons_of(machine)[int(value)]
+            sentence = message("trial.stop_machine", machine=machine.name, reason=reason, t=t)
+            return Stop(limit, "", value, bound, t, sentence)
         channel = machine.channels[entry] if entry >= 0 else ""
         if index >= 0 and entry < 0:
             channel = f"{machine.commands.names[index]}.command"

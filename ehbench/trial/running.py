@@ -15,7 +15,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
-from ehbench.machines.protocol import Machine, truth_of
+from ehbench.machines.protocol import Machine, in_real_time, truth_of
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
@@ -178,7 +178,7 @@ def run(
             names = list(session.channels(slice(0, 0)))
             rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
             files = {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
-            with closing(LiveLog(log, names, meta, files)) as live:
+            with closing(LiveLog(log, names, meta, files, in_real_time(at_work))) as live:
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,9 @@ from ehbench.data.record import Record
 from ehbench.machines.protocol import (
     Machine,
     advance_of,
+    applied_of,
     carry_of,
+    halt_of,
     hidden_of,
     in_real_time,
     stamp_of,
@@ -28,6 +31,7 @@ from ehbench.machines.protocol import (
 from ehbench.machines.rows import AGE, LIMITS, MISMATCH, Controls, LawRows, Rows, control, violated
 from ehbench.parts.sample import LineEntries
 from ehbench.runtime.interrupts import unbroken
+from ehbench.runtime.realtime import aside
 from ehbench.trial.controllers import Compiled, Laws
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
@@ -102,6 +106,8 @@ class Session:
         self._sent = machine.commands.rest.copy()  # the last command that the machine got
         stamp = stamp_of(machine)
         self._missed, self._real_time = 0.0, in_real_time(machine)
+        if self._real_time:
+            self.rows = self.rows._replace(t=self.rows.t.copy())  # measured as samples come
         self.stamps = None if stamp is None else np.zeros((prepared.t.size, len(STAMPS)))
         self._stretch = max(1, round(SESSION.look * machine.rate))
 
@@ -147,6 +153,8 @@ class Session:
         """Let the valves go to rest by the recipe's ramp, whatever ended the trial."""
         rest = self.machine.commands.rest
         ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
+        if (halt := halt_of(self.machine)) is not None:
+            halt()
         with unbroken():
             for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
                 try:
@@ -204,14 +212,14 @@ class Session:
             return row, upto
         rows, advance, step, packed = self.rows, self._advance, self._step, self._packed
         now, until = time.monotonic, time.monotonic() + SESSION.wait
-        for i, t in enumerate(rows.t[first:stop].tolist(), first):
+        for i in range(first, stop):
             begun = now()
             if step is not None:
-                step(i, t, rows.sample, rows.commands[i])
+                step(i, float(rows.t[i]), rows.sample, rows.commands[i])
             elif packed is not None:
                 control(packed, i, rows)
             if self.stamps is not None and self._real_time:
-                rows.checks.stamp[3] = now() - begun
+                rows.checks.stamp[4] = now() - begun
             if self._tick(i) if advance is None else advance(i, i + 1) >= 0:
                 return i, i
             if now() > until:
@@ -236,10 +244,17 @@ class Session:
             self.stamps[i] = *rows.checks.stamp[:3], self._missed
         self._sent = rows.commands[i].copy()
         rows.sample[:] = self.machine.tick(rows.commands[i])
-        stamp = stamp_of(self.machine)
+        stamp, applied = stamp_of(self.machine), applied_of(self.machine)
+        if applied is not None:
+            rows.commands[i] = applied
         if stamp is not None:
-            self._missed = max(stamp.sequence - rows.checks.stamp[1] - 1.0, 0.0)
-            rows.checks.stamp[:3] = stamp
+            step = stamp.sequence - rows.checks.stamp[1]
+            self._missed = max(step - 1.0, 0.0)
+            if self._real_time and i + 1 < rows.t.size:
+                nominal = 1.0 / self.machine.rate
+                measured = stamp.time if step > 0.0 else rows.t[i] + nominal
+                rows.t[i + 1] = max(measured, rows.t[i] + 0.1 * nominal)
+            rows.checks.stamp[:4] = stamp
         return False
 
     def _halt(self, row: int) -> None:
@@ -247,6 +262,8 @@ class Session:
         off, the controller silent.
         """
         self.stop = self.prepared.reached(self.machine, self.rows, row)
+        if (halt := halt_of(self.machine)) is not None:
+            halt()
         rate, rest = self.machine.rate, self.machine.commands.rest
         ramp = round(float(self.prepared.recipe.limits.ramp) * rate)
         self.end = row + 1 + ramp + round(RUN_OUT * rate)
@@ -319,18 +336,38 @@ class LiveLog:
         channels: names, in the order of the log.
         meta: the run's facts, as far as they are known.
         attachments: files that travel with the log.
+        beside: a thread writes, and the trial does not wait for the disk.
     """
 
     def __init__(
-        self, path: Path, channels: list[str], meta: dict[str, str], attachments: dict[str, bytes]
+        self,
+        path: Path,
+        channels: list[str],
+        meta: dict[str, str],
+        attachments: dict[str, bytes],
+        beside: bool = False,
     ) -> None:
         from ehbench.data.logs import LogWriter
 
         self.path, self.meta, self.attachments = path, meta, attachments
         self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SESSION.sync)
+        self._pool = ThreadPoolExecutor(1, initializer=aside) if beside else None
+        self._writing: Future[None] | None = None
 
     def add(self, t: np.ndarray, channels: dict[str, np.ndarray]) -> None:
-        """Append rows."""
+        """Append rows.
+
+        Raises:
+            OSError: the disk is full, perhaps since the rows before.
+        """
+        if self._pool is None:
+            return self.writer.extend(t, np.stack(list(channels.values()), axis=1))
+        if self._writing is not None and self._writing.done():
+            self._writing.result()
+        rows = {name: values.copy() for name, values in channels.items()}
+        self._writing = self._pool.submit(self._write, t.copy(), rows)
+
+    def _write(self, t: np.ndarray, channels: dict[str, np.ndarray]) -> None:
         self.writer.extend(t, np.stack(list(channels.values()), axis=1))
 
     def finish(self, record: Record) -> None:
@@ -339,7 +376,9 @@ class LiveLog:
         """
         from ehbench.data.logs import write_log
 
-        self.writer.close()
+        self.close()
+        if self._writing is not None:
+            self._writing.result()
         if self.writer.cut or dict(record.meta) != self.meta:
             write_log(
                 self.path,
@@ -348,6 +387,8 @@ class LiveLog:
 
     def close(self) -> None:
         """Close what was written as it stands."""
+        if self._pool is not None:
+            self._pool.shutdown()
         self.writer.close()
 
 
@@ -359,7 +400,9 @@ def _with_room(rows: Rows, count: int, rate: float) -> Rows:
         return np.concatenate([table[:count], np.zeros((more, *table.shape[1:]))])
 
     tables = {name: longer(getattr(rows, name)) for name in ("commands", "samples", "truth")}
-    return rows._replace(t=np.arange(count) / rate, **tables)
+    t = np.arange(count) / rate
+    t[: rows.t.size] = rows.t[:count]
+    return rows._replace(t=t, **tables)
 
 
 def _parts(law: Laws | UserCode | None) -> tuple[Compiled | UserCode, ...]:

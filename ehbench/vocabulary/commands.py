@@ -15,7 +15,7 @@ class Command(NamedTuple):
     name: str
     help: str
     example: str
-    allows: Literal["", "unvalidated", "allow_code", "asking", "sampling"] = ""
+    allows: Literal["", "unvalidated", "moving", "asking", "sampling"] = ""
 
 
 COMMANDS = (
@@ -44,10 +44,10 @@ COMMANDS = (
     ),
     Command(
         "run-trial",
-        "Run a trial, or a set of trials, on the model or on the virtual bench; exit 5 when a "
-        "limit stops one.",
+        "Run a trial on the model, the virtual bench or a machine, or a set of trials; exit 5 when "
+        "a limit stops one.",
         "recipes/trials/arc_slow.toml",
-        "allow_code",
+        "moving",
     ),
     Command(
         "study",

@@ -23,7 +23,7 @@ FLOORS = [
     {"ledger", "sampling"},
     {"diagnosis", "flow_maps", "frequency_response"},
     {"identification", "validation", "tune", "trial", "report"},
-    {"guidance", "export"},
+    {"guidance", "export", "links"},
     {"stages"},
     {"workflow"},
     {"app"},

@@ -438,6 +438,10 @@ class TrialRecipe(AnyTrial):
     may take open-loop commands."""
 
     stage: Literal["trial"]
+    on: Annotated[str, Field(pattern="^(model|bench|[a-z]+://.+)$")] = Field(
+        default="model",
+        description="`model`, `bench`, or the address of a machine: `udp://host:port`",
+    )
     payload: Payload = None
     machine: MachineChange | None = None
     controller: Controller | None = None

@@ -1,0 +1,96 @@
+"""The commands about links: the layout of packets, the quality of a link, a served machine."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from ehbench import workflow
+from ehbench.config.recipe import BenchRecipe, Recipe, TrialRecipe, load_recipe, load_rig
+from ehbench.links import layout, responder
+from ehbench.links.opening import Address
+from ehbench.links.quality import measure
+from ehbench.links.serve import LINK_FAULTS, ServedTarget, serve_virtual
+from ehbench.report.blocks import Grid
+from ehbench.report.terminal import Answer
+from ehbench.runtime.realtime import punctual
+from ehbench.stages.trial import TrialStage
+from ehbench.trial.preparation import Prepared
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import message
+
+SERVING = 50  # priority: below that of a host in the same computer
+
+
+def moved_to(recipe: Recipe | None, url: str) -> TrialRecipe:
+    """A trial on the machine at a URL.
+
+    Raises:
+        InputError: it is no single trial, or no URL.
+    """
+    if not isinstance(recipe, TrialRecipe):
+        raise InputError(message("links.only_trial"))
+    return recipe.model_copy(update={"on": Address.of(url).url})
+
+
+def wire(rig: Path, kind: str, rate: float, out: Path | None) -> str:
+    """The layout of a rig's packets, or the names of the files that it was written to."""
+    built = layout.Layout.of(load_rig(rig))
+    if out is None:
+        return layout.WRITERS[kind][1](built, rate)
+    return "".join(f"{path}\n" for path in layout.write_files(built, rate, kind, out))
+
+
+def measured(url: str, seconds: float) -> tuple[Answer, int]:
+    """(what to say of a link, exit code) after it was measured for some seconds."""
+    with punctual() as refused:
+        quality = measure(Address.of(url).link(), url, seconds, tuple(refused))
+    problems = quality.problems()
+    values: dict[str, Any] = vars(quality) | {"late_share": quality.late_share}
+    verdict = "; ".join(problems) or message("links.sound")
+    return Answer(verdict, [Grid(["", ""], quality.rows())], values=values), 4 if problems else 0
+
+
+def served(
+    file: Path, on: str | None, rate: float | None, watchdog: float, allow_code: bool = False
+) -> tuple[Prepared, ServedTarget]:
+    """A trial's machine, or that of a bench file, as a target; the trial beside it.
+
+    Raises:
+        InputError: another kind of file.
+    """
+    recipe = load_recipe(file)
+    if isinstance(recipe, BenchRecipe):
+        keys: dict[str, Any] = {"rig": recipe.rig, "bench": recipe.path.name, "on": "bench"}
+        recipe = TrialRecipe(stage="trial", path=recipe.path, duration=Value(1.0), **keys)
+    if not isinstance(recipe, TrialRecipe):
+        raise InputError(message("links.no_bench"), file=file)
+    place = on or (recipe.on if "://" not in recipe.on else "bench" if recipe.bench else "model")
+    links = tuple(fault for fault in recipe.fault if fault.kind in LINK_FAULTS)
+    changes: dict[str, Any] = {"on": place, "fault": ()}
+    changes["fault"] = tuple(fault for fault in recipe.fault if fault not in links)
+    changes |= {} if rate is None else {"rate": Value(rate)}
+    recipe = recipe.model_copy(update=changes)
+    session = workflow.Session(allow_code=allow_code)
+    trial = TrialStage().prepare(recipe, session.inputs(recipe)).trial
+    return trial, ServedTarget(trial, links, watchdog)
+
+
+def serve(
+    file: Path, url: str, on: str | None, rate: float | None, watchdog: float, allow_code: bool
+) -> None:
+    """Serve a trial's machine, or that of a bench file, until a signal ends it.
+
+    Raises:
+        InputError: another kind of file, a URL that cannot be served.
+    """
+    address = Address.of(url)
+    trial, target = served(file, on, rate, watchdog, allow_code)
+    fields = {"machine": trial.machine.name, "rig": trial.rig.name, "url": url}
+    print(message("links.serving", rate=target.rate, **fields), file=sys.stderr, flush=True)
+    if address.virtual:
+        serve_virtual(target, address.port, address.host)
+    with punctual(SERVING, pinned=False):
+        responder.serve(target, address.port, address.host)

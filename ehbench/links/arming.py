@@ -1,0 +1,170 @@
+"""What must hold before a trial moves a machine: a dry run within the same limits, a stopping
+distance that fits the margin, a link that keeps time, and a person who says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomli_w
+
+from ehbench.data.record import Record
+from ehbench.links.clock import estimated
+from ehbench.links.opening import Address, open_machine
+from ehbench.links.quality import QUALITY, measure
+from ehbench.runtime.realtime import punctual
+from ehbench.trial.preparation import RUN_OUT, Prepared
+from ehbench.trial.running import Result, run
+from ehbench.trial.session import SESSION
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.progress import Progress
+
+Ask = Callable[[str, str], str]  # (what is about to happen, the token) → what was typed
+PROBE = 2.0  # [s] for which a link is measured before each trial
+
+
+class Remote(NamedTuple):
+    """A trial over a link: its result, what is to be said of the link, of the dry run beside it,
+    and warnings.
+    """
+
+    result: Result
+    link: dict[str, Any]
+    dry_run: dict[str, Any]
+    warnings: list[str]
+
+
+def token_of(prepared: Prepared, url: str) -> str:
+    """Six letters and digits that stand for a rig, a recipe and a link."""
+    recipe = prepared.recipe.path
+    parts = [tomli_w.dumps(prepared.rig.as_toml()).encode(), url.encode()]
+    parts += [recipe.read_bytes()] if recipe.is_file() else []
+    return sha256(b"\0".join(parts)).hexdigest()[:6].upper()
+
+
+def stopping_distances(prepared: Prepared, record: Record, watchdog: float) -> dict[str, float]:
+    """How far each cylinder of the model goes on [m] after its fastest row when the link dies: the
+    last command stays for ``watchdog`` [s], then the valves go to rest by the recipe's ramp.
+    """
+    machine, rest = prepared.machine, prepared.machine.commands.rest
+    names = machine.commands.names
+    commands = np.column_stack([record[f"{name}.command"] for name in names])
+    hold, ramp = (
+        round(seconds * machine.rate) for seconds in (watchdog, float(prepared.recipe.limits.ramp))
+    )
+    reached = {}
+    for cylinder in prepared.rig.cylinder:
+        v = np.abs(record[f"{cylinder.name}.v"])
+        row, place = int(np.argmax(v)), machine.channels.index(f"{cylinder.name}.x")
+        if v[row] < SESSION.still:
+            continue
+        sample = machine.start(prepared.posture, prepared.low_side)
+        for command in commands[:row]:
+            sample = machine.tick(command)
+        first, strokes, last = sample[place], [], commands[max(row - 1, 0)]
+        for tick in range(hold + ramp + round(0.5 * RUN_OUT * machine.rate)):
+            share = np.clip((tick - hold + 1) / (ramp + 1), 0.0, 1.0)
+            strokes.append(machine.tick((1.0 - share) * last + share * rest)[place])
+        reached[cylinder.name] = float(np.abs(np.array(strokes) - first).max())
+    return reached
+
+
+def rehearsed(prepared: Prepared, watchdog: float) -> tuple[Result, dict[str, float]]:
+    """The trial on the model, tick by tick so that all its kernels are compiled, and the stopping
+    distances [m] there.
+
+    Raises:
+        InputError: a limit stops the dry run; no ``stroke_margin``, or a smaller one.
+    """
+    recipe = prepared.recipe
+    dry = run(prepared, fast=False)
+    if dry.facts.stopped:
+        raise InputError(message("links.dry_run", stopped=dry.facts.stopped), **recipe.at("limits"))
+    margin = recipe.limits.stroke_margin
+    if margin is None:
+        raise InputError(message("links.no_margin"), **recipe.at("limits"))
+    distances = stopping_distances(prepared, dry.record, watchdog)
+    for cylinder, distance in distances.items():
+        if distance > float(margin):
+            shown = (prepared.rig.shown("x", value) for value in (distance, float(margin)))
+            fields = dict(zip(("distance", "margin"), shown, strict=True))
+            problem = message("links.stopping", cylinder=cylinder, **fields)
+            raise InputError(problem, **recipe.at("limits", "stroke_margin"))
+    return dry, distances
+
+
+def run_remote(
+    prepared: Prepared,
+    url: str,
+    ask: Ask | None,
+    log: Path | None = None,
+    progress: Progress | None = None,
+) -> Remote:
+    """Run a prepared trial on the machine at the other end of a URL.
+
+    Args:
+        prepared: the trial; its machine is the model of the dry run.
+        url: of the link.
+        ask: gets the token from a person; without it the trial ends after the dry run.
+        log: as for `ehbench.trial.run`.
+        progress: told the share done.
+
+    Raises:
+        InputError: what `rehearsed` refuses; a link that does not keep time; the wrong token.
+    """
+    address = Address.of(url)
+    machine = open_machine(prepared, url)
+    quality = None
+    if not address.virtual:
+        with punctual() as refused:
+            quality = measure(address.link(), url, PROBE, tuple(refused))
+        for problem in quality.problems():
+            raise InputError(problem)
+    machine.connect()
+    dry, distances = rehearsed(prepared, machine.watchdog)
+    token = token_of(prepared, url)
+    farthest = max(distances.values(), default=0.0)
+    shown = prepared.rig.shown("x", farthest)
+    about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
+    if ask is None:
+        raise InputError(message("links.unarmed", about=about, token=token))
+    if ask(about, token).strip().upper() != token:
+        raise InputError(message("links.wrong_token", token=token))
+    with punctual() as refused:
+        result = run(prepared, machine, log=log, progress=progress, fast=False)
+    ticks, warnings = result.record.t.size, []
+    late = machine.missed + int(result.record["missed_ticks"].sum())
+    if late > QUALITY.late * ticks:
+        warnings.append(message("links.late", share=late / ticks, most=QUALITY.late))
+    link = {
+        "url": url,
+        "mode": address.mode,
+        "ticks": ticks,
+        "late": late,
+        "rejected": dict(sorted(machine.rejected.items())),
+        "not_allowed": list(refused),
+        **estimated(machine.exchanges),
+    }
+    compared = compare(dry.record, result.record) | {"stopping_distance": distances}
+    compared["tracking"] = dry.facts.measures.get("tracking", {})
+    return Remote(result, link, compared, warnings)
+
+
+def compare(dry: Record, real: Record) -> dict[str, Any]:
+    """How far a machine was from its dry run: largest and rms difference [SI] of each stroke and
+    pressure, over the time that both have.
+    """
+    end = min(dry.t[-1], real.t[-1])
+    t = dry.t[dry.t <= end]
+    differences = {}
+    for name in real.channels:
+        if name.rsplit(".", 1)[-1] in ("x", "p_head", "p_rod") and name in dry:
+            apart = np.interp(t, real.t, real[name]) - dry[name][: t.size]
+            rms = float(np.sqrt(np.mean(apart**2)))
+            differences[name] = {"largest": float(np.abs(apart).max()), "rms": rms}
+    return {"differences": differences}

@@ -1,0 +1,283 @@
+"""A target at the other end of a link, behind the protocol of every machine."""
+
+from __future__ import annotations
+
+import math
+import secrets
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.links.layout import Layout, Mode
+from ehbench.links.responder import (
+    ALIVE,
+    ARMED,
+    DISAGREEMENT,
+    DONE,
+    HEADER,
+    HOST,
+    NONE,
+    REASONS,
+    RUNNING,
+    STOPPED,
+    STOPPING,
+)
+from ehbench.links.transport import (
+    ACKNOWLEDGED,
+    LAYOUT,
+    REASON,
+    SEQUENCE,
+    STATE,
+    TIME,
+    TOKEN,
+    WATCHDOG,
+    Link,
+)
+from ehbench.machines.protocol import Posture, Stamp
+from ehbench.plant.trim import LowSide
+from ehbench.trial.preparation import Prepared
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
+
+TOKENS = 2**24  # a float32 holds every one
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """Numbers of a link to a target."""
+
+    patience: float = setting(3.0, "s", "until a target must answer, arm or stop", "sixty ramps")
+    posture: float = setting(
+        0.03, "", "distance of a stroke from where the trial begins, as a share", "sensors to 1 %"
+    )
+    drift: float = setting(2e-4, "", "difference of two clocks' rates", "quartz within 100 ppm")
+    rate: float = setting(0.02, "", "difference of the target's rate from the trial's", "jitter")
+
+
+LINK = LinkSettings()
+
+
+class LinkMachine:
+    """A target behind the protocol of a machine.
+
+    A trial's ticks are the target's samples: the host waits for one, answers, and never sleeps.
+    ``stamp`` has the target's clock; ``applied`` the commands that acted, as the target says;
+    ``rejected`` counts packets by why they did not count. ``missed`` ticks came without a sample.
+
+    Args:
+        prepared: the trial; the design's machine lends channels, valves and strokes.
+        layout: of its rig.
+        link: the way to the target.
+        mode: what goes down.
+        name: of the link, for logs."""
+
+    latency, reasons = 0.0, REASONS
+
+    def __init__(
+        self, prepared: Prepared, layout: Layout, link: Link, mode: Mode, name: str
+    ) -> None:
+        design = prepared.machine
+        self.name, self.prepared, self.layout, self.link, self.mode = (
+            *(name, prepared, layout, link, mode),
+        )
+        self.channels, self.commands = layout.channels, layout.commands
+        self.strokes, self.rate = design.strokes, design.rate
+        self.real_time = not link.virtual
+        self.unmeasured: tuple[str, ...] = ()
+        self.rejected: Counter[str] = Counter()
+        self._number, self._up = layout.number(mode), len(HEADER) + len(layout.up)
+        self._open = False
+        self._begin()
+
+    def _begin(self) -> None:
+        self.token, self.sequence, self.missed, self.row = (
+            secrets.randbelow(TOKENS - 1) + 1,
+            0,
+            0,
+            0,
+        )
+        self.newest, self._offset, self._wish = np.zeros(self._up), math.inf, RUNNING
+        self._epoch, self._clock = np.zeros(self._up), 0.0
+        self.stamp, self.watchdog, self._every = Stamp(0.0, 0, 0.0), 0.0, 1
+        self.exchanges: list[tuple[float, ...]] = []
+
+    def now(self) -> float:
+        """Time [s] by the host's clock, or by the virtual one."""
+        return self._clock if self.link.virtual else time.monotonic()
+
+    def check_posture(self, posture: Posture) -> None:
+        """As `Machine.check_posture`: the machine stands where it stands."""
+        self.prepared.machine.check_posture(posture)
+
+    def exchange(self, wish: int, values: np.ndarray, reason: int = NONE) -> bool:
+        """Send a wish with values, then wait for the next sample; whether one came."""
+        self.sequence += 1
+        tick = 1.0 / self.rate
+        self._clock += tick
+        header = np.zeros(len(HEADER))
+        header[[LAYOUT, TOKEN, SEQUENCE, TIME]] = (
+            self._number,
+            self.token,
+            self.sequence,
+            self.now(),
+        )
+        header[[ACKNOWLEDGED, STATE, REASON]] = self.newest[SEQUENCE], wish, reason
+        sent = self.now()
+        self.link.send(np.concatenate([header, values]))
+        deadline, due, fresh = sent + 2.0 * tick, self.newest[SEQUENCE] + self._every, False
+        while self.newest[SEQUENCE] < due:
+            for numbers in self.link.receive(deadline - self.now()):
+                fresh |= self._take(numbers)
+            if self.link.virtual or self.now() >= deadline:
+                break
+        self._offset += LINK.drift * tick
+        if fresh:
+            self._offset = min(self._offset, self.now() - self.newest[TIME])
+            sample = self.newest[[TIME, ACKNOWLEDGED]].tolist()
+            self.exchanges.append((self.sequence, sent, self.now(), *sample))
+        self.missed += not fresh
+        return fresh
+
+    def _take(self, numbers: np.ndarray) -> bool:
+        """Take a vector that came; whether it is a new sample of this session."""
+        if numbers.size != self._up or not np.isfinite(numbers[: len(HEADER)]).all():
+            problem = "malformed" if numbers.size <= self._up else "oversized"
+        elif numbers[LAYOUT] != self._number or numbers[TOKEN] != self.token:
+            problem = "foreign"
+        elif numbers[SEQUENCE] <= self.newest[SEQUENCE]:
+            problem = "replayed"
+        else:
+            self.newest = numbers
+            return True
+        self.rejected[problem] += 1
+        return False
+
+    @property
+    def state(self) -> int:
+        """Of the target, as its newest sample says."""
+        return int(self.newest[STATE])
+
+    @property
+    def applied(self) -> np.ndarray:
+        """As `applied_of` says."""
+        return self.newest[len(HEADER) + len(self.channels) :]
+
+    def sample(self) -> np.ndarray:
+        """The newest sample."""
+        return self.newest[len(HEADER) : len(HEADER) + len(self.channels)].copy()
+
+    def connect(self) -> None:
+        """Let the target send samples, its valves at rest.
+
+        Raises:
+            InputError: nobody answers, or a target of another rig or rate.
+        """
+        self._begin()
+        self.link.receive(0.0)  # of a session before
+        self._open, first = True, 0.0
+        until = self.now() + LINK.patience
+        while self.newest[SEQUENCE] < first + 20 or first == 0.0:
+            if self.exchange(ALIVE, np.empty(0)) and first == 0.0:
+                first, start = self.newest[SEQUENCE], self.newest[TIME]
+            if self.now() > until:
+                counts = ", ".join(f"{n} {why}" for why, n in self.rejected.items()) or "none"
+                raise InputError(message("links.silent", url=self.name, rejected=counts))
+        rate = (self.newest[SEQUENCE] - first) / (self.newest[TIME] - start)
+        self._every = max(round(rate / self.rate), 1) if self.mode == "setpoint" else 1
+        if abs(rate / (self.rate * self._every) - 1.0) > LINK.rate:
+            fields = {"url": self.name, "rate": rate, "trial": self.rate}
+            raise InputError(message("links.other_rate", **fields))
+        self.watchdog = float(self.newest[WATCHDOG])
+
+    def start(self, posture: Posture = None, low_side: LowSide = None) -> np.ndarray:
+        """As `Machine.start`: the target is armed, its valves at rest.
+
+        Raises:
+            InputError: as `connect`; it stands elsewhere; it does not arm.
+        """
+        if self.prepared.payloads:
+            fields = {"machine": self.name}
+            raise InputError(message("trial.payload_by_hand", **fields))
+        self.connect()
+        self._refuse_elsewhere(self.prepared.machine.start(posture, low_side))
+        until, self.row = self.now() + LINK.patience, 0
+        while self.state != ARMED:
+            self.exchange(ARMED, self._down(self.commands.rest))
+            if self.state >= STOPPING or self.now() > until:
+                reason = REASONS[int(self.newest[REASON])]
+                raise InputError(message("links.not_armed", url=self.name, reason=reason))
+        sample = self.sample()
+        self.unmeasured = tuple(
+            name for name, value in zip(self.channels, sample, strict=True) if np.isnan(value)
+        )
+        self._epoch, self.row, self.missed = self.newest.copy(), 0, 0
+        self.exchanges.clear()
+        self.rejected.clear()
+        self.stamp = Stamp(0.0, 0, 0.0)
+        return sample
+
+    def _refuse_elsewhere(self, expected: np.ndarray) -> None:
+        """Refuse a machine that does not stand where the trial begins.
+
+        Raises:
+            InputError: names the cylinder and both strokes.
+        """
+        places = [i for i, name in enumerate(self.channels) if name.endswith(".x")]
+        for place, stroke in zip(places, self.strokes, strict=True):
+            x, wanted = self.sample()[place], expected[place]
+            if abs(x - wanted) > LINK.posture * stroke:
+                shown = (self.prepared.rig.shown("x", float(value)) for value in (x, wanted))
+                fields = dict(zip(("stands", "begins"), shown, strict=True))
+                raise InputError(message("links.stands", channel=self.channels[place], **fields))
+
+    def _down(self, command: np.ndarray) -> np.ndarray:
+        """The values that go down with a command [V]: itself, or what the target shall follow."""
+        if self.mode == "stream":
+            return command
+        loop, columns = self.prepared.loop, len(self.layout.references) // len(self.strokes)
+        x = [self.sample()[i] for i, name in enumerate(self.channels) if name.endswith(".x")]
+        values = np.zeros((len(x), columns))
+        values[:, 0] = x
+        for item in () if loop is None else loop.driven:
+            table = item.references.table
+            values[item.design.index] = table[min(self.row, len(table) - 1), :columns]
+        return values.ravel()
+
+    def tick(self, command: np.ndarray) -> np.ndarray:
+        """As `Machine.tick`; without a new sample the last, older."""
+        if self.row == 0:  # the log was opened since
+            self.exchange(ARMED, self._down(self.commands.rest))
+            self._epoch, self.missed = self.newest.copy(), 0
+        values = self._down(np.asarray(command, dtype=float))
+        fresh = self.exchange(self._wish, values, HOST if self._wish == STOPPING else NONE)
+        self.row += 1
+        stopped, state = 0, self.state
+        starting = state == ARMED and self.row <= max(3.0, self.watchdog * self.rate)
+        if self._wish == RUNNING and state != RUNNING and not starting:
+            stopped = int(self.newest[REASON]) if state >= STOPPING else DISAGREEMENT
+        at, count = (float(self.newest[k] - self._epoch[k]) for k in (TIME, SEQUENCE))
+        age = 0.0 if fresh and self.link.virtual else self.now() - self.newest[TIME] - self._offset
+        self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)
+        return self.sample()
+
+    def halt(self) -> None:
+        """As `halt_of` says: a target that makes its own commands stops by itself."""
+        if self.mode != "stream":
+            self._wish = STOPPING
+
+    def close(self) -> None:
+        """As `Machine.close`: the target lets its valves go to rest."""
+        if not self._open:
+            return
+        self._open, until = False, self.now() + 0.5
+        while self.state != STOPPED and self.now() < until:
+            self.exchange(STOPPING, np.empty(0), DONE)
+        self.link.close()
+
+    def counts(self) -> Mapping[str, int]:
+        """Packets that did not count, by why, and ticks without a sample."""
+        return {**dict(sorted(self.rejected.items())), "missed": self.missed}

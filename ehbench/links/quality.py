@@ -1,0 +1,126 @@
+"""How well this computer and this link serve a trial, measured before any oil moves."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ehbench.links.client import TOKENS
+from ehbench.links.responder import ALIVE, HEADER
+from ehbench.links.transport import ACKNOWLEDGED, SEQUENCE, STATE, TIME, TOKEN, WATCHDOG, Link
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.settings import setting
+
+
+@dataclass(frozen=True)
+class QualitySettings:
+    """What a link must keep."""
+
+    late: float = setting(0.01, "", "share of late ticks that is refused", "twice an ordinary one")
+    gap: float = setting(0.5, "", "longest gap, as a share of the watchdog's time", "half of it")
+    answer: float = setting(2.0, "s", "until a target must answer", "a hundred watchdogs")
+
+
+QUALITY = QualitySettings()
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What was measured of a link.
+
+    ``ticks`` of the target, ``lost`` samples, ``late`` ticks without a fresh answer; ``round_trip``
+    [s] from sending to the sample that acknowledges it: median, 99.9 % and longest; ``gap`` [s] the
+    longest between two samples; ``watchdog`` [s] and ``rate`` [Hz] of the target."""
+
+    url: str
+    ticks: int
+    lost: int
+    late: int
+    round_trip: tuple[float, float, float]
+    gap: float
+    watchdog: float
+    rate: float
+    refused: tuple[str, ...] = ()
+
+    @property
+    def late_share(self) -> float:
+        """Share of ticks without a fresh answer."""
+        return self.late / max(self.ticks, 1)
+
+    def problems(self) -> list[Message]:
+        """Why no trial may run over it; none of a sound one."""
+        found = []
+        if self.late_share > QUALITY.late:
+            found.append(message("links.late", share=self.late_share, most=QUALITY.late))
+        if self.gap > QUALITY.gap * self.watchdog:
+            fields = {"gap": 1e3 * self.gap, "most": 1e3 * QUALITY.gap * self.watchdog}
+            found.append(message("links.gap", **fields))
+        return found
+
+    def rows(self) -> list[tuple[str, str]]:
+        """A table for people."""
+        trip = " / ".join(f"{1e3 * value:.3g}" for value in self.round_trip)
+        return [
+            ("ticks", f"{self.ticks} at {self.rate:.4g} Hz"),
+            ("late ticks", f"{self.late} ({self.late_share:.2%})"),
+            ("lost samples", str(self.lost)),
+            ("round trip, median / 99.9 % / longest", f"{trip} ms"),
+            (
+                "longest gap",
+                f"{1e3 * self.gap:.3g} ms of a watchdog of {1e3 * self.watchdog:.3g} ms",
+            ),
+            ("not allowed here", ", ".join(self.refused) or "nothing"),
+        ]
+
+
+def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ()) -> Quality:
+    """Answer a target's samples for a while, valves at rest.
+
+    Raises:
+        InputError: nobody answers.
+    """
+    token, sent, rows = secrets.randbelow(TOKENS - 1) + 1, [], []
+    header = np.zeros(len(HEADER))
+    header[TOKEN], header[STATE] = token, ALIVE
+    begun = heard = time.monotonic()
+    virtual_ticks, newest = 0, 0.0
+    while True:
+        header[SEQUENCE], header[TIME] = len(sent) + 1, time.monotonic()
+        header[ACKNOWLEDGED] = newest
+        if link.virtual:
+            virtual_ticks += 1
+            header[TIME] = 1e-3 * virtual_ticks
+        sent.append(time.monotonic())
+        link.send(header)
+        fresh = [
+            item for item in link.receive(0.1) if item.size > len(HEADER) and item[TOKEN] == token
+        ]
+        now = time.monotonic()
+        for item in fresh:
+            rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
+            newest, heard = item[SEQUENCE], now
+        if now - heard > QUALITY.answer:
+            raise InputError(message("links.silent", url=url, rejected="none"))
+        if now - begun > seconds and len(rows) > 1:
+            break
+    table = np.array(rows)
+    came, sequence, t, acknowledged = table[:, :4].T
+    steps = np.diff(acknowledged)
+    first = np.flatnonzero(np.r_[True, steps > 0.0] & (acknowledged > 0.0))
+    trips = came[first] - np.array(sent)[acknowledged[first].astype(int) - 1]
+    ticks = int(sequence[-1] - sequence[0])
+    return Quality(
+        url,
+        ticks,
+        ticks - (len(table) - 1),
+        ticks - int((steps > 0.0).sum()),
+        (float(np.median(trips)), float(np.quantile(trips, 0.999)), float(trips.max())),
+        float(np.diff(came).max()),
+        float(table[-1, 4]),
+        ticks / float(t[-1] - t[0]),
+        refused,
+    )

@@ -1,0 +1,131 @@
+"""How vectors of float64 reach a target and come back: datagrams over UDP, or a served target in
+this process on a virtual clock.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+import time
+from typing import Protocol
+
+import numpy as np
+
+from ehbench.links.responder import HEADER, Target
+
+LAYOUT, TOKEN, SEQUENCE, TIME, ACKNOWLEDGED, STATE, REASON, WATCHDOG = range(len(HEADER))
+LARGEST = 65535  # bytes of a datagram
+
+
+class Link(Protocol):
+    """A way to a target.
+
+    Attributes:
+        virtual: the target's time goes on with the host's vectors, not by itself.
+    """
+
+    virtual: bool
+
+    def send(self, numbers: np.ndarray) -> None:
+        """Send header and values."""
+        ...
+
+    def receive(self, timeout: float) -> list[np.ndarray]:
+        """What has come, oldest first; at the latest after ``timeout`` [s], then perhaps none."""
+        ...
+
+    def close(self) -> None:
+        """Let go of it."""
+        ...
+
+
+class UdpLink:
+    """Datagrams to one address, and from no other.
+
+    Args:
+        host: name or address.
+        port: of the target.
+        virtual: the target runs on a virtual clock and answers each datagram.
+    """
+
+    def __init__(self, host: str, port: int, virtual: bool = False) -> None:
+        self.virtual = virtual
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.connect((host, port))
+
+    def send(self, numbers: np.ndarray) -> None:
+        """As `Link.send`; a target that is not there yet is no error."""
+        try:
+            self._socket.send(numbers.astype("<f8").tobytes())
+        except ConnectionRefusedError:
+            time.sleep(1e-3)
+
+    def receive(self, timeout: float) -> list[np.ndarray]:
+        """As `Link.receive`; what is no vector is left out by its size."""
+        taken: list[np.ndarray] = []
+        self._socket.settimeout(1.0 if self.virtual else max(timeout, 1e-6))
+        try:
+            while True:
+                taken.append(vector(self._socket.recv(LARGEST)))
+                self._socket.setblocking(False)
+        except (TimeoutError, BlockingIOError, ConnectionRefusedError):
+            return taken
+
+    def close(self) -> None:
+        """As `Link.close`."""
+        self._socket.close()
+
+
+class VirtualLink:
+    """A target in this process, whose time the host's vectors drive: the same datagrams, as fast
+    as they can be computed.
+    """
+
+    virtual = True
+
+    def __init__(self, target: Target) -> None:
+        self.target, self._clock, self._waiting = target, VirtualClock(target), b""
+
+    def send(self, numbers: np.ndarray) -> None:
+        """As `Link.send`."""
+        self._waiting = self._clock.answer(numbers.astype("<f8").tobytes())
+
+    def receive(self, timeout: float) -> list[np.ndarray]:
+        """As `Link.receive`, at once."""
+        taken, self._waiting = self._waiting, b""
+        return [vector(taken)] if taken else []
+
+    def close(self) -> None:
+        """As `Link.close`."""
+
+
+class VirtualClock:
+    """The time of a target that goes on with its host's datagrams."""
+
+    def __init__(self, target: Target) -> None:
+        self.target, self._token, self._origin = target, math.nan, 0
+
+    def pass_by(self, ticks: int) -> None:
+        """Let time go by without a datagram."""
+        for _ in range(ticks):
+            self.target.tick(self.target.sequence / self.target.rate)
+
+    def answer(self, datagram: bytes) -> bytes:
+        """What a target answers: its time goes on to the host's, then the datagram comes, then it
+        ticks once; b"" where its answer is lost.
+        """
+        target, numbers = self.target, vector(datagram)
+        if numbers.size >= len(HEADER) and np.isfinite(numbers[: len(HEADER)]).all():
+            host = round(numbers[TIME] * target.rate)
+            if numbers[TOKEN] != self._token:
+                self._token, self._origin = numbers[TOKEN], target.sequence + 1 - host
+            # no host may let it run for ever
+            self.pass_by(min(self._origin + host - target.sequence - 1, round(10.0 * target.rate)))
+        now = target.sequence / target.rate
+        target.receive(datagram, now)
+        return target.tick(now)
+
+
+def vector(datagram: bytes) -> np.ndarray:
+    """The numbers of a datagram; one that is not a whole number of them gives none."""
+    return np.frombuffer(datagram if len(datagram) % 8 == 0 else b"", "<f8")
