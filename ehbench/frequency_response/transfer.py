@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ehbench.preprocessing.sensors import lagged
 from ehbench.signals.series import correlation_time, fit_percent
 from ehbench.vocabulary.settings import setting
 
-# by form: the poles that it has, whether it has a delay
+# by form: the real poles that it has, whether it has a pair of natural frequency and damping ratio,
+# whether it has a delay
 FORMS = {
-    "first order": (1, False),
-    "first order and delay": (1, True),
-    "two poles": (2, False),
-    "two poles and delay": (2, True),
+    "first order": (1, False, False),
+    "first order and delay": (1, False, True),
+    "two poles": (2, False, False),
+    "two poles and delay": (2, False, True),
+    "second order": (0, True, False),
+    "second order and delay": (0, True, True),
 }
 
 
@@ -34,6 +36,9 @@ class TransferSettings:
         1.0, "%", "fit by which a form of more numbers must be better", "plain to see"
     )
     spread: float = setting(4.0, "", "factor between two poles where a search begins", "apart")
+    damping: tuple = setting((1e-3, 1.0), "", "damping ratios of a pair", "beyond: two poles")
+    damped: tuple = setting((0.1, 0.5), "", "damping ratios where a search begins", "chosen")
+    edge: float = setting(0.01, "", "distance to a bound, of a pole, or in samples", "on it")
 
 
 SETTINGS = TransferSettings()
@@ -41,14 +46,19 @@ SETTINGS = TransferSettings()
 
 @dataclass(frozen=True)
 class Transfer:
-    """One form fitted to all logs: ``poles`` [rad/s], lowest first, ``delay`` [s] and ``gain``
-    [output/input], each with its standard error; the NRMSE fit of each log [%], and whether the
-    form is the one ``preferred``."""
+    """One form fitted to all logs: real ``poles`` [rad/s], lowest first, or ``natural_frequency``
+    [rad/s] and ``damping_ratio`` of a pair, ``delay`` [s] and ``gain`` [output/input], each with
+    its standard error; the NRMSE fit of each log [%], and whether the form is the one
+    ``preferred``."""
 
     form: str
     gain: float
     poles: tuple[float, ...]
     pole_stds: tuple[float, ...]
+    natural_frequency: float | None
+    natural_frequency_std: float | None
+    damping_ratio: float | None
+    damping_ratio_std: float | None
     delay: float | None
     delay_std: float | None
     fit_percent: tuple[float, ...]
@@ -57,7 +67,8 @@ class Transfer:
     @property
     def numbers(self) -> int:
         """How many numbers it has in addition to the gain."""
-        return len(self.poles) + (self.delay is not None)
+        poles, pair, late = FORMS[self.form]
+        return poles + 2 * pair + late
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -69,13 +80,16 @@ Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
 
 def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     """Every form fitted to logs, the preferred first: the best of those with the fewest numbers
-    that come within a percent of fit of the best of all.
+    that come within a percent of fit of the best of all. A form with a pole or a delay
+    at a bound, or with a pole that the logs do not show, is left out.
 
     Args:
         pairs: input and output of each log.
         rate: samples per second.
     """
-    results = [_fit_form(form, pairs, rate) for form in FORMS]
+    results = [item for form in FORMS if (item := _fit_form(form, pairs, rate)) is not None]
+    if not results:
+        return ()
     level = {item.form: float(np.mean(item.fit_percent)) for item in results}
     close = [item for item in results if level[item.form] >= max(level.values()) - SETTINGS.close]
     fewest = min(item.numbers for item in close)
@@ -85,43 +99,51 @@ def transfers(pairs: Pairs, rate: float) -> tuple[Transfer, ...]:
     rest = sorted(
         (item for item in results if item is not best), key=lambda entry: -level[entry.form]
     )
-    return (Transfer(**{**asdict(best), "preferred": True}), *rest)
+    return (replace(best, preferred=True), *rest)
 
 
-def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer:
+def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer | None:
+    """A form's best fit; None where a number lies on its bound or the logs do not show a pole."""
     from scipy.optimize import least_squares
 
-    poles, late = FORMS[form]
+    poles, pair, late = FORMS[form]
+    count = poles + 2 * pair
     low, high = 2.0 * math.pi / max(y.size for _, y in pairs) * rate, 2.0 * math.pi * rate
     size = math.sqrt(float(np.mean([np.var(y) for _, y in pairs])))
 
     def residuals(theta: np.ndarray) -> np.ndarray:
-        outputs = _outputs(theta, poles, pairs, rate)[1]
+        outputs = _outputs(theta, form, pairs, rate)[1]
         return np.concatenate([y - s for s, (_, y) in zip(outputs, pairs, strict=True)]) / size
 
-    starts = [math.log(w) for w in np.geomspace(4.0 * low, 0.1 * high, 6)]
-    begins = [np.array([w + k * math.log(SETTINGS.spread) for k in range(poles)]) for w in starts]
-    if late:
-        begins = [np.append(begin, 1.0) for begin in begins]  # [samples]
+    starts = np.geomspace(4.0 * low, 0.1 * high, 6)
+    begins = [[w, ratio] for w in starts for ratio in SETTINGS.damped]
+    if not pair:
+        begins = [[w * SETTINGS.spread**k for k in range(poles)] for w in starts]
+    begins = [np.append(np.log(begin), [1.0] * late) for begin in begins]  # delay [samples]
     begin = min(begins, key=lambda item: float(np.sum(residuals(item) ** 2)))
-    bounds = (
-        [math.log(low)] * poles + [0.0] * late,
-        [math.log(high)] * poles + [0.5 * rate] * late,
-    )
+    ends = np.array([(low, high), SETTINGS.damping] if pair else [(low, high)] * poles)
+    bounds = np.array([*np.log(ends), *[(0.0, 0.5 * rate)] * late]).T
     best = least_squares(
         residuals, np.clip(begin, *bounds), bounds=bounds, x_scale="jac", diff_step=1e-5
     )
-    gain, seen = _outputs(best.x, poles, pairs, rate)
+    gain, seen = _outputs(best.x, form, pairs, rate)
     tau = float(np.median([correlation_time(y - s) for s, (_, y) in zip(seen, pairs, strict=True)]))
     inverse = np.linalg.pinv(best.jac.T @ best.jac)
     std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * float(np.mean(best.fun**2)) * tau)
-    order = np.argsort(best.x[:poles])
-    values = np.exp(best.x[:poles])
+    values = [(float(v), float(v * e)) for v, e in zip(np.exp(best.x[:count]), std, strict=False)]
+    if np.abs(best.x - bounds).min() < SETTINGS.edge or any(error > v for v, error in values):
+        return None
+    real = () if pair else tuple(sorted(values))
+    (omega, omega_std), (zeta, zeta_std) = values if pair else [(None, None)] * 2
     return Transfer(
         form,
         gain,
-        tuple(float(values[i]) for i in order),
-        tuple(float(values[i] * std[i]) for i in order),
+        tuple(value for value, _ in real),
+        tuple(error for _, error in real),
+        omega,
+        omega_std,
+        zeta,
+        zeta_std,
         float(best.x[-1]) / rate if late else None,
         float(std[-1]) / rate if late else None,
         tuple(fit_percent(y, s) for s, (_, y) in zip(seen, pairs, strict=True)),
@@ -129,19 +151,34 @@ def _fit_form(form: str, pairs: Pairs, rate: float) -> Transfer:
 
 
 def _outputs(
-    theta: np.ndarray, poles: int, pairs: Pairs, rate: float
+    theta: np.ndarray, form: str, pairs: Pairs, rate: float
 ) -> tuple[float, list[np.ndarray]]:
-    """(gain, outputs) of a form: logarithms of its poles [rad/s], then its delay [samples]."""
+    """(gain, outputs) of a form: logarithms of its poles [rad/s], or of natural frequency and
+    damping ratio, then its delay [samples].
+    """
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+    poles, pair, late = FORMS[form]
+    if pair:
+        omega, zeta = np.exp(theta[:2])
+        root = omega * (-zeta + 1j * math.sqrt(max(1.0 - zeta**2, 0.0)))
+        roots = np.array([root, root.conjugate()])
+    else:
+        roots = -np.exp(theta[:poles])
+    whole = np.real(np.poly(roots))
+    # exact for an input that goes straight from sample to sample
+    discrete: Any = cont2discrete(([whole[-1]], whole), 1.0 / rate, "foh")
+    above, below = discrete[0][0], discrete[1]
+    still = lfilter_zi(above, below)
     bases = []
     for u, y in pairs:
         at = np.arange(u.size, dtype=float)
-        s = np.interp(at - theta[poles], at, u) if len(theta) > poles else u
-        rates = np.exp(theta[:poles])
-        for pole in rates:
-            s = lagged(s, 1.0 / rate, 1.0 / float(pole))
-        # what the log's own offset and start add: a constant, and a decay of each pole
-        additional = np.exp(-np.outer(at / rate, [0.0, *rates]))
-        ways, _ = np.linalg.qr(additional)
+        s = np.interp(at - theta[-1], at, u) if late else u
+        s = lfilter(above, below, s, zi=still * s[0])[0]
+        # what the log's own offset and start add: a constant, and how the form comes to rest
+        fading: Any = np.exp(np.outer(at / rate, roots[:1] if pair else roots))
+        ends = [fading.real, fading.imag] if pair else [fading]
+        ways, _ = np.linalg.qr(np.column_stack([np.ones(at.size), *ends]))
         bases.append((s - ways @ (ways.T @ s), y - ways @ (ways.T @ y), y))
     along = sum(float(s @ s) for s, _, _ in bases)
     gain = sum(float(s @ y) for s, y, _ in bases) / along if along > 0.0 else 0.0

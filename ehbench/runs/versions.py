@@ -34,7 +34,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (2, (*_SIMULATED, "flow_maps")),
     "hydraulics": (2, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
-    "response": (1, (*_SIMULATED, "frequency_response")),
+    "response": (2, (*_SIMULATED, "frequency_response")),
     "validation": (5, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (1, ("plant", "control", "tuning")),

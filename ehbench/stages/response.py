@@ -50,8 +50,8 @@ class ResponseRecipe(Recipe):
     )
     transfer: bool = Field(
         default=False,
-        description="whether plain transfer functions (one pole or two, with and without delay) "
-        "are fitted in time and compared",
+        description="whether plain transfer functions (one pole, two, or a pair with a damping "
+        "ratio; with and without delay) are fitted in time and compared",
     )
     frequency_max: Annotated[Value, Q("frequency")] | None = Field(
         default=None, description="what lies above is not looked at; none is half the logs' rate"

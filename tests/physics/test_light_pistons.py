@@ -1,5 +1,5 @@
-"""Light pistons under strong friction and in their end stops, against SciPy's Radau on the equations
-written down anew.
+"""Light pistons under strong friction and in their end stops, against SciPy's Radau on equations
+of their own.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from ehbench.config import recipe
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import Averaging, Signals, estimate, prepare_signals
+from ehbench.frequency_response.transfer import transfers
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 
 RATE = 1000.0
@@ -238,3 +239,25 @@ def test_a_check_names_a_channel_that_is_not_there(folder):
     found = inspection.check(path)
     assert "no channel 'boom.w'" in str(found.errors[0]) and f"{path}:6" in str(found.errors[0])
     assert recipe.load_recipe(path).kind() == ("response", None)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02])
+@pytest.mark.parametrize("ratio", [0.05, 0.3, 0.8])
+def test_a_second_order_is_found_with_its_interval(ratio, delay):
+    """3 Hz, against SciPy's simulation, which knows nothing of forms; the interval holds."""
+    rng = np.random.default_rng(5)
+    t, omega = np.arange(4000) / 100.0, 6.0 * np.pi
+    u = sum(np.sin(2 * np.pi * f * t + rng.uniform(0, 6.3)) for f in np.arange(0.1, 8.0, 0.1))
+    late = np.interp(t - delay, t, u)
+    _, y, _ = signal.lsim(([2.0 * omega**2], [1.0, 2 * ratio * omega, omega**2]), late, t)
+    y = 1.0 + y + 0.05 * y.std() * rng.standard_normal(t.size)
+    best, *others = transfers([(u, y)], 100.0)
+    assert best.preferred and best.form == ("second order and delay" if delay else "second order")
+    for value, std, true in (
+        (best.natural_frequency, best.natural_frequency_std, omega),
+        (best.damping_ratio, best.damping_ratio_std, ratio),
+        *([(best.delay, best.delay_std, delay)] if delay else []),
+    ):
+        assert abs(value - true) < 3.0 * std < 0.05 * true
+    # real poles do not follow it, and such as the logs do not show are not offered
+    assert all(max(o.pole_stds, default=0.0) <= max(o.poles, default=0.0) for o in others)

@@ -111,6 +111,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
                 with_error(pole, Z95 * std)
                 for pole, std in zip(form["poles"], form["pole_stds"], strict=True)
             ),
+            **{
+                name: form.get(name) and with_error(form[name], Z95 * form[f"{name}_std"])
+                for name in ("natural_frequency", "damping_ratio")
+            },
             "delay": None
             if form.get("delay") is None
             else with_error(1e3 * form["delay"], 1e3 * Z95 * form["delay_std"]),
