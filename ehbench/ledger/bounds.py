@@ -16,11 +16,29 @@ from ehbench.physics.cylinder import linkage
 from ehbench.plant.build import oil_fields, pins_of
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.vocabulary.errors import InsufficientData
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
 
-SETTLED_TRAVEL = 0.005  # share of the stroke below which a motion to and fro is no travel
-CLOSED = 0.02  # share of the travel by which the ends of a closed cycle may differ
-SAME_OIL = 0.003  # share of a four-way valve's bound that oil left pressed together may have cost
-LOADED = 0.02  # share of the supply's force on the head end below which a mean force is no load
+
+@dataclass(frozen=True)
+class BoundSettings:
+    """Numbers by which a motion is held against what it must cost."""
+
+    travel: float = setting(
+        0.005, "", "part of the stroke below which a motion to and fro is none", "noise"
+    )
+    closed: float = setting(
+        0.02, "", "part of the travel by which the ends of a closed cycle may differ", "chosen"
+    )
+    oil: float = setting(
+        0.003, "", "part of a four-way valve's bound that oil left pressed may cost", "chosen"
+    )
+    loaded: float = setting(
+        0.02, "", "part of the supply's force below which a mean force is no load", "friction"
+    )
+
+
+SETTINGS = BoundSettings()
 
 
 @dataclass(frozen=True)
@@ -122,11 +140,11 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
     """
     item = rig.cylinder_named(cylinder)
     if not rig.supply.constant:
-        raise InsufficientData(f"{rig.supply.kind} has not one pressure that bounds the energy")
+        raise InsufficientData(message("ledger.no_one_pressure", supply=rig.supply.kind))
     x = _stroke(item, record)
-    ways = travels(x, SETTLED_TRAVEL * float(item.stroke))
+    ways = travels(x, SETTINGS.travel * float(item.stroke))
     if ways == (0.0, 0.0):
-        raise InsufficientData(f"cylinder '{cylinder}' did not move, so nothing bounds its energy")
+        raise InsufficientData(message("ledger.did_not_move", cylinder=cylinder))
     head, rod = item.areas()
     force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
     load = _Load.of(record.t, x, force, float(rig.supply.pressure), (head, rod))
@@ -136,7 +154,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         ledger[f"{cylinder}.drawn"].energy if ledger is not None else _drawn(rig, record, cylinder)
     )
     retained = pressure * float(_squeezed(rig, record.at([0, -1]), item, x[[0, -1]]).sum())
-    against, beyond = "", ()
+    against, beyond, back = "", (), abs(ways[0] - ways[1]) <= SETTINGS.closed * max(ways)
     if ledger is not None and (function := function_of(record, cylinder)) is not None:
         against = _against(function, "seventh" in paid)
         price = (pressure * prices[against][0], pressure * prices[against][1])
@@ -146,7 +164,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         cylinder=cylinder,
         travel_out=ways[0],
         travel_in=ways[1],
-        closed=_back(ways) and abs(retained) <= SAME_OIL * paid["standard"],
+        closed=back and abs(retained) <= SETTINGS.oil * paid["standard"],
         kept=retained,
         carries=load.carries,
         standard=paid["standard"],
@@ -205,7 +223,7 @@ class _Load(NamedTuple):
         work = float((middle * steps)[middle * steps > 0.0].sum())
         lifting = force[:-1][steps > 0.0]
         carries = "none"
-        if abs(mean) > LOADED * pressure * head:
+        if abs(mean) > SETTINGS.loaded * pressure * head:
             carries = "head" if mean > 0.0 else "rod"
         light = lifting.size > 0 and float(np.median(lifting)) < pressure * (head - rod)
         return cls(pressure, areas, carries, work, head > rod and light)
@@ -256,11 +274,6 @@ def _beyond(
             Beyond(FUNCTIONS[f], out - back, energy, price[0] * out + price[1] * back, pressed)
         )
     return tuple(results)
-
-
-def _back(ways: tuple[float, float]) -> bool:
-    """Whether the ways out and in [m] are as long."""
-    return abs(ways[0] - ways[1]) <= CLOSED * max(ways)
 
 
 def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.ndarray:

@@ -23,9 +23,10 @@ from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
 from ehbench.vocabulary.fields import scalars
+from ehbench.vocabulary.messages import message
 
 
-class Found(NamedTuple):
+class Measured(NamedTuple):
     """What a log gave: its model, payload and readings; states, flows and powers at each sample;
     energies [J] of all rows.
     """
@@ -70,11 +71,7 @@ class Account:
         """States, shape (samples, states), with the openings that follow from the commands."""
         names, n = model.layout, model.plant.at.rates
         states = np.zeros((m.t.size, names.states))
-        states[:, :n], states[:, n : 2 * n], states[:, 2 * n : 2 * n + m.p.shape[1]] = (
-            m.q,
-            m.qd,
-            m.p,
-        )
+        states[:, : 2 * n + m.p.shape[1]] = np.concatenate([m.q, m.qd, m.p], axis=1)
         follow_valves(m.t, m.commands, model.plant, False, states)
         follow_friction(m.t, model.plant, states)
         states[:, model.plant.at.supply] = m.p_supply
@@ -124,26 +121,20 @@ class Account:
             row = plant.cylinders[c]
             force = m.p[:, 2 * c] * row.area_head - m.p[:, 2 * c + 1] * row.area_rod
             x = m.x[:, c] if row.mount_state < 0 else m.x[:, c] + states[:, row.mount_state]
-            spent[:, power_at(edges, c, OF.work)] = _cumulated(
-                0.5 * np.diff(x), force[:, None], at
-            )[:, 0]
+            work = _cumulated(0.5 * np.diff(x), force[:, None], at)
+            spent[:, power_at(edges, c, OF.work)] = work[:, 0]
         if m.flow_supply is None and plant.supply.flow_limit > 0.0:
-            drawn, drawn_compression = (
-                [power_at(edges, c, which) for c in cylinders]
+            drawn, compression = (
+                spent[:, [power_at(edges, c, which) for c in cylinders]].sum(axis=1)
                 for which in (OF.drawn, OF.drawn_compression)
             )
             pressed = _pressed(plant.supply, m.p_supply)[at]
             # the last of the powers are the low rail's, which the line's pump does not give
             railed = spent[:, -2:] if plant.supply.rail > 0.0 else np.zeros((at.size, 2))
-            spent[:, PUMP] = spent[:, drawn].sum(axis=1) - railed[:, 0] + pressed
+            spent[:, PUMP] = drawn - railed[:, 0] + pressed
             if plant.supply.gas_volume > 0.0:
                 spent[:, PUMP] += fixed[:, sheet.stores - 1]
-            spent[:, COMPRESSION] = (
-                spent[:, drawn_compression].sum(axis=1)
-                - railed[:, 1]
-                + fixed[:, SUPPLY_LINE]
-                - pressed
-            )
+            spent[:, COMPRESSION] = compression - railed[:, 1] + fixed[:, SUPPLY_LINE] - pressed
         rows = sheet.expand(np.concatenate([spent, fixed], axis=1))
         return rows[0] if at.size == 1 else rows
 
@@ -222,7 +213,7 @@ def ledger_of_log(
     flows = account.flows(model, readings, states)
     power = account.power(model, readings, states, flows)
     base = account.energies(model, readings, states, power)
-    result = Found(model, payload, readings, states, flows, power, base)
+    result = Measured(model, payload, readings, states, flows, power, base)
     std, sources = np.zeros_like(base), {}
     if accuracy is not None:
         effects, more = _effects(rig, maps, account, result, accuracy)
@@ -238,27 +229,39 @@ def ledger_of_log(
 
 
 def _effects(
-    rig: Rig, maps: Maps | None, account: Account, result: Found, accuracy: Accuracy
+    rig: Rig, maps: Maps | None, account: Account, result: Measured, accuracy: Accuracy
 ) -> tuple[dict[str, np.ndarray], list[str]]:
     """(what one standard error of each source of doubt does to the energies [J], what had to be
     assumed).
     """
     model, readings, states = result.model, result.readings, result.states
     flows, power, base = result.flows, result.power, result.energies
-    effects = _parameter_effects(rig, maps, account, result, accuracy)
-    flow_effects: dict[str, np.ndarray] = {}
+    load = None if result.payload in ("none", "") else result.payload
+    effects: dict[str, np.ndarray] = {}
+    lags: dict[str, np.ndarray] = {}
+
+    def effect(name: str, value: float) -> np.ndarray:
+        return account(Model.of(rig.with_values({name: value}), maps, load), readings) - base
+
+    parameters = rig.parameters()
+    for name, value in parameters.items():
+        if value.std:
+            effects[name] = effect(name, float(value) + value.std)
+    for name, dynamics in rig.dynamics.items():  # of valves that state no error of their lag
+        omega = f"{name}.natural_frequency"
+        if omega in parameters and not any(value.std for _, value in scalars(dynamics)):
+            lags[f"lag of {name}"] = effect(omega, float(parameters[omega]) / (1.0 + accuracy.lag))
     notes: list[str] = []
     for e, name in enumerate(model.layout.edges):
-        std, message = _flow_std(maps, e, result, accuracy)
-        notes += message
+        std, texts = _flow_std(maps, e, result, accuracy)
+        notes += texts
         if std.any():
             doubtful = flows.copy()
             doubtful[:, e] += std
             moved = account.power(model, readings, states, doubtful)
-            flow_effects[f"flow of {name}"] = (
-                account.energies(model, readings, states, moved) - base
-            )
-    effects = effects[0] | flow_effects | effects[1]
+            moved = account.energies(model, readings, states, moved)
+            effects[f"flow of {name}"] = moved - base
+    effects |= lags
     for name, moved in _doubts(model, readings, accuracy):
         effects[name] = account(model, moved) - base
     if readings.t.size > 4:
@@ -272,38 +275,13 @@ def _effects(
     return effects, notes
 
 
-def _parameter_effects(
-    rig: Rig, maps: Maps | None, account: Account, result: Found, accuracy: Accuracy
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """(effects of the parameters that state an error, of the lags of valves that do not)."""
-    load = None if result.payload in ("none", "") else result.payload
-
-    def effect(name: str, value: float) -> np.ndarray:
-        changed = Model.of(rig.with_values({name: value}), maps, load)
-        return account(changed, result.readings) - result.energies
-
-    parameters = rig.parameters()
-    stated = {
-        name: effect(name, float(value) + value.std)
-        for name, value in parameters.items()
-        if value.std
-    }
-    lags = {}
-    for name, dynamics in rig.dynamics.items():
-        omega = f"{name}.natural_frequency"
-        stated_error = any(value.std for _, value in scalars(dynamics))
-        if omega in parameters and not stated_error:
-            lags[f"lag of {name}"] = effect(omega, float(parameters[omega]) / (1.0 + accuracy.lag))
-    return stated, lags
-
-
 def _at(m: Readings, kept: np.ndarray) -> Readings:
     given = {name: value[kept] for name, value in vars(m).items() if value is not None}
     return replace(m, **given)
 
 
 def _flow_std(
-    maps: Maps | None, e: int, result: Found, accuracy: Accuracy
+    maps: Maps | None, e: int, result: Measured, accuracy: Accuracy
 ) -> tuple[np.ndarray, list[str]]:
     """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what
     had to be assumed).
@@ -313,13 +291,12 @@ def _flow_std(
     edge = model.rig.all_edges()[name]
     if not flow.any():
         return np.zeros_like(flow), []
-    share = accuracy.flow * np.abs(flow)
+    share, fields = accuracy.flow * np.abs(flow), {"edge": name, "share": 100 * accuracy.flow}
     row = plant.edges[e]
     if row.law != MAP:
         if edge.gain is not None and edge.gain.std:
             return np.zeros_like(flow), []
-        good = f"its flow is taken to be good to {100 * accuracy.flow:g} %"
-        return share * np.sign(flow), [f"the law of {name} states no error: {good}"]
+        return share * np.sign(flow), [message("ledger.no_error_stated", **fields)]
     item: Any = map_of(maps, name)
     valve = int(row.valve)
     opening = row.sign * opening_of(plant, valve, m.commands[:, valve], states)
@@ -331,14 +308,11 @@ def _flow_std(
     std = np.where(flow == 0.0, 0.0, item.flow_std(drop, opening))
     outside = (flow != 0.0) & ~item.inside(drop, opening)
     std = np.where(outside, np.maximum(std, share), std)
-    passed = np.abs(flow).sum()
-    if np.abs(flow[outside]).sum() > 0.01 * passed:
-        beyond = 100 * np.abs(flow[outside]).sum() / passed
-        message = f"{beyond:.0f} % of the oil through {name} went outside of its map's readings"
-        return std * np.sign(flow), [
-            f"{message}: taken to be good to {100 * accuracy.flow:g} % there"
-        ]
-    return std * np.sign(flow), []
+    beyond = np.abs(flow[outside]).sum() / np.abs(flow).sum()
+    notes: list[str] = []
+    if beyond > 0.01:
+        notes.append(message("ledger.outside_map", outside=100 * beyond, **fields))
+    return std * np.sign(flow), notes
 
 
 def _doubts(model: Model, m: Readings, accuracy: Accuracy) -> Iterator[tuple[str, Readings]]:
@@ -376,12 +350,7 @@ def _noise(account: Account, model: Model, m: Readings, draws: int) -> np.ndarra
 
     def drawn() -> Readings:
         values = {name: getattr(m, name) for name in names}
-        return replace(
-            m,
-            **{
-                name: value + sizes[name] * rng.standard_normal(value.shape)
-                for name, value in values.items()
-            },
-        )
+        scattered = {n: v + sizes[n] * rng.standard_normal(v.shape) for n, v in values.items()}
+        return replace(m, **scattered)
 
     return np.stack([account(model, drawn()) for _ in range(max(draws, 2))])

@@ -9,6 +9,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.ledger.loads import Loads
 from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at
+from ehbench.ledger.readings import ROUNDING
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.valve.delay import line_of
@@ -18,9 +19,9 @@ from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
 from ehbench.plant.valves import felt_commands, follow_valves
 from ehbench.vocabulary.errors import InputError, LogError
+from ehbench.vocabulary.messages import message
 
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
-ROUNDING = 1.0e-12  # smaller than any reading
 
 
 def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
@@ -78,7 +79,7 @@ def ledger_of_model(
         InputError: no such quadrature.
     """
     if quadrature not in ("exact", "samples"):
-        raise InputError(f"there is no quadrature '{quadrature}'", hint="exact or samples")
+        raise InputError(message("ledger.no_quadrature", name=quadrature))
     must_have_samples(record)
     t = np.ascontiguousarray(record.t, dtype=float)
     states, commands = states_of(model, record)
@@ -124,12 +125,7 @@ def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
             continue
         scale = max(np.abs(record[channel]).max(), np.abs(flows[:, i]).max(), ROUNDING)
         if np.abs(record[channel] - flows[:, i]).max() > FOLLOWS * scale:
-            raise LogError(
-                f"channel '{channel}' is not what this model gives at the record's own pressures "
-                "and openings",
-                hint="give the rig and the flow maps that the record was made with; of a machine's "
-                "log take ledger_of_log",
-            )
+            raise LogError(message("ledger.other_flows", channel=channel))
 
 
 def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:
@@ -147,9 +143,5 @@ def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:
         gap = np.abs(ends[:, at] - known[1:]).max()
         if gap > FOLLOWS * max(scale, ROUNDING):
             share = 100 * gap / max(scale, ROUNDING)
-            missed = f"the model misses the next sample's {what} by {share:.2g} % of its range"
-            return [
-                missed
-                + ": commands change between samples, or the record was made with another payload"
-            ]
+            return [message("ledger.missed_sample", what=what, share=share)]
     return []

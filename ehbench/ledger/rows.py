@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 GROUPS = ("supply", "valve", "loss", "store", "load", "residual", "cylinder", "part")
 
@@ -63,10 +64,8 @@ class Ledger:
         for row in self.rows:
             if row.name == name:
                 return row
-        raise InputError(
-            f"the ledger has no row '{name}'",
-            hint="it has " + ", ".join(row.name for row in self.rows),
-        )
+        known = ", ".join(row.name for row in self.rows)
+        raise InputError(message("ledger.no_row", name=name, known=known))
 
     def of(self, cylinder: str) -> tuple[Row, ...]:
         """The rows of one cylinder."""

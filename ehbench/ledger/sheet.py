@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from ehbench.parts.nodes import SUPPLY
 from ehbench.plant.model import Model
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import Z95
 
 Named = tuple[str, str, str, str | None]  # name, group, label, cylinder
@@ -68,7 +69,7 @@ class Sheet:
 
     def __init__(self, model: Model, word: str, changes: bool = False) -> None:
         names = model.layout
-        owners = [names.cylinders.index(_owner(name)) for name in names.edges]
+        owners = [names.cylinders.index(name.split(".", 1)[0]) for name in names.edges]
         self.owner = np.array(owners, dtype=np.int64)
         self.cylinders, self.word = names.cylinders, word
         self.absent = {
@@ -119,12 +120,10 @@ class Sheet:
         for i, (name, group, label, cylinder) in enumerate(named):
             if name in self.absent:
                 continue
-            energy = float(energies[i])
-            interval = (
-                None
-                if std is None
-                else (energy - Z95 * float(std[i]), energy + Z95 * float(std[i]))
-            )
+            energy, interval = float(energies[i]), None
+            if std is not None:
+                half = Z95 * float(std[i])
+                interval = energy - half, energy + half
             rows.append(Row(name, energy, group, label, cylinder, interval))
         rows.sort(key=lambda row: GROUPS.index(row.group))
         source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
@@ -136,118 +135,87 @@ class Sheet:
         out."""
         names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
         results: dict[str, Any] = {"functions": {}}
+        steps = np.diff(table, axis=0)
         for cylinder in self.cylinders:
             if (function := function_of(record, cylinder)) is not None:
+                sums = {FUNCTIONS[f]: steps[function == f].sum(axis=0) for f in np.unique(function)}
                 results["functions"][cylinder] = {
-                    FUNCTIONS[f]: {
-                        name: float(v)
-                        for name, v in zip(
-                            names, np.diff(table, axis=0)[function == f].sum(axis=0), strict=True
-                        )
-                        if v
-                    }
-                    for f in np.unique(function)
+                    word: {n: float(v) for n, v in zip(names, energies, strict=True) if v}
+                    for word, energies in sums.items()
                 }
         if points > 1:
-            at = np.unique(
-                np.linspace(0, record.t.size - 1, max(2, min(points, record.t.size)))
-                .round()
-                .astype(int)
-            )
+            count = max(2, min(points, record.t.size))
+            at = np.unique(np.linspace(0, record.t.size - 1, count).round().astype(int))
             series = {name: table[at, i] for i, name in enumerate(names) if table[at, i].any()}
             results |= {"t": record.t[at], "series": series}
         return results
 
 
-def _owner(edge: str) -> str:
-    """The cylinder of an edge."""
-    return edge.split(".", 1)[0]
-
-
 def _power_rows(model: Model) -> list[Named]:
-    names = model.layout
+    names, joints = model.layout, model.plant.cylinders.joint
     rows: list[Named] = [
         ("pump", "supply", "pump, Ps·Q", None),
         ("pump_compression", "supply", "pump, compression of the oil", None),
     ]
-    pumps = [name for name, edge in model.rig.all_edges().items() if edge.law == "pump"]
     spools = {
         f"{c.name}.{valve.edge_name(edge)}": valve.name
         for c, valve, edge in model.rig.edges()
         if len(valve.edge) > 1
     }
+    shafts: list[Named] = []
     for name, edge in model.rig.all_edges().items():
-        joins = f"{edge.from_} → {edge.to}"
-        shown = spools.get(name, name.split(".", 1)[1])
-        if name in pumps:
-            rows.append((f"{name}.slip", "loss", f"{shown}, slip", _owner(name)))
+        cylinder, own = name.split(".", 1)
+        shown = spools.get(name, own)
+        if edge.law == "pump":
+            rows.append((f"{name}.slip", "loss", f"{shown}, slip", cylinder))
+            shafts.append((f"{name}.shaft", "supply", f"{own}, shaft of the pump", cylinder))
         else:
-            rows.append((f"{name}.throttling", "valve", f"{shown}, {joins}", _owner(name)))
+            label = f"{shown}, {edge.from_} → {edge.to}"
+            rows.append((f"{name}.throttling", "valve", label, cylinder))
     for name in names.cylinders:
-        rows += [
-            (f"{name}.{key}", *labels, name)
-            for key, labels in zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
-        ]
-    driven = {int(j): names.cylinders[i] for i, j in enumerate(model.plant.cylinders.joint)}
+        pairs = zip(CylinderPowers._fields, CYLINDER_ROWS, strict=True)
+        rows += [(f"{name}.{key}", *labels, name) for key, labels in pairs]
+    driven = {int(j): names.cylinders[i] for i, j in enumerate(joints)}
     label = "slide damping" if model.rig.mechanism.kind == "slide" else "joint damping"
-    rows += [
-        (f"{name}.damping", "loss", label, driven.get(j)) for j, name in enumerate(names.joints)
-    ]
-    rows += [
-        (f"{name}.shaft", "supply", f"{name.split('.', 1)[1]}, shaft of the pump", _owner(name))
-        for name in pumps
-    ]
-    rows += [
-        (f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name)
-        for name, end in _lines(model)
-    ]
-    rows += [
-        (f"{names.cylinders[c]}.mount", "loss", "mount", names.cylinders[c]) for c in names.mounts
-    ]
-    rows += [
-        (f"{names.cylinders[c]}.sway", "loss", "damper of what sways", names.cylinders[c])
-        for c in names.sways
-    ]
+    for j, name in enumerate(names.joints):
+        rows.append((f"{name}.damping", "loss", label, driven.get(j)))
+    rows += shafts
+    for c, end in names.lines:
+        name = names.cylinders[c]
+        rows.append((f"{name}.line_{end}.throttling", "loss", f"line of the {end} end", name))
+    rows += _of_each(model, names.mounts, "mount", "loss", "mount")
+    rows += _of_each(model, names.sways, "sway", "loss", "damper of what sways")
     return rows + (RAIL if model.rig.supply.low_rail is not None else [])
 
 
 def _store_rows(model: Model) -> list[Named]:
+    names = model.layout
     rows: list[Named] = [
         ("supply_line", "store", "oil of the supply line", None),
         ("kinetic", "load", "kinetic energy", None),
         ("potential", "load", "potential energy", None),
     ]
-    for name in model.layout.cylinders:
-        rows += [
-            (f"{name}.{key}", "store", label, name)
-            for key, label in zip(CylinderStores._fields, STORE_LABELS, strict=True)
-        ]
-    rows += [
-        (f"{name}.friction_spring", "store", "spring of the friction", name)
-        for name in _springy(model)
-    ]
-    rows += [
-        (f"{name}.line_{end}", "store", f"oil of the {end} end's line", name)
-        for name, end in _lines(model)
-    ]
-    mounted = (model.layout.cylinders[c] for c in model.layout.mounts)
-    rows += [(f"{name}.mount_spring", "store", "spring of the mount", name) for name in mounted]
-    swaying = (model.layout.cylinders[c] for c in model.layout.sways)
-    rows += [(f"{name}.swaying", "load", "mass that sways", name) for name in swaying]
+    for name in names.cylinders:
+        pairs = zip(CylinderStores._fields, STORE_LABELS, strict=True)
+        rows += [(f"{name}.{key}", "store", label, name) for key, label in pairs]
+    springy = dict.fromkeys(c for c, _ in names.friction_states)
+    rows += _of_each(model, springy, "friction_spring", "store", "spring of the friction")
+    for c, end in names.lines:
+        name = names.cylinders[c]
+        rows.append((f"{name}.line_{end}", "store", f"oil of the {end} end's line", name))
+    rows += _of_each(model, names.mounts, "mount_spring", "store", "spring of the mount")
+    rows += _of_each(model, names.sways, "swaying", "load", "mass that sways")
     if model.rig.supply.accumulator is not None:
         rows.append(("accumulator", "store", "accumulator", None))
     return rows
 
 
-def _lines(model: Model) -> list[tuple[str, str]]:
-    """(cylinder, end) of each line."""
-    return [(model.layout.cylinders[c], end) for c, end in model.layout.lines]
-
-
-def _springy(model: Model) -> list[str]:
-    """The cylinders whose friction has states."""
-    names = model.layout
-    return list(dict.fromkeys(names.cylinders[c] for c, _ in names.friction_states))
+def _of_each(
+    model: Model, cylinders: Iterable[int], key: str, group: str, label: str
+) -> list[Named]:
+    """A row of each of some cylinders."""
+    names = [model.layout.cylinders[c] for c in cylinders]
+    return [(f"{name}.{key}", group, label, name) for name in names]
 
 
 def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]:
@@ -281,11 +249,9 @@ def function_of(record: Record, cylinder: str) -> np.ndarray | None:
     where none did.
     """
     channel = record.channels.get(f"{cylinder}.function")
-    return (
-        None
-        if channel is None
-        else np.clip(channel[:-1].round().astype(int), 0, len(FUNCTIONS) - 1)
-    )
+    if channel is None:
+        return None
+    return np.clip(channel[:-1].round().astype(int), 0, len(FUNCTIONS) - 1)
 
 
 def oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
@@ -301,9 +267,7 @@ def oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
 def must_have_samples(record: Record) -> None:
     """Raise LogError where a record is too short."""
     if record.t.size < 2:
-        raise LogError(
-            "the record is too short for a ledger", hint="it takes two samples at the least"
-        )
+        raise LogError(message("ledger.too_short"))
 
 
 def payload_of(record: Record) -> str:
