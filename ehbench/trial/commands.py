@@ -8,17 +8,10 @@ from collections.abc import Collection
 import numpy as np
 
 from ehbench.config.recipe import Command, TrialRecipe
-from ehbench.config.rig import Rig, Valve
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
-
-
-def _si(value: Value | None) -> float:
-    """A number that the recipe's model demands of this kind of command."""
-    assert value is not None
-    return float(value)
 
 
 def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray:
@@ -34,26 +27,21 @@ def _shape(command: Command, t: np.ndarray, record: Record | None) -> np.ndarray
     if command.kind == "ramp":
         return offset + amplitude * np.clip((t - start) / (stop - start), 0.0, 1.0)
     if command.kind == "sine":
-        return offset + amplitude * on * np.sin(2 * np.pi * _si(command.frequency) * (t - start))
+        assert command.frequency is not None  # the recipe's model sees to it
+        return offset + amplitude * on * np.sin(2 * np.pi * float(command.frequency) * (t - start))
     if command.kind == "multisine":
-        low, high = _si(command.frequency), _si(command.frequency_max)
+        assert command.frequency is not None and command.frequency_max is not None
+        low, high = float(command.frequency), float(command.frequency_max)
         phases = np.random.default_rng(command.seed).uniform(0, 2 * np.pi, command.lines)
-        waves = (
-            np.sin(
-                2 * np.pi * np.outer(t - start, np.linspace(low, high, command.lines)) + phases
-            ).sum(axis=1)
-            * on
-        )
+        tones = 2 * np.pi * np.outer(t - start, np.linspace(low, high, command.lines)) + phases
+        waves = np.sin(tones).sum(axis=1) * on
         largest = np.abs(waves).max()
         return offset + (amplitude / largest * waves if largest > 0 else waves)
     assert record is not None
     at = np.searchsorted(record.t - record.t[0], t - start + slack, side="right") - 1
-    values = record[f"{command.valve}.command"]
-    return offset + np.where(
-        (at >= 0) & (t - start <= record.t[-1] - record.t[0] + slack),
-        values[np.maximum(at, 0)],
-        0.0,
-    )
+    values = record[f"{command.valve}.command"][np.maximum(at, 0)]
+    on = (at >= 0) & (t - start <= record.t[-1] - record.t[0] + slack)
+    return offset + np.where(on, values, 0.0)
 
 
 def command_table(
@@ -74,38 +62,32 @@ def command_table(
     table = np.tile([v.rest for v in valves.values()], (t.size, 1))
     last: dict[str, int] = {}  # the last entry for each valve
     for index, entry in enumerate(recipe.command):
-        _check_entry(recipe, index, rig, taken)
+        fields = {"number": index + 1, "valve": entry.valve}
+        if entry.valve not in names:
+            fields |= {"rig": rig.name, "known": ", ".join(names)}
+            where = recipe.at("command", index, "valve")
+            raise InputError(message("trial.unknown_valve", **fields), **where)
+        if entry.valve in taken:
+            where = recipe.at("command", index, "valve")
+            raise InputError(message("trial.controlled_valve", **fields), **where)
+        if entry.stop is not None and float(entry.stop) <= float(entry.start):
+            where = recipe.at("command", index, "stop")
+            raise InputError(message("trial.empty_window", **fields), **where)
+        column = names.index(entry.valve)
         if entry.valve not in last:
-            table[:, names.index(entry.valve)] = 0.0
+            table[:, column] = 0.0
         last[entry.valve] = index
         record = _played(recipe, entry) if entry.kind == "file" else None
-        table[:, names.index(entry.valve)] += _shape(entry, t, record)
+        table[:, column] += _shape(entry, t, record)
     for column, (name, valve) in enumerate(valves.items()):
-        _check_range(recipe, name, valve, t, table[:, column], last.get(name))
+        values, low, high = table[:, column], float(valve.command_min), float(valve.command_max)
+        inside = (values >= low - 1e-9) & (values <= high + 1e-9)
+        if not inside.all():
+            bad = int(np.argmin(inside))
+            where = recipe.at("command", last[name]) if name in last else {}
+            fields = {"name": name, "value": float(values[bad]), "t": float(t[bad])}
+            raise InputError(message("trial.command_range", low=low, high=high, **fields), **where)
     return table
-
-
-def _check_entry(recipe: TrialRecipe, index: int, rig: Rig, taken: Collection[str]) -> None:
-    entry, number = recipe.command[index], index + 1
-    names = [f"{c.name}.{v.name}" for c, v in rig.valves()]
-    if entry.valve not in names:
-        known = ", ".join(names)
-        raise InputError(
-            message(
-                "trial.unknown_valve", number=number, rig=rig.name, valve=entry.valve, known=known
-            ),
-            **recipe.at("command", index, "valve"),
-        )
-    if entry.valve in taken:
-        raise InputError(
-            message("trial.controlled_valve", number=number, valve=entry.valve),
-            **recipe.at("command", index, "valve"),
-        )
-    if entry.stop is not None and float(entry.stop) <= float(entry.start):
-        raise InputError(
-            message("trial.empty_window", number=number, valve=entry.valve),
-            **recipe.at("command", index, "stop"),
-        )
 
 
 def _played(recipe: TrialRecipe, entry: Command) -> Record:
@@ -113,33 +95,9 @@ def _played(recipe: TrialRecipe, entry: Command) -> Record:
     from ehbench.data import read
 
     assert entry.file is not None
-    path = recipe.file(entry.file)
+    path, channel = recipe.file(entry.file), f"{entry.valve}.command"
     record = read(path)
-    channel = f"{entry.valve}.command"
     if channel not in record:
         known = ", ".join(record.channels)
         raise InputError(message("trial.no_channel", channel=channel, known=known), file=path)
     return record
-
-
-def _check_range(
-    recipe: TrialRecipe,
-    name: str,
-    valve: Valve,
-    t: np.ndarray,
-    values: np.ndarray,
-    entry: int | None,
-) -> None:
-    """Refuse commands [V] outside the range of a valve's driver; ``entry`` is the last one for
-    it."""
-    low, high = float(valve.command_min), float(valve.command_max)
-    if low <= values.min() and values.max() <= high:
-        return
-    bad = np.flatnonzero((values < low - 1e-9) | (values > high + 1e-9) | ~np.isfinite(values))
-    if bad.size:
-        where = recipe.at("command", entry) if entry is not None else {}
-        value, time = float(values[bad[0]]), float(t[bad[0]])
-        raise InputError(
-            message("trial.command_range", name=name, value=value, t=time, low=low, high=high),
-            **where,
-        )

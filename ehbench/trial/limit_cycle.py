@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -44,13 +43,6 @@ class LimitCycle:
     duration: float
 
 
-class _Swings(NamedTuple):
-    """Half swings of an error: rows of its turning points and its values there."""
-
-    rows: np.ndarray
-    values: np.ndarray
-
-
 def limit_cycle(
     t: np.ndarray, x: np.ndarray, x_desired: np.ndarray, commands: np.ndarray, stroke: float
 ) -> LimitCycle | None:
@@ -84,7 +76,7 @@ def limit_cycle(
             slow = uniform_filter1d(slow, width, mode="nearest")
         fast, rows = error - slow, np.empty(error.size, np.int64)
         rows = rows[: _zigzag(fast, 2.0 * minimum, rows)]
-        for result, span in _lasting(t, _Swings(rows, fast[rows])):
+        for result, span in _lasting(t, rows, fast[rows]):
             larger = best is None or result.amplitude > best.amplitude
             acts = np.ptp(commands[span], axis=0).any()
             if larger and acts and not _follows_reference(t[span], x_desired[span], result):
@@ -92,24 +84,34 @@ def limit_cycle(
     return best
 
 
-def _lasting(t: np.ndarray, turns: _Swings) -> Iterator[tuple[LimitCycle, slice]]:
-    """Each stretch of swings that are alike, and its rows."""
-    rows, heights = turns.rows, np.abs(np.diff(turns.values)) / 2.0
+def _lasting(
+    t: np.ndarray, rows: np.ndarray, values: np.ndarray
+) -> Iterator[tuple[LimitCycle, slice]]:
+    """Each stretch of half swings that are alike, by the rows of the turning points and the values
+    there, and its rows.
+    """
+    heights, turns = np.abs(np.diff(values)) / 2.0, t[rows]
     first, halves = 0, 2 * LIMIT_CYCLE.cycles
+
+    def alike(last: int) -> bool:
+        whole = turns[first + 2 : last + 1] - turns[first : last - 1]
+        typical = float(np.median(whole))
+        if np.abs(whole - typical).max() > LIMIT_CYCLE.periods * typical:
+            return False
+        among, middle = heights[first:last], (last - first) // 2
+        return among[middle:].mean() >= LIMIT_CYCLE.lasting * among[:middle].mean()
+
     while first + halves < rows.size:
-        last = _alike(t[rows], heights, first, halves)
-        if last is None:
+        last = first + halves
+        if not alike(last):
             first += 1
             continue
-        yield (
-            LimitCycle(
-                float(np.median(heights[first:last])),
-                2.0 * float(np.median(np.diff(t[rows[first : last + 1]]))),
-                float(t[rows[first]]),
-                float(t[rows[last]] - t[rows[first]]),
-            ),
-            slice(int(rows[first]), int(rows[last]) + 1),
-        )
+        while last + 1 < rows.size and alike(last + 1):
+            last += 1
+        period = 2.0 * float(np.median(np.diff(turns[first : last + 1])))
+        began, lasts = float(turns[first]), float(turns[last] - turns[first])
+        cycle = LimitCycle(float(np.median(heights[first:last])), period, began, lasts)
+        yield cycle, slice(int(rows[first]), int(rows[last]) + 1)
         first = last
 
 
@@ -127,29 +129,6 @@ def _zigzag(error, height, rows):
             rows[count] = top if down else bottom
             count, way, top, bottom = count + 1, -1 if down else 1, i, i
     return count
-
-
-def _alike(t: np.ndarray, heights: np.ndarray, first: int, halves: int) -> int | None:
-    """The turning point up to which swings from ``first`` on are alike; None if not for long
-    enough.
-    """
-
-    def same(last: int) -> bool:
-        whole = t[first + 2 : last + 1] - t[first : last - 1]
-        typical = float(np.median(whole))
-        if np.abs(whole - typical).max() > LIMIT_CYCLE.periods * typical:
-            return False
-        among = heights[first:last]
-        middle = among.size // 2
-        early, late = float(among[:middle].mean()), float(among[middle:].mean())
-        return late >= LIMIT_CYCLE.lasting * early
-
-    last = first + halves
-    if not same(last):
-        return None
-    while last + 1 < t.size and same(last + 1):
-        last += 1
-    return last
 
 
 def _follows_reference(t: np.ndarray, x_desired: np.ndarray, result: LimitCycle) -> bool:

@@ -130,10 +130,8 @@ def function_measures(
     ``unable``; ``changes`` of the function per second [1/s], and per second of rest those
     ``changes_at_rest``, while no speed was desired.
     """
-    changed, rest = (
-        np.diff(function.round()) != 0.0,
-        (v_desired[1:] == 0.0) & (v_desired[:-1] == 0.0),
-    )
+    changed = np.diff(function.round()) != 0.0
+    rest = (v_desired[1:] == 0.0) & (v_desired[:-1] == 0.0)
     tick = float(t[1] - t[0])
     return {
         "stalled": float(np.mean(status == STALLED)),

@@ -146,7 +146,13 @@ class UserCode:
         chosen, file = controller_of(recipe), code_file(recipe)
         assert file is not None  # the recipe names a class
         self.code = _Code(file, chosen.class_name)
-        _refuse_foreign(recipe)
+        # rules and tuned gains are for the built-in controllers
+        for given, key, word in (
+            (chosen.rules, "trial.code_given_rules", "rules"),
+            (chosen.gains_from, "trial.code_given_tuning", "gains"),
+        ):
+            if given:
+                raise InputError(message(key), **recipe.at(*chosen.where, word))
         gains = {name: _gain(recipe, name, raw) for name, raw in chosen.written_gains.items()}
         self.used = {
             "gains": {
@@ -230,30 +236,19 @@ class UserCode:
         try:
             unknown = self.code.guard(self._write, answer, command)
         except (TypeError, ValueError):
-            raise self.code.error(
-                message(
-                    "trial.no_commands",
-                    label=self.label,
-                    answer=shortened(answer, 80),
-                    t=t,
-                    count=len(self.design.valves),
-                    valves=", ".join(self.design.valves),
-                )
-            ) from None
+            names, fields = self.design.valves, {"label": self.label, "t": t}
+            fields |= {"count": len(names), "valves": ", ".join(names)}
+            fields["answer"] = shortened(answer, 80)
+            raise self.code.error(message("trial.no_commands", **fields)) from None
         except BaseException as error:
             if is_users(error):
                 raise
             raise self.code.raised("'s answer", error, t) from error
         for name in unknown:
-            raise self.code.error(
-                message(
-                    "trial.unknown_command",
-                    label=self.label,
-                    name=shortened(name, 60),
-                    what="unused by the recipe" if name in self.design.valves else "no valve",
-                    valves=", ".join(self._commanded),
-                )
-            )
+            what = "unused by the recipe" if name in self.design.valves else "no valve"
+            fields = {"label": self.label, "name": shortened(name, 60), "what": what}
+            valves = ", ".join(self._commanded)
+            raise self.code.error(message("trial.unknown_command", valves=valves, **fields))
 
     def _write(self, answer: Any, command: np.ndarray) -> tuple[Any, ...]:
         """The first name in an answer that is none of a valve it may command, if there is one."""
@@ -282,18 +277,9 @@ class UserCode:
             raise self.code.raised(".note", error, t) from error
         for (name, quantity_row), value in zip(self.noted, row.tolist(), strict=True):
             if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
-                raise self.code.error(
-                    message(
-                        "trial.note_range",
-                        label=self.label,
-                        name=name,
-                        value=value,
-                        t=t,
-                        unit=quantity_row.unit,
-                        lower=quantity_row.lower,
-                        upper=quantity_row.upper,
-                    )
-                )
+                fields = {key: getattr(quantity_row, key) for key in ("unit", "lower", "upper")}
+                fields |= {"label": self.label, "name": name, "value": value, "t": t}
+                raise self.code.error(message("trial.note_range", **fields))
 
     def _seen(self, sample: np.ndarray) -> dict[str, float]:
         seen = sample.tolist()
@@ -418,17 +404,6 @@ class _Code:
 
     def error(self, problem: Message) -> InputError:
         return InputError(problem, file=self.file)
-
-
-def _refuse_foreign(recipe: TrialRecipe) -> None:
-    """Refuse rules and tuned gains, which are for the built-in controllers."""
-    chosen = controller_of(recipe)
-    if chosen.rules:
-        where = recipe.at(*chosen.where, "rules")
-        raise InputError(message("trial.code_given_rules"), **where)
-    if chosen.gains_from is not None:
-        where = recipe.at(*chosen.where, "gains")
-        raise InputError(message("trial.code_given_tuning"), **where)
 
 
 def _gain(recipe: TrialRecipe, name: str, raw: Any) -> Any:
