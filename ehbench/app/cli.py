@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from enum import StrEnum
+from inspect import Parameter, Signature
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
@@ -61,97 +62,99 @@ app = typer.Typer(
     epilog="Example:  ehbench reproduce thesis",
 )
 
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.", show_default=False
-    ),
-]
+
+def _option(*names: str, help: str, **more: Any) -> Any:
+    return typer.Option(*names, help=help, show_default=False, **more)
+
+
+def _pem(name: str, what: str) -> Any:
+    return Annotated[Path | None, _option(name, help=f"With --workers tls://…: {what} (PEM).")]
+
+
 RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
-AllowCode = Annotated[
-    bool, typer.Option("--allow-code", help="Let recipes run Python code: controllers of your own.")
-]
-Unvalidated = Annotated[
-    bool, typer.Option("--unvalidated", help="Tune on a rig that no validation accepted.")
+Out = Annotated[
+    Path | None, _option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.")
 ]
 Quiet = Annotated[
-    bool,
-    typer.Option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout."),
+    bool, _option("--quiet", "-q", help="No progress, and nothing but the run's path on stdout.")
 ]
 Loud = Annotated[
     bool | None,
-    typer.Option(
-        "--verbose/--quiet",
-        "-v/-q",
+    _option(
+        *("--verbose/--quiet", "-v/-q"),
         help="All tables, steps and notes; or no progress, and only the run's path.",
-        show_default=False,
     ),
 ]
 Columns = Annotated[
-    Path | None,
-    typer.Option("--columns", help="A map of the columns of a log by others.", show_default=False),
+    Path | None, _option("--columns", help="A map of the columns of a log by others.")
+]
+AllowCode = Annotated[
+    bool, _option("--allow-code", help="Let recipes run Python code: controllers of your own.")
+]
+Unvalidated = Annotated[
+    bool, _option("--unvalidated", help="Tune on a rig that no validation accepted.")
 ]
 Suggest = Annotated[
     bool,
-    typer.Option(
-        "--suggest", help="Try what would better the fit; with --out write the best as a recipe."
+    _option(
+        "--suggest",
+        help="Try what would better the fit; with --out write the best as a recipe.",
     ),
 ]
 Seconds = Annotated[
-    float, typer.Option("--seconds", help="With --suggest: for how long to try.", min=1.0)
+    float, _option("--seconds", help="With --suggest: for how long to try.", min=1.0)
 ]
 Profile = Annotated[
     str | None,
-    typer.Option(
+    _option(
         "--profile",
         metavar="NAME",
         help="Profile likelihood of this parameter, with its picture, in place of the fit.",
-        show_default=False,
     ),
 ]
 Workers = Annotated[
     str,
-    typer.Option(
+    _option(
         "--workers",
         metavar="N|ADDRESS",
         help="So many here (one a core), or those of a Dask scheduler, tls://host:8786.",
-        show_default=False,
     ),
 ]
-
+Insecure = Annotated[
+    bool, _option("--insecure-workers", help="Let --workers be tcp://… on another machine.")
+]
+Resume = Annotated[bool, _option("--resume", help="Go on where a run of this recipe was stopped.")]
+Verbose = Annotated[bool, _option("--verbose", "-v", help="All tables, steps and notes.")]
+AsJson = Annotated[bool, _option("--json", help="Print what was found as JSON.")]
 
 On = Annotated[
     str | None,
-    typer.Option(
-        "--on",
-        metavar="URL",
-        help="The machine, udp://host:port, in place of the recipe's.",
-        show_default=False,
-    ),
+    _option("--on", metavar="URL", help="The machine, udp://host:port, in place of the recipe's."),
 ]
-Arm = Annotated[bool, typer.Option("--arm", help="Let the machine move: a token is asked for.")]
-Token = Annotated[
-    str | None,
-    typer.Option("--token", help="The token, in a script that lets it move.", show_default=False),
-]
+Arm = Annotated[bool, _option("--arm", help="Let the machine move: a token is asked for.")]
+Token = Annotated[str | None, _option("--token", help="The token, in a script that lets it move.")]
 
-
-def _pem(name: str, what: str) -> Any:
-    return typer.Option(name, help=f"With --workers tls://…: {what} (PEM).", show_default=False)
-
-
-Authority = Annotated[Path | None, _pem("--tls-ca-file", "who signs the cluster's certificates")]
-Certificate = Annotated[Path | None, _pem("--tls-cert", "your certificate")]
-Key = Annotated[Path | None, _pem("--tls-key", "its key")]
-Insecure = Annotated[
-    bool,
-    typer.Option("--insecure-workers", help="Let --workers be tcp://… on another machine."),
-]
-Resume = Annotated[
-    bool, typer.Option("--resume", help="Go on where a run of this recipe was stopped.")
-]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="All tables, steps and notes.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
+# options of commands that run a recipe, with their defaults; the first four are those of all
+_OPTIONS: dict[str, tuple[Any, Any]] = {
+    "recipe": (RecipeFile, Parameter.empty),
+    "out": (Out, None),
+    "loud": (Loud, None),
+    "as_json": (AsJson, False),
+    "allow_code": (AllowCode, False),
+    "unvalidated": (Unvalidated, False),
+    "suggest": (Suggest, False),
+    "seconds": (Seconds, 120.0),
+    "profile": (Profile, None),
+    "workers": (Workers, ""),
+    "tls_ca_file": (_pem("--tls-ca-file", "who signs the cluster's certificates"), None),
+    "tls_cert": (_pem("--tls-cert", "your certificate"), None),
+    "tls_key": (_pem("--tls-key", "its key"), None),
+    "insecure_workers": (Insecure, False),
+    "resume": (Resume, False),
+    "on": (On, None),
+    "arm": (Arm, False),
+    "token": (Token, None),
+}
 
 
 class Says(NamedTuple):
@@ -188,6 +191,7 @@ def _start(
 @app.command(epilog="Example:  ehbench init my_rig")
 def init(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder for the workspace.")],
+    as_json: AsJson = False,
 ) -> None:
     """Make a workspace: a commented rig file and recipes that run as they are."""
     from ehbench.app import starter
@@ -196,7 +200,9 @@ def init(
     built = starter.init(folder)
     keys = ("steps.check_rig", "steps.identify", "steps.validate")
     steps = [message(key, folder=built) for key in keys]
-    _say(Answer(f"made {built}/", steps=steps), Says())
+    values = {"folder": str(built)}
+    answer = Answer(message("app.made", folder=built), steps=steps, values=values)
+    _say(answer, Says(as_json=as_json))
 
 
 @app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
@@ -226,87 +232,38 @@ def check(
 def _runner(command: Command) -> Callable[..., None]:
     """What typer calls for a command that runs a recipe: its parameters are those of the help."""
 
-    def plain(
-        recipe: RecipeFile,
-        out: Out = None,
-        loud: Loud = None,
-        as_json: AsJson = False,
-    ) -> None:
-        _run(command.name, recipe, out, Says.of(loud, as_json))
+    def run(recipe: Path, out: Path | None, loud: bool | None, as_json: bool, **more: Any) -> None:
+        from ehbench import workflow
 
-    def insisting(
-        recipe: RecipeFile,
-        out: Out = None,
-        loud: Loud = None,
-        as_json: AsJson = False,
-        unvalidated: Unvalidated = False,
-    ) -> None:
-        _run(command.name, recipe, out, Says.of(loud, as_json), unvalidated=unvalidated)
-
-    def moving(
-        recipe: RecipeFile,
-        out: Out = None,
-        loud: Loud = None,
-        as_json: AsJson = False,
-        allow_code: AllowCode = False,
-        on: On = None,
-        arm: Arm = False,
-        token: Token = None,
-    ) -> None:
-        says, ask = Says.of(loud, as_json), _typed if arm else None
-        if token is not None:
-            ask = lambda about, expected: token
-        _run(command.name, recipe, out, says, on=on, allow_code=allow_code, ask=ask)
-
-    def asking(
-        recipe: RecipeFile,
-        out: Out = None,
-        loud: Loud = None,
-        as_json: AsJson = False,
-        suggest: Suggest = False,
-        seconds: Seconds = 120.0,
-        profile: Profile = None,
-        resume: Resume = False,
-    ) -> None:
         says = Says.of(loud, as_json)
+        if "workers" in more:
+            certificates = tuple(more.pop(name) for name in ("tls_ca_file", "tls_cert", "tls_key"))
+            insecure = more.pop("insecure_workers")
+            more["workers"] = workflow.Workers.of(more["workers"], certificates, insecure)
+        if "arm" in more:
+            arm, token = more.pop("arm"), more.pop("token")
+            more["ask"] = (lambda about, expected: token) if token is not None else None
+            more["ask"] = _typed if arm and token is None else more["ask"]
+        suggest, seconds = more.pop("suggest", False), more.pop("seconds", 0.0)
         if suggest:
-            _suggest(recipe, out, says, seconds)
+            read = workflow.expect_stage(recipe, command.name)
+            _say_first(says.quiet)
+            with _progress(says.quiet) as report_progress:
+                session = workflow.Session(out=out, progress=report_progress)
+                result = workflow.suggest(read, session, seconds)
+            _say(result.answer(recipe, None if out is None else out / read.path.name), says)
         else:
-            _run(command.name, recipe, out, says, profile=profile, resume=resume)
+            _run(command.name, recipe, out, says, **more)
 
-    kinds = {"": plain, "unvalidated": insisting, "moving": moving, "asking": asking}
-    kinds["sampling"] = _sampling
-    return kinds[command.allows]
-
-
-def _sampling(  # noqa: PLR0913 - the parameters are the options of the command
-    recipe: RecipeFile,
-    out: Out = None,
-    loud: Loud = None,
-    as_json: AsJson = False,
-    allow_code: AllowCode = False,
-    unvalidated: Unvalidated = False,
-    workers: Workers = "",
-    tls_ca_file: Authority = None,
-    tls_cert: Certificate = None,
-    tls_key: Key = None,
-    insecure_workers: Insecure = False,
-    resume: Resume = False,
-) -> None:
-    from ehbench import workflow
-
-    certificates = (tls_ca_file, tls_cert, tls_key)
-
-    _run(
-        "study",
-        recipe,
-        out,
-        Says.of(loud, as_json),
-        allow_code=allow_code,
-        unvalidated=unvalidated,
-        workers=workflow.Workers.of(workers, certificates, insecure_workers),
-        resume=resume,
-    )
+    names = [*list(_OPTIONS)[:4], *command.options]
+    kind = Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [
+        Parameter(name, kind, default=default, annotation=annotation)
+        for name, (annotation, default) in ((name, _OPTIONS[name]) for name in names)
+    ]
+    run.__signature__ = Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
+    run.__annotations__ = {name: _OPTIONS[name][0] for name in names}
+    return run
 
 
 for _command in COMMANDS:
@@ -332,8 +289,8 @@ def report(
     from ehbench.report.terminal import report_answer
 
     says = Says.of(loud, as_json)
-    with _progress(says.quiet) as tell:
-        built = workflow.report(runs, workflow.Session(out=out, progress=tell))
+    with _progress(says.quiet) as report_progress:
+        built = workflow.report(runs, workflow.Session(out=out, progress=report_progress))
     _say(report_answer(built.folder, built.notes, built.code), says)
     raise typer.Exit(built.code)
 
@@ -344,8 +301,7 @@ def reproduce(
         str, typer.Argument(help="Name of a folder in recipes/, or a campaign file.")
     ],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Folder for all runs. Default: reports/.", show_default=False),
+        Path | None, _option("--out", help="Folder for all runs. Default: reports/.")
     ] = None,
     loud: Loud = None,
     as_json: AsJson = False,
@@ -358,10 +314,12 @@ def reproduce(
 
     says = Says.of(loud, as_json)
     recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
-    with _progress(says.quiet) as tell:
+    with _progress(says.quiet) as report_progress:
         built = workflow.run(
             recipe,
-            workflow.Session(root=out or workflow.ROOT, progress=tell, allow_code=allow_code),
+            workflow.Session(
+                root=out or workflow.ROOT, progress=report_progress, allow_code=allow_code
+            ),
         )
     _say(report_answer(built.folder, built.notes, built.code), says)
     raise typer.Exit(built.code)
@@ -387,14 +345,10 @@ def compare(
 def next_test(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The run of a hydraulics fit.")],
     name: Annotated[
-        str | None,
-        typer.Option(
-            "--for", help="Parameter to sharpen. Default: the least known.", show_default=False
-        ),
+        str | None, _option("--for", help="Parameter to sharpen. Default: the least known.")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Write the first test as a trial recipe.", show_default=False),
+        Path | None, _option("--out", help="Write the first test as a trial recipe.")
     ] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -403,8 +357,9 @@ def next_test(
     from ehbench import workflow
 
     _say_first(quiet)
-    with _progress(quiet) as tell:
-        result = workflow.next_test(run, name, workflow.Session(out=out, progress=tell))
+    with _progress(quiet) as report_progress:
+        session = workflow.Session(out=out, progress=report_progress)
+        result = workflow.next_test(run, name, session)
     _say(result.answer(run, out), Says(quiet, as_json=as_json))
 
 
@@ -434,38 +389,39 @@ def show(
         typer.Argument(metavar="FILE|RUN...", help="One or two logs, flow maps or run folders."),
     ],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", help="The page. Default: <name>.html here.", show_default=False),
+        Path | None, _option("--out", help="The page. Default: <name>.html here.")
     ] = None,
     columns: Columns = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
     them over one another; exit 3 where a run or what it was made from has changed."""
     from ehbench.report import viewer
+    from ehbench.report.terminal import Answer
 
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
     path, changes = viewer.place(files, out), viewer.unsupported_runs(files)
     write_text(path, viewer.page(files, columns, changes))
-    for change in changes:
-        print(f"note: {change}", file=sys.stderr)
-    print(path)
+    if not as_json:
+        for change in changes:
+            print(f"note: {change}", file=sys.stderr)
+    names = ", ".join(map(str, files))
+    answer = Answer(message("app.shown", names=names), notes=changes, place=path)
+    _say(answer, Says(quiet=not as_json, as_json=as_json))
     raise typer.Exit(3 if changes else 0)
 
 
 @app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
 def map_columns(
     file: Annotated[Path, typer.Argument(help="A recording of any format that is read.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Default: <name>.map.toml here.", show_default=False),
-    ] = None,
+    out: Annotated[Path | None, _option("--out", help="Default: <name>.map.toml here.")] = None,
     rig: Annotated[
         Path | None,
         typer.Option(
             "--rig",
-            help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
             show_default=False,
+            help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
         ),
     ] = None,
     loud: Loud = None,
@@ -497,16 +453,18 @@ def convert(
     log: Annotated[
         Path, typer.Argument(help="A log of any format that is read, or a trial's run.")
     ],
-    to: Annotated[Format, typer.Option("--to", help="What to write.", show_default=False)],
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Default: <name>.<to> here.", show_default=False)
-    ] = None,
+    to: Annotated[Format, _option("--to", help="What to write.")],
+    out: Annotated[Path | None, _option("--out", help="Default: <name>.<to> here.")] = None,
     columns: Columns = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
     from ehbench.app import converting
+    from ehbench.report.terminal import Answer
 
-    print(converting.convert(log, to.value, out, columns))
+    path = converting.convert(log, to.value, out, columns)
+    answer = Answer(message("app.converted", log=log, format=to.value), place=path)
+    _say(answer, Says(quiet=not as_json, as_json=as_json))
 
 
 @app.command(epilog="Example:  ehbench wire recipes/rigs/slide_servo.toml --csv")
@@ -587,8 +545,8 @@ def _run(
         recipe = moved_to(recipe, on)
     _say_first(says.quiet)
     # to draw a bar would hold up a machine in real time
-    with _progress(says.quiet or "://" in getattr(recipe, "on", "")) as tell:
-        session = workflow.Session(out=out, progress=tell, **settings)
+    with _progress(says.quiet or "://" in getattr(recipe, "on", "")) as report_progress:
+        session = workflow.Session(out=out, progress=report_progress, **settings)
         if recipe is None:
             built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
             recipe = workflow.expect_stage(built.path, command)
@@ -609,17 +567,7 @@ def _typed(about: str, token: str) -> str:
     return typer.prompt(f"type {token} to let it move", err=True)
 
 
-def _suggest(file: Path, out: Path | None, says: Says, seconds: float) -> None:
-    from ehbench import workflow
-
-    recipe = workflow.expect_stage(file, "identify")
-    _say_first(says.quiet)
-    with _progress(says.quiet) as tell:
-        result = workflow.suggest(recipe, workflow.Session(out=out, progress=tell), seconds)
-    _say(result.answer(file, None if out is None else out / recipe.path.name), says)
-
-
-_BESIDE: list[subprocess.Popen] = []  # it ends by itself, at the latest soon after the run
+_WARMING: list[subprocess.Popen] = []  # it ends by itself, at the latest soon after the run
 
 
 def _say_first(quiet: bool) -> None:
@@ -629,11 +577,11 @@ def _say_first(quiet: bool) -> None:
     if not is_cold():
         return
     if not quiet:
-        print("compiling the machine's equations, first run only (half a minute)", file=sys.stderr)
+        print(message("app.compiling"), file=sys.stderr)
     if cores() > 1 and os.access(PACKAGE, os.W_OK):  # another core, one cache
         ahead = [sys.executable, "-P", "-m", "ehbench.app.warm", "--ahead"]
         null = subprocess.DEVNULL
-        _BESIDE.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
+        _WARMING.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
 
 
 def _say(answer: Answer, says: Says, wide: bool = False) -> None:
@@ -668,7 +616,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     ) as bar:
         tasks: dict[str, TaskID] = {}
 
-        def tell(what: str, share: float) -> None:
+        def report_progress(what: str, share: float) -> None:
             name = what.split(":")[0]
             if name not in tasks:
                 tasks[name] = bar.add_task(what, total=1.0)
@@ -676,7 +624,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
                     print(what, file=sys.stderr)
             bar.update(tasks[name], description=what, completed=share)
 
-        yield tell
+        yield report_progress
 
 
 # what the system says no to is no bug of ours
@@ -718,12 +666,12 @@ def _spelled(error: UnicodeError) -> tuple[bytes, int]:
 
 
 def _end_by(error: BaseException, requested: int) -> NoReturn:
-    """End the process by what came out of a command; ``asked`` is the signal that it was asked to
-    end by, which libraries may have turned into errors of theirs.
+    """End the process by what came out of a command; ``requested`` is the signal that it was to end
+    by, which libraries may have turned into errors of theirs.
     """
     if requested and isinstance(error, (Terminated, Exception)):
         if requested == signal.SIGINT:
-            print("stopped by the keyboard; nothing half-written was left", file=sys.stderr)
+            print(message("app.interrupted"), file=sys.stderr)
         for note in getattr(error, "__notes__", []):
             print(note, file=sys.stderr)
         sys.exit(128 + requested)

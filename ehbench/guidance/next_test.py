@@ -26,16 +26,9 @@ from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.observations import column
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
-SECONDS = 3.5
-AMPLITUDES = (0.15, 0.3, 0.5, 0.85)  # of the valves' largest command
-POSTURES = (0.5, 0.3, 0.7)  # of the stroke, the middle first
-BEST = 3  # candidates whose posture and payload are varied
-MARGIN = 0.04  # share of the stroke that a test keeps off its ends
-MOST_PRESSURE = 1.5  # of a test, of the supply's
-LEAST_PRESSURE = 2.0e5  # [Pa]; emptied chambers are no part of the model
-DRIVEN = 0.3  # share of the largest speed beyond which a cylinder counts as driven
 # when a waveform drives out and back [s]
 WAVES = {
     "steps": (((0.4, 1.0),), ((1.8, 2.4),)),
@@ -65,7 +58,7 @@ class Trial:
     stroke: float
     payload: str | None
     commands: tuple[Mapping[str, Any], ...]
-    seconds: float = SECONDS
+    seconds: float = 3.5
 
 
 @dataclass(frozen=True)
@@ -77,6 +70,10 @@ class Proposal:
     trial: Trial
     interval: tuple[float, float]
     share: float | None
+
+    def width(self) -> float:
+        """Of the interval [SI]."""
+        return self.interval[1] - self.interval[0]
 
 
 @dataclass(frozen=True)
@@ -109,9 +106,7 @@ def must_be_fitted(name: str, names: Collection[str]) -> None:
         InputError: names those that were.
     """
     if name not in names:
-        raise InputError(
-            f"'{name}' was not fitted in this run", hint="it fitted " + ", ".join(names)
-        )
+        raise InputError(message("guidance.not_fitted", name=name, names=", ".join(names)))
 
 
 def propose(
@@ -131,44 +126,37 @@ def propose(
     """
     names = [c.name for c in prepared.search]
     must_be_fitted(name, names)
-    tell = progress or (lambda sentence, share: None)
-    tell("what the logs say", 0.0)
+    report = progress or (lambda sentence, share: None)
+    report("what the logs say", 0.0)
     planner = _Planner(prepared, fitted, names.index(name))
     results: list[Proposal] = []
     firsts = [
         trial
         for drive in planner.drives
         for wave in WAVES
-        for share in AMPLITUDES
-        for trial in planner.trials(drive, wave, share, POSTURES[:1], (None,))
+        for share in (0.15, 0.3, 0.5, 0.85)  # of the valves' largest command
+        for trial in planner.trials(drive, wave, share)
     ]
     for number, trial in enumerate(firsts):
-        tell("trying tests", 0.1 + 0.5 * number / len(firsts))
+        report("trying tests", 0.1 + 0.5 * number / len(firsts))
         results += planner.judged(trial)
-    results.sort(key=_width)
+    results.sort(key=Proposal.width)
     loads = (None, *prepared.rig.payload)
     drives = {drive.cylinder: drive for drive in planner.drives}
     more = [
         trial
-        for item in results[:BEST]
+        for item in (result.trial for result in results[:3])
         for trial in planner.trials(
-            drives[item.trial.cylinder], item.trial.wave, item.trial.amplitude, POSTURES, loads
+            drives[item.cylinder], item.wave, item.amplitude, (0.5, 0.3, 0.7), loads
         )
-        if trial != item.trial
+        if trial != item
     ]
     for number, trial in enumerate(more):
-        tell("trying postures and loads", 0.6 + 0.4 * number / len(more))
+        report("trying postures and loads", 0.6 + 0.4 * number / len(more))
         results += planner.judged(trial)
     if not results:
-        raise InsufficientData(
-            "every test that was tried runs into an end of the stroke or beyond the pressures",
-            hint="check the stroke, the supply pressure and the relief pressure of the rig file",
-        )
-    return sorted(results, key=_width)
-
-
-def _width(item: Proposal) -> float:
-    return item.interval[1] - item.interval[0]
+        raise InsufficientData(message("guidance.no_test"))
+    return sorted(results, key=Proposal.width)
 
 
 class _Planner:
@@ -198,9 +186,26 @@ class _Planner:
             i for i, item in enumerate(fitted) if item.status != "not_excited" or i == which
         ]
         self.live += range(len(fitted), len(self.normal))
-        self.widening = self._widening()
+        # half of each present interval in search coordinates over the error for white residuals;
+        # the median stands for those without
+        errors, wider = dict(zip(self.live, self._error(self.normal), strict=True)), {}
+        for i in (i for i in self.live if i < len(fitted)):
+            c, ends = prepared.search[i], fitted[i].interval
+            if ends is not None and fitted[i].status != "not_excited":
+                low, high = (c.of(min(max(end, c.lower), c.upper)) for end in ends)
+                middle = c.of(self.values[i])
+                wider[i] = max(high - middle, middle - low) / max(errors[i], 1e-300)
+        usual = float(np.median(list(wider.values()))) if wider else 2.0
+        self.widening = {i: wider.get(i, usual) for i in self.live}
         self.drives = list(drives_of(self.rig, prepared.logs))
-        self.noise = _noise_of(prepared.logs)
+        # of the sensors by quantity, from how consecutive samples differ
+        noise: dict[str, list[float]] = {}
+        for log in prepared.logs:
+            for name, y in log.record.channels.items():
+                if not name.endswith("command"):
+                    spread = 1.4826 * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0)
+                    noise.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
+        self.noise = {word: float(np.median(sizes)) for word, sizes in noise.items()}
 
     def _problem(self, logs: Sequence[Log]) -> Problem:
         item, requested = self.prepared, self.prepared.options
@@ -209,36 +214,21 @@ class _Planner:
 
     def _error(self, normal: np.ndarray) -> np.ndarray:
         """Standard errors of the live parameters in search coordinates, for white residuals."""
-        own = normal[np.ix_(self.live, self.live)]
-        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        inverse = np.linalg.pinv(own / np.outer(size, size), hermitian=True)
+        part = normal[np.ix_(self.live, self.live)]
+        size = np.sqrt(np.maximum(np.diag(part), 1e-300))
+        inverse = np.linalg.pinv(part / np.outer(size, size), hermitian=True)
         return np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size
-
-    def _widening(self) -> dict[int, float]:
-        """Half of each present interval in search coordinates over the error for white residuals;
-        the median stands for those without.
-        """
-        errors = dict(zip(self.live, self._error(self.normal), strict=True))
-        results = {}
-        for i in (i for i in self.live if i < len(self.fitted)):
-            c, ends = self.prepared.search[i], self.fitted[i].interval
-            if ends is not None and self.fitted[i].status != "not_excited":
-                low, high = (c.of(min(max(end, c.lower), c.upper)) for end in ends)
-                middle = c.of(self.values[i])
-                results[i] = max(high - middle, middle - low) / max(errors[i], 1e-300)
-        usual = float(np.median(list(results.values()))) if results else 2.0
-        return {i: results.get(i, usual) for i in self.live}
 
     def trials(
         self,
         drive: Drive,
         wave: str,
         amplitude: float,
-        postures: Sequence[float],
-        loads: Sequence[str | None],
+        postures: Sequence[float] = (0.5,),
+        loads: Sequence[str | None] = (None,),
     ) -> list[Trial]:
-        """A waveform at an amplitude, from some strokes and with some loads, one changed at a
-        time.
+        """A waveform at an amplitude, from some shares of the stroke and with some loads, only the
+        first of either where the other changes.
         """
         stroke = float(self.rig.cylinder_named(drive.cylinder).stroke)
         commands = tuple(entries_of(self.shut, drive, wave, amplitude))
@@ -266,12 +256,12 @@ class _Planner:
             return []
         after = self.normal + eliminate(block, self.weight).normal
         k = self.live.index(self.which)
-        c, own = self.prepared.search[self.which], self.fitted[self.which]
+        c, known = self.prepared.search[self.which], self.fitted[self.which]
         std, before = self._error(after)[k], self._error(self.normal)[k]
         half = self.widening[self.which] * float(std)
         middle = c.of(self.values[self.which])
-        known = own.interval is not None and own.status != "not_excited"
-        share = float(std / before) if known and before > 0.0 else None
+        excited = known.interval is not None and known.status != "not_excited"
+        share = float(std / before) if excited and before > 0.0 else None
         return [Proposal(trial, (c.at(middle - half), c.at(middle + half)), share)]
 
     def _log(self, trial: Trial) -> Log:
@@ -291,7 +281,15 @@ class _Planner:
             flow_maps=self.prepared.flow_maps,
             rate=1.0 / tick,
         )
-        _refuse_ends(self.rig, trial.cylinder, built)
+        # what a careful person would not run; emptied chambers are no part of the model
+        stroke = float(self.rig.cylinder_named(trial.cylinder).stroke)
+        x = built[f"{trial.cylinder}.x"]
+        if np.min(x) < 0.04 * stroke or np.max(x) > 0.96 * stroke:
+            raise InsufficientData(message("guidance.hits_end", cylinder=trial.cylinder))
+        pressures = [built[f"{trial.cylinder}.{word}"] for word in ("p_head", "p_rod")]
+        supply = float(self.rig.supply.pressure)
+        if np.max(pressures) > 1.5 * supply or np.min(pressures) < 2.0e5:
+            raise InsufficientData(message("guidance.bad_pressure", cylinder=trial.cylinder))
         rng = np.random.default_rng(0)
         measured = {name for log in self.prepared.logs for name in log.record.channels}
         channels = {
@@ -308,57 +306,32 @@ class _Planner:
         return replace(log, recorded=channels_of(log, clean))
 
 
-def _refuse_ends(rig: Rig, name: str, built: Record) -> None:
-    """Refuses a test that a careful person would not run."""
-    cylinder = rig.cylinder_named(name)
-    stroke, supply = float(cylinder.stroke), float(rig.supply.pressure)
-    x = built[f"{name}.x"]
-    pressures = [built[f"{name}.{word}"] for word in ("p_head", "p_rod")]
-    if np.min(x) < MARGIN * stroke or np.max(x) > (1.0 - MARGIN) * stroke:
-        raise InsufficientData(f"{name} runs into an end of its stroke")
-    if np.max(pressures) > MOST_PRESSURE * supply or np.min(pressures) < LEAST_PRESSURE:
-        raise InsufficientData(f"a chamber of {name} is emptied, or its pressure goes far too high")
-
-
-def drives_of(rig: Rig, logs: Sequence[Log]) -> list[Drive]:
-    """What drove each cylinder out and back in the logs, by its speed."""
-    results: dict[str, Drive] = {}
-    for log in logs:
-        for name in log.asked:
-            sides = _sides(rig, log.record, name)
-            if name not in results and sides is not None:
-                results[name] = Drive(name, *sides)
-    return list(results.values())
-
-
-def _sides(rig: Rig, record: Record, name: str) -> tuple[dict[str, float], dict[str, float]] | None:
-    """Shares of the largest command by valve, while the cylinder goes out and while it goes back;
-    None where the log shows no speed.
+def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]:
+    """What drove each cylinder out and back in the logs: shares of the largest command by valve
+    while its speed is beyond a share ``driven`` of the largest.
     """
-    cylinder = rig.cylinder_named(name)
-    speed = next(
-        (v for c in (f"{name}.v", f"{name}.qd") if (v := column(record, c, record)) is not None),
-        None,
-    )
-    if speed is None:
-        return None
-    if cylinder.linkage and f"{name}.v" not in record and f"{name}.x" not in record:
-        speed = cylinder.linkage.sign * speed
-    reach = DRIVEN * float(np.max(np.abs(speed)))
-    sides = []
-    for sign in (1.0, -1.0):
-        at = sign * speed > reach
-        side = {}
-        for valve in cylinder.valve:
-            channel = f"{name}.{valve.name}.command"
-            if channel in record and at.any():
-                mean = float(np.median(record[channel][at])) - float(valve.rest)
-                side[f"{name}.{valve.name}"] = mean
-        largest = max((abs(u) for u in side.values()), default=0.0)
-        if largest == 0.0:
-            return None
-        sides.append({v: round(u / largest, 2) for v, u in side.items() if abs(u) > 0.05 * largest})
-    return sides[0], sides[1]
+    results: dict[str, Drive] = {}
+    for log, name in ((item, name) for item in logs for name in item.asked):
+        record, cylinder = log.record, rig.cylinder_named(name)
+        speeds = (column(record, f"{name}.{word}", record) for word in ("v", "qd"))
+        speed = next((values for values in speeds if values is not None), None)
+        if name in results or speed is None:
+            continue
+        if cylinder.linkage and f"{name}.v" not in record and f"{name}.x" not in record:
+            speed = cylinder.linkage.sign * speed
+        reach, sides = driven * float(np.max(np.abs(speed))), []
+        for sign in (1.0, -1.0):
+            rows, side = sign * speed > reach, {}
+            for valve in cylinder.valve:
+                channel = f"{name}.{valve.name}.command"
+                if channel in record and rows.any():
+                    mean = float(np.median(record[channel][rows])) - float(valve.rest)
+                    side[f"{name}.{valve.name}"] = mean
+            top = max((abs(u) for u in side.values()), default=0.0)
+            sides.append({v: round(u / top, 2) for v, u in side.items() if abs(u) > 0.05 * top})
+        if all(sides):
+            results[name] = Drive(name, *sides)
+    return list(results.values())
 
 
 def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict[str, Any]]:
@@ -368,11 +341,11 @@ def entries_of(rig: Rig, drive: Drive, wave: str, amplitude: float) -> list[dict
     for side, spans in zip((drive.out, drive.back), WAVES[wave], strict=True):
         for start, stop in spans:
             for valve, share in side.items():
-                own = valves[valve]
-                low, high = float(own.command_min), float(own.command_max)
+                item = valves[valve]
+                low, high = float(item.command_min), float(item.command_max)
                 reach = max(abs(low), abs(high))
                 shut = max(
-                    (float(e.deadband) for e in own.edge if e.sign * share > 0.0), default=0.0
+                    (float(e.deadband) for e in item.edge if e.sign * share > 0.0), default=0.0
                 )
                 volts = math.copysign(shut, share) + amplitude * share * max(reach - shut, 0.0)
                 volts = min(max(volts, low), high)
@@ -389,14 +362,3 @@ def commands_of(entries: Sequence[Mapping[str, Any]], t: np.ndarray) -> dict[str
         results.setdefault(entry["valve"], np.zeros_like(t))
         results[entry["valve"]] += entry["amplitude"] * on
     return results
-
-
-def _noise_of(logs: Sequence[Log]) -> dict[str, float]:
-    """Noise of the sensors [SI] by quantity, from how consecutive samples differ."""
-    results: dict[str, list[float]] = {}
-    for log in logs:
-        for name, y in log.record.channels.items():
-            if not name.endswith("command"):
-                spread = 1.4826 * float(np.median(np.abs(np.diff(y)))) / math.sqrt(2.0)
-                results.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
-    return {word: float(np.median(sizes)) for word, sizes in results.items()}

@@ -20,15 +20,10 @@ from ehbench.identification.problem import problem_of
 from ehbench.identification.results import FittedParameter, HydraulicsFit
 from ehbench.identification.search import Coordinate
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
-# rise of −2 log likelihood at the ends of a 95 % interval
-LEVEL_95 = 3.841
-STEPS = 6  # values on either side
-REACH = 2.0  # half-widths of the interval that the profile goes out either way
-FLAT = 1.0  # reach in search coordinates where there is no interval
-# what tells a shape: ends this much apart from the interval's, a rise left at the end of the reach
-_LOPSIDED, _SHALLOW = 1.5, 1.5
+LEVEL_95 = 3.841  # rise of −2 log likelihood at the ends of a 95 % interval
 
 
 @dataclass(frozen=True)
@@ -64,51 +59,52 @@ def profile(
         InsufficientData: as the fit.
     """
     names = [c.name for c in prepared.search]
-    requested, tell = prepared.options, progress or (lambda sentence, share: None)
+    requested, report = prepared.options, progress or (lambda sentence, share: None)
     if name not in names:
-        raise InputError(f"'{name}' is not among the parameters", hint=", ".join(names))
+        raise InputError(message("guidance.not_among", name=name, names=", ".join(names)))
     if requested.method != "output_error":
-        raise InputError("a profile needs method 'output_error'", hint="the recipe says another")
+        raise InputError(message("guidance.needs_output_error"))
     simulator = simulator_of(prepared, prepared.logs)
     problem = problem_of(
-        simulator, prepared.search, tell, requested.max_iterations, requested.cutoff
+        simulator, prepared.search, report, requested.max_iterations, requested.cutoff
     )
     fit, estimated = estimate(problem)
     which = names.index(name)
-    own, c = fit[name], prepared.search[which]
-    thetas, result = _values(c, own), []
-    for side in (thetas[thetas < c.of(own.value)][::-1], thetas[thetas >= c.of(own.value)]):
+    fitted, c = fit[name], prepared.search[which]
+    thetas, result = profile_values(c, fitted), []
+    best = c.of(fitted.value)
+    for side in (thetas[thetas < best][::-1], thetas[thetas >= best]):
         state = estimated
         for theta in side:
-            tell(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
+            report(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
             state, minimum = constrained(problem, state, which, float(theta))
             result.append((float(theta), minimum, problem.by_name(state.theta)))
     result.sort(key=lambda item: item[0])
-    return fit, _profile(c, own, result, [n for n in names if n != name])
+    return fit, _profile(c, fitted, result, [n for n in names if n != name])
 
 
-def _values(c: Coordinate, own: FittedParameter) -> np.ndarray:
-    """Values to hold a parameter at, in search coordinates, inside its bounds, its own among
-    them.
+def _half(c: Coordinate, fitted: FittedParameter) -> float | None:
+    """The longer half of a parameter's interval in search coordinates; None where it has none."""
+    if fitted.interval is None or fitted.status == "not_excited":
+        return None
+    low, high = (c.of(min(max(end, c.lower), c.upper)) for end in fitted.interval)
+    best = c.of(fitted.value)
+    return max(best - low, high - best)
+
+
+def profile_values(c: Coordinate, fitted: FittedParameter, steps: int = 6) -> np.ndarray:
+    """Values to fix a parameter at, in search coordinates, inside its bounds, its best among them:
+    so many on either side, out to twice its interval, or to 1 where it has none.
     """
-    best = c.of(own.value)
-    low, high = c.bounds
-    reach = [FLAT, FLAT]
-    if own.interval is not None and own.status != "not_excited":
-        ends = [c.of(min(max(end, c.lower), c.upper)) for end in own.interval]
-        half = max(best - ends[0], ends[1] - best)
-        reach = [REACH * half, REACH * half]
-    sides = [
-        best + sign * size * np.arange(1, STEPS + 1) / STEPS
-        for sign, size in zip((-1.0, 1.0), reach, strict=True)
-    ]
-    every = np.unique(np.clip(np.concatenate([sides[0], [best], sides[1]]), low, high))
-    return every
+    best, half = c.of(fitted.value), _half(c, fitted)
+    reach = 1.0 if half is None else 2.0 * half
+    every = best + reach * np.arange(-steps, steps + 1) / steps
+    return np.unique(np.clip(every, *c.bounds))
 
 
 def _profile(
     c: Coordinate,
-    own: FittedParameter,
+    fitted: FittedParameter,
     result: Sequence[tuple[float, float, dict[str, float]]],
     others: Sequence[str],
 ) -> Profile:
@@ -116,11 +112,8 @@ def _profile(
     cost = np.array([item[1] for item in result])
     rise = cost - cost.min()
     best = float(theta[np.argmin(cost)])
-    centre = c.of(own.value)
-    scale = 1.0
-    if own.interval is not None and own.status != "not_excited":
-        ends = [c.of(min(max(end, c.lower), c.upper)) for end in own.interval]
-        half = max(centre - ends[0], ends[1] - centre)
+    centre, scale = c.of(fitted.value), 1.0
+    if (half := _half(c, fitted)) is not None:
         near = (np.abs(theta - centre) <= 1.01 * half) & (theta != centre)
         square = (theta[near] - centre) ** 2
         curve = float(np.sum(rise[near] * square) / np.sum(square**2)) if near.any() else 0.0
@@ -129,15 +122,14 @@ def _profile(
     k = int(np.argmin(rise))
     low = _crossing(theta[k::-1], rise[k::-1])
     high = _crossing(theta[k:], rise[k:])
-    ends_found = (None if low is None else c.at(low), None if high is None else c.at(high))
     return Profile(
         name=c.name,
         unit=c.row.unit,
         best=c.at(best),
-        interval=own.interval,
+        interval=fitted.interval,
         values=tuple(c.at(float(x)) for x in theta),
         rise=tuple(float(r) for r in rise),
-        ends=ends_found,
+        ends=(None if low is None else c.at(low), None if high is None else c.at(high)),
         followed={name: tuple(item[2][name] for item in result) for name in others},
         shape=_shape(theta, rise, best, (low, high)),
     )
@@ -166,4 +158,4 @@ def _shape(
     if low is None or high is None:
         return "open"
     sides = best - low, high - best
-    return "lopsided" if max(sides) > _LOPSIDED * min(sides) else "parabola"
+    return "lopsided" if max(sides) > 1.5 * min(sides) else "parabola"

@@ -202,10 +202,7 @@ def suggest(
         InputError: the fit compares frequency responses.
     """
     if prepared.options.response is not None:
-        raise InputError(
-            "windows left out of a log have no frequency response to compare",
-            hint="ask --suggest of a recipe without [response]",
-        )
+        raise InputError(message("guidance.no_windows"))
     begun, compared = time.process_time(), comparison_of(prepared)
     if compared.steps:
         records = compared.records(records)

@@ -12,10 +12,9 @@ import numpy as np
 from ehbench.config.rig import Rig, Slide
 from ehbench.data.record import Record
 from ehbench.report.captions import load_name
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import Saved, Table, grouped
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.codes import STATUS_MEANS
-from ehbench.vocabulary.fields import Value
 
 SLOW = 0.2  # share by which a steady speed may miss what was asked and still be compared
 
@@ -103,11 +102,12 @@ def cases_of(run: Saved) -> list[Case]:
 
 def groups_of(cases: Sequence[Case]) -> dict[tuple[str, str, str], list[Case]]:
     """Cases that differ in their controller only, by (payload, motion, cylinder)."""
-    groups: dict[tuple[str, str, str], list[Case]] = {}
-    for case in cases:
-        key = case.row["payload"], case.row["motion"], case.cylinder
-        groups.setdefault(key, []).append(case)
-    return groups
+    return grouped(cases, lambda case: (case.row["payload"], case.row["motion"], case.cylinder))
+
+
+def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
+    """Cases by their controller."""
+    return grouped(cases, lambda case: case.row["controller"])
 
 
 def damping(item: Table) -> tuple[float | None, str]:
@@ -127,17 +127,12 @@ def limits_of(row: Table) -> dict[str, float]:
     }
 
 
-def true_payload(rig: Rig, payload: str) -> float | None:
-    """What a payload estimate should find [kg]: `payload_at_end`, nothing without a payload."""
-    return 0.0 if payload == "none" else payload_at_end(rig, payload)
-
-
 def payloads_carried(rig: Rig, row: Table) -> list[tuple[float, float]] | None:
-    """(time [s], what a payload estimate should find from then on [kg]) of a trial; None where some
+    """(time [s], what a payload estimate should be from then on [kg]) of a trial; None where some
     payload is none at the end of the last link.
     """
     names = [(0.0, row["payload"]), *(row.get("payload_change") or ())]
-    masses = [(float(at), true_payload(rig, name)) for at, name in names]
+    masses = [(float(at), payload_at_end(rig, name)) for at, name in names]
     known = [(at, mass) for at, mass in masses if mass is not None]
     return known if len(known) == len(masses) else None
 
@@ -147,7 +142,9 @@ def payload_at_end(rig: Rig, payload: str) -> float | None:
     joint.
 
     ``(m'(a + r') − m(a + r))/a``, r along the link from its end to the centre of mass. On a slide
-    the added mass. None without a payload, or where it changes another link than the last."""
+    the added mass. Zero without a payload, None where it changes another link than the last."""
+    if payload == "none":
+        return 0.0
     changes, mechanism = rig.payload.get(payload, {}), rig.mechanism
     last = mechanism if isinstance(mechanism, Slide) else mechanism.joint[-1]
     if set(changes) != {last.name}:
@@ -156,11 +153,8 @@ def payload_at_end(rig: Rig, payload: str) -> float | None:
     loaded = mass if change.mass is None else float(change.mass)
     if isinstance(last, Slide):
         return loaded - mass
-    length, before = float(last.dh_a), _along(last.com)
-    after = before if change.com is None else _along(change.com)
+    length = float(last.dh_a)
+    before, after = (
+        float(np.atleast_1d(com.value)[0]) for com in (last.com, change.com or last.com)
+    )
     return (loaded * (length + after) - mass * (length + before)) / length if length else None
-
-
-def _along(centre: Value) -> float:
-    """The first component of a centre of mass [m]."""
-    return float(np.atleast_1d(centre.value)[0])

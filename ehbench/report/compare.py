@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.config.rig import Rig
-from ehbench.report.blocks import Cell, Grid
+from ehbench.report.blocks import Grid
 from ehbench.report.captions import plus, range_of
 from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import report_of
-from ehbench.report.terminal import Answer, found
+from ehbench.report.terminal import Answer, reported
 from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
@@ -38,18 +38,34 @@ class InputChange:
     second: str
 
 
+Ends = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class Shift:
-    """A parameter [SI] in two runs. ``intervals``: their distance by √(a² + b²), a and b the parts
-    of their 95 % intervals that point to one another; None where neither run has an interval.
-    """
+    """A parameter [SI] in two runs, with its 95 % interval in either."""
 
     name: str
     first: float | None
+    first_interval: Ends | None
     second: float | None
-    first_interval: tuple[float, float] | None
-    second_interval: tuple[float, float] | None
-    intervals: float | None
+    second_interval: Ends | None
+
+    @property
+    def intervals(self) -> float | None:
+        """Their distance by √(a² + b²), a and b the parts of their 95 % intervals that point to one
+        another; None where neither run has an interval.
+        """
+        a, b = self.first, self.second
+        known = [ends for ends in (self.first_interval, self.second_interval) if ends]
+        if a is None or b is None or not known:
+            return None
+        upper = b > a
+        towards = [] if self.first_interval is None else [abs(self.first_interval[upper] - a)]
+        if self.second_interval is not None:
+            towards.append(abs(b - self.second_interval[not upper]))
+        whole = math.hypot(*towards)
+        return 0.0 if a == b else abs(b - a) / whole if whole > 0.0 else None
 
 
 @dataclass(frozen=True)
@@ -68,7 +84,8 @@ class Comparison:
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
-        return asdict(self)
+        shifts = [asdict(item) | {"intervals": item.intervals} for item in self.parameters]
+        return asdict(self) | {"parameters": shifts}
 
 
 def compare(first: Path, second: Path) -> Comparison:
@@ -77,26 +94,29 @@ def compare(first: Path, second: Path) -> Comparison:
     Raises:
         InputError: no run, or runs of different kinds.
     """
-    (item, found_one), (two, found_two) = found(first), found(second)
-    if item.what != two.what or item.stage != two.stage:
-        raise InputError(
-            f"is a run of '{words(two.what or two.stage)}', the other of "
-            f"'{words(item.what or item.stage)}'",
-            file=second,
-            hint="compare runs of one stage",
-        )
-    shifts = list(_shifts(_parameters(item), _parameters(two)))
+    (item, content, _), (other, other_content, _) = reported(first), reported(second)
+    if item.what != other.what or item.stage != other.stage:
+        kinds = {
+            "first": words(item.what or item.stage),
+            "second": words(other.what or other.stage),
+        }
+        raise InputError(message("report.other_kind", **kinds), file=second)
+    known, known_after = _parameters(item), _parameters(other)
+    shifts = [
+        Shift(name, *known.get(name, (None, None)), *known_after.get(name, (None, None)))
+        for name in dict.fromkeys([*known, *known_after])
+    ]
     changed = [shift for shift in shifts if shift.first != shift.second]
     changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
     numbered = item.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
     heads = [
         {n.label: n.value for n in report_of(run).findings(run).numbers if numbered}
-        for run in (item, two)
+        for run in (item, other)
     ]
     return Comparison(
         item.what or item.stage,
-        (found_one.status, found_two.status),
-        tuple(_changes(_inputs(item), _inputs(two))),
+        (content.status, other_content.status),
+        tuple(_changes(_inputs(item), _inputs(other))),
         tuple(changed),
         len(shifts) - len(changed),
         tuple(_changes(*heads)),
@@ -122,10 +142,7 @@ def _changes(first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[In
             yield InputChange(what, first.get(what, ""), second.get(what, ""))
 
 
-Known = tuple[float | None, tuple[float, float] | None]  # value, its 95 % interval [SI]
-
-
-def _parameters(run: Saved) -> dict[str, Known]:
+def _parameters(run: Saved) -> dict[str, tuple[float | None, Ends | None]]:
     """What the run fitted, else what its maps and gains are, else its rig's numbers."""
     path = run.folder / "parameters.json"
     if path.is_file():
@@ -141,7 +158,7 @@ def _parameters(run: Saved) -> dict[str, Known]:
         }
     if not (run.folder / "rig.toml").is_file():
         return {}
-    known: dict[str, Known] = {}
+    known: dict[str, tuple[float | None, Ends | None]] = {}
     for name, value in run.rig.parameters().items():
         centre = float(value)
         half = Z95 * value.std if value.std else None
@@ -149,32 +166,8 @@ def _parameters(run: Saved) -> dict[str, Known]:
     return known
 
 
-def _ends(interval: Any) -> tuple[float, float] | None:
-    if not interval or None in interval:
-        return None
-    return float(interval[0]), float(interval[1])
-
-
-def _shifts(first: Mapping[str, Known], second: Mapping[str, Known]) -> Iterator[Shift]:
-    for name in dict.fromkeys([*first, *second]):
-        (a, ends_a), (b, ends_b) = first.get(name, (None, None)), second.get(name, (None, None))
-        yield Shift(name, a, b, ends_a, ends_b, _distance(a, ends_a, b, ends_b))
-
-
-def _distance(
-    a: float | None,
-    ends_a: tuple[float, float] | None,
-    b: float | None,
-    ends_b: tuple[float, float] | None,
-) -> float | None:
-    if a is None or b is None or (ends_a is None and ends_b is None):
-        return None
-    if a == b:
-        return 0.0
-    towards = [] if ends_a is None else [ends_a[1] - a if b > a else a - ends_a[0]]
-    towards += [] if ends_b is None else [b - ends_b[0] if b > a else ends_b[1] - b]
-    whole = math.hypot(*towards)
-    return abs(b - a) / whole if whole > 0.0 else None
+def _ends(interval: Any) -> Ends | None:
+    return (interval[0], interval[1]) if interval and None not in interval else None
 
 
 def answer(result: Comparison, rig: Rig | None) -> Answer:
@@ -186,8 +179,14 @@ def answer(result: Comparison, rig: Rig | None) -> Answer:
         [[item.what, _short(item.first), _short(item.second)] for item in items]
         for items in (result.inputs, result.numbers)
     )
+    rows = []
+    for item in result.parameters:
+        pairs = ((item.first, item.first_interval), (item.second, item.second_interval))
+        cells = [num(_text(rig, item.name, value, ends)) for value, ends in pairs]
+        unit = "" if rig is None else pretty(unit_of(rig, item.name))
+        rows.append([item.name, *cells, unit, num(number(item.intervals, 2))])
     tables = [
-        Grid(head, [_row(rig, parameter) for parameter in result.parameters]),
+        Grid(head, rows),
         Grid(["number", "first", "second"], numbers),
         Grid(["input", "first", "second"], inputs),
     ]
@@ -210,25 +209,14 @@ def rig_of(folder: Path) -> Rig | None:
 
 def _short(text: str) -> str:
     """A digest by its first letters."""
-    return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or "–"
+    return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or DASH
 
 
-def _row(rig: Rig | None, item: Shift) -> list[Cell | str]:
-    apart = DASH if item.intervals is None else number(item.intervals, 2)
-    if rig is None:
-        return [item.name, num(number(item.first)), num(number(item.second)), "", num(apart)]
-    cells = [
-        num(_text(rig, item.name, value, ends))
-        for value, ends in ((item.first, item.first_interval), (item.second, item.second_interval))
-    ]
-    return [item.name, *cells, pretty(unit_of(rig, item.name)), num(apart)]
-
-
-def _text(rig: Rig, name: str, value: float | None, ends: tuple[float, float] | None) -> str:
-    if value is None:
-        return DASH
+def _text(rig: Rig | None, name: str, value: float | None, ends: Ends | None) -> str:
+    """A number with its interval, in the rig's unit; in SI the number alone."""
+    if rig is None or value is None:
+        return number(value)
     if ends is None:
         return plus(rig, name, value, None)
-    seen = [shown(rig, name, end) for end in (value, *ends)]
-    text = estimate(*seen)
+    text = estimate(*(shown(rig, name, end) for end in (value, *ends)))
     return text if "±" in text else f"{text} ({range_of(rig, name, ends)})"

@@ -7,17 +7,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Text
 from ehbench.report.captions import load_name
-from ehbench.report.cases import Case
+from ehbench.report.cases import Case, by_controller
 from ehbench.report.content import num
 from ehbench.report.figures.energy import half_of, part_of
 from ehbench.report.figures.energy_bars import SEEN
-from ehbench.report.saved import Table
+from ehbench.report.saved import Table, grouped
 from ehbench.report.template import Template
 from ehbench.report.words import number, shown, with_error, words
 
@@ -83,6 +83,12 @@ class Saving:
     def given(self) -> float:
         """What the supply gave in all [J]."""
         return math.fsum(row["energy"] for row in self.ledger["rows"] if row["group"] == "supply")
+
+    @property
+    def name(self) -> str:
+        """Payload and motion in words."""
+        payload, motion = load_name(self.motion[0]), words(self.motion[1])
+        return f"{payload}, {motion}".rstrip(", ")
 
     @property
     def motion(self) -> tuple[str, str]:
@@ -166,13 +172,9 @@ def saved_caption(
         drawn=[saving.used for saving in savings],
         above=[saving.used - saving.bound for saving in savings],
         halves=[saving.half for saving in savings if saving.half],
-        causes=[(energy, name, _where(item.case)) for energy, name, item in eaten[:3]],
+        causes=[(energy, name, item.name) for energy, name, item in eaten[:3]],
         telling=telling,
     )
-
-
-def _where(case: Case) -> str:
-    return f"{load_name(case.row['payload'])}, {words(case.row['motion'])}".rstrip(", ")
 
 
 def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
@@ -281,17 +283,31 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     left_out: list[Block] = [Text(caption, "note")] if caption else []
     if not savings:
         return left_out
-    by_name: dict[str, list[Saving]] = {}
-    for saving in savings:
-        by_name.setdefault(saving.case.row["controller"], []).append(saving)
+    by_name = grouped(savings, lambda saving: saving.case.row["controller"])
     cycle, seeds = (any(case.row.get(key) for case in cases) for key in ("cycle", "seeds"))
-    energy = partial(_energy, rig)
+
+    def energy(value: float | None, whole: float, half: float | None = None) -> Cell:
+        """An energy; a nought where it is next to nothing of ``whole``."""
+        value = 0.0 if value is not None and abs(value) < 1e-4 * whole else value
+        value, half = shown(rig, "energy", value), shown(rig, "energy", half)
+        text = with_error(value, half).replace(" ", "\u00a0") if half else number(value, 3)
+        return num(text)
+
     compared = any(saving.reference is not None for saving in savings)
     logged = any(saving.ledger["source"] == "log" for saving in savings)
+    # what any trial's energy went into, as far as it can be seen: throttling first
+    tables = [(went(saving), saving.used) for saving in savings]
+    names = [
+        name
+        for name in dict.fromkeys(name for table, _ in tables for name in table)
+        if (name == "rest" and logged)
+        or any(abs(table.get(name, 0.0)) > SEEN * used for table, used in tables)
+    ]
+    names.sort(key=lambda name: list(_KINDS).index(name) if name in _KINDS else -1)
     losses = page.table(
         "losses",
         savings,
-        names=_went_names(savings, logged),
+        names=names,
         kinds=_KINDS | ({"rest": "unexplained"} if logged else {}),
         logged=logged,
         energy=energy,
@@ -310,27 +326,6 @@ def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
         Bullets([lost_caption(items, name) for name, items in by_name.items()]),
         losses,
     ]
-
-
-def _energy(
-    rig: Rig, value: float | None, whole: float, half: float | None = None, nothing: float = 1e-4
-) -> Cell:
-    """An energy; a nought where it is below a share ``nothing`` of ``whole``."""
-    value = 0.0 if value is not None and abs(value) < nothing * whole else value
-    value, half = (shown(rig, "energy", v) for v in (value, half))
-    return num(with_error(value, half).replace(" ", "\u00a0") if half else number(value, 3))
-
-
-def _went_names(savings: Sequence[Saving], logged: bool) -> list[str]:
-    """What any trial's energy went into, as far as it can be seen: throttling first."""
-    tables = [(went(saving), saving.used) for saving in savings]
-    names = [
-        name
-        for name in dict.fromkeys(name for table, _ in tables for name in table)
-        if (name == "rest" and logged)
-        or any(abs(table.get(name, 0.0)) > SEEN * used for table, used in tables)
-    ]
-    return sorted(names, key=lambda name: list(_KINDS).index(name) if name in _KINDS else -1)
 
 
 def supply_of(case: Case) -> str:
@@ -364,10 +359,8 @@ def supply_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
 
     texts = []
     for kind in kinds:
-        by_name: dict[str, list[Case]] = {}
-        for case in fit:
-            if supply_of(case) == kind and case not in spools:
-                by_name.setdefault(case.row["controller"], []).append(case)
+        laws_of = [case for case in fit if supply_of(case) == kind and case not in spools]
+        by_name = by_controller(laws_of)
         laws = [(name, part) for name, c in by_name.items() if (part := shares(c, kind))]
         plain = [case for case in spools if supply_of(case) == kind and kind != _CONSTANT]
         fields: dict[str, Any] = {"laws": laws, "valve": shares(plain, _CONSTANT)}

@@ -48,7 +48,11 @@ def named_result(run: Saved, name: str) -> NamedResult:
         for result in _numbers(path.name, read_json(path), [])
     ]
     required = _pieces(name)
-    near = [result for result in results if _has(_pieces(result.path), required)]
+    near = []
+    for result in results:
+        remaining = iter(_pieces(result.path))
+        if all(piece in remaining for piece in required):  # in this order
+            near.append(result)
     exact = [item for item in near if _pieces(item.path)[-len(required) :] == required] or near
     # a parameter's value comes before the values of single logs
     depth = min((len(_pieces(item.path)) for item in exact), default=0)
@@ -67,12 +71,6 @@ def named_result(run: Saved, name: str) -> NamedResult:
 
 def _pieces(name: str) -> list[str]:
     return [piece for piece in re.split(r"[.\s/]+", name) if piece]
-
-
-def _has(pieces: list[str], required: list[str]) -> bool:
-    """Whether the required pieces occur among the pieces in this order."""
-    remaining = iter(pieces)
-    return all(piece in remaining for piece in required)
 
 
 def _numbers(file: str, value: Any, where: list[str]) -> Iterator[NamedResult]:

@@ -36,6 +36,12 @@ class Source:
         except (EhbenchError, OSError):
             return False
 
+    def as_json(self) -> dict[str, Any]:
+        """Plain values for scripts."""
+        place = self.place and str(self.place)
+        about = {"role": self.role, "path": self.name, "place": place}
+        return about | {"sha256": self.sha256, "same": self.is_same}
+
     @property
     def run(self) -> Path | None:
         """The folder of the run that wrote it, if one did."""
@@ -107,9 +113,18 @@ def _first(places: Iterable[Path]) -> Path | None:
 
 def _changes(traced: TracedRun, seen: set[Path]) -> Iterator[Message]:
     seen.add(traced.folder.resolve())
-    name = traced.folder.name
-    yield from _changed_files(traced)
-    if old := outdated(traced.run.facts.plain()):
+    facts, name = traced.run.facts, traced.folder.name
+    plain = dict(facts.plain())
+    inputs = [(item["role"], item["sha256"]) for item in facts["inputs"]]
+    digest = rundir.run_hash(facts["recipe"]["sha256"], inputs, read_versions(plain))
+    old = outdated(plain)
+    if digest != facts["hash"] or plain.pop("checksum", None) != rundir.checksum(plain):
+        yield message("report.output_changed", run=name, file="run.json")
+    for file, digest in rundir.outputs_of(traced.folder / "run.json").items():
+        path = traced.folder / file
+        if not path.is_file() or sha256(path) != digest:
+            yield message("report.output_changed", run=name, file=file)
+    if old:
         yield message("report.methods_changed", run=name, methods=", ".join(old))
     for source in (traced.recipe, *traced.sources):
         fields = {"run": name, "role": source.role, "name": source.name}
@@ -123,17 +138,3 @@ def _changes(traced: TracedRun, seen: set[Path]) -> Iterator[Message]:
                 yield from _changes(TracedRun(folder), seen)
             except EhbenchError as error:
                 yield message("report.input_unreadable", **fields, reason=error.message)
-
-
-def _changed_files(traced: TracedRun) -> Iterator[Message]:
-    """Files of the run folder that differ from what the run wrote."""
-    facts, name = traced.run.facts, traced.folder.name
-    plain = dict(facts.plain())
-    inputs = [(item["role"], item["sha256"]) for item in facts["inputs"]]
-    digest = rundir.run_hash(facts["recipe"]["sha256"], inputs, read_versions(plain))
-    if digest != facts["hash"] or plain.pop("checksum", None) != rundir.checksum(plain):
-        yield message("report.output_changed", run=name, file="run.json")
-    for file, digest in rundir.outputs_of(traced.folder / "run.json").items():
-        path = traced.folder / file
-        if not path.is_file() or sha256(path) != digest:
-            yield message("report.output_changed", run=name, file=file)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from ehbench.config.rig import Rig, Slide
@@ -25,12 +25,14 @@ def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
             the others have 1.96 of their standard error.
     """
     known: dict[tuple[str, Any], Table] = {(fit["name"], fit.number("value")): fit for fit in fits}
-    groups: dict[str, list[list[Cell | str]]] = {}
-    for name, value in _values(rig):
-        groups.setdefault(name.rpartition(".")[0], []).append(
-            _value_row(rig, name, value, known.get((name, value.value)))
-        )
-    rows = [[group, *row] for group, members in groups.items() for row in members]
+    groups: dict[str, dict[str, Value]] = {}
+    for name, value in [*rig.parameters().items(), *_vectors(rig).items()]:
+        groups.setdefault(name.rpartition(".")[0], {})[name] = value
+    rows = [
+        [group, *_value_row(rig, name, value, known.get((name, value.value)))]
+        for group, members in groups.items()
+        for name, value in members.items()
+    ]
     notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
     head = ["of", "parameter", "value", "unit", "how sure", "source"]
     return [*([Bullets(notes)] if notes else []), Grid(head, rows)]
@@ -53,42 +55,15 @@ def _vectors(rig: Rig) -> dict[str, Value]:
     return vectors
 
 
-def _values(rig: Rig) -> Iterator[tuple[str, Value]]:
-    """(name, value) of all scalars, then of all vectors and payloads, in the order of the rig's own
-    parts.
-    """
-    vectors = _vectors(rig)
-    heads = {name.rpartition(".")[0] for name in rig.parameters()}
-    seen = set()
-    for name, value in rig.parameters().items():
-        yield name, value
-        head = name.rpartition(".")[0]
-        if head not in seen:
-            seen.add(head)
-            for other, vector in vectors.items():
-                if other.rpartition(".")[0] == head:
-                    yield other, vector
-    for name, value in vectors.items():
-        if name.rpartition(".")[0] not in heads:
-            yield name, value
-
-
 def _value_row(rig: Rig, name: str, value: Value, fit: Table | None) -> list[Cell | str]:
     if isinstance(value.value, tuple):
-        text = "(" + ", ".join(number(shown(rig, name, v), 5) for v in value.value) + ")"
+        text: Cell | str = f"({', '.join(number(shown(rig, name, v), 5) for v in value.value)})"
+    elif fit is not None:
+        text = num(as_fitted(rig, name, fit))
+    elif value.std:
+        text = num(plus(rig, name, value.value, Z95 * value.std))
     else:
-        text = (
-            as_fitted(rig, name, fit)
-            if fit is not None
-            else plus(rig, name, value.value, Z95 * value.std)
-            if value.std
-            else number(shown(rig, name, value.value), 6)
-        )
+        text = num(number(shown(rig, name, value.value), 6))
     source = value.source.removeprefix(value.sure).lstrip(":, ")
-    return [
-        Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning),
-        text if isinstance(value.value, tuple) else num(text),
-        pretty(unit_of(rig, name)),
-        value.sure,
-        source,
-    ]
+    label = Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning)
+    return [label, text, pretty(unit_of(rig, name)), value.sure, source]

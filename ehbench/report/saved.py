@@ -5,11 +5,11 @@ and key.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -26,6 +26,18 @@ from ehbench.vocabulary.units import to_si
 
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
 _SIDE = re.compile(r"^(?:(recorded|simulated)\.)?(.*?)(?:[ .](recorded|simulated))?$")
+
+
+Item = TypeVar("Item")
+Key = TypeVar("Key")
+
+
+def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    """Items by their key, both in their order."""
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 class Table(Mapping):
@@ -112,11 +124,8 @@ class Series:
 
     def cylinders(self) -> dict[str, list[str]]:
         """Channels by cylinder (what stands before the last dot), commands left out."""
-        groups: dict[str, list[str]] = {}
-        for channel in self.channels:
-            if not channel.endswith(".command"):
-                groups.setdefault(channel.rpartition(".")[0], []).append(channel)
-        return groups
+        channels = [channel for channel in self.channels if not channel.endswith(".command")]
+        return grouped(channels, lambda channel: channel.rpartition(".")[0])
 
 
 @dataclass(frozen=True)

@@ -43,8 +43,11 @@ def standstill_caption(
         requested = max((abs(step["speed"]) for step in case.steps), default=0.0)
         if seen is not None and requested > 0.0 and seen[0] > swing * requested:
             swings.append(seen)
-        if (count := _changes(case, record)) >= changes:
-            often[law] = count
+        names = f"{case.cylinder}.function", f"{case.cylinder}.v_desired"
+        if all(name in record for name in names):
+            function, idle = record[names[0]].round(), record[names[1]] == 0.0
+            count = int(np.sum((np.diff(function) != 0.0) & idle[1:] & idle[:-1]))
+            often |= {law: count} if count >= changes else {}
         for name in () if case.steps else _commands(case, record):
             size = _chatter(case, record, record[name], window)
             if size > max(worst[0], chatter * float(np.abs(record[name]).max())):
@@ -52,7 +55,11 @@ def standstill_caption(
     return Template("trial", rig).text(
         "standstill",
         swings=[list(ends) for ends in zip(*swings, strict=True)],
-        still=all(_still(case, record) for case, record in known),
+        still=not any(
+            np.ptp(record[name][record.t > record.t[-1] - 0.15]) > 0.0
+            for case, record in known
+            for name in _commands(case, record)
+        ),
         often=often,
         worst=worst,
         window=window,
@@ -77,24 +84,9 @@ def swing_after(case: Case, record: Record, soon: float = 0.15) -> tuple[float, 
     return float(speed.max()), float(speed[-max(speed.size // 10, 5) :].max())
 
 
-def _still(case: Case, record: Record, last: float = 0.15) -> bool:
-    """Whether the commands of a cylinder stand still in the last seconds of its log."""
-    part = record.t > record.t[-1] - last
-    return not any(np.ptp(record[name][part]) > 0.0 for name in _commands(case, record))
-
-
 def _commands(case: Case, record: Record) -> list[str]:
     first = f"{case.cylinder}."
     return [c for c in record.channels if c.startswith(first) and c.endswith(".command")]
-
-
-def _changes(case: Case, record: Record) -> int:
-    """How often the working function changes while the desired speed is zero."""
-    names = f"{case.cylinder}.function", f"{case.cylinder}.v_desired"
-    if any(name not in record for name in names):
-        return 0
-    function, rest = record[names[0]].round(), record[names[1]] == 0.0
-    return int(np.sum((np.diff(function) != 0.0) & rest[1:] & rest[:-1]))
 
 
 def _chatter(case: Case, record: Record, values: np.ndarray, window: float) -> float:

@@ -6,18 +6,10 @@ import re
 from functools import lru_cache
 from xml.etree import ElementTree
 
-# drawn for the first; Verdana is as wide, most others are narrower
-FONTS = "DejaVu Sans, Verdana, sans-serif"
-FONT_SIZE = "9px"
+FONTS = "DejaVu Sans, Verdana, sans-serif"  # drawn for the first; the second is as wide
 _SVG = "{http://www.w3.org/2000/svg}"
 _LINK = "{http://www.w3.org/1999/xlink}href"
-_TOKEN = re.compile(r"[MLCQz]|-?[\d.]+(?:e-?\d+)?")
-_POINTED = re.compile(r'(url\(#|href="#)([^")]+)')
-_NAMED = re.compile(r'( id="|url\(#|href="#)([^")]+)')
-_PAIRS = {"M": 1, "L": 1, "Q": 2, "C": 3, "z": 0}
-_DROPPED = {"metadata", "style"}
-_ROUNDED = ("x", "y", "width", "height")
-
+_XML = "{http://www.w3.org/XML/1998/namespace}"
 
 # what a figure is drawn with; a saved one may come from anyone
 _ELEMENTS = frozenset(
@@ -26,6 +18,7 @@ _ELEMENTS = frozenset(
 )
 _ATTRIBUTE = re.compile(r"(?!on)[a-zA-Z][-\w]*(?::\w+)?", re.I)
 _IMAGE = re.compile(r"data:image/(?:png|jpeg);base64,[\w+/=\s]*")
+_FETCHES = re.compile(r"url\(\s*(?!#)|[{}<>@\\]|/\*|expression|javascript", re.I)
 
 
 def sound(svg: str) -> str:
@@ -45,19 +38,7 @@ def sound(svg: str) -> str:
         raise ValueError(f"is no SVG: {error}") from None
     if root.tag != f"{_SVG}svg":
         raise ValueError("is no SVG")
-    plain = "<!" not in svg and "<?" not in svg
-    if _purged(root) and plain:
-        return svg
-    for item in root.iter():
-        if _LINK in item.attrib:
-            item.set("href", item.attrib.pop(_LINK))
-    ElementTree.register_namespace("", _SVG[1:-1])
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def _purged(root: ElementTree.Element) -> bool:
-    """Take what is no drawing out of an element and all below it; whether there was nothing."""
-    clean, waiting = True, [root]
+    clean, waiting = "<!" not in svg and "<?" not in svg, [root]
     while waiting:
         item = waiting.pop()
         for name in [name for name, value in item.attrib.items() if not _harmless(name, value)]:
@@ -70,120 +51,75 @@ def _purged(root: ElementTree.Element) -> bool:
             else:
                 item.remove(inner)
                 clean = False
-    return clean
+    if clean:
+        return svg
+    for item in root.iter():
+        if _LINK in item.attrib:
+            item.set("href", item.attrib.pop(_LINK))
+    ElementTree.register_namespace("", _SVG[1:-1])
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _harmless(name: str, value: str) -> bool:
     """Whether an attribute only draws."""
     if name in (_LINK, "href"):
         return value.startswith("#") or bool(_IMAGE.fullmatch(value))
-    if name.startswith("{http://www.w3.org/XML/1998/namespace}"):
+    if name.startswith(_XML):
         return True
     if not _ATTRIBUTE.fullmatch(name):
         return False
     if "url" in value.lower() or name == "style":
-        return not re.search(r"url\(\s*(?!#)|[{}<>@\\]|/\*|expression|javascript", value, re.I)
+        return not _FETCHES.search(value)
     return "javascript:" not in value.lower()
 
 
 def shrink(svg: str) -> str:
-    """matplotlib's SVG without what nobody sees: a tenth of a point, empty groups, unused used,
-    defaults said each time.
-
-    Text stays text, in `FONTS`. Markers, which are small, keep a hundredth of a point.
+    """matplotlib's SVG without what nobody sees: a tenth of a point, empty groups, names that
+    nothing points to. Text stays text, in `FONTS`. Markers keep a hundredth of a point.
     """
+    pointed = dict.fromkeys(re.findall(r'(?:url\(#|href="#)([^")]+)', svg))
+    used = {name: f"i{place}" for place, name in enumerate(pointed)}
     root = ElementTree.fromstring(svg)
-    used = {
-        name: f"i{place}"
-        for place, name in enumerate(dict.fromkeys(result[1] for result in _POINTED.findall(svg)))
-    }
-    body = ElementTree.Element(
-        "g", {"font-family": FONTS, "font-size": FONT_SIZE, "stroke-linejoin": "round"}
-    )
-    body.extend(_kept(root, used, 1))
+    body = ElementTree.Element("g", {"font-family": FONTS, "stroke-linejoin": "round"})
+    body.extend(_shrunk(root, used, 1))
     head = "".join(f' {name}="{root.get(name)}"' for name in ("width", "height", "viewBox"))
     inside = ElementTree.tostring(body, encoding="unicode")
-    inside = _NAMED.sub(lambda match: match[1] + used[match[2]], inside)
     return f'<svg xmlns="http://www.w3.org/2000/svg"{head}>{inside}</svg>\n'
 
 
-def _kept(
-    element: ElementTree.Element, used: dict[str, str], places: int
-) -> list[ElementTree.Element]:
-    """The children of an element as they are kept; those of a group that says nothing stand in its
-    place.
-    """
+def _shrunk(element: ElementTree.Element, used: dict[str, str], places: int) -> list:
+    """The children of an element; those of a group that says nothing stand in its place."""
     results: list[ElementTree.Element] = []
     for item in element:
-        tag = item.tag.removeprefix(_SVG)
-        if tag in _DROPPED:
+        tag, attributes = item.tag.removeprefix(_SVG), {}
+        if tag in ("metadata", "style"):
             continue
-        inner = _kept(item, used, 2 if tag == "defs" else places)
-        says = _attributes(item, used, places)
-        if tag == "g" and not says:
+        for name, value in item.attrib.items():
+            if name == "d":
+                value = _path(value, places)
+            elif name == "style":
+                parts = (part for part in value.split("; ") if not part.startswith("font-family"))
+                value = ";".join(parts).replace(": ", ":")
+            elif name in ("x", "y", "width", "height"):
+                value = _decimal(round(float(value) * 10**places), places)
+            elif name == "transform":
+                value = "" if "rotate(-0 " in value else re.sub(r"(\.\d)\d+", r"\1", value)
+            elif name == "id":
+                value = used.get(value, "")
+            value = re.sub(r"(?<=url\(#)[^)]+", lambda match: used[match[0]], value)
+            if name == _LINK:
+                name, value = "href", f"#{used[value[1:]]}"
+            if value:
+                attributes[name] = value
+        inner = _shrunk(item, used, 2 if tag == "defs" else places)
+        if tag == "g" and not attributes:
             results += inner
         elif inner or tag not in ("g", "defs"):
-            retained = ElementTree.Element(tag, says)
+            retained = ElementTree.Element(tag, attributes)
             retained.text = item.text if tag == "text" else None
             retained.extend(inner)
             results.append(retained)
-    return _grouped(results)
-
-
-def _attributes(item: ElementTree.Element, used: dict[str, str], places: int) -> dict[str, str]:
-    attributes = {}
-    for name, value in item.attrib.items():
-        if (
-            name == "id"
-            and value not in used
-            or name == "transform"
-            and value.startswith("rotate(-0 ")
-        ):
-            continue
-        if name == "d":
-            value = _path(value, places)
-        elif name == "style":
-            value = _style(value)
-        elif name in _ROUNDED:
-            value = _decimal(round(float(value) * 10**places), places)
-        elif name == "transform":
-            value = re.sub(r"(\.\d)\d+", r"\1", value)
-        if value:
-            attributes["href" if name == _LINK else name] = value
-    return attributes
-
-
-def _style(text: str) -> str:
-    parts = [part.split(": ", 1) for part in text.split("; ")]
-    return ";".join(
-        f"{name}:{value}"
-        for name, value in parts
-        if name != "font-family" and (name, value) != ("font-size", FONT_SIZE)
-    )
-
-
-def _grouped(elements: list[ElementTree.Element]) -> list[ElementTree.Element]:
-    """Runs of markers with one style as a group that says it once."""
-    groups: list[ElementTree.Element] = []
-    for element in elements:
-        style = element.get("style")
-        last = groups[-1] if groups else None
-        if (
-            element.tag == "use"
-            and style is not None
-            and last is not None
-            and last.get("style") == style
-            and last.tag in ("use", "g")
-        ):
-            if last.tag == "use":
-                groups[-1] = ElementTree.Element("g", {"style": style})
-                groups[-1].append(last)
-                del last.attrib["style"]
-            del element.attrib["style"]
-            groups[-1].append(element)
-        else:
-            groups.append(element)
-    return groups
+    return results
 
 
 @lru_cache(1 << 16)  # a figure's points lie close to each other: the same steps, over and over
@@ -195,26 +131,18 @@ def _decimal(value: int, places: int) -> str:
 
 def _path(text: str, places: int) -> str:
     """A path in relative coordinates; rounded where it is, so that errors do not add up."""
-    tokens, out, last = _TOKEN.findall(text), [], ""
-    scale, at, x, y = 10**places, 0, 0, 0
-    x_start, y_start = 0, 0
-    while at < len(tokens):
-        command = tokens[at]
-        at += 1
-        pairs = _PAIRS[command]
-        ends = [round(float(token) * scale) for token in tokens[at : at + 2 * pairs]]
-        at += 2 * pairs
-        if command == "z":
-            x, y = x_start, y_start
-        elif command == "L" and ends == [x, y] and last == "L":
+    pairs, out, last = {"M": 1, "L": 1, "Q": 2, "C": 3, "z": 0}, [], ""
+    tokens = iter(re.findall(r"[MLCQz]|-?[\d.]+(?:e-?\d+)?", text))
+    start = here = [0, 0]
+    for command in tokens:
+        ends = [round(float(next(tokens)) * 10**places) for _ in range(2 * pairs[command])]
+        if command == last == "L" and ends == here:
             continue
-        numbers = [_decimal(value - (y if i % 2 else x), places) for i, value in enumerate(ends)]
-        joined = "".join(n if n[0] == "-" or not i else f" {n}" for i, n in enumerate(numbers))
+        steps = (_decimal(value - here[i % 2], places) for i, value in enumerate(ends))
         same = command == last and command != "M" or command == "L" and last == "M"
-        out.append((("" if joined[:1] == "-" else " ") if same else command.lower()) + joined)
-        if ends:
-            x, y = ends[-2:]
-        if command == "M":
-            x_start, y_start = x, y
+        out.append(" ".join(["" if same else command.lower(), *steps]))
+        here = ends[-2:] or start
+        start = here if command == "M" else start
         last = command
-    return "".join(out)
+    # a blank between numbers, where no minus and no letter parts them
+    return re.sub(r" +(?=[-a-z])|(?<=[a-z]) +", "", "".join(out)).strip()

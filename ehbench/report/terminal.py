@@ -27,10 +27,8 @@ from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.text import folded
 
 GAP = "  "
-QUIET = ("done", "partly_estimated")  # statuses that are no verdict
-MOST_STEPS = 3
-MOST_WORDS = 60  # besides tables
-READABLE = 20  # characters to which a column of words may be cut
+SETTLED = ("done", "partly_estimated")  # statuses that are no verdict
+MOST_STEPS, MOST_WORDS = 3, 60  # of an answer; words besides tables
 
 
 @dataclass(frozen=True)
@@ -71,13 +69,17 @@ class Answer:
         last = [plural(len(self.notes), "note") + f" {self.notes_in}"] if self.notes else []
         last = [] if whole else last
         last += [] if self.place is None else [str(self.place)]
-        words = len(" ".join([verdict, *last]).split())
+        count = len(" ".join([verdict, *last]).split())
         for number, step in enumerate((s for s in self.steps if whole or s.hint), 1):
-            shown = _step(number, step, width)
-            words += len(" ".join(shown).split())
-            if not whole and number > 1 and (number > MOST_STEPS or words > MOST_WORDS):
+            # the line to paste is not broken
+            indent = " " * len(f"{number}. ")
+            text = f"{number}. {capital(step)}" + (":" if step.hint else "")
+            lines = textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
+            lines += [f"{indent}{line}" for line in step.hint.splitlines()]
+            count += len(" ".join(lines).split())
+            if not whole and number > 1 and (number > MOST_STEPS or count > MOST_WORDS):
                 break
-            out += shown
+            out += lines
         return [*out, *last]
 
     def as_json(self) -> str:
@@ -91,38 +93,38 @@ class Answer:
         return json.dumps(plain({**about, **self.values}), ensure_ascii=False, indent=1)
 
 
-def _step(number: int, step: Message, width: int) -> list[str]:
-    """A numbered step; the line to paste is not broken."""
-    indent = " " * len(f"{number}. ")
-    text = f"{number}. {capital(step)}" + (":" if step.hint else "")
-    lines = textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
-    return [*lines, *(f"{indent}{line}" for line in step.hint.splitlines())]
-
-
-def found(folder: Path) -> tuple[Saved, SectionContent]:
-    """A run and what its section of the report says, without figures.
+def reported(folder: Path) -> tuple[Saved, SectionContent, Sequence[Block]]:
+    """A run, what its section of the report says without figures, and the part that a terminal
+    shows.
 
     Raises:
         InputError: a file of the run is missing or damaged.
     """
     run = Saved(folder)
-    return run, report_of(run).section(run, lambda key: [])
+    stage = report_of(run)
+    content = stage.section(run, lambda key: [])
+    parts = {part.title: part.inside for part in content.parts}
+    return run, content, next((parts[title] for title in stage.shows if title in parts), ())
 
 
 def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool = False) -> Answer:
     """What a run says: its verdict, its table, what to do next, and what speaks against it.
 
     Raises:
-        InputError: as `found`.
+        InputError: as `reported`.
     """
-    run, content = found(folder)
-    blocks = _shown(run, content)
+    run, content, blocks = reported(folder)
     bullets = [item for block in blocks if isinstance(block, Bullets) for item in block.items]
     steps = [message("steps.lost", **names(run))] if losses else []
     steps += next_steps(chapters_of([run], [lambda key: []]))
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
+    # the sentence, a verdict before it in capitals
+    status, sentence = words(content.status), content.sentence
+    if content.status not in SETTLED:
+        begins = sentence.lower().startswith(status)
+        sentence = status.upper() + (sentence[len(status) :] if begins else f": {sentence}")
     return Answer(
-        _headline(content),
+        sentence,
         tables,
         _placed(ranked(steps), [folder]),
         list(dict.fromkeys([*bullets, *folded(notes)])),
@@ -136,7 +138,7 @@ def report_answer(folder: Path, notes: Sequence[str] = (), code: int = 0) -> Ans
     """What a report says: the verdict over its runs, their main numbers, and what to do next.
 
     Raises:
-        InputError: as `found`.
+        InputError: as `reported`.
     """
     places = [item.place for item in TracedRun(folder).sources if item.role == "run"]
     runs = [place for place in places if place is not None]
@@ -171,27 +173,19 @@ def values(folder: Path) -> dict[str, Any]:
     their head, as text in the rig file's units), ``numbers`` [SI] and the ``files`` of the run.
 
     Raises:
-        InputError: as `found`.
+        InputError: as `reported`.
     """
-    run, content = found(folder)
-    tables = [block for block in _shown(run, content) if isinstance(block, Grid)]
+    run, content, blocks = reported(folder)
+    tables = [block for block in blocks if isinstance(block, Grid)]
+    file, keys = report_of(run).numbers
+    numbers: Any = read_json(run.folder / file) if file else None
     return {
         "status": content.status,
         "sentence": content.sentence,
         "results": [row for item in tables for row in _rows(item)],
-        "numbers": _numbers(run),
+        "numbers": {key: numbers[key] for key in keys if key in numbers} if keys else numbers,
         "files": sorted(run.facts.get("outputs", {})),
     }
-
-
-def _headline(content: SectionContent) -> str:
-    """The sentence, a verdict before it in capitals."""
-    status, sentence = words(content.status), content.sentence
-    if content.status in QUIET:
-        return sentence
-    if sentence.lower().startswith(status):
-        return status.upper() + sentence[len(status) :]
-    return f"{status.upper()}: {sentence}"
 
 
 def _rows(grid: Grid) -> list[dict[str, str]]:
@@ -202,54 +196,36 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
     return [dict(zip(grid.head, row, strict=True)) for row in rows]
 
 
-def _numbers(run: Saved) -> Any:
-    """What the run's own file has of it [SI]."""
-    file, keys = report_of(run).numbers
-    if not file:
-        return None
-    table = read_json(run.folder / file)
-    return {key: table[key] for key in keys if key in table} if keys else table
-
-
-def _shown(run: Saved, content: SectionContent) -> Sequence[Block]:
-    parts = {part.title: part.inside for part in content.parts}
-    return next((parts[title] for title in report_of(run).shows if title in parts), ())
-
-
-def table(grid: Grid, columns: Sequence[str] = (), width: int = 100) -> Iterator[str]:
-    """A table in columns of one width each: those that are named (none: all), as many as fit."""
-    at = [grid.head.index(name) for name in columns if name in grid.head] or range(len(grid.head))
-    head = [[grid.head[i] for i in at]] if any(grid.head) else []
-    cells = [*head, *([_text(row[i]) for i in at] for row in grid.rows)]
-    digits = [all(_is_number(row[i]) for row in grid.rows) for i in at]
-    wide = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+def table(
+    grid: Grid, columns: Sequence[str] = (), width: int = 100, readable: int = 20
+) -> Iterator[str]:
+    """A table in columns of one width each: those that are named (none: all), as many as fit; a
+    last one of words may be cut to ``readable`` characters for that.
+    """
+    places = [grid.head.index(name) for name in columns if name in grid.head]
+    places = places or list(range(len(grid.head)))
+    cells = [[grid.head[i] for i in places]] if any(grid.head) else []
+    cells += [[_text(row[i]) for i in places] for row in grid.rows]
+    looks = [{getattr(row[i], "look", "") for row in grid.rows} for i in places]
+    digits = [look <= {"number"} for look in looks]
+    wide = [max(map(len, column)) for column in zip(*cells, strict=True)]
     while (over := sum(wide) + len(GAP) * (len(wide) - 1) - width) > 0 and len(wide) > 1:
-        if not digits[len(wide) - 1] and wide[-1] - over >= READABLE:  # words may be cut
+        if not digits[len(wide) - 1] and wide[-1] - over >= readable:
             wide[-1] -= over
-            cells = [[*row[: len(wide) - 1], _cut(row[len(wide) - 1], wide[-1])] for row in cells]
         elif len(wide) == 2:
             break
         else:
             wide.pop()
     rule = GAP.join("─" * size for size in wide)
-    if not head:
-        yield rule
-    for number, row in enumerate(cells):
-        placed = (
-            text.rjust(size) if right else text.ljust(size)
-            for text, size, right in zip(row, wide, digits, strict=False)
-        )
-        yield GAP.join(placed).rstrip()
-        if head and number == 0:
-            yield rule
-
-
-def _cut(text: str, size: int) -> str:
-    return text if len(text) <= size else text[: size - 1] + "…"
-
-
-def _is_number(cell: Cell | str) -> bool:
-    return isinstance(cell, Cell) and cell.look == "number"
+    lines = []
+    for row in cells:
+        texts = []
+        for text, size, right in zip(row, wide, digits, strict=False):
+            text = text if len(text) <= size else text[: size - 1] + "…"
+            texts.append(text.rjust(size) if right else text.ljust(size))
+        lines.append(GAP.join(texts).rstrip())
+    lines.insert(1 if any(grid.head) else 0, rule)
+    yield from lines
 
 
 def _text(cell: Cell | str) -> str:

@@ -100,12 +100,12 @@ def estimates_caption(
         since: [s] after a change of payload, before which an estimate is not judged.
         rounding: share of its bounds by which a logged estimate may lie outside.
     """
-    own = f"{case.cylinder}."
-    ends = {word: float(record[own + word][-1]) for word in ESTIMATES if own + word in record}
+    first = f"{case.cylinder}."
+    ends = {word: float(record[first + word][-1]) for word in ESTIMATES if first + word in record}
     bounds, outside, at_end = case.row.get("estimate_bounds", {}), [], []
     bounded = [word for word in ends if word in bounds]
     for word in bounded:
-        values, (low, high) = record[own + word], bounds[word]
+        values, (low, high) = record[first + word], bounds[word]
         room = rounding * (high - low)
         if values.min() < low - room or values.max() > high + room:
             outside.append(words(word))
@@ -113,13 +113,13 @@ def estimates_caption(
             at_end.append(words(word))
     fields: dict[str, Any] = {"row": case.row, "ends": ends, "within": within, "since": since}
     fields |= {"bounded": bounded, "outside": outside, "at_end": at_end, "bulk": None}
-    bulk = record[own + "bulk_measured"] if own + "bulk_measured" in record else np.zeros(1)
+    bulk = record[first + "bulk_measured"] if first + "bulk_measured" in record else np.zeros(1)
     if np.ptp(bulk) > 0.0:
         fields["bulk"] = (float(bulk[0]), float(bulk[-1]))
     carried = payloads_carried(rig, case.row) if "payload_estimate" in ends else None
     fields["carried"] = carried
     if carried:
-        estimate = record[own + "payload_estimate"]
+        estimate = record[first + "payload_estimate"]
         fields |= {
             "first": float(estimate[0]),
             "off": abs(float(estimate[-1]) - carried[-1][1]),

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from ehbench.config.rig import Rig
 from ehbench.report.captions import MODEL, measure, span
-from ehbench.report.cases import Case, cases_of, damping
+from ehbench.report.cases import Case, by_controller, cases_of, damping
 from ehbench.report.content import SAVED, STEPS, TRACKING, Findings, Headline, names
 from ehbench.report.energy_tables import Saving, savings_of
 from ehbench.report.index import FigureKey
-from ehbench.report.saved import Saved
+from ehbench.report.saved import Saved, grouped
 from ehbench.report.template import Template
 from ehbench.vocabulary.messages import message
 
@@ -27,14 +27,6 @@ def trials_findings(run: Saved) -> Findings:
     steps = [message("steps.stopped", **names(run))] if against else []
     steps += [message("steps.on_machine")] * (bool(cases) and _modelled(cases))
     return Findings(numbers, figures, against, steps)
-
-
-def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
-    """Trials by their controller, in the order of the run."""
-    groups: dict[str, list[Case]] = {}
-    for case in cases:
-        groups.setdefault(case.row["controller"], []).append(case)
-    return groups
 
 
 def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
@@ -66,10 +58,8 @@ def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
 
 def _saved(page: Template, cases: Sequence[Case]) -> list[Headline]:
     """What the controller that saves most draws less than a four-way valve."""
-    groups: dict[str, list[Saving]] = {}
-    for item in savings_of(cases):
-        if not item.is_spool:
-            groups.setdefault(item.case.row["controller"], []).append(item)
+    savings = [item for item in savings_of(cases) if not item.is_spool]
+    groups = grouped(savings, lambda item: item.case.row["controller"])
     if not groups:
         return []
     compared = all(item.reference is not None for group in groups.values() for item in group)
@@ -88,15 +78,15 @@ def _saved(page: Template, cases: Sequence[Case]) -> list[Headline]:
 
 def _damped(page: Template, cases: Sequence[Case]) -> list[Headline]:
     """The damping ratio of steps under the best damped controller, and under the least damped."""
-    ratios: dict[str, list[float]] = {}
-    for case in cases:
-        for ratio, _ in map(damping, case.steps if case.fit else []):
-            if ratio is not None:
-                ratios.setdefault(case.row["controller"], []).append(ratio)
+    ratios = {
+        law: [ratio for case in group for ratio, _ in map(damping, case.steps) if ratio is not None]
+        for law, group in by_controller([case for case in cases if case.fit]).items()
+    }
+    ratios = {law: values for law, values in ratios.items() if values}
     if not ratios:
         return []
-    best, least = (pick(ratios, key=lambda key: min(ratios[key])) for pick in (max, min))
-    fields = {"best": best, "least": least, "ratios": ratios[least], "on": cases[0].row["on"]}
+    best, worst = (pick(ratios, key=lambda law: min(ratios[law])) for pick in (max, min))
+    fields = {"best": best, "worst": worst, "ratios": ratios[worst], "on": cases[0].row["on"]}
     about, value = page.text("damped", **fields), span(ratios[best], 2)
     return [Headline(STEPS, "Damping ratio of steps", value, about, _modelled(cases))]
 

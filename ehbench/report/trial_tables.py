@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
 from ehbench.report.captions import span
-from ehbench.report.cases import Case, damping, groups_of, limits_of
+from ehbench.report.cases import Case, by_controller, damping, groups_of, limits_of
 from ehbench.report.content import num
-from ehbench.report.saved import Table
 from ehbench.report.template import Template
 from ehbench.report.words import DASH, pretty, row_of, shown, symbol_of, unit_of, words
 from ehbench.vocabulary.codes import LIMITS_MEAN, STATUS_MEANS
@@ -31,7 +31,22 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     if met := list(dict.fromkeys(name for name, share in shares if share > 0.0)):
         means = LIMITS_MEAN | STATUS_MEANS
         tables.append(page.table("limits", ordered, met=met, means=means, limits_of=limits_of))
-    return [*tables, *_maps(page, cases), *_guaranteed(page, cases)]
+    rows = [
+        {"case": case, "edge": edge.partition(".")[2], "item": item}
+        for case in cases
+        for edge, item in case.row.get("maps", {}).items()
+    ]
+    if rows:
+        grid = page.table("maps", rows, several=len(cases) > 1)
+        tables.append(Fold(grid.title.rstrip("."), [grid]) if len(cases) > 1 else grid)
+    known = [case.row for case in cases if case.row.get("guaranteed")]
+    pairs = [(row["guaranteed"]["stroke"], row["tracking"]["max_error"]) for row in known]
+    if ratios := [bound / seen for bound, seen in pairs if seen > 0.0]:
+        bounds, seen = (list(values) for values in zip(*pairs, strict=True))
+        worst = max(known, key=lambda row: row["guaranteed"]["acceleration"])
+        fields = {"bounds": bounds, "seen": seen, "ratios": ratios, "worst": worst}
+        tables.append(Text(page.text("guaranteed", **fields, limit=10.0)))
+    return tables
 
 
 def _steps(page: Template, cases: Sequence[Case], runs: str, stands: float = 1e-3) -> Grid:
@@ -60,8 +75,8 @@ def _tracking(page: Template, cases: Sequence[Case], runs: str) -> Grid:
     def relative(case: Case) -> float | None:
         """The energy of a trial over the least of its rivals."""
         rivals = groups[case.row["payload"], case.row["motion"], case.cylinder]
-        least = min((rival.row["energy"]["pump"] for rival in rivals if rival.fit), default=0.0)
-        return case.row["energy"]["pump"] / least if case.fit and least > 0.0 else None
+        minimum = min((rival.row["energy"]["pump"] for rival in rivals if rival.fit), default=0.0)
+        return case.row["energy"]["pump"] / minimum if case.fit and minimum > 0.0 else None
 
     return page.table(
         "tracking",
@@ -90,42 +105,14 @@ def valves_note(rig: Rig | None, cases: Sequence[Case]) -> str:
     return Template("trial", rig).text("valves", speeds=speeds)
 
 
-def _maps(page: Template, cases: Sequence[Case]) -> list[Block]:
-    """How flow maps were corrected in motion, beside the truth where the machine has it; folded
-    away where there are several trials.
-    """
-    rows = [
-        {"case": case, "edge": edge.partition(".")[2], "item": item}
-        for case in cases
-        for edge, item in case.row.get("maps", {}).items()
-    ]
-    several = len(cases) > 1
-    grid = page.table("maps", rows, several=several)
-    return [Fold(grid.title.rstrip("."), [grid])] if rows and several else [grid] * bool(rows)
-
-
-def _guaranteed(page: Template, cases: Sequence[Case], limit: float = 10.0) -> list[Block]:
-    """What the transient of an adaptive law is guaranteed to stay within, against what was seen; a
-    bound beyond ``limit`` times of that says nothing.
-    """
-    known = [case for case in cases if case.row.get("guaranteed")]
-    seen = [case.row["tracking"]["max_error"] for case in known]
-    bounds = [case.row["guaranteed"]["stroke"] for case in known]
-    ratios = [bound / item for bound, item in zip(bounds, seen, strict=True) if item > 0.0]
-    if not ratios:
-        return []
-    worst = max(known, key=lambda case: case.row["guaranteed"]["acceleration"]).row
-    fields = {"bounds": bounds, "seen": seen, "ratios": ratios, "worst": worst, "limit": limit}
-    return [Text(page.text("guaranteed", **fields))]
-
-
 def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     """Gains really used (thesis Tables B.3, C.1, C.3); motions and controllers as the recipe has
     them (Table B.2).
     """
     if not cases:
         return []
-    page, recipe = Template("trial", rig), _recipe_of(cases[0])
+    page, text = Template("trial", rig), cases[0].record().attachments.get("recipe.toml", b"")
+    recipe = tomllib.loads(text.decode("utf-8"))
     blocks: list[Block] = []
     recipe_head, recipe_note = ["", "as the recipe has it"], page.text("recipe_note")
     if motions := _recipe_rows(recipe, "motion"):
@@ -154,14 +141,6 @@ def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     return blocks
 
 
-def _recipe_of(case: Case) -> dict[str, Any]:
-    """The recipe that a trial's log holds; empty where it holds none."""
-    import tomllib
-
-    text = case.record().attachments.get("recipe.toml")
-    return tomllib.loads(text.decode("utf-8")) if text else {}
-
-
 def _recipe_rows(recipe: Mapping[str, Any], key: str) -> list[list[Cell | str]]:
     """The entries of a table or a list of tables, each under its name."""
     entries = recipe.get(key, [])
@@ -181,10 +160,8 @@ def _by_controller(
     """(head, rows) of the numbers by name that trials hold under ``key``, a column a controller;
     None where none has any.
     """
-    tables: dict[str, list[Table]] = {}
-    for case in cases:
-        if len(case.row.get(key, {})):
-            tables.setdefault(case.row["controller"], []).append(case.row[key])
+    known = by_controller([case for case in cases if len(case.row.get(key, {}))])
+    tables = {name: [case.row[key] for case in group] for name, group in known.items()}
     names = dict.fromkeys(name for item in tables.values() for table in item for name in table)
     rows: list[list[Cell | str]] = []
     for name in names:
@@ -195,9 +172,8 @@ def _by_controller(
             for item in tables.values()
         ]
         meaning = f"{words(of)}: {row.meaning}" if of else row.meaning
-        rows.append(
-            [Cell(symbol_of(rig, word), "name"), meaning, *cells, pretty(unit_of(rig, word))]
-        )
+        unit = pretty(unit_of(rig, word))
+        rows.append([Cell(symbol_of(rig, word), "name"), meaning, *cells, unit])
     return (["", "", *(words(name) for name in tables), "unit"], rows) if rows else None
 
 
@@ -207,9 +183,8 @@ def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
     """
     if not values:
         return num(DASH)
-    lows, highs = zip(
-        *(value if isinstance(value, list) else (value, value) for value in values), strict=True
-    )
+    pairs = [value if isinstance(value, list) else (value, value) for value in values]
+    lows, highs = zip(*pairs, strict=True)
     low, high = (span([shown(rig, name, end) for end in ends]) for ends in (lows, highs))
     return num(low if lows == highs else f"{low} … {high}")
 
@@ -219,6 +194,4 @@ def _plain(value: Any) -> str:
         return ", ".join(f"{name} = {_plain(item)}" for name, item in value.items())
     if isinstance(value, list):
         return ", ".join(_plain(item) for item in value)
-    return (
-        {True: "yes", False: "no"}.get(value, str(value)) if isinstance(value, bool) else str(value)
-    )
+    return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)

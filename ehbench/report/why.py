@@ -17,15 +17,11 @@ from ehbench.report.saved import Saved
 from ehbench.report.words import estimate, interval, number, pretty, row_of, shown, unit_of, words
 from ehbench.runs.rundir import SHIPPED
 from ehbench.vocabulary.errors import EhbenchError, InputError
-from ehbench.vocabulary.messages import Message, message
-
-# kinds of runs and of intervals whose method the catalogue describes
-_KINDS = "flow_map hydraulics profile response validation tuning trial trials".split()
-_ERRORS = ("hac", "acf", "counts", "jackknife", "range")
+from ehbench.vocabulary.messages import Message, message, templates
 
 
 @dataclass(frozen=True)
-class Line:
+class TextLine:
     """A line of a file; ``source``: the source that it names."""
 
     file: str
@@ -46,8 +42,8 @@ class Origin:
     method: tuple[str, ...]
     windows: tuple[str, ...]
     sources: tuple[Source, ...]
-    recipe: Line | None
-    rig: Line | None
+    recipe: TextLine | None
+    rig: TextLine | None
     changes: tuple[Message, ...]
 
     def as_json(self) -> dict[str, Any]:
@@ -62,16 +58,7 @@ class Origin:
             "about": self.result.about,
             "method": self.method,
             "windows": self.windows,
-            "inputs": [
-                {
-                    "role": source.role,
-                    "path": source.name,
-                    "place": source.place and str(source.place),
-                    "sha256": source.sha256,
-                    "same": source.is_same,
-                }
-                for source in self.sources
-            ],
+            "inputs": [source.as_json() for source in self.sources],
             "recipe": self.recipe and vars(self.recipe),
             "rig": self.rig and vars(self.rig),
             "changes": self.changes,
@@ -106,8 +93,19 @@ def origin(name: str, folder: Path) -> Origin:
     """
     traced, changes = TracedRun(folder), []
     if traced.run.stage == "report":
-        changes = traced.changes()
-        traced = _run_with(name, traced)
+        changes, report = traced.changes(), traced
+        errors: list[EhbenchError] = []
+        for source in report.sources:
+            try:
+                traced = TracedRun(source.place or report.folder.parent / source.name)
+                named_result(traced.run, name)
+                break
+            except EhbenchError as error:
+                errors.append(error)
+        else:
+            several = (error for error in errors if error.key == "report.several_numbers")
+            none = InputError(message("report.no_runs"), file=report.folder)
+            raise next(several, (errors or [none])[0])
     result = named_result(traced.run, name)
     rig = next((source for source in traced.sources if source.role == "rig"), None)
     return Origin(
@@ -121,25 +119,6 @@ def origin(name: str, folder: Path) -> Origin:
         rig=None if rig is None else _rig_line(rig, result),
         changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
     )
-
-
-def _run_with(name: str, report: TracedRun) -> TracedRun:
-    """The run of a report that has a number of that name.
-
-    Raises:
-        InputError: none has, or it is not there.
-    """
-    errors = []
-    for source in report.sources:
-        try:
-            traced = TracedRun(source.place or report.folder.parent / source.name)
-            named_result(traced.run, name)
-            return traced
-        except EhbenchError as error:
-            errors.append(error)
-    if not errors:
-        raise InputError(message("report.no_runs"), file=report.folder)
-    raise next((e for e in errors if e.key == "report.several_numbers"), errors[0])
 
 
 def _shown(run: Saved, result: NamedResult) -> str:
@@ -164,11 +143,11 @@ def _shown(run: Saved, result: NamedResult) -> str:
 def _method(run: Saved, result: NamedResult) -> Iterator[str]:
     names = [run.stage, words(str(run.what)), words(run.facts.get("method") or "")]
     yield ", ".join(filter(None, names))
-    if run.what in _KINDS:
+    texts, about = templates("report"), result.about
+    if f"method_{run.what}" in texts:
         yield message(f"report.method_{run.what}")
-    about = result.about
-    if (kind := about.get("error_from")) in _ERRORS:
-        yield message(f"report.error_{kind}")
+    if f"error_{about.get('error_from')}" in texts:
+        yield message(f"report.error_{about['error_from']}")
     if about.get("prior") is not None:
         yield message("report.prior", share=float(about.get("from_data", 1.0)))
     if "samples" in about:
@@ -190,7 +169,7 @@ def _windows(recipe: Source) -> Iterator[str]:
         yield f"{item.get('path', '?')}: {' to '.join(ends)}"
 
 
-def _recipe_line(recipe: Source, result: NamedResult) -> Line | None:
+def _recipe_line(recipe: Source, result: NamedResult) -> TextLine | None:
     """The line of the recipe that names the number, else the line that names its data."""
     if recipe.place is None or not recipe.place.is_file():
         return None
@@ -199,10 +178,10 @@ def _recipe_line(recipe: Source, result: NamedResult) -> Line | None:
     tokens = {f'"{result.path}"', f'"{result.path.rpartition(".")[2]}"'}
     naming = (i for i, row in enumerate(rows, 1) if any(t in row.partition("#")[0] for t in tokens))
     line = next(naming, None) or line_of(text, ("data",)) or line_of(text, ("stage",))
-    return None if line is None else Line(recipe.name, line, rows[line - 1].strip())
+    return None if line is None else TextLine(recipe.name, line, rows[line - 1].strip())
 
 
-def _rig_line(source: Source, result: NamedResult) -> Line | None:
+def _rig_line(source: Source, result: NamedResult) -> TextLine | None:
     """The line of the rig file that has the parameter, with the source it names."""
     place = source.place
     place = place / "rig.toml" if place is not None and place.is_dir() else place
@@ -222,7 +201,7 @@ def _rig_line(source: Source, result: NamedResult) -> Line | None:
             return None
         origin = value.get("source", "") if isinstance(value, Mapping) else ""
         name = place.name if SHIPPED in place.parents else source.name
-        return Line(name, line, text.splitlines()[line - 1].strip(), str(origin))
+        return TextLine(name, line, text.splitlines()[line - 1].strip(), str(origin))
     return None
 
 

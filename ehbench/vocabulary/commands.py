@@ -4,18 +4,18 @@ A table by itself, so that ``ehbench --help`` need not load the stages."""
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 
 class Command(NamedTuple):
     """A command of the command line: its name, what its help says, a recipe for the help's example,
-    and what the user may allow it or ask of it.
+    and the options that it has besides those of all (`ehbench.app.cli`).
     """
 
     name: str
     help: str
     example: str
-    allows: Literal["", "unvalidated", "moving", "asking", "sampling"] = ""
+    options: tuple[str, ...] = ()
 
 
 COMMANDS = (
@@ -23,7 +23,7 @@ COMMANDS = (
         "identify",
         "Identify flow maps or hydraulics from the data a recipe names.",
         "recipes/thesis/flow_maps.toml",
-        "asking",
+        ("suggest", "seconds", "profile", "resume"),
     ),
     Command(
         "response",
@@ -40,20 +40,23 @@ COMMANDS = (
         "Choose a controller's gains by root locus over postures, loads and functions, on a "
         "validated rig.",
         "recipes/thesis/tuning.toml",
-        "unvalidated",
+        ("unvalidated",),
     ),
     Command(
         "run-trial",
         "Run a trial on the model, the virtual bench or a machine, or a set of trials; exit 5 when "
         "a limit stops one.",
         "recipes/trials/arc_slow.toml",
-        "moving",
+        ("allow_code",),
     ),
     Command(
         "study",
         "Run a recipe over many samples of what is not known or not chosen, on this machine or a "
         "Dask cluster.",
         "recipes/studies/stopping.toml",
-        "sampling",
+        (
+            *("allow_code", "unvalidated", "workers", "tls_ca_file", "tls_cert", "tls_key"),
+            *("insecure_workers", "resume"),
+        ),
     ),
 )

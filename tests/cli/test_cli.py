@@ -303,7 +303,7 @@ def test_a_log_becomes_a_page_and_what_is_none_is_named(inside, tmp_path):
 
 
 def test_two_runs_are_compared_as_a_table_and_as_json(inside, tmp_path):
-    from tests.unit.test_report import flow_map_run, hydraulics_run
+    from tests.unit.report_runs import flow_map_run, hydraulics_run
 
     run, other = hydraulics_run(tmp_path), tmp_path / "other"
     shutil.copytree(run, other)

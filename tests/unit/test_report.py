@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.logs import write_log
-from ehbench.data.record import Record
-from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
+from ehbench.physics.flow_map import collect, save_flow_maps
 from ehbench.report import build, draw, style
 from ehbench.report.blocks import inline, prose
 from ehbench.report.index import FigureIndex
@@ -23,434 +20,23 @@ from ehbench.report.stages import hydraulics
 from ehbench.report.style import canvas, spread, thin
 from ehbench.report.svg import shrink
 from ehbench.report.words import interval, number, pretty, with_error
-from ehbench.runs.rundir import write_json
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.terms import Z95
-from ehbench.vocabulary.units import from_si, to_si
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
-VOID = {"meta", "br", "hr", "img", "input", "link"}
-
-
-def facts(folder: Path, stage: str, name: str, **more) -> None:
-    write_json(
-        folder / "run.json",
-        {
-            "stage": stage,
-            "name": name,
-            "hash": "0a1b2c3d",
-            "recipe": {"path": f"{name}.toml", "sha256": "1" * 64},
-            "inputs": [{"role": "data", "path": "readings.csv", "sha256": "2" * 64}],
-            "seeds": {"trial": 7},
-            "versions": {"ehbench": "0.1.0"},
-            "schema": 1,
-            "methods": {"plant": 1},
-            "commit": "4" * 12,
-            "outputs": {"rig.toml": "5" * 64},
-            **more,
-        },
-    )
-
-
-def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
-    folder = root / name
-    folder.mkdir(parents=True)
-    shutil.copy(RIGS / f"{rig}.toml", folder / "rig.toml")
-    return folder
-
-
-def a_map(valve: str, direction: str, deadband: float) -> FlowMap:
-    knots = deadband + np.linspace(0.0, 1.0, 6) * (10.0 - deadband)
-    increments = np.full((6, 7), 6.0e-5 / 6) * np.linspace(0.4, 1.0, 7)
-    commands = np.array([0.0, 1.0, 4.0, 6.0, 8.0, 10.0])
-    return FlowMap(
-        valve,
-        direction,
-        deadband,
-        (deadband - 0.1, deadband + 0.1),
-        knots,
-        7e6,
-        2e4,
-        increments,
-        commands,
-        np.full(6, 1e5),
-        np.array([7e6, 7e6, 7e6, 6e6, 5e6, 4e6]),
-        knots,
-        np.array([0.0, 1000.0, 2700.0]),
-        np.full((6, 3), 1e-6),
-        4e-4,
-        60,
-        (),
-        "x.csv",
-    )
-
-
-def flow_map_run(root: Path) -> Path:
-    folder = made(root, "maps")
-    maps = [
-        a_map("hect", "forward", 1.5),
-        a_map("hect", "reverse", 2.0),
-        a_map("valve/2 & co", "forward", 1.0),
-    ]
-    save_flow_maps(collect(maps), folder)
-    rows, summary = (
-        [
-            "valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted "
-            "[L/min],method,outlier,file,line"
-        ],
-        [],
-    )
-    random = np.random.default_rng(5)
-    for one in maps:
-        line = 1
-        for command in one.hull_command:
-            for drop in np.linspace(1e5, 4e6, 8):
-                line += 1
-                flow = one.flow(drop, command)
-                out = command == 6.0 and drop == 1e5
-                read = 40 * flow if out else flow + 1e-6 * random.standard_normal()
-                method = "cylinder" if flow < 1e-5 else "flowmeter"
-                shown = [from_si(v, "L/min", VOCABULARY["flow"]) for v in (read, flow)]
-                rows.append(
-                    f"{one.valve},{one.direction},{command:g},{drop / 1e5:.9g},"
-                    f"{shown[0]:.9g},{shown[1]:.9g},{method},{int(out)},x.csv,{line}"
-                )
-        summary.append(
-            {
-                "valve": one.valve,
-                "direction": one.direction,
-                "rated_flow": 4e-4,
-                "deadband": one.deadband,
-                "deadband_std": 0.05,
-                "deadband_interval": list(one.deadband_interval),
-                "status": "estimated",
-                "readings": 47,
-                "rms": 1e-6,
-                "noise": {"flowmeter": [1e-7, 0.01], "cylinder": [2e-7, 0.0]},
-                "outliers": [
-                    {
-                        "file": "x.csv",
-                        "line": 26,
-                        "command": 6.0,
-                        "pressure_drop": 1e5,
-                        "flow": 9e-4,
-                        "sigmas": -41.23,
-                    }
-                ],
-                "calibration": [
-                    {
-                        "command": 4.0,
-                        "target": to_si(2.0, "gpm", VOCABULARY["flow"]),
-                        "tolerance": 0.1,
-                        "flow": 1.3e-4,
-                        "low": 1.2e-4,
-                        "high": 1.4e-4,
-                        "least": 1.2e-4,
-                        "most": 1.4e-4,
-                        "drop_low": 2e6,
-                        "drop_high": 2e6,
-                        "verdict": "undecided",
-                    },
-                    {
-                        "command": 12.0,
-                        "target": 4e-4,
-                        "tolerance": 0.1,
-                        "flow": None,
-                        "low": None,
-                        "high": None,
-                        "least": None,
-                        "most": None,
-                        "drop_low": 2e6,
-                        "drop_high": 3e6,
-                        "verdict": "not_measured",
-                    },
-                ],
-            }
-        )
-    (folder / "points.csv").write_text("\n".join(rows) + "\n")
-    write_json(folder / "summary.json", summary)
-    facts(
-        folder,
-        "identify",
-        "maps",
-        what="flow_map",
-        title="Flow maps",
-        warnings=["whole trials differ"],
-        recorded_on="virtual bench",
-    )
-    return folder
-
-
-def write_series(
-    folder: Path, log: str, channels: dict[str, float], simulated: bool = True
-) -> None:
-    t = np.arange(0.0, 2.0, 1e-3)
-    columns = {"t [s]": t}
-    for name, size in channels.items():
-        unit = VOCABULARY[name.rsplit(".", 1)[1]].unit
-        columns[f"{name} [{unit}]"] = size * np.sin(6 * t)
-        if simulated:
-            columns[f"simulated.{name} [{unit}]"] = 1.05 * size * np.sin(6 * t + 0.05)
-    (folder / "series").mkdir(exist_ok=True)
-    np.savetxt(
-        folder / "series" / f"{log}.csv",
-        np.column_stack(list(columns.values())),
-        "%.9g",
-        ",",
-        header=",".join(columns),
-        comments="",
-    )
-
-
-FOUR = {"boom.q": 0.5, "boom.qd": 1.0, "boom.p_head": 2e6, "boom.p_rod": 1e6}
-
-
-def hydraulics_run(root: Path) -> Path:
-    folder = made(root, "fit")
-    ring = {
-        "natural_frequency": 25.0,
-        "damping_ratio": 0.1,
-        "natural_frequency_std": 0.3,
-        "damping_ratio_std": 0.01,
-        "ok": True,
-        "reason": "",
-    }
-    silent = {
-        "natural_frequency": None,
-        "damping_ratio": None,
-        "natural_frequency_std": None,
-        "damping_ratio_std": None,
-        "reason": "too damped",
-    }
-    parameters = [
-        {
-            "name": "bulk_modulus",
-            "unit": "Pa",
-            "value": 2.713e8,
-            "std": 2.44e6,
-            "interval": [2.665e8, 2.761e8],
-            "lower": 5e7,
-            "upper": 1.8e9,
-            "start": 8e8,
-            "status": "estimated",
-            "samples": 4000,
-            "error_from": "hac",
-        },
-        {
-            "name": "boom.joint_damping",
-            "unit": "N*m*s/rad",
-            "value": 5000.0,
-            "std": 90.0,
-            "interval": [4800.0, 5000.0],
-            "lower": 10.0,
-            "upper": 5000.0,
-            "start": 150.0,
-            "status": "at_bound",
-            "samples": 4000,
-            "error_from": "jackknife",
-        },
-        {
-            "name": "boom.friction_coulomb",
-            "unit": "N",
-            "value": 0.0,
-            "std": None,
-            "interval": None,
-            "lower": 0.0,
-            "upper": None,
-            "start": 0.0,
-            "status": "not_excited",
-            "samples": 4000,
-            "error_from": "",
-        },
-    ]
-    log = {
-        "name": "boom_step",
-        "payload": "50 lb",
-        "samples": 2000,
-        "fit_percent": {"boom.qd": 88.0, "boom.p_head": None},
-        "residual_rms": {"boom.qd": 0.05, "boom.p_head": 2e5},
-        "correlation_time": {},
-    }
-    write_json(
-        folder / "parameters.json",
-        {
-            "method": "output_error",
-            "parameters": parameters,
-            "correlated_names": ["bulk_modulus", "boom.joint_damping"],
-            "correlation": [[1.0, -0.97], [-0.97, 1.0]],
-            "logs": [log],
-            "warnings": [],
-            "matches": [
-                {
-                    "log": "boom_step",
-                    "cylinder": "boom",
-                    "start": 0.5,
-                    "stop": 1.5,
-                    "recorded": ring,
-                    "simulated": silent,
-                }
-            ],
-            "dynamics_comparison": [
-                {"dynamics": "eq_2_12", "relative_rms": 1.0},
-                {"dynamics": "eq_2_17", "relative_rms": 1.0123, "interval": [1.001, 1.0236]},
-            ],
-        },
-    )
-    write_series(folder, "boom_step", FOUR | {"boom.x": 0.1})
-    facts(folder, "identify", "fit", what="hydraulics", title="Bulk modulus", warnings=[])
-    return folder
-
-
-def validation_run(root: Path) -> Path:
-    folder = made(root, "judged")
-    lag = [0.01 * i for i in range(1, 30)]
-    correlation = {
-        "of": "boom.q",
-        "lag": lag,
-        "value": [0.9**i for i in range(29)],
-        "band": [0.2] * 29,
-        "outside_percent": 48.0,
-    }
-    channels = [
-        {
-            "channel": name,
-            "unit": "-",
-            "fit_percent": 71.0,
-            "max_error": 0.02 * size,
-            "bias": 0.001 * size,
-            "rms_error": 0.01 * size,
-            "derived": False,
-            "autocorrelation": correlation if name != "boom.p_rod" else None,
-            "cross_correlation": [correlation | {"of": "boom.hect.command"}],
-            "note": "",
-        }
-        for name, size in FOUR.items()
-    ]
-    ring = {
-        "natural_frequency": 25.0,
-        "natural_frequency_std": 0.5,
-        "damping_ratio": 0.1,
-        "damping_ratio_std": 0.02,
-        "reason": "",
-    }
-    check = {
-        "what": "fit",
-        "reached": 20.0,
-        "asked": 30.0,
-        "unit": "percent",
-        "passed": False,
-        "sentence": "boom rate fit 20 % is below the 30 % asked",
-    }
-    logs = [
-        {
-            "name": "held",
-            "payload": "none",
-            "status": "held_out",
-            "moved": ["boom"],
-            "channels": channels,
-            "checks": [check],
-            "transients": [
-                {"cylinder": "boom", "start": 0.5, "stop": 1.4, "recorded": ring, "simulated": ring}
-            ],
-            "failure": "",
-            "warnings": [],
-            "passed": False,
-        },
-        {
-            "name": "broken",
-            "payload": "none",
-            "status": "failed",
-            "moved": ["boom"],
-            "channels": [],
-            "checks": [],
-            "transients": [],
-            "failure": "the simulation left the finite range",
-            "warnings": [],
-            "passed": False,
-        },
-        {
-            "name": "lost",
-            "payload": "none",
-            "status": "still",
-            "moved": [],
-            "channels": [],
-            "checks": [],
-            "transients": [],
-            "failure": "",
-            "warnings": ["the log carries no motion"],
-            "passed": False,
-        },
-    ]
-    write_json(
-        folder / "validation.json",
-        {
-            "rig": "thesis_arm",
-            "accepted": False,
-            "reasons": [f"held: {check['sentence']}"],
-            "logs": logs,
-        },
-    )
-    write_series(folder, "held", FOUR)
-    write_series(folder, "broken", {"boom.q": 0.5}, simulated=False)
-    facts(
-        folder,
-        "validate",
-        "judged",
-        what="validation",
-        title="Held-out logs",
-        accepted=False,
-        warnings=[],
-    )
-    return folder
-
-
-def trial_run(
-    root: Path,
-    rig: str = "slide_servo",
-    stopped: str = "carriage.p_head = 9 MPa passed pressure_max at t = 0.8 s",
-) -> Path:
-    folder = made(root, f"trial_{rig}", rig)
-    machine = load_rig(folder)
-    cylinder, valve = next(machine.valves())
-    t = np.arange(0.0, 1.0, 1e-3)
-    base = cylinder.name
-    channels = {
-        f"{base}.x": 0.1 * t,
-        f"{base}.v": np.full_like(t, 0.1),
-        f"{base}.p_head": 1e6 + 1e5 * np.sin(20 * t),
-        f"{base}.p_rod": np.full_like(t, 5e5),
-        f"{base}.{valve.name}.command": np.where(t > 0.3, 2.0, 0.0),
-        "p_supply": np.full_like(t, 7e6),
-    }
-    write_log(folder / "log.mcap", Record(t, channels, {"stopped": stopped} if stopped else {}))
-    write_json(
-        folder / "trial.json",
-        {
-            "on": "virtual bench",
-            "payload": "none",
-            "posture": {},
-            "seed": 7,
-            "duration": 0.999,
-            "samples": 1000,
-            "stopped": stopped,
-        },
-    )
-    facts(
-        folder, "trial", f"trial_{rig}", what="trial", title="A step", stopped=stopped, warnings=[]
-    )
-    return folder
-
-
-def fill(root: Path) -> None:
-    """A run of each kind, drawn."""
-    for made_run in (trial_run, validation_run, hydraulics_run, flow_map_run):
-        draw(made_run(root))
+from tests.unit.report_runs import (
+    RIGS,
+    Page,
+    a_map,
+    facts,
+    fill_reported,
+    hydraulics_run,
+    made,
+    open_loop_run,
+)
 
 
 @pytest.fixture(scope="module")
 def runs(made_once) -> list[Path]:
-    root = made_once("reported", fill)
+    root = made_once("reported", fill_reported)
     return [root / name for name in ("trial_slide_servo", "judged", "fit", "maps")]
 
 
@@ -463,44 +49,6 @@ def campaign(root: Path, figures: str):
         f"[figures]\n{figures}\n"
     )
     return load_recipe(path)
-
-
-class Page(HTMLParser):
-    """Balance, ids, links and text of a page."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(convert_charrefs=True)
-        self.open, self.ids, self.links, self.loads, self.words, self.bad = [], [], [], [], [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attributes):
-        named = dict(attributes)
-        self.ids += [named["id"]] if "id" in named else []
-        self.links += [value for key, value in attributes if key in ("href", "xlink:href")]
-        self.loads += [
-            value for key, value in attributes if key in ("src", "srcset", "data", "action")
-        ] + [tag] * (tag in ("script", "link", "iframe"))
-        for value in named.values():
-            self.links += re.findall(r"url\((#[^)]+)\)", value or "")
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        if not self.open or self.open.pop() != tag:
-            self.bad.append((tag, self.getpos()))
-
-    def handle_startendtag(self, tag, attributes):
-        self.handle_starttag(tag, attributes)
-        if tag not in VOID:
-            self.open.pop()
-
-    def handle_data(self, data):
-        self.words.append(data)
-
-    @property
-    def text(self) -> str:
-        return " ".join(" ".join(self.words).split())
 
 
 def test_the_page_is_whole_and_needs_no_network(runs, tmp_path):
@@ -688,7 +236,7 @@ def test_a_stage_of_later_days_is_shown_with_its_files(tmp_path):
 
 @pytest.mark.parametrize("rig", sorted(path.stem for path in RIGS.glob("*.toml")))
 def test_every_rig_lists_all_its_parameters(tmp_path, rig):
-    folder = trial_run(tmp_path, rig, stopped="")
+    folder = open_loop_run(tmp_path, rig, stopped="")
     (folder / "figures").mkdir()
     FigureIndex(folder).save()  # without any: none is looked at
     page = Page(build([folder], None)).text

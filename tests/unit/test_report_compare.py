@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.report.compare import _distance, answer, compare, rig_of
+from ehbench.report.compare import Shift, answer, compare, rig_of
 from ehbench.vocabulary.errors import InputError
-from tests.unit.test_report import flow_map_run, hydraulics_run
+from tests.unit.report_runs import flow_map_run, hydraulics_run
 
 
 @pytest.fixture
@@ -76,5 +76,5 @@ def test_runs_of_two_kinds_are_not_compared(pair, tmp_path):
     ],
 )
 def test_distance_in_intervals(first, second, apart):
-    found = _distance(*first, *second)
+    found = Shift("x", *first, *second).intervals
     assert found == (apart if apart is None else pytest.approx(apart))

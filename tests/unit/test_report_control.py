@@ -7,18 +7,15 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.logs import write_log
-from ehbench.data.record import Record
-from ehbench.plant.model import Model
 from ehbench.report import build, draw, energy_tables
-from ehbench.report.cases import cases_of, groups_of, payload_at_end, stem_of, true_payload
+from ehbench.report.cases import cases_of, groups_of, payload_at_end
 from ehbench.report.figures import root_locus
 from ehbench.report.figures.trial import FUNCTION_SHADES, LIMIT_SHADES, stretches
 from ehbench.report.figures.trials import plot_errors, wide_panels
@@ -33,430 +30,30 @@ from ehbench.report.trial_captions import (
 )
 from ehbench.report.trial_tables import valves_note
 from ehbench.runs.rundir import write_json
-from ehbench.tune.operating_point import circuit_of
-from ehbench.tune.results import functions_of
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
-
-
-def facts(folder: Path, stage: str, **more) -> None:
-    write_json(
-        folder / "run.json",
-        {
-            "stage": stage,
-            "name": folder.name,
-            "hash": "0a1b2c3d",
-            "recipe": {"path": "r.toml", "sha256": "1" * 64},
-            "inputs": [],
-            "seeds": {},
-            "versions": {"ehbench": "0.1.0"},
-            "schema": 1,
-            "methods": {"plant": 1},
-            "commit": "4" * 12,
-            "outputs": {},
-            "warnings": [],
-            **more,
-        },
-    )
-
-
-def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
-    folder = root / name
-    folder.mkdir(parents=True)
-    shutil.copy(RIGS / f"{rig}.toml", folder / "rig.toml")
-    return folder
-
-
-# --- a tuning as its file has it
-# ------------------------------------------------------------------------------------------
-
-GAINS = [0.0, *np.geomspace(1e-12, 1e-9, 20).tolist()]
-
-
-def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
-    at = {
-        "cylinder": "boom",
-        "function": function,
-        "payload": payload,
-        "x": x,
-        "v": 0.05 if function.startswith("extend") else -0.05,
-        "mass": 1e3 + 1e4 * x,
-        "gravity_force": 2e3,
-        "damping": 6e3,
-        "load_force": 2e3,
-        "p_head": 1e6,
-        "p_rod": 3e5,
-    }
-    return {
-        "name": f"{function}, {payload}, x = {x:g}",
-        "point": at,
-        "counts": counts,
-        "natural_frequency_open": 30.0,
-        "natural_frequency_closed": 40.0,
-        "damping_ratio_open": 0.1,
-        "damping_ratio_held": 0.12,
-        "damping_ratio_closed": 0.6,
-        "damping_ratio_plain": 0.65,
-        "bias": -0.03,
-        "gain_limit": 8e-10,
-        "margins": {"gain_margin": 6.0, "phase_margin": 1.0, "bandwidth": 20.0},
-        "curve": [0.6 - 0.2 * abs(np.log10(g / 1e-10)) if g else 0.1 for g in GAINS],
-    } | more
-
-
-def locus(name: str, parameter: str, crossing: float | None) -> dict:
-    """A pair that leaves (−4, ±40) and crosses the axis at ±60, a real pole, and a slow one near
-    the origin.
-    """
-    values = sorted({0.0, 1e-10, 8e-10, *np.geomspace(1e-12, 2e-9, 30).tolist()})
-    poles = [
-        [
-            complex(-4 - 60 * g / 1e-10 + 7.58 * (g / 1e-10) ** 2, 40 + 2.5e10 * g),
-            complex(-200 - 1e11 * g),
-            complex(-0.01),
-        ]
-        for g in values
-    ]
-    poles = [[p[0], p[0].conjugate(), p[1], p[2]] for p in poles]
-
-    def at(value: float) -> list[list[float]]:
-        return [[p.real, p.imag] for p in poles[values.index(value)]]
-
-    edge = [[0.0, 60.0], [0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0]]
-    return {
-        "name": name,
-        "parameter": parameter,
-        "values": values,
-        "real": [[p.real for p in row] for row in poles],
-        "imag": [[p.imag for p in row] for row in poles],
-        "chosen": 1e-10,
-        "chosen_poles": at(1e-10),
-        "crossing": crossing,
-        "crossing_poles": edge if crossing else [],
-        "frame": [-120.0, 30.0, 100.0],
-    }
-
-
-RIG = load_rig(RIGS / "thesis_arm.toml")
-USES = [asdict(one) for one in functions_of(RIG, circuit_of(Model.of(RIG), 1))]
-
-
-def tuning(**more) -> dict:
-    points = [
-        point("extend_resistive", load, x, True) for load in ("none", "50 lb") for x in (0.05, 0.2)
-    ]
-    points += [
-        point(
-            "retract_resistive",
-            "none",
-            0.1,
-            False,
-            gain_limit=None,
-            bias=None,
-            damping_ratio_plain=None,
-        )
-    ]
-    points[1]["damping_ratio_closed"] = 0.55
-    points[2]["margins"] = {"gain_margin": None, "phase_margin": None, "bandwidth": 3.5}
-    shown = [points[1], points[2], points[4]]
-    t = np.linspace(0.0, 25 * np.pi / 40, 400)  # v_open then ends at 1
-    x = np.linspace(0.0, 0.254, 15).tolist()
-    return {
-        "rig": "thesis_arm",
-        "cylinder": "boom",
-        "feedback_gain": {"extend_resistive": 1e-10, "retract_resistive": 1e-10},
-        "washout": 2.5,
-        "off_gain": 6e-11,
-        "low_pressure": 3.4e5,
-        "cross_drop": 3.4e5,
-        "tick": 1e-3,
-        "delay": 1e-3,
-        "target": 0.5,
-        "damping_ratio": 0.55,
-        "damping_ratio_open": 0.1,
-        "damping_ratio_open_most": 0.15,
-        "damping_ratio_held": 0.12,
-        "damping_ratio_held_most": 0.25,
-        "met": True,
-        "constraints": {"gain_margin": 2.0, "phase_margin": 0.785398163, "bandwidth": 3.14159265},
-        "gains": GAINS,
-        "worst_curve": points[0]["curve"],
-        "functions": USES,
-        "points": points,
-        "equivalents": [
-            {
-                "payload": load,
-                "x": x,
-                "q": [0.7 - 4 * v for v in x],
-                "mass": [s * (1e3 + 1e4 * v) for v in x],
-                "gravity_force": [s * 2e3] * 15,
-                "damping": [6e3] * 15,
-            }
-            for s, load in ((1.0, "none"), (2.0, "50 lb"))
-        ],
-        "loci": [
-            locus(p["name"], kind, p["gain_limit"] if kind == "feedback_gain" else None)
-            for p in shown
-            for kind in ("feedback_gain", "washout")
-        ],
-        "steps": [
-            {
-                "name": p["name"],
-                "t": t.tolist(),
-                "v_open": (1 - np.exp(-2 * t) * np.cos(20 * t)).tolist(),
-                "v_closed": (1 - np.exp(-15 * t)).tolist(),
-            }
-            for p in shown
-        ],
-        "alternatives": [
-            {
-                "what": what,
-                "washout": 2.5,
-                "off_gain": 6e-11,
-                "feedback": "metered",
-                "feedback_gain": 1e-10,
-                "damping_ratio": z,
-            }
-            for what, z in (("chosen law", 0.55), ("no washout", 0.6), ("no delay", 0.5))
-        ],
-        "robustness": {
-            "draws": 40,
-            "parameters": ["bulk_modulus"],
-            "points": 4,
-            "share": 0.925,
-            "quantiles": [0.48, 0.55, 0.6],
-            "damping_ratios": np.linspace(0.46, 0.62, 40).tolist(),
-        },
-        "warnings": [],
-    } | more
-
-
-def tune_run(root: Path, name: str = "tuning", rig: str = "thesis_arm", **more) -> Path:
-    folder = made(root, name, rig)
-    write_json(folder / "tuning.json", tuning(**more))
-    facts(folder, "tune", what="tuning", title="Pressure feedback")
-    return folder
-
-
-# few figures, where none is asked for
-LEAN: dict = {"functions": USES[:1], "loci": [], "steps": []}
-
-
-# --- trials as their files have them
-# --------------------------------------------------------------------------------------
-
-
-def log(
-    path: Path,
-    *,
-    own: str = "boom",
-    gain: float = 1.0,
-    notes: bool = True,
-    learns: bool = False,
-    stopped: str = "",
-) -> None:
-    t = np.arange(3001) * 1e-3
-    on = (t >= 0.5) & (t < 2.0)
-    v_d = np.where(on, 0.1, 0.0)
-    v = np.where(on, 0.1 * (1 - gain * np.exp(-3 * (t - 0.5)) * np.cos(25 * (t - 0.5))), 0.0)
-    x_d = 0.05 + np.cumsum(v_d) * 1e-3
-    channels = {
-        f"{own}.x": x_d + gain * 1e-3 * on,
-        f"{own}.v": v,
-        f"{own}.p_head": 1e6 + 1e6 * v,
-        f"{own}.p_rod": np.full_like(t, 3e5),
-        f"{own}.hepc.command": np.where(on, 5.0, 0.0),
-        f"{own}.rect.command": np.zeros_like(t),
-        "p_supply": np.full_like(t, 7e6),
-        f"{own}.x_desired": x_d,
-        f"{own}.v_desired": v_d,
-    }
-    if notes:
-        channels |= {
-            f"{own}.function": on * 1.0,
-            f"{own}.limits": np.where((t > 0.6) & (t < 0.7), 17.0, 0.0),
-            f"{own}.v_shaped": v_d,
-        }
-    if learns:
-        channels |= {
-            f"{own}.payload_estimate": 26.0 * (1 - np.exp(-t)),
-            f"{own}.inverse_bulk": 1.0 + 0.1 * on,
-            f"{own}.disturbance": 5 * np.sin(t),
-        }
-    text = (
-        b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\n'
-        b"gains = { adapt = false }\n"
-    )
-    write_log(
-        path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text})
-    )
-
-
-STEP = {
-    "start": 0.5,
-    "duration": 1.5,
-    "speed": 0.1,
-    "share": 0.7,
-    "steady_speed": 0.098,
-    "steady_error": -0.02,
-    "overshoot": 0.6,
-    "settling_time": None,
-    "rms_error": 0.01,
-    "damping_ratio": 0.08,
-    "natural_frequency": 25.0,
-    "ringing": "",
-}
-
-
-def measures(energy: float, error: float, steps: list[dict]) -> dict:
-    return {
-        "steps": steps,
-        "tracking": {"max_error": error, "rms_error": 0.3 * error, "final_error": -0.1 * error},
-        "speed_rms_error": 0.01,
-        "energy": {
-            "pump": energy,
-            "cylinder_work": 150.0,
-            "oil_drawn": 3e-4,
-            "source": "edge flows of the model",
-        },
-        "limits": {"saturated": 0.033, "against": 0.0},
-    }
-
-
-def trials_run(
-    root: Path,
-    name: str,
-    controllers: dict[str, dict],
-    on: str = "model",
-    payloads=("none", "50 lb"),
-    **more,
-) -> Path:
-    folder = made(root, name)
-    (folder / "logs").mkdir()
-    rows = []
-    for payload in payloads:
-        for controller, found in controllers.items():
-            stem = stem_of(f"{payload} {controller}")
-            log(
-                folder / "logs" / f"{stem}.mcap", gain=found["tracking"]["max_error"] / 1e-3, **more
-            )
-            rows.append(
-                {
-                    "case": f"{payload} 70 % {controller}",
-                    "payload": payload,
-                    "motion": "70 %",
-                    "controller": controller,
-                    "on": on,
-                    "rig": "thesis_arm",
-                    "cylinder": "boom",
-                    "log": f"logs/{stem}.mcap",
-                    "duration": 3.0,
-                    "stopped": "",
-                    **found,
-                }
-            )
-    write_json(folder / "table.json", {"rows": rows})
-    facts(folder, "trials", what="trials", title="Steps", on=on, stopped="")
-    return folder
-
-
-DAMPED = STEP | {
-    "overshoot": 0.2,
-    "damping_ratio": None,
-    "settling_time": 0.3,
-    "ringing": "only 0.9 cycles in the window",
-}
-PAIR = {
-    "open loop": measures(2000.0, 2e-3, [STEP]),
-    "pressure feedback": measures(1900.0, 5e-3, [DAMPED]),
-}
-TRACKED = {
-    name: measures(energy, error, [])
-    for name, energy, error in (
-        ("arc", 2100.0, 1e-4),
-        ("frozen", 2050.0, 4e-3),
-        ("four-way", 3300.0, 3e-4),
-    )
-}
-
-
-def trial_run(root: Path, name: str = "arc", stopped: str = "", **more) -> Path:
-    folder = made(root, name)
-    log(folder / "log.mcap", learns=True, stopped=stopped)
-    row = {
-        "on": "virtual bench",
-        "rig": "thesis_arm",
-        "payload": "50 lb",
-        "posture": {},
-        "seed": 0,
-        "duration": 3.0,
-        "samples": 3001,
-        "rate": 1e3,
-        "stop": None,
-        "warnings": [],
-        "controller": "arc",
-        "cylinder": "boom",
-        "measures": measures(2100.0, 1e-4, []),
-        "stopped": stopped,
-        "estimate_bounds": {"payload_estimate": [0.0, 42.0], "inverse_bulk": [0.7, 1.4]},
-    }
-    write_json(folder / "trial.json", row | more)
-    facts(folder, "trial", what="trial", title="ARC, slow, 50 lb")
-    return folder
-
-
-def ledger(pump: float) -> dict:
-    parts = [
-        ("pump", pump, "supply", "pump", None),
-        ("pump_compression", 0.0, "supply", "compression", None),
-        ("boom.hepc.throttling", 0.7 * pump, "valve", "boom.hepc, supply → head", "boom"),
-        ("boom.damping", 0.3 * pump, "loss", "joint damping", "boom"),
-        ("potential", 0.0, "load", "potential", None),
-        ("residual", 0.0, "residual", "residual", None),
-        ("boom.drawn", pump, "cylinder", "drawn", "boom"),
-        ("boom.drawn_compression", 0.0, "cylinder", "compression", "boom"),
-        ("boom.work", 0.3 * pump, "cylinder", "work", "boom"),
-    ]
-    rows = [
-        dict(zip(("name", "energy", "group", "label", "cylinder"), one, strict=True), interval=None)
-        for one in parts
-    ]
-    return {
-        "source": "model",
-        "rig": "thesis_arm",
-        "payload": "none",
-        "duration": 3.0,
-        "rows": rows,
-        "residual_share": 2e-6,
-        "notes": [],
-    }
-
-
-def fill(root: Path) -> None:
-    """A run of each kind, drawn."""
-    folders = [
-        tune_run(root),
-        trials_run(root, "steps", PAIR),
-        trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True),
-        trial_run(root),
-    ]
-    (folders[2] / "ledgers").mkdir()
-    for row in json.loads((folders[2] / "table.json").read_text())["rows"]:
-        write_json(
-            folders[2] / "ledgers" / (Path(row["log"]).stem + ".json"),
-            ledger(row["energy"]["pump"]),
-        )
-    for folder in folders:
-        draw(folder)
+from tests.unit.report_runs import (
+    DAMPED,
+    LEAN,
+    PAIR,
+    RIGS,
+    STEP,
+    TRACKED,
+    USES,
+    fill_control,
+    measures,
+    trial_run,
+    trials_run,
+    tune_run,
+    tuning,
+)
 
 
 @pytest.fixture(scope="module")
 def runs(made_once) -> list[Path]:
-    root = made_once("control", fill)
+    root = made_once("control", fill_control)
     return [root / name for name in ("tuning", "steps", "cycles", "arc")]
 
 
@@ -751,7 +348,7 @@ def test_estimates_stand_beside_bounds_and_the_payload(runs):
     [
         ("thesis_arm", "50 lb", (52.51 * (0.95 - 0.195) - 27.958 * (0.95 - 0.416)) / 0.95),
         ("slide_servo", "100 kg", 100.0),
-        ("thesis_arm", "none", None),
+        ("thesis_arm", "none", 0.0),
     ],
 )
 def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
@@ -1196,7 +793,6 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
     record.channels["boom.bulk_measured"] = np.linspace(276e6, 168e6, record.t.size)
     said = "Pressures and flows show an oil of 168 MPa, the design's has 276 MPa."
     assert said in estimates_caption(rig, case, record)
-    assert true_payload(rig, "none") == 0.0
 
 
 def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(unpainted, tmp_path):

@@ -26,10 +26,9 @@ from ehbench.report.stages.validation import silence
 from ehbench.report.words import estimate, shown
 from ehbench.runs.rundir import write_json
 from ehbench.vocabulary.codes import LIMITS, LIMITS_MEAN
-from tests.unit.test_report import fill
+from tests.unit.report_runs import RIGS, fill_reported
 
 FOLLOWS = {"follows": []}
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
 
 def findings_of(folder: Path) -> Findings:
@@ -50,7 +49,7 @@ def words_of(html: str) -> str:
 
 @pytest.fixture(scope="module")
 def folders(made_once):
-    root = made_once("reported", fill)
+    root = made_once("reported", fill_reported)
     return [root / "fit", root / "judged"]
 
 

@@ -14,7 +14,7 @@ import pytest
 from ehbench.data import read
 from ehbench.report import viewer
 from ehbench.vocabulary.errors import InputError
-from tests.unit.test_report import flow_map_run, hydraulics_run
+from tests.unit.report_runs import flow_map_run, hydraulics_run
 
 LOG = Path(__file__).parents[2] / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
 

@@ -312,7 +312,9 @@ def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, nam
     )
     fit = shop / "reports" / "fit_1"
     monkeypatch.setattr(
-        compare, "found", lambda folder: (Saved(folder), SimpleNamespace(status="estimated"))
+        compare,
+        "reported",
+        lambda folder: (Saved(folder), SimpleNamespace(status="estimated"), ()),
     )
     rows = {"parameters.json": {"parameters": [ROW]}}
     inputs = [("rig", fit)]

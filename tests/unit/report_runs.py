@@ -1,0 +1,461 @@
+"""Run folders as commands leave them, for tests of the report: their tables stand in
+``report_runs.json``."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import asdict
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.config.recipe import load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
+from ehbench.plant.model import Model
+from ehbench.report import draw
+from ehbench.report.cases import stem_of
+from ehbench.runs.rundir import write_json
+from ehbench.tune.operating_point import circuit_of
+from ehbench.tune.results import functions_of
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import from_si
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+_TABLES = Path(__file__).with_name("report_runs.json").read_text(encoding="utf-8")
+VOID = {"meta", "br", "hr", "img", "input", "link"}
+FOUR = {"boom.q": 0.5, "boom.qd": 1.0, "boom.p_head": 2e6, "boom.p_rod": 1e6}
+
+
+def table(name: str, /, **more) -> dict:
+    """A table of the file, a copy, with other entries."""
+    return json.loads(_TABLES)[name] | more
+
+
+def facts(folder: Path, stage: str, name: str = "", **more) -> None:
+    recipe = {"path": f"{name or 'r'}.toml", "sha256": "1" * 64}
+    known = {"stage": stage, "name": name or folder.name, "recipe": recipe}
+    write_json(folder / "run.json", table("facts", **known, **more))
+
+
+def made(root: Path, name: str, rig: str = "thesis_arm") -> Path:
+    folder = root / name
+    folder.mkdir(parents=True)
+    shutil.copy(RIGS / f"{rig}.toml", folder / "rig.toml")
+    return folder
+
+
+def a_map(valve: str, direction: str, deadband: float) -> FlowMap:
+    knots = deadband + np.linspace(0.0, 1.0, 6) * (10.0 - deadband)
+    increments = np.full((6, 7), 6.0e-5 / 6) * np.linspace(0.4, 1.0, 7)
+    commands = np.array([0.0, 1.0, 4.0, 6.0, 8.0, 10.0])
+    hull = (commands, np.full(6, 1e5), np.array([7e6, 7e6, 7e6, 6e6, 5e6, 4e6]))
+    ends, spread = (deadband - 0.1, deadband + 0.1), np.full((6, 3), 1e-6)
+    drops = np.array([0.0, 1000.0, 2700.0])
+    first = (valve, direction, deadband, ends, knots, 7e6, 2e4, increments)
+    return FlowMap(*first, *hull, knots, drops, spread, 4e-4, 60, (), "x.csv")
+
+
+def flow_map_run(root: Path) -> Path:
+    folder, random = made(root, "maps"), np.random.default_rng(5)
+    maps = [
+        a_map("hect", "forward", 1.5),
+        a_map("hect", "reverse", 2.0),
+        a_map("valve/2 & co", "forward", 1.0),
+    ]
+    save_flow_maps(collect(maps), folder)
+    head = "valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted [L/min],method"
+    rows, summary = [f"{head},outlier,file,line"], []
+    for item in maps:
+        pairs = [(u, dp) for u in item.hull_command for dp in np.linspace(1e5, 4e6, 8)]
+        for line, (command, drop) in enumerate(pairs, 2):
+            flow = item.flow(drop, command)
+            out = command == 6.0 and drop == 1e5
+            read = 40 * flow if out else flow + 1e-6 * random.standard_normal()
+            method = "cylinder" if flow < 1e-5 else "flowmeter"
+            shown = [from_si(v, "L/min", VOCABULARY["flow"]) for v in (read, flow)]
+            rows.append(
+                f"{item.valve},{item.direction},{command:g},{drop / 1e5:.9g},"
+                f"{shown[0]:.9g},{shown[1]:.9g},{method},{int(out)},x.csv,{line}"
+            )
+        known = {"valve": item.valve, "direction": item.direction, "deadband": item.deadband}
+        ends = list(item.deadband_interval)
+        summary.append(table("map", **known, deadband_interval=ends))
+    (folder / "points.csv").write_text("\n".join(rows) + "\n")
+    write_json(folder / "summary.json", summary)
+    about = {"warnings": ["whole trials differ"], "recorded_on": "virtual bench"}
+    facts(folder, "identify", "maps", what="flow_map", title="Flow maps", **about)
+    return folder
+
+
+def write_series(
+    folder: Path, log: str, channels: dict[str, float], simulated: bool = True
+) -> None:
+    t = np.arange(0.0, 2.0, 1e-3)
+    columns = {"t [s]": t}
+    for name, size in channels.items():
+        unit = VOCABULARY[name.rsplit(".", 1)[1]].unit
+        columns[f"{name} [{unit}]"] = size * np.sin(6 * t)
+        if simulated:
+            columns[f"simulated.{name} [{unit}]"] = 1.05 * size * np.sin(6 * t + 0.05)
+    (folder / "series").mkdir(exist_ok=True)
+    np.savetxt(
+        folder / "series" / f"{log}.csv",
+        np.column_stack(list(columns.values())),
+        "%.9g",
+        ",",
+        header=",".join(columns),
+        comments="",
+    )
+
+
+def hydraulics_run(root: Path) -> Path:
+    folder = made(root, "fit")
+    write_json(folder / "parameters.json", table("fit"))
+    write_series(folder, "boom_step", FOUR | {"boom.x": 0.1})
+    facts(folder, "identify", "fit", what="hydraulics", title="Bulk modulus", warnings=[])
+    return folder
+
+
+def validation_run(root: Path) -> Path:
+    folder, judged = made(root, "judged"), table("judged")
+    correlation = {
+        "of": "boom.q",
+        "lag": [0.01 * i for i in range(1, 30)],
+        "value": [0.9**i for i in range(29)],
+        "band": [0.2] * 29,
+        "outside_percent": 48.0,
+    }
+    crossed = [correlation | {"of": "boom.hect.command"}]
+    for name, size in FOUR.items():
+        errors = {"max_error": 0.02 * size, "bias": 0.001 * size, "rms_error": 0.01 * size}
+        own = correlation if name != "boom.p_rod" else None
+        more = {"channel": name, "autocorrelation": own, "cross_correlation": crossed}
+        judged["logs"][0]["channels"].append(table("channel", **errors, **more))
+    write_json(folder / "validation.json", judged)
+    write_series(folder, "held", FOUR)
+    write_series(folder, "broken", {"boom.q": 0.5}, simulated=False)
+    about = {"what": "validation", "title": "Held-out logs", "accepted": False, "warnings": []}
+    facts(folder, "validate", "judged", **about)
+    return folder
+
+
+def open_loop_run(
+    root: Path,
+    rig: str = "slide_servo",
+    stopped: str = "carriage.p_head = 9 MPa passed pressure_max at t = 0.8 s",
+) -> Path:
+    folder = made(root, f"trial_{rig}", rig)
+    cylinder, valve = next(load_rig(folder).valves())
+    t, base = np.arange(0.0, 1.0, 1e-3), cylinder.name
+    channels = {
+        f"{base}.x": 0.1 * t,
+        f"{base}.v": np.full_like(t, 0.1),
+        f"{base}.p_head": 1e6 + 1e5 * np.sin(20 * t),
+        f"{base}.p_rod": np.full_like(t, 5e5),
+        f"{base}.{valve.name}.command": np.where(t > 0.3, 2.0, 0.0),
+        "p_supply": np.full_like(t, 7e6),
+    }
+    write_log(folder / "log.mcap", Record(t, channels, {"stopped": stopped} if stopped else {}))
+    about = {"duration": 0.999, "samples": 1000, "seed": 7, "stopped": stopped}
+    known = {"on": "virtual bench", "payload": "none", "posture": {}}
+    write_json(folder / "trial.json", known | about)
+    more = {"title": "A step", "stopped": stopped, "warnings": []}
+    facts(folder, "trial", f"trial_{rig}", what="trial", **more)
+    return folder
+
+
+def fill_reported(root: Path) -> None:
+    """A run of each kind without a controller, drawn."""
+    for made_run in (open_loop_run, validation_run, hydraulics_run, flow_map_run):
+        draw(made_run(root))
+
+
+class Page(HTMLParser):
+    """Balance, ids, links and text of a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open, self.ids, self.links, self.loads, self.words, self.bad = [], [], [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        named = dict(attributes)
+        self.ids += [named["id"]] if "id" in named else []
+        self.links += [value for key, value in attributes if key in ("href", "xlink:href")]
+        self.loads += [
+            value for key, value in attributes if key in ("src", "srcset", "data", "action")
+        ] + [tag] * (tag in ("script", "link", "iframe"))
+        for value in named.values():
+            self.links += re.findall(r"url\((#[^)]+)\)", value or "")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.bad.append((tag, self.getpos()))
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+# --- tunings and trials under a controller ---
+
+GAINS = [0.0, *np.geomspace(1e-12, 1e-9, 20).tolist()]
+
+
+def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
+    item = table("point")
+    speed = 0.05 if function.startswith("extend") else -0.05
+    item["point"] |= {"function": function, "payload": payload, "x": x, "v": speed}
+    item["point"]["mass"] = 1e3 + 1e4 * x
+    curve = [0.6 - 0.2 * abs(np.log10(g / 1e-10)) if g else 0.1 for g in GAINS]
+    name = f"{function}, {payload}, x = {x:g}"
+    return item | {"name": name, "counts": counts, "curve": curve} | more
+
+
+def locus(name: str, parameter: str, crossing: float | None) -> dict:
+    """A pair that leaves (−4, ±40) and crosses the axis at ±60, a real pole, and a slow one near
+    the origin.
+    """
+    values = sorted({0.0, 1e-10, 8e-10, *np.geomspace(1e-12, 2e-9, 30).tolist()})
+    poles = [
+        [
+            complex(-4 - 60 * g / 1e-10 + 7.58 * (g / 1e-10) ** 2, 40 + 2.5e10 * g),
+            complex(-200 - 1e11 * g),
+            complex(-0.01),
+        ]
+        for g in values
+    ]
+    poles = [[p[0], p[0].conjugate(), p[1], p[2]] for p in poles]
+
+    def at(value: float) -> list[list[float]]:
+        return [[p.real, p.imag] for p in poles[values.index(value)]]
+
+    edge = [[0.0, 60.0], [0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0]]
+    return {
+        "name": name,
+        "parameter": parameter,
+        "values": values,
+        "real": [[p.real for p in row] for row in poles],
+        "imag": [[p.imag for p in row] for row in poles],
+        "chosen": 1e-10,
+        "chosen_poles": at(1e-10),
+        "crossing": crossing,
+        "crossing_poles": edge if crossing else [],
+        "frame": [-120.0, 30.0, 100.0],
+    }
+
+
+RIG = load_rig(RIGS / "thesis_arm.toml")
+USES = [asdict(item) for item in functions_of(RIG, circuit_of(Model.of(RIG), 1))]
+
+
+def tuning(**more) -> dict:
+    loads = ("none", "50 lb")
+    points = [point("extend_resistive", load, x, True) for load in loads for x in (0.05, 0.2)]
+    none = {"gain_limit": None, "bias": None, "damping_ratio_plain": None}
+    points += [point("retract_resistive", "none", 0.1, False, **none)]
+    points[1]["damping_ratio_closed"] = 0.55
+    points[2]["margins"] = {"gain_margin": None, "phase_margin": None, "bandwidth": 3.5}
+    shown = [points[1], points[2], points[4]]
+    t = np.linspace(0.0, 25 * np.pi / 40, 400)  # v_open then ends at 1
+    x = np.linspace(0.0, 0.254, 15)
+    opened, closed = 1 - np.exp(-2 * t) * np.cos(20 * t), 1 - np.exp(-15 * t)
+    result = table("tuning", gains=GAINS, worst_curve=points[0]["curve"], functions=USES)
+    result["robustness"]["damping_ratios"] = np.linspace(0.46, 0.62, 40).tolist()
+    result |= {
+        "points": points,
+        "equivalents": [
+            {"payload": load, "x": x.tolist(), "q": (0.7 - 4 * x).tolist()}
+            | {"mass": (s * (1e3 + 1e4 * x)).tolist(), "gravity_force": [s * 2e3] * 15}
+            | {"damping": [6e3] * 15}
+            for s, load in ((1.0, "none"), (2.0, "50 lb"))
+        ],
+        "loci": [
+            locus(p["name"], kind, p["gain_limit"] if kind == "feedback_gain" else None)
+            for p in shown
+            for kind in ("feedback_gain", "washout")
+        ],
+        "steps": [
+            {"name": p["name"], "t": t.tolist()}
+            | {"v_open": opened.tolist(), "v_closed": closed.tolist()}
+            for p in shown
+        ],
+    }
+    return result | more
+
+
+def tune_run(root: Path, name: str = "tuning", rig: str = "thesis_arm", **more) -> Path:
+    folder = made(root, name, rig)
+    write_json(folder / "tuning.json", tuning(**more))
+    facts(folder, "tune", what="tuning", title="Pressure feedback", warnings=[])
+    return folder
+
+
+LEAN: dict = {"functions": USES[:1], "loci": [], "steps": []}
+
+
+def log(
+    path: Path,
+    *,
+    own: str = "boom",
+    gain: float = 1.0,
+    notes: bool = True,
+    learns: bool = False,
+    stopped: str = "",
+) -> None:
+    t = np.arange(3001) * 1e-3
+    on = (t >= 0.5) & (t < 2.0)
+    v_d = np.where(on, 0.1, 0.0)
+    v = np.where(on, 0.1 * (1 - gain * np.exp(-3 * (t - 0.5)) * np.cos(25 * (t - 0.5))), 0.0)
+    x_d = 0.05 + np.cumsum(v_d) * 1e-3
+    channels = {
+        f"{own}.x": x_d + gain * 1e-3 * on,
+        f"{own}.v": v,
+        f"{own}.p_head": 1e6 + 1e6 * v,
+        f"{own}.p_rod": np.full_like(t, 3e5),
+        f"{own}.hepc.command": np.where(on, 5.0, 0.0),
+        f"{own}.rect.command": np.zeros_like(t),
+        "p_supply": np.full_like(t, 7e6),
+        f"{own}.x_desired": x_d,
+        f"{own}.v_desired": v_d,
+    }
+    if notes:
+        channels |= {
+            f"{own}.function": on * 1.0,
+            f"{own}.limits": np.where((t > 0.6) & (t < 0.7), 17.0, 0.0),
+            f"{own}.v_shaped": v_d,
+        }
+    if learns:
+        channels |= {
+            f"{own}.payload_estimate": 26.0 * (1 - np.exp(-t)),
+            f"{own}.inverse_bulk": 1.0 + 0.1 * on,
+            f"{own}.disturbance": 5 * np.sin(t),
+        }
+    text = (
+        b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\n'
+        b"gains = { adapt = false }\n"
+    )
+    write_log(
+        path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text})
+    )
+
+
+STEP = table("step")
+
+
+def measures(energy: float, error: float, steps: list[dict]) -> dict:
+    errors = {"max_error": error, "rms_error": 0.3 * error, "final_error": -0.1 * error}
+    result = table("measures", steps=steps, tracking=errors)
+    result["energy"]["pump"] = energy
+    return result
+
+
+def trials_run(
+    root: Path,
+    name: str,
+    controllers: dict[str, dict],
+    on: str = "model",
+    payloads=("none", "50 lb"),
+    **more,
+) -> Path:
+    folder, rows = made(root, name), []
+    (folder / "logs").mkdir()
+    for payload, law in ((payload, law) for payload in payloads for law in controllers):
+        result, stem = controllers[law], stem_of(f"{payload} {law}")
+        path = f"logs/{stem}.mcap"
+        log(folder / path, gain=result["tracking"]["max_error"] / 1e-3, **more)
+        row = {"case": f"{payload} 70 % {law}", "payload": payload, "controller": law, "on": on}
+        rows.append(table("trial_row", log=path, **row) | result)
+    write_json(folder / "table.json", {"rows": rows})
+    facts(folder, "trials", what="trials", title="Steps", on=on, stopped="", warnings=[])
+    return folder
+
+
+DAMPED = STEP | {
+    "overshoot": 0.2,
+    "damping_ratio": None,
+    "settling_time": 0.3,
+    "ringing": "only 0.9 cycles in the window",
+}
+PAIR = {
+    "open loop": measures(2000.0, 2e-3, [STEP]),
+    "pressure feedback": measures(1900.0, 5e-3, [DAMPED]),
+}
+TRACKED = {
+    name: measures(energy, error, [])
+    for name, energy, error in (
+        ("arc", 2100.0, 1e-4),
+        ("frozen", 2050.0, 4e-3),
+        ("four-way", 3300.0, 3e-4),
+    )
+}
+
+
+def trial_run(root: Path, name: str = "arc", stopped: str = "", **more) -> Path:
+    folder = made(root, name)
+    log(folder / "log.mcap", learns=True, stopped=stopped)
+    known = {"measures": measures(2100.0, 1e-4, []), "stopped": stopped}
+    write_json(folder / "trial.json", table("trial", **known) | more)
+    facts(folder, "trial", what="trial", title="ARC, slow, 50 lb", warnings=[])
+    return folder
+
+
+def ledger(pump: float) -> dict:
+    parts = [
+        ("pump", pump, "supply", "pump", None),
+        ("pump_compression", 0.0, "supply", "compression", None),
+        ("boom.hepc.throttling", 0.7 * pump, "valve", "boom.hepc, supply → head", "boom"),
+        ("boom.damping", 0.3 * pump, "loss", "joint damping", "boom"),
+        ("potential", 0.0, "load", "potential", None),
+        ("residual", 0.0, "residual", "residual", None),
+        ("boom.drawn", pump, "cylinder", "drawn", "boom"),
+        ("boom.drawn_compression", 0.0, "cylinder", "compression", "boom"),
+        ("boom.work", 0.3 * pump, "cylinder", "work", "boom"),
+    ]
+    rows = [
+        dict(zip(("name", "energy", "group", "label", "cylinder"), one, strict=True), interval=None)
+        for one in parts
+    ]
+    return {
+        "source": "model",
+        "rig": "thesis_arm",
+        "payload": "none",
+        "duration": 3.0,
+        "rows": rows,
+        "residual_share": 2e-6,
+        "notes": [],
+    }
+
+
+def fill_control(root: Path) -> None:
+    """A tuning and trials of each kind, drawn."""
+    folders = [
+        tune_run(root),
+        trials_run(root, "steps", PAIR),
+        trials_run(root, "cycles", TRACKED, "virtual bench", ["50 lb"], learns=True),
+        trial_run(root),
+    ]
+    (folders[2] / "ledgers").mkdir()
+    for row in json.loads((folders[2] / "table.json").read_text())["rows"]:
+        write_json(
+            folders[2] / "ledgers" / (Path(row["log"]).stem + ".json"),
+            ledger(row["energy"]["pump"]),
+        )
+    for folder in folders:
+        draw(folder)
