@@ -11,10 +11,10 @@ recipe that makes it; in the last case that recipe is run first, unless its run 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ehbench import stages
 from ehbench.config.recipe import Recipe, TrialRecipe, kind_of, load_recipe, load_rig
@@ -47,6 +47,7 @@ __all__ = [
     "ValidatedRig",
     "Workers",
     "expect_stage",
+    "export",
     "machine_of",
     "next_test",
     "prepared_trial",
@@ -131,6 +132,24 @@ def profile(recipe: Recipe | Path | str, name: str, session: Session | None = No
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     session = session or Session()
     return write_profile(session.inputs(recipe), name, session)
+
+
+def export(source: Path, options: Mapping[str, Any], session: Session | None = None) -> Outcome:
+    """Export a rig, or the controller of a trial or tuning; the recipe of it is written beside the
+    run's folder.
+
+    Args:
+        source: rig file, run folder, or recipe: of an export, or of what is exported.
+        options: keys of `ExportRecipe` as a recipe has them.
+        session: as for `run`.
+
+    Raises:
+        EhbenchError: as `run`; options for a recipe of an export, which has them.
+    """
+    from ehbench.stages.export import recipe_for
+
+    session = session or Session()
+    return run(recipe_for(source, options, session), session)
 
 
 @one_thread()

@@ -275,6 +275,66 @@ for _command in COMMANDS:
     )(_runner(_command))
 
 
+class Parts(StrEnum):
+    """What of a rig and a controller can be exported."""
+
+    model = "model"
+    controller = "controller"
+    both = "both"
+
+
+def _listed(name: str, metavar: str, text: str) -> Any:
+    return typer.Option(name, metavar=metavar, help=text, show_default=False)
+
+
+@app.command(epilog="Example:  ehbench export recipes/rigs/slide_servo.toml --as c --unvalidated")
+def export(  # noqa: PLR0913 - the parameters are the options of the command
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN|RIG|RECIPE",
+            help="A validated rig, a tuning, a trial with a controller, or an export's recipe.",
+        ),
+    ],
+    parts: Annotated[
+        Parts | None, typer.Option("--what", help="Default: all there is.", show_default=False)
+    ] = None,
+    formats: Annotated[
+        str, _listed("--as", "FORMAT,...", "c, matlab, urdf, mjcf. Default: c.")
+    ] = "",
+    payload: Annotated[str, _listed("--payload", "NAME", "What the model carries.")] = "",
+    rate: Annotated[str, _listed("--rate", "HZ", "Steps a second.")] = "",
+    targets: Annotated[
+        str, _listed("--target", "TARGET,...", "Of FMUs: linux64, win64, aarch64. Default: here.")
+    ] = "",
+    out: Out = None,
+    loud: Loud = None,
+    as_json: AsJson = False,
+    unvalidated: Annotated[
+        bool,
+        typer.Option("--unvalidated", help="Export what no validation accepted and no run tuned."),
+    ] = False,
+) -> None:
+    """Export a validated model and a tuned controller as C or FMU, with a check of the numbers."""
+    from ehbench import workflow
+    from ehbench.report.terminal import answer
+
+    options = {
+        "parts": parts and parts.value,
+        "formats": formats.split(",") if formats else (),
+        "payload": payload,
+        "rate": f"{rate} Hz" if rate.replace(".", "", 1).isdecimal() else rate,
+        "targets": targets.split(",") if targets else (),
+    }
+    says = Says.of(loud, as_json)
+    _say_first(says.quiet)
+    with _progress(says.quiet) as tell:
+        session = workflow.Session(out=out, progress=tell, unvalidated=unvalidated)
+        built = workflow.export(source, options, session)
+    _say(answer(built.folder, built.notes, built.code), says)
+    raise typer.Exit(built.code)
+
+
 @app.command(
     epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report"
 )

@@ -1,1 +1,20 @@
-"""A rig, its linear models, its mechanism and its controllers for other programs."""
+"""A rig, its linear models, its mechanism and its controllers for other programs and targets.
+
+A format is a row of `FORMATS`: a function that writes an `Export` into a folder and says what it
+wrote. Its name is one of `ehbench.config.recipe.export.Format`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ehbench.export.c_code import write_c
+from ehbench.export.content import Export, Writer, Written
+from ehbench.export.tables import write_matlab, write_mjcf, write_urdf
+
+__all__ = ["FORMATS", "Export", "Writer", "Written"]
+FORMATS: Mapping[str, Writer] = {
+    "c": write_c,
+    "matlab": write_matlab,
+    "urdf": write_urdf,
+    "mjcf": write_mjcf,
+}

@@ -41,6 +41,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "trial": (1, _TRIAL),
     "trials": (1, _TRIAL),
     "study": (2, ("sampling",)),
+    "export": (1, ("plant", "control", "trial")),
     "report": (1, ()),
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ehbench.stages.base import REGISTRY, Checked, Stage, stage_of
 from ehbench.stages.bench import BenchFile, Dataset
 from ehbench.stages.campaign import CampaignStage
+from ehbench.stages.export import ExportStage
 from ehbench.stages.flow_map import FlowMapStage
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.stages.response import ResponseStage
@@ -27,6 +28,7 @@ REGISTRY.update(
         TrialStage(),
         TrialsStage(),
         StudyStage(),
+        ExportStage(),
         CampaignStage(),
         BenchFile(),
         Dataset(),

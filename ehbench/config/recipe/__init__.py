@@ -21,6 +21,7 @@ from ehbench.config.recipe.columns import (
     whole_map,
 )
 from ehbench.config.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
+from ehbench.config.recipe.export import ExportRecipe
 from ehbench.config.recipe.flow_map import CalibrationPoint, FlowMapRecipe
 from ehbench.config.recipe.hydraulics import HydraulicsRecipe
 from ehbench.config.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds

@@ -10,6 +10,7 @@ from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.stages import (
     arc_tuning,
+    export,
     flow_maps,
     hydraulics,
     profile,
@@ -33,6 +34,7 @@ SECTIONS: dict[str, StageReport] = {
     "trial": trial.REPORT,
     "trials": trials.REPORT,
     "study": study.REPORT,
+    "export": export.REPORT,
 }
 
 

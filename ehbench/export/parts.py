@@ -1,0 +1,268 @@
+"""What of a trial can be exported: its model, its controllers, and the inverse maps of valves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ehbench.control.functions import RULE_NAMES
+from ehbench.control.registry import tick
+from ehbench.export.component import Component, Variable, members, numbers
+from ehbench.machines.simulated import model_tick
+from ehbench.parts.edge import edge_command
+from ehbench.parts.sample import perfect_sample, sample_channels
+from ehbench.parts.valve.delay import line_of
+from ehbench.plant.model import Model
+from ehbench.trial import Prepared, Session
+from ehbench.trial.controllers import Compiled, Design
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.settings import setting
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """Numbers of an export."""
+
+    change: float = setting(0.25, "", "change of a parameter that shows where it acts", "any")
+    small: float = setting(1e-3, "", "the same of a parameter that is 0 [SI]", "any")
+    rows: int = setting(4000, "", "steps of a trial that a check holds at most", "a few MB")
+    pairs: int = setting(500, "", "drops and flows that the check of valves holds", "a second")
+
+
+EXPORT = ExportSettings()
+
+
+def identifier(text: str) -> str:
+    """A text as a name in C."""
+    return re.sub(r"\W+", "_", text).strip("_")
+
+
+def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> Component:
+    """The model of a trial, one tick a step.
+
+    Args:
+        trial: on the model, with steps of one length.
+        session: of it, run to its end.
+        about: where a parameter is from, by its name.
+    """
+    recipe, rate = trial.recipe, trial.machine.rate
+    model = Model.of(trial.rig, trial.maps, recipe.payload)
+    plant, channels = model.plant, sample_channels(model.layout.cylinders)
+    y = model.trim(model.posture(trial.posture), trial.low_side)
+    sample = np.empty(len(channels))
+    perfect_sample(y, plant, sample)
+    states = model.layout.state_names
+    hidden = [i for i, name in enumerate(states) if name not in channels]
+    rest, reach = trial.machine.commands.rest, (plant.valves.lowest, plant.valves.highest)
+    variables = [
+        Variable.of(
+            f"{name}.command",
+            "input",
+            f"command[{i}]",
+            rest[i],
+            lower=float(reach[0][i]),
+            upper=float(reach[1][i]),
+        )  # fmt: skip
+        for i, name in enumerate(model.layout.valves)
+    ]
+    variables += [
+        Variable.of(name, "output", f"sample[{i}]", sample[i]) for i, name in enumerate(channels)
+    ]
+    variables += [Variable.of(states[i], "output", f"y[{i}]", y[i]) for i in hidden]
+    last = min(session.end, EXPORT.rows + 1)
+    rows = session.rows
+    part = Component(
+        f"{identifier(trial.rig.name)}_model",
+        message("export.about_model", rig=trial.rig.name, payload=recipe.payload or "none"),
+        model_tick,
+        {
+            "y": y,
+            "command": rest.astype(float),
+            "plant": plant,
+            "line": line_of(plant, 1.0 / rate),
+            "steps": max(1, round(1.0 / (rate * float(recipe.step)))),
+            "k": np.zeros((5, y.size)),
+            "work": np.zeros(plant.at.work),
+            "sample": sample,
+        },
+        tuple(variables),
+        rate,
+        np.column_stack(
+            [rows.commands[: last - 1], rows.samples[1:last], rows.truth[1:last, hidden]]
+        ),
+    )
+    more = _rig_parameters(trial, part, about)
+    return replace(part, variables=(*part.variables, *more))
+
+
+def _rig_parameters(
+    trial: Prepared, part: Component, about: Mapping[str, str]
+) -> Iterator[Variable]:
+    """The parameters of a rig that the plant holds as they are: where such a one changes, numbers
+    of the plant that were the old value are the new one, and no others change.
+    """
+    known, payload = trial.rig.parameters(), trial.recipe.payload
+
+    def numbers_of(rig: object) -> dict[str, int]:
+        plant = Model.of(rig, trial.maps, payload).plant  # type: ignore[arg-type]
+        like = replace(part, arguments={"plant": plant})
+        return {name: bits for leaf in like.memory for name, bits in numbers(leaf).items()}
+
+    before = numbers_of(trial.rig)
+    for name, value in known.items():
+        old = float(value)
+        new = old + (EXPORT.change * old or EXPORT.small)
+        try:
+            after = numbers_of(trial.rig.with_values({name: new}, known))
+        except InputError:
+            continue
+        places = [place for place, bits in after.items() if bits != before[place]]
+        bits = [int(np.float64(number).view(np.int64)) for number in (old, new)]
+        if places and all([before[place], after[place]] == bits for place in places):
+            bounds = {"lower": value.lower, "upper": value.upper}
+            bounds = {key: bound for key, bound in bounds.items() if bound is not None}
+            item = Variable.of(name, "parameter", "", old, **bounds)
+            text = "; ".join(filter(None, (item.about, about.get(name, value.source))))
+            yield item._replace(places=tuple(places), about=text)
+
+
+def controller_part(trial: Prepared, session: Session, law: Compiled, design: Design) -> Component:
+    """A built-in controller of a trial, one tick a step, as it is on a machine whose valves may
+    have hysteresis.
+
+    Args:
+        trial: in which it runs.
+        session: of it, run to its end.
+        law: with the references that it runs over.
+        design: of its cylinder.
+    """
+    law, channels = law.afresh(), trial.machine.channels
+    width, columns = law.references.shape[1], len(law.channels)
+    names = [f"{design.cylinder}.{key}_desired" for key in "xvaj"]
+    names += [f"{design.cylinder}.reference_{i}" for i in range(4, width)]
+    if law.law.preview:
+        names[-2:] = (f"{design.cylinder}.v_{end}_ahead" for end in ("min", "max"))
+    observed = np.flatnonzero(law.controller.observed)
+    plant, edges = design.model.plant, design.circuit.edges[design.at_cylinder]
+    valves = sorted({int(v) for v in edges["valve"]})
+    first = session.rows.samples[0]
+    variables = [Variable.of(channels[i], "input", f"sample[{i}]", first[i]) for i in observed]
+    variables += [
+        Variable.of(name, "input", f"reference[{i}]", law.references[0, i])
+        for i, name in enumerate(names)
+    ]
+    variables += [
+        Variable.of(f"{design.valves[i]}.command", "output", f"command[{i}]", 0.0,
+                    lower=float(plant.valves.lowest[i]), upper=float(plant.valves.highest[i]))
+        for i in valves
+    ]  # fmt: skip
+    variables += [
+        Variable.of(f"telemetry.{name}", "output", f"telemetry[{i}]", 0.0)
+        for i, name in enumerate(law.channels)
+    ]
+    arguments = {
+        "t": 0.0,
+        "sample": first.copy(),
+        "reference": law.references[0].copy(),
+        "controller": law.controller,
+        "command": np.zeros(len(design.valves)),
+        "telemetry": np.zeros(columns),
+    }
+    part = Component(
+        f"{identifier(design.cylinder)}_{law.law.name}",
+        message("export.about_controller", law=law.law.name, cylinder=design.cylinder),
+        tick,
+        arguments,
+        (*variables, *_gains(law)),
+        trial.machine.rate,
+        np.empty((0, 0)),
+    )
+    count = min(session.end, EXPORT.rows)
+    command, telemetry = np.zeros((count, len(design.valves))), np.zeros((count, columns))
+    run = law.afresh().controller
+    samples, t = session.rows.samples, session.rows.t
+    for i in range(count):
+        tick(float(t[i]), samples[i], law.references[i], run, command[i], telemetry[i])
+    outputs = [law.references[:count], command[:, valves], telemetry]
+    return replace(part, rows=np.column_stack([samples[:count, observed], *outputs]))
+
+
+def _gains(law: Compiled) -> Iterator[Variable]:
+    """The gains and rules of a controller."""
+    rows = {**law.law.gains, **{name: VOCABULARY[name] for name in RULE_NAMES}}
+    gains = law.controller.gains
+    values = np.frombuffer(gains.tobytes(), float).tolist()
+    for (place, kind), value in zip(members("controller_gains", gains.dtype), values, strict=True):
+        name = place.removeprefix("controller_gains.")
+        word = re.sub(r"\[\d+\]$", "", name.rsplit(".", 1)[-1])
+        if kind != np.float64 or word == "tick":
+            continue
+        item, row = Variable(name, "parameter", (place,), value), rows.get(word)
+        if row is not None:
+            item = item._replace(unit=row.unit, lower=row.lower, upper=row.upper, about=row.meaning)
+        yield item
+
+
+def valves_part(trial: Prepared, design: Design) -> Component:
+    """The inverse laws or flow maps of a cylinder's valves: the command of each edge at which it
+    passes a flow at a pressure drop.
+    """
+    plant, layout = design.model.plant, design.model.layout
+    at = [
+        i
+        for i in range(design.circuit.first, design.circuit.first + design.circuit.count)
+        if plant.edges[i].valve >= 0 and not plant.edges[i].unmetered
+    ]
+    edges, names = plant.edges[at].copy(), [layout.edges[i] for i in at]
+    valves = [int(edge.valve) for edge in edges]
+    lowest, highest = plant.valves.lowest[valves], plant.valves.highest[valves]
+    random = np.random.default_rng(0)
+    drop, flow = (
+        limit * random.uniform(-1.0, 1.0, (EXPORT.pairs, len(at)))
+        for limit in (float(plant.supply.pressure), float(plant.supply.flow_limit))
+    )
+    command = np.zeros((EXPORT.pairs, len(at)))
+    for i in range(EXPORT.pairs):
+        inverse(drop[i], flow[i], edges, plant.maps, lowest, highest, command[i])
+    zeros = np.zeros(len(at))
+    variables = []
+    for role, word, array in (
+        ("input", "pressure_drop", "drop"),
+        ("input", "flow", "flow"),
+        ("output", "command", "command"),
+    ):
+        variables += [
+            Variable.of(f"{name}.{word}", role, f"{array}[{i}]", 0.0)
+            for i, name in enumerate(names)
+        ]
+    return Component(
+        f"{identifier(design.cylinder)}_valves",
+        message("export.about_valves", cylinder=design.cylinder),
+        inverse,
+        {
+            "drop": zeros,
+            "flow": zeros.copy(),
+            "edges": edges,
+            "maps": plant.maps,
+            "lowest": lowest,
+            "highest": highest,
+            "command": zeros.copy(),
+        },
+        tuple(variables),
+        trial.machine.rate,
+        np.column_stack([drop, flow, command]),
+    )
+
+
+def inverse(drop, flow, edges, maps, lowest, highest, command):
+    """Write the command [V] of each edge at which it passes ``flow`` [m³/s] at ``drop`` [Pa], both
+    along it, within its range.
+    """
+    for i in range(edges.shape[0]):
+        volts = edge_command(drop[i], flow[i], edges[i], maps)
+        command[i] = min(max(volts, lowest[i]), highest[i])

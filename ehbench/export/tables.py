@@ -1,0 +1,38 @@
+"""Formats that need no compiled code: numbers and linear models for MATLAB, the mechanism."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ehbench.export.content import Export, Written
+from ehbench.export.linear import state_spaces
+from ehbench.export.matlab import matlab_files
+from ehbench.export.mechanism import mjcf, urdf
+from ehbench.runtime.disk import replacing
+from ehbench.vocabulary.messages import message
+
+
+def write_matlab(export: Export, folder: Path) -> list[Written]:
+    """Write parameters and linear models into ``matlab``."""
+    files = matlab_files(export.rig, export.fitted, state_spaces(export.rig, export.maps))
+    return _written(folder / "matlab", files, message("export.about_matlab"))
+
+
+def write_urdf(export: Export, folder: Path) -> list[Written]:
+    """Write the mechanism as URDF into ``mechanism``."""
+    files = {f"{export.rig.name}.urdf": urdf(export.rig)}
+    return _written(folder / "mechanism", files, message("export.about_mechanism"))
+
+
+def write_mjcf(export: Export, folder: Path) -> list[Written]:
+    """Write the mechanism as MJCF into ``mechanism``."""
+    files = {f"{export.rig.name}.xml": mjcf(export.rig)}
+    return _written(folder / "mechanism", files, message("export.about_mechanism"))
+
+
+def _written(folder: Path, files: dict[str, bytes], about: str) -> list[Written]:
+    folder.mkdir(exist_ok=True)
+    for name, content in files.items():
+        with replacing(folder / name) as place:
+            place.write_bytes(content)
+    return [Written(f"{folder.name}/{name}", about) for name in files]

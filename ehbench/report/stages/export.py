@@ -1,0 +1,30 @@
+"""An export: what was written, and how it was checked."""
+
+from __future__ import annotations
+
+from ehbench.report.blocks import Cell, Grid, Part
+from ehbench.report.content import Pictures, SectionContent, StageReport
+from ehbench.report.index import FigureIndex
+from ehbench.report.saved import Saved
+from ehbench.report.words import count
+
+
+def draw(run: Saved, index: FigureIndex) -> None:
+    """There is nothing to draw."""
+
+
+def section(run: Saved, pictures: Pictures) -> SectionContent:
+    """The files with what they are."""
+    written = run.json("export.json")["written"]
+    rows = [
+        [Cell(item["file"], "code"), item["about"], item["check"] or item["note"] or "–"]
+        for item in written
+    ]
+    table = Grid(["file", "what", "check on this machine"], rows)
+    sentence = f"{count(len(written), 'export')} written."
+    return SectionContent("done", sentence, [Part("Results", [table])])
+
+
+REPORT = StageReport(
+    "export", section, draw, shows=("Results",), numbers=("export.json", ("written",))
+)

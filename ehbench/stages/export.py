@@ -1,0 +1,261 @@
+"""Validated rig and tuned controller → C, functional mock-up units and files for other programs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ehbench.config.recipe import (
+    AnyTrial,
+    AnyTuning,
+    ArcTuneRecipe,
+    ExportRecipe,
+    Recipe,
+    TrialRecipe,
+    TrialSetRecipe,
+    kind_of,
+    load_recipe,
+)
+from ehbench.config.rig import Rig
+from ehbench.report.provenance import TracedRun
+from ehbench.runs import rundir
+from ehbench.runtime.disk import write_text
+from ehbench.stages.base import Host, Prepared, Stage, Work, write_rig
+from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
+from ehbench.stages.trial import prepared_case
+from ehbench.vocabulary.errors import InputError, ModelRejected
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.progress import Progress
+
+if TYPE_CHECKING:
+    from ehbench.export import Export
+
+
+@dataclass(frozen=True)
+class PreparedExport(Prepared):
+    """What is exported of a rig that is known."""
+
+    recipe: ExportRecipe
+    state: RigState
+    export: Export
+
+
+class ExportStage(Stage[ExportRecipe, PreparedExport]):
+    """`ExportRecipe`."""
+
+    recipe = ExportRecipe
+    name = "export"
+    command = "export"
+    writes = "export.json, rig.toml, and a folder or file of each format"
+
+    def prepare(self, recipe: ExportRecipe, inputs: Inputs) -> PreparedExport:
+        from ehbench.export import Export
+
+        state = inputs.rig_state(recipe.rig, recipe.flow_maps)
+        _refuse(inputs, not _is_validated(state), "unvalidated", rig=state.rig.name,
+                stage=state.stage)  # fmt: skip
+        source, trial = _trial_of(recipe, inputs, state)
+        law = trial.controller
+        if recipe.parts != "model" and law is not None:
+            _refuse(inputs, not _is_tuned(source, trial, inputs), "untuned")
+        at_trial = replace(inputs, recipe=source)
+        _, files, prepared = prepared_case("", trial, state, at_trial)
+        contents = recipe.parts or ("model" if law is None else "both")
+        does = message(
+            "export.does",
+            parts={"both": "model and controller"}.get(contents, contents),
+            rig=state.rig.name,
+            formats=", ".join(recipe.formats),
+        )
+        known = state.origin / "parameters.json"
+        rows = rundir.read_json(known)["parameters"] if known.is_file() else []
+        fitted = {row["name"]: row for row in rows}
+        export = Export(recipe, state.rig, state.flow_maps, state.origin, prepared, fitted)
+        return PreparedExport(recipe, (*state.inputs, *files), does, state, export)
+
+    def work(self, prepared: PreparedExport, folder: Path, progress: Progress | None) -> Work:
+        from ehbench.export import FORMATS
+
+        state, formats = prepared.state, prepared.recipe.formats
+        written = []
+        for i, name in enumerate(formats):
+            if progress is not None:
+                progress(name, i / len(formats))
+            written += FORMATS[name](prepared.export, folder)
+        write_rig(folder, state.rig, state.flow_maps)
+        rundir.write_json(folder / "export.json", {"written": [item._asdict() for item in written]})
+        warnings = [item.note for item in written if item.note]
+        return Work({"rig": state.rig.name, "warnings": warnings})
+
+
+def _refuse(inputs: Inputs, wrong: bool, key: str, **fields: str) -> None:
+    """Refuse what the user may insist on."""
+    if wrong and not inputs.unvalidated:
+        text = message(f"export.{key}", **fields)
+        inputs.notes.refuse(ModelRejected(text, file=inputs.recipe.path), text)
+
+
+def _is_validated(state: RigState) -> bool:
+    """Whether a validation accepted a rig, or it is that of a tuning on such a rig."""
+    if isinstance(state, ValidatedRig) or not state.origin.is_dir():
+        return isinstance(state, ValidatedRig)
+    return rundir.read_json(state.origin / "run.json").get("validated", False)
+
+
+def _is_tuned(source: Recipe, trial: TrialRecipe, inputs: Inputs) -> bool:
+    """Whether the gains of a trial are those of a tuning on a validated rig."""
+    name = trial.controller.gains_from if trial.controller is not None else None
+    if name is None:
+        return False
+    place = inputs.run_folder(source.file(name))
+    if place is None:
+        return True  # a dry run has none yet
+    facts = place / "run.json"
+    return facts.is_file() and bool(rundir.read_json(facts).get("validated"))
+
+
+def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Recipe, TrialRecipe]:
+    """(the recipe whose paths it has, the trial on the model that is exported and checked by).
+
+    Raises:
+        InputError: no controller that can be exported; another rate than that of its tuning.
+    """
+    source: Recipe = recipe
+    if recipe.controller is None:
+        if recipe.parts not in (None, "model"):
+            raise InputError(message("export.without_controller"), **recipe.at("parts"))
+        trial = _open_loop(recipe, state.rig)
+    else:
+        item, run = _named(recipe, inputs)
+        if isinstance(item, TrialRecipe):
+            source = trial = item
+        else:
+            trial = _tuned(recipe, item, run, state.rig)
+        law, where = trial.controller, recipe.at("controller")
+        if law is None:
+            raise InputError(message("export.open_loop"), **where)
+        if law.code is not None:
+            raise InputError(message("export.is_code", name=law.code), **where)
+    changes = {"on": "model", "bench": None, "machine": None, "fault": (), "payload_change": ()}
+    changes |= {"rig": recipe.rig, "flow_maps": recipe.flow_maps}
+    keys = recipe.model_fields_set & {"payload", "rate", "posture"}
+    changes |= {key: getattr(recipe, key) for key in keys}
+    if trial.step == "auto":
+        changes["step"] = TrialRecipe.model_fields["step"].default
+    trial = trial.model_copy(update=changes)
+    tuned = _tuned_rate(source, trial, inputs)
+    if tuned is not None and tuned != float(trial.rate):
+        text = message("export.other_rate", tuned=tuned, rate=float(trial.rate))
+        raise InputError(text, **recipe.at("rate"))
+    return source, trial
+
+
+def _named(recipe: ExportRecipe, inputs: Inputs) -> tuple[Recipe, Path]:
+    """(the recipe of a trial or tuning, the file or run folder) that ``controller`` names."""
+    place = source = inputs.existing(recipe.controller or "")
+    if place.is_dir():
+        source = TracedRun(place).recipe.place or place
+    item = load_recipe(source) if source.suffix == ".toml" else None
+    if isinstance(item, TrialSetRecipe):
+        raise InputError(message("export.several_trials"), **recipe.at("controller"))
+    if not isinstance(item, TrialRecipe | AnyTuning):
+        text = message("export.no_controller", name=recipe.controller)
+        raise InputError(text, **recipe.at("controller"))
+    return item, place
+
+
+def _open_loop(recipe: ExportRecipe, rig: Rig) -> TrialRecipe:
+    """A trial in which each valve opens and shuts at a frequency of its own."""
+    command = [
+        {
+            "valve": f"{cylinder.name}.{valve.name}",
+            "kind": "sine",
+            "offset": f"{float(valve.rest)!r} V",
+            "amplitude": f"{0.5 * max(map(abs, valve.given))!r} V",
+            "frequency": f"{0.5 + 0.1 * i!r} Hz",
+        }
+        for i, (cylinder, valve) in enumerate(rig.valves())
+    ]
+    trial = {"stage": "trial", "rig": recipe.rig, "duration": "2 s", "command": command}
+    return TrialRecipe(path=recipe.path, **trial)
+
+
+def _tuned(recipe: ExportRecipe, item: Recipe, place: Path, rig: Rig) -> TrialRecipe:
+    """A trial of a tuned controller: out and back over a fifth of the stroke."""
+    assert isinstance(item, AnyTuning)
+    known = {cylinder.name: float(cylinder.stroke) for cylinder in rig.cylinder}
+    name = item.cylinder or next(iter(known))
+    motion = {
+        "kind": "point_to_point",
+        "cylinder": name,
+        "waypoints": [f"{share * known[name]!r} m" for share in (0.4, 0.6, 0.4)],
+        "speed": f"{0.2 * known[name]!r} m/s",
+    }
+    kind = "arc" if isinstance(item, ArcTuneRecipe) else "pressure_feedback"
+    trial = {"stage": "trial", "rig": recipe.rig, "rate": item.rate, "posture": item.posture}
+    trial |= {"motion": motion, "controller": {"kind": kind, "gains": str(place)}}
+    return TrialRecipe(path=recipe.path, **trial)
+
+
+def _tuned_rate(source: Recipe, trial: TrialRecipe, inputs: Inputs) -> float | None:
+    """The rate [Hz] that the gains of a trial were tuned for; None where no tuning says."""
+    name = trial.controller.gains_from if trial.controller is not None else None
+    if name is None:
+        return None
+    place = source.file(name)
+    if place.is_dir():
+        place = TracedRun(place).recipe.place or place
+    item = load_recipe(place) if place.is_file() and place.suffix == ".toml" else None
+    return float(item.rate) if isinstance(item, AnyTuning) else None
+
+
+HEADER = "# written by ehbench export\n"
+
+
+def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
+    """The recipe that exports a source: that recipe itself, or a new file beside the run's folder.
+
+    Raises:
+        InputError: no such file, nothing to export, or a file of the user's in its place.
+    """
+    import tomli_w
+
+    given = {key: value for key, value in options.items() if value}
+    if not source.exists():
+        raise InputError(message("stages.no_file", name=str(source)))
+    recipe = None
+    if source.is_file() and kind_of(source) == "recipe":
+        recipe = load_recipe(source)
+    elif source.is_dir():
+        place = TracedRun(source).recipe.place
+        recipe = None if place is None else load_recipe(place)
+    if isinstance(recipe, ExportRecipe):
+        if given:
+            raise InputError(message("export.has_options", names=", ".join(given)), file=source)
+        return recipe
+    path = host.out or host.root / f"{source.resolve().stem}_export"
+    path = path.with_name(f"{path.name}.toml")
+    rig = source
+    if isinstance(recipe, AnyTrial):
+        rig = recipe.file(recipe.rig)
+        if recipe.flow_maps is not None:
+            given["flow_maps"] = _relative(recipe.file(recipe.flow_maps), path)
+    if isinstance(recipe, AnyTuning) and source.is_file():
+        rig = recipe.file(recipe.rig)
+    if isinstance(recipe, AnyTrial | AnyTuning):
+        given["controller"] = _relative(source, path)
+        if isinstance(recipe, AnyTuning):
+            given.setdefault("parts", "controller")
+    table = {"stage": "export", "rig": _relative(rig, path), **given}
+    if path.exists() and not path.read_text(errors="replace").startswith(HEADER):
+        raise InputError(message("stages.exists"), file=path)
+    write_text(path, HEADER + tomli_w.dumps(table))
+    return load_recipe(path)
+
+
+def _relative(file: Path, recipe: Path) -> str:
+    """A file as a recipe names it."""
+    return Path(os.path.relpath(file.resolve(), recipe.resolve().parent)).as_posix()
