@@ -10,10 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.config.recipe import load_recipe
-from ehbench.report.terminal import MOST_STEPS, MOST_WORDS, answer
+from ehbench.config.recipe import kind_of, load_recipe
+from ehbench.report.terminal import MOST_STEPS, MOST_WORDS, answer, report_answer
 from ehbench.stages import Stage, stage_of
 from ehbench.vocabulary.commands import COMMANDS
+from tests.unit import report_runs as runs
 
 ROOT = Path(__file__).parents[2]
 LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
@@ -90,6 +91,7 @@ def test_each_command_is_short(words, place, inside, undrawn):
     assert not re.search("(?m)^note: ", done.stderr)
 
 
+NO_COMMAND = ("bench", "dataset")
 CHEAP = (
     *("slide_servo/hydraulics", "slide_servo/validation", "slide_servo/response"),
     *("slide_servo/tuning", "slide_servo/arc_tuning", "trials/velocity_steps"),
@@ -113,6 +115,72 @@ def test_each_cheap_recipe_is_short(name, place, inside, undrawn, unlocused):
     notes = [note["text"] for note in values["notes"]]
     short("\n".join(answer(place / values["folder"], notes, values["code"]).lines()))
     assert not re.search("(?m)^note: ", done.stderr)
+
+
+RECIPES = {
+    path.relative_to(ROOT / "recipes").with_suffix("").as_posix(): load_recipe(path)
+    for path in sorted((ROOT / "recipes").rglob("*.toml"))
+    if kind_of(path) == "recipe"
+}
+RECIPES = {name: item for name, item in RECIPES.items() if item.kind()[0] not in NO_COMMAND}
+OTHERS = [name for name in RECIPES if name not in CHEAP]
+# a run of each kind, whose tables a run of a recipe takes the place of
+STORED = {
+    "flow_map": runs.flow_map_run,
+    "hydraulics": runs.hydraulics_run,
+    "validation": runs.validation_run,
+    "tune": runs.tune_run,
+    "trial": runs.trial_run,
+    "trials": lambda root: runs.trials_run(root, "many", runs.PAIR | runs.TRACKED),
+    "response": lambda root: runs.table_run(root, "response", "slide_servo"),
+    "arc_tuning": lambda root: runs.table_run(root, "arc_tuning", "slide_servo", "tuning"),
+    "study": lambda root: runs.table_run(root, "study", "thesis_arm"),
+}
+
+
+def stored(root: Path, name: str) -> Path:
+    """A run as a recipe would leave it, of a kind that takes long to make."""
+    recipe = RECIPES[name]
+    kind = recipe.kind()[1] or recipe.kind()[0]
+    run = STORED[{"validate": "validation", "arc": "arc_tuning"}.get(kind, kind)](root)
+    facts = json.loads((run / "run.json").read_text())
+    facts |= {"name": recipe.name, "title": recipe.title or recipe.name}
+    facts["recipe"]["path"] = f"recipes/{name}.toml"
+    (run / "run.json").write_text(json.dumps(facts))
+    return run
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_every_other_recipe_would_be_short(name, tmp_path):
+    """With as many notes as a run may have, and a limit that stopped it."""
+    recipe, notes = RECIPES[name], [f"log: {i}" for i in "abc"]
+    if recipe.kind()[0] != "campaign":
+        short("\n".join(answer(stored(tmp_path, name), notes, 3, True).lines()))
+        return
+    folder, inputs = tmp_path / "campaign", []
+    for place, file in enumerate(recipe.recipes):
+        inside = f"{Path(name).parent.as_posix()}/{Path(file).stem}"
+        run = stored(tmp_path / str(place), inside)
+        inputs.append({"role": "run", "path": str(run), "sha256": "0"})
+    folder.mkdir()
+    facts = runs.table("facts", stage="report", name="campaign", inputs=inputs)
+    (folder / "run.json").write_text(json.dumps(facts))
+    text = "\n".join(report_answer(folder, notes).lines())
+    assert "in the report" in text
+    short(text)
+
+
+def test_every_recipe_is_of_a_kind_that_is_looked_at():
+    assert len(OTHERS) + len(CHEAP) == len(RECIPES) > 50
+
+
+@pytest.mark.parametrize(
+    "words", [("show", LOG), ("convert", LOG, "--to", "mat"), ("init", "ws")], ids=lambda w: w[0]
+)
+def test_commands_without_a_run_have_json_as_well(words, inside, tmp_path):
+    known = json.loads(inside(*words, "--json", cwd=tmp_path).stdout)
+    assert {"verdict", "steps", "notes", "folder"} <= known.keys()
+    assert known["verdict"]["key"].startswith("app.") and (tmp_path / known["folder"]).exists()
 
 
 def test_quiet_prints_the_folder_alone(place, inside, undrawn):

@@ -300,6 +300,14 @@ def tuning(**more) -> dict:
     return result | more
 
 
+def table_run(root: Path, kind: str, rig: str, file: str = "") -> Path:
+    """A run of which a terminal reads a single table."""
+    folder = made(root, kind, rig)
+    write_json(folder / f"{file or kind}.json", table(kind))
+    facts(folder, kind, what=kind, title=kind, warnings=[])
+    return folder
+
+
 def tune_run(root: Path, name: str = "tuning", rig: str = "thesis_arm", **more) -> Path:
     folder = made(root, name, rig)
     write_json(folder / "tuning.json", tuning(**more))
