@@ -154,6 +154,20 @@ class Record:
         return frame
 
 
+def floats(values: np.ndarray) -> np.ndarray:
+    """Numbers as floats.
+
+    Raises:
+        LogError: an integer that no float is: beyond 2^53 not all are.
+    """
+    result = values.astype(float)
+    if values.dtype.kind in "iu":
+        for row in np.flatnonzero(np.abs(result) >= 2.0**53):
+            if int(result[row]) != int(values[row]):
+                raise LogError(message("data.integer_rounded", number=int(values[row])))
+    return result
+
+
 def resampled(
     channels: Mapping[str, np.ndarray], t: np.ndarray, at: np.ndarray, slack: float = 0.0
 ) -> dict[str, np.ndarray]:

@@ -210,6 +210,20 @@ def numbers(
     return values, odd
 
 
+def long_integers(
+    rows: Sequence[str], separator: str, values: np.ndarray, columns: Sequence[int]
+) -> dict[int, tuple[int, Message]]:
+    """By column, (row, message) of its first integer that no float is: beyond 2^53 not all are."""
+    results: dict[int, tuple[int, Message]] = {}
+    for place, index in enumerate(columns):
+        for row in np.flatnonzero(np.abs(values[:, place]) >= 2.0**53):
+            cell = split(rows[int(row)], separator)[index]
+            if cell.isdecimal() and int(cell) != int(values[row, place]):
+                results[index] = (int(row), message("data.integer_rounded", number=cell))
+                break
+    return results
+
+
 @dataclass(frozen=True, eq=False)
 class TextTable:
     """A table of text whose first line that is neither blank nor a remark (``#``) names its
@@ -244,10 +258,12 @@ class TextTable:
         text, mark = "\n".join(self.rows), self.separator
         comma = mark != "," and _decides(text, mark, ",") and not _decides(text, mark, ".")
         decimal = "," if comma else "."
-        for index, (row, doubt) in two_readings(self.rows, mark, decimal, columns).items():
+        values, odd = numbers(self.rows, mark, decimal, columns)
+        doubts = two_readings(self.rows, mark, decimal, columns)
+        doubts |= long_integers(self.rows, mark, values, columns)
+        for index, (row, doubt) in doubts.items():
             text = message("data.column_error", name=self.header[index], error=doubt, unit="")
             raise LogError(text, file=self.path, line=self.lines[row], hint=doubt.hint)
-        values, odd = numbers(self.rows, mark, decimal, columns)
         for place, cells in enumerate(odd if mark != "," else ()):
             for row, cell in list(cells.items()):
                 if (value := number(cell, _OTHER[decimal])) is not None:

@@ -36,7 +36,8 @@ class Answer:
     """What a command says.
 
     ``tables``: the most telling first, of it the ``columns`` (none: all). ``steps``: what to do
-    next, the most valuable first. ``notes``: all else worth knowing. ``place``: what was written.
+    next, the most valuable first. ``notes``: all else worth knowing, and ``details`` of it.
+    ``place``: what was written.
     ``values``: the same for scripts.
     """
 
@@ -48,6 +49,7 @@ class Answer:
     values: Mapping[str, Any] = field(default_factory=dict)
     columns: Sequence[str] = ()
     notes_in: str = "with -v"
+    details: Sequence[str] = ()
 
     def lines(self, width: int = 100, whole: bool = False) -> list[str]:
         """Verdict, table, numbered next steps, the number of notes, and the place.
@@ -61,7 +63,7 @@ class Answer:
         if not whole and len(short) < len(verdict.split()):
             verdict = " ".join([*short, "…"])
         out = textwrap.wrap(verdict, width)
-        for note in self.notes if whole else ():
+        for note in (*self.notes, *self.details) if whole else ():
             out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")
         for item in self.tables if whole else self.tables[:1]:
             columns = () if whole else self.columns
@@ -131,6 +133,7 @@ def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool 
         folder,
         {"code": code, **values(folder)},
         report_of(run).columns,
+        details=[str(text) for text in run.facts.get("interpolated", [])],
     )
 
 

@@ -32,6 +32,9 @@ class TimestampSettings:
     coarsest: float = setting(
         4.0, "", "resolution in sample times beyond which stamps show no rate", "rows a step"
     )
+    lossy: float = setting(
+        0.75, "", "resolution in sample times at which lost rows still show", "steps of 1 or 2"
+    )
     fewest_long: int = setting(
         10, "", "long or short steps of rounded stamps that show a rate", "losses are not regular"
     )
@@ -98,7 +101,8 @@ def resolution(values: np.ndarray) -> Resolution:
 
 def unrounded(t: np.ndarray, step: float) -> np.ndarray:
     """Times [s] of an even rate, where these are off it by no more than half the ``step`` [s] to
-    which they are rounded, and too often for missing samples; others as they are.
+    which they are rounded, and too often for missing samples, or with rows missing on the beats of
+    a rate that the step still shows; others as they are.
     """
     steps = np.diff(t)
     if not np.isfinite(t).all() or t.size < SETTINGS.fewest or steps.min() < 0.0:
@@ -110,7 +114,12 @@ def unrounded(t: np.ndarray, step: float) -> np.ndarray:
     count = np.arange(t.size)
     even = np.polyval(np.polyfit(count, t, 1), count)
     fits = np.abs(even - t).max() <= SETTINGS.rounded * step
-    return even if fits and odd.sum() >= SETTINGS.fewest_long else t
+    if fits and odd.sum() >= SETTINGS.fewest_long:
+        return even
+    stamps = timestamps_of(t) if step <= SETTINGS.lossy * tick else None
+    if stamps is None or np.abs(stamps.off).max() > SETTINGS.rounded * step:
+        return t
+    return t[0] - stamps.off[0] + stamps.period * stamps.number
 
 
 def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | None:

@@ -73,6 +73,7 @@ class Logs(NamedTuple):
         inputs: the file of each; one with a gap is that of several logs.
         losses: what was lost.
         remarks: what was interpolated, one for each.
+        details: each gap and bad sample that was.
         entries: number of the recipe's entry of each.
         files: all files, with the maps of columns that they were read by.
     """
@@ -81,6 +82,7 @@ class Logs(NamedTuple):
     inputs: NamedFiles
     losses: list[str]
     remarks: Sequence[str]
+    details: Sequence[str]
     entries: list[int]
     files: NamedFiles
 
@@ -219,7 +221,7 @@ class Inputs:
             else:
                 available.append((index, item, place))
         names = distinct_names([place for _, _, place in available])
-        records, inputs, losses, remarks, entries = [], [], [], [], []
+        records, inputs, losses, remarks, details, entries = [], [], [], [], [], []
         files: list[tuple[str, Path]] = []
         maps: list[tuple[str, Path]] = []
         for (index, item, place), name in zip(available, names, strict=True):
@@ -229,7 +231,9 @@ class Inputs:
             scored = getattr(item, "scored", None)
             parts, texts = parts_of(name, record, driven=driven, within=scored)
             losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
-            remarks += recovered(name, [*whole.losses, *texts])
+            every = [*whole.losses, *texts]
+            remarks += recovered(name, every)
+            details += [f"{name}: {note}" for note in every if note not in lost(every)]
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
             entries += [index] * len(parts)
@@ -243,7 +247,8 @@ class Inputs:
             self.notes.add("reads", text)
         self.notes.add("losses", *(f"lost: {loss}" for loss in losses))
         self.notes.add("remarks", *remarks)
-        return Logs(records, tuple(inputs), losses, remarks, entries, (*files, *maps))
+        places = (*files, *maps)
+        return Logs(records, tuple(inputs), losses, remarks, details, entries, places)
 
     def _read(
         self, item: DataFile, index: int, path: Path, is_run: bool, maps: list[tuple[str, Path]]

@@ -226,16 +226,21 @@ def test_a_killed_process_leaves_a_log(tmp_path):
     assert back.meta == {"rig": "r"} and "breaks off" in back.losses[-1]
 
 
-def by_others(path: Path, rows: list[tuple[float, float]]) -> Path:
+def by_others(path: Path, rows: list[tuple[float, float]], kind: str = "float64") -> Path:
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")
         id = writer.register_schema(
-            "lab/msg/Arm", "ros2msg", b"float64 t # t [s]\nfloat64 p # boom.p_head [Pa]\n"
+            "lab/msg/Arm", "ros2msg", f"float64 t # t [s]\n{kind} p # boom.p_head [Pa]\n".encode()
         )
         id = writer.register_channel("/arm", "cdr", id)
         for row in rows:
-            writer.add_message(id, 0, b"\x00\x01\x00\x00" + struct.pack("<2d", *row), 0)
+            writer.add_message(
+                id,
+                0,
+                b"\x00\x01\x00\x00" + struct.pack("<dq" if kind == "int64" else "<2d", *row),
+                0,
+            )
         writer.finish()
     return path
 
@@ -258,6 +263,17 @@ def test_wrong_data_in_mcap(tmp_path, rows, error, said):
     assert caught.value.file == str(path)
     if rows:
         assert read(path, check=False).t.size == len(rows)
+
+
+def test_an_integer_that_no_float_is_is_refused(tmp_path):
+    for number, exact in ((2**54, True), (2**53 + 1, False)):
+        path = by_others(tmp_path / "a.mcap", [(0, 1), (1, number)], "int64")
+        if exact:
+            assert int(read(path, check=False)["boom.p_head"][1]) == number
+            continue
+        with pytest.raises(LogError) as caught:
+            read(path)
+        assert (caught.value.file, caught.value.key) == (str(path), "data.integer_rounded")
 
 
 @pytest.mark.parametrize(

@@ -379,6 +379,24 @@ def test_the_map_is_an_input_of_the_run(undrawn, tmp_path):
     assert roles["columns"].endswith("my.map.toml")
 
 
+def test_each_gap_of_a_log_is_listed_with_v_alone(undrawn, tmp_path):
+    from ehbench import workflow
+    from ehbench.report.terminal import answer
+
+    raw_log(tmp_path / "raw.csv")
+    lines = (tmp_path / "raw.csv").read_text(encoding="cp1252").split("\n")
+    del lines[100:102]
+    (tmp_path / "raw.csv").write_text("\n".join(lines), encoding="cp1252")
+    text = f'stage = "response"\nrig = "{RIG}"\ndata = ["raw.csv"]\n{RECIPES["response"]}'
+    (tmp_path / "r.toml").write_text(f"{text}[columns.names]\n{MAP}")
+    run = workflow.run(tmp_path / "r.toml", workflow.Session(root=tmp_path / "reports"))
+    shown = answer(run.folder)
+    assert len(shown.details) == 2  # by the reader, and where it is bridged
+    for whole in (True, False):
+        words = " ".join(" ".join(shown.lines(whole=whole)).split())
+        assert all((detail in words) == whole for detail in shown.details)
+
+
 def test_a_python_user_names_the_map_by_its_file(tmp_path):
     raw_log(tmp_path / "raw.csv")
     (tmp_path / "my.map.toml").write_text("[names]\n" + MAP)

@@ -329,6 +329,142 @@ WRITERS = {
 }
 
 
+LONG = {  # integers of 64 bits; the second are moments [ns]
+    "exact": np.array([2**54 + 4 * n for n in range(8)]),
+    "stamps": 1772366400_000000001 + 1001 * np.arange(8),
+    "rounded": np.array([2**53 + 1 + n for n in range(8)]),
+}
+
+
+def long_text(path: Path) -> None:
+    rows = [",".join(map(str, row)) for row in zip(*LONG.values(), strict=True)]
+    path.write_text("\n".join([",".join(LONG), *rows]))
+
+
+def long_hdf5(path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in LONG.items():
+            file[name] = values
+
+
+def long_parquet(path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table(LONG), path)
+
+
+def long_mat(path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(path, LONG)
+
+
+def long_tdms(path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(path) as file:
+        file.write_segment([nptdms.ChannelObject("g", *item) for item in LONG.items()])
+
+
+def long_mdf(path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        t = np.arange(8.0)
+        file.append([asammdf.Signal(values, t, name=name) for name, values in LONG.items()])
+        file.save(path, overwrite=True)
+
+
+def long_bag(path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("\n".join(f"int64 {name}" for name in LONG), "a/msg/A"))
+    content = store.types["a/msg/A"]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as file:
+        topic = file.add_connection("/all", content.__msgtype__, typestore=store)
+        for n, row in enumerate(zip(*LONG.values(), strict=True)):
+            data = store.serialize_cdr(content(*map(int, row)), content.__msgtype__)
+            file.write(topic, 10**9 * n, data)
+
+
+LONG_WRITERS = {
+    "a.csv": long_text,
+    "a.npz": lambda path: np.savez(path, **LONG),
+    "a.h5": long_hdf5,
+    "a.parquet": long_parquet,
+    "a.mat": long_mat,
+    "a.tdms": long_tdms,
+    "a.mf4": long_mdf,
+    "a_bag": long_bag,
+}
+
+
+@pytest.mark.parametrize("name", LONG_WRITERS)
+def test_an_integer_that_no_float_is_is_refused_and_never_rounded(name, tmp_path):
+    LONG_WRITERS[name](tmp_path / name)
+    source = open_source(tmp_path / name)
+    columns = {column.name: column for table in source.tables for column in table.columns}
+    assert [int(value) for value in columns["exact"].values] == LONG["exact"].tolist()
+    if "rounded" in columns:  # of text, which says so where it is asked for
+        row, doubt = columns["rounded"].doubt
+        assert (row, doubt.key, doubt.fields["number"]) == (
+            0,
+            "data.integer_rounded",
+            str(2**53 + 1),
+        )
+    else:
+        assert any("rounded" in loss and str(2**53 + 1) in loss for loss in source.losses)
+    if "stamps" in columns:
+        stamps = columns["stamps"]
+        assert stamps.unit == "ns" and stamps.values.tolist() == (1001.0 * np.arange(8)).tolist()
+        assert source.tables[0].began == pytest.approx(1772366400.0, abs=1e-6)
+    else:
+        assert name in ("a.tdms", "a.mf4", "a_bag")  # which have a time by themselves
+        assert any("stamps" in loss for loss in source.losses)
+
+
+def test_structs_by_reference_and_objects_of_matlab_are_refused_by_name(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        refs = [file.create_dataset(f"#refs#/{n}", data=np.arange(8.0)).ref for n in range(2)]
+        file["run/Data"] = np.array(refs, h5py.ref_dtype)
+        file["series"] = np.array([3707764736, 2, 1, 1, 1, 1], "u4")
+        file["series"].attrs["MATLAB_object_decode"] = 3
+        file["t"] = np.arange(8.0)
+    source = open_source(tmp_path / "a.mat")
+    assert [column.name for table in source.tables for column in table.columns] == ["t"]
+    losses = {loss.fields["name"]: loss.key for loss in source.losses}
+    assert losses == {"run/Data": "data.matlab_structs", "series": "data.matlab_object"}
+
+
+EXCEL_TEXTS = {  # cells of one column: their numbers, or the row of a cell that stays in doubt
+    "grouped": ([1.5, "1,000", 999.0], 1),
+    "three decimals": ([1.002, 12.345, 7.125], [1.002, 12.345, 7.125]),
+    "groups that decide": ([1.5, "1,234.5", "1,000"], [1.5, 1234.5, 1000.0]),
+    "decimal commas": (["0,5", "1,25", 2], [0.5, 1.25, 2.0]),
+    "a comma beside points": ([*HALVES, "0,5", *HALVES], [*HALVES, NAN, *HALVES]),
+}
+
+
+@pytest.mark.parametrize("name", EXCEL_TEXTS)
+def test_text_in_a_workbook_follows_the_grammar_of_numbers(name, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    cells, expected = EXCEL_TEXTS[name]
+    book = openpyxl.Workbook()
+    for row in (["t", "p"], *enumerate(cells)):
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    column = open_source(tmp_path / "a.xlsx").tables[0].columns[1]
+    if isinstance(expected, int):
+        assert column.doubt[0] == expected
+    else:
+        assert column.doubt is None
+        np.testing.assert_array_equal(column.values, expected)
+
+
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_encoding_of_a_format_is_read_back_or_refused_by_name(name, tmp_path):
     expected = WRITERS[name](tmp_path / name)
@@ -362,7 +498,18 @@ def test_a_formula_is_worked_out(text, result):
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "log(X)", "X(1)", "sin(X, X)", "lambda: X", "X if X else X", "X; X", "X, X", "X > 2"),
+        *(
+            "",
+            "log(X)",
+            "if(X > 2, 1, 0)",
+            "X(1)",
+            "sin(X, X)",
+            "lambda: X",
+            "X if X else X",
+            "X; X",
+            "X, X",
+            "X > 2",
+        ),
         *"Y X.real X[0] sin 'X' 1_0*X 0x1*X 25,5*X X1*( True*X 1j*X X=1 sin(*X) exp(x=X)".split(),
         *("__import__('os')", "X" * 9, "X+" * 300 + "X", "(" * 150 + "X"),
         *("X\n*2", "X\uff11", "9" * 400),
@@ -371,4 +518,5 @@ def test_a_formula_is_worked_out(text, result):
 def test_what_is_no_formula_is_refused(text):
     with pytest.raises(LogError) as error:
         evaluate(text, np.array([2.0, 3.0]))
-    assert error.value.key == "data.formula_not_understood"
+    word = {"log(X)": "log", "if(X > 2, 1, 0)": "condition"}.get(text, "not_understood")
+    assert error.value.key == f"data.formula_{word}"

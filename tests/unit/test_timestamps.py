@@ -126,6 +126,17 @@ def test_rounded_stamps_of_an_even_rate_are_even_again(rate, start, rounded):
     np.testing.assert_allclose(np.diff(t), 1.0 / rate, rtol=1e-5)
 
 
+@pytest.mark.parametrize(("rate", "start"), [(1000.0, 5000.0), (500.0, 9000.0), (2000.0, 3000.0)])
+def test_rows_that_a_coarse_clock_lost_are_counted(rate, start):
+    """Floats of 32 bits, up to three quarters of the sample time apart."""
+    rows = np.setdiff1d(np.arange(4000), [500, 1500, 1501, 2500, 2501, 2502])
+    stamps = (start + rows / rate).astype(np.float32).astype(float)
+    assert max(resolution(stamps)) > 0.2 / rate
+    t = unrounded(stamps, max(resolution(stamps)))
+    np.testing.assert_array_equal(np.rint((t - t[0]) * rate), rows)
+    np.testing.assert_allclose(t - t[0], rows / rate, atol=0.02 / rate)
+
+
 @pytest.mark.parametrize("lost", [1, 7, 80])
 def test_missing_samples_are_no_rounding(lost):
     rows = np.setdiff1d(np.arange(8000), np.random.default_rng(1).choice(8000, lost, False))

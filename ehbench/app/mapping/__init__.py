@@ -22,7 +22,6 @@ from ehbench.data.channels import DAYS
 from ehbench.data.flowmeter import alike, read_flowmeter
 from ehbench.data.readers import Source, SourceColumn, SourceTable, open_source, reader_of
 from ehbench.data.readers.clock import since_1970
-from ehbench.data.record import lost, recovered
 from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.report.blocks import Grid
 from ehbench.report.terminal import Answer
@@ -225,6 +224,6 @@ def _tried(
         names = ", ".join(f"'{remark(name)}'" for name in undecided)
         fields |= {"columns": len(guesses), "undecided": names}
     lines.append(message("app.taken_in_part" if undecided else "app.taken", **fields))
-    lines += [f"  {note}" for note in (*lost(record.losses), *recovered(path.name, record.losses))]
+    lines += [f"  {note}" for note in record.losses]
     lines += [f"  {doubt}" for doubt in ([] if rig is None else outside_stroke(record, rig))]
     return [*lines, step]

@@ -50,7 +50,10 @@ def _dialect(source: Source) -> list[str]:
     for column in (column for table in source.tables for column in table.columns):
         if column.doubt is not None:
             doubt = column.doubt[1]
-            key = "decimal" if doubt.key == "data.two_readings" else "day_first"
+            keys = {"data.two_readings": "decimal", "data.integer_rounded": ""}
+            key = keys.get(doubt.key, "day_first")
+            if not key:
+                continue
             lines[key] = f"# {key} = ?    # {remark(doubt, 200)}"
     return [*lines.values()]
 

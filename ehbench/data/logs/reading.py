@@ -22,7 +22,10 @@ def read_mcap(path: Path, check: bool = True, window: Window | None = None) -> R
     data = read_bytes(path, DATA, LogError)
     if not data:
         raise LogError(message("data.empty_file"), file=path)
-    result = Salvage(data)
+    try:
+        result = Salvage(data)
+    except LogError as error:  # of an integer
+        raise LogError(error.message, file=path, hint=error.hint) from None
     if not data.startswith(MAGIC) and not result.streams:
         begins = data[: len(MAGIC)]
         raise LogError(message("data.no_mcap", magic=MAGIC, begins=begins), file=path)

@@ -28,6 +28,7 @@ from ehbench.data.logs.layout import (
     SCHEMA,
     unpack,
 )
+from ehbench.data.record import floats
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 
@@ -65,7 +66,7 @@ class Stream:
             grown[:, : self.size] = self.table[:, : self.size]
             self.table = grown
         for out, name in zip(self.table, self.labels):
-            out[self.size : stop] = messages[name]
+            out[self.size : stop] = floats(messages[name])
         self.size = stop
         self.sequences.append(messages["#sequence"].copy())
         self.stamps.append(messages["#log_time"].copy())

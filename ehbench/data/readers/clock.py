@@ -6,7 +6,8 @@ import calendar
 import re
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta, timezone
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -125,6 +126,18 @@ def since_1970(seconds: float, days: bool) -> float | None:
         if of_days == days and low <= count < high:
             return (count - zero) * (_DAY if days else 1.0)
     return None
+
+
+def nanoseconds(cells: Iterable[Any]) -> tuple[np.ndarray, float] | None:
+    """(nanoseconds since the first, the first in seconds since 1970) of integers, or their text,
+    that count nanoseconds since 1970; None of others, and of such as go back.
+    """
+    texts = [str(cell) for cell in cells]
+    counts = [int(text) for text in texts if text.isdecimal()]
+    known = len(counts) == len(texts) > 0 and 10**18 <= counts[0] <= counts[-1] < 26 * 10**17
+    if not known or any(later < count for count, later in pairwise(counts)):
+        return None
+    return np.array([float(count - counts[0]) for count in counts]), counts[0] / 1e9
 
 
 def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-from ehbench.data.readers.clock import clock, is_date, is_time, order_of, time_of_day
+from ehbench.data.readers.clock import clock, is_date, is_time, nanoseconds, order_of, time_of_day
 from ehbench.data.readers.table import (
     Dialect,
     Source,
@@ -23,6 +23,7 @@ from ehbench.data.text import (
     cells_of,
     is_hole,
     lines_of,
+    long_integers,
     number,
     numbers,
     split,
@@ -83,18 +84,25 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
     values, odd = numbers(rows, separator, decimal, of_numbers)
     doubts = {} if dialect.decimal else two_readings(rows, separator, decimal, of_numbers)
+    long, began = long_integers(rows, separator, values, of_numbers), None
+    for index in long:
+        if since := nanoseconds(cells_of(rows, separator, index)):
+            values[:, of_numbers.index(index)], began = since
+        else:
+            doubts[index] = long[index]
     cells = {
         index: cells_of(rows, separator, index)
         for index, kind in enumerate(layout.kinds)
         if kind != "numbers"
     }
     kinds = _dated(cells, layout.kinds)
-    columns, began, daytime, words = [], None, None, {}
+    columns, daytime, words = [], None, {}
     for index, kind in enumerate(kinds):
         if kind == "numbers":
             place = of_numbers.index(index)
             unit = _unit(units[index]) if index < len(units) else ""
-            if index < len(top) and names[index] != top[index]:  # column_names behind its unit
+            unit = unit or "ns" * (index in long and index not in doubts)
+            if index < len(top) and names[index] != top[index]:  # numbered behind its unit
                 unit = unit or unit_in(top[index])
             doubt = doubts.get(index)
             columns.append(SourceColumn(names[index], values[:, place], unit, odd[place], doubt))

@@ -17,6 +17,7 @@ from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _TAB = "\t"
+_THREE_DECIMALS = re.compile(r"-?\d+\.\d{3}")
 _SWELLS = 12  # bytes held for one of a sheet's XML
 # a cell with a formula and without the number that it comes to
 _UNCALCULATED = re.compile(
@@ -32,7 +33,7 @@ def read(path: Path, dialect: Dialect) -> Source:
     refuse_beyond(_SWELLS * fixed, "reading it")
     book: Any = load_workbook(path, read_only=True, data_only=True)
     tables, losses = [], []
-    plain = Dialect(_TAB, ".", dialect.skip, dialect.unit_row)
+    plain = Dialect(_TAB, None, dialect.skip, dialect.unit_row)
     try:
         for sheet in book.worksheets:
             if dialect.table not in (None, sheet.title):
@@ -66,4 +67,6 @@ def _text(cell: Any) -> str:
         return cell.isoformat()
     if isinstance(cell, timedelta):
         return repr(cell.total_seconds())
-    return repr(cell) if isinstance(cell, float) else " ".join(str(cell).split())
+    if isinstance(cell, float):  # three decimals must not look like grouped digits
+        return f"{cell!r}e0" if _THREE_DECIMALS.fullmatch(repr(cell)) else repr(cell)
+    return " ".join(str(cell).split())

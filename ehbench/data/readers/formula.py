@@ -49,7 +49,9 @@ def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "
     Raises:
         LogError: the formula has anything else in it than numbers, operators and functions.
     """
-    refusal = LogError(message("data.formula_not_understood", formula=text))
+    calls = set(re.findall(r"[a-z]+(?=\s*\()", text.lower()[:_LONGEST]))
+    key = "log" if "log" in calls else "condition" if calls & {"if", "iif"} else "not_understood"
+    refusal = LogError(message(f"data.formula_{key}", formula=text))
     if len(text) > _LONGEST or _TOKEN.sub("", text):
         raise refusal
     readings = values.astype(float)

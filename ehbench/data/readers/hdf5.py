@@ -21,7 +21,8 @@ _UNITS = ("unit", "units", "Unit", "Units", "UNIT", "UNITS")
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The data sets of a file, converted as their attributes say, with the units of these."""
-    gathered, losses = Gathered(), []
+    gathered = Gathered()
+    losses = gathered.losses
     with h5py.File(path, "r") as file:
         sets = list(_data_sets(file, "", {file.id}, losses))
         sizes = (float(item.size or 0) * max(item.dtype.itemsize, 8) for _, item in sets)
@@ -29,6 +30,11 @@ def read(path: Path, dialect: Dialect) -> Source:
         for name, item in sets:
             if item.is_virtual or item.external:
                 losses.append(message("data.in_other_file", name=name))
+                continue
+            if "MATLAB_object_decode" in item.attrs or h5py.check_ref_dtype(item.dtype):
+                by_reference = "MATLAB_object_decode" not in item.attrs
+                key = "data.matlab_structs" if by_reference else "data.matlab_object"
+                losses.append(message(key, name=name))
                 continue
             place, _, last = name.rpartition("/")
             values, unit = None, _unit(item.attrs)

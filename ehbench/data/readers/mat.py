@@ -31,7 +31,8 @@ def read(path: Path, dialect: Dialect) -> Source:
         sizes = [_PACKED * path.stat().st_size]
     refuse_beyond(24.0 * sum(sizes), "reading it")
     result = loadmat(str(path), squeeze_me=True, struct_as_record=False, appendmat=False)
-    gathered, losses = Gathered(), []
+    gathered = Gathered()
+    losses = gathered.losses
     for name, value in result.items():
         if not name.startswith("__"):
             _add(gathered, "", name, value, losses)

@@ -10,6 +10,7 @@ from asammdf import MDF
 
 from ehbench.data.readers.formula import evaluate
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable, column_names
+from ehbench.data.record import floats
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
@@ -92,9 +93,10 @@ def _converted(samples: np.ndarray, conversion) -> np.ndarray:
     """Readings converted here, those of the library as they are.
 
     Raises:
-        LogError: the formula is not understood, or one in a table of others.
+        LogError: the formula is not understood, or one in a table of others; an integer that no
+            float is.
     """
-    values = samples.astype(float)
+    values = floats(samples)
     if conversion is None:
         return values
     kind, version = conversion.conversion_type, _version(conversion)

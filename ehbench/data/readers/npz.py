@@ -15,7 +15,8 @@ from ehbench.vocabulary.messages import message
 
 def read(path: Path, dialect: Dialect) -> Source:
     """The arrays of a file by name; pickled objects are not unpacked."""
-    gathered, losses = Gathered(), []
+    gathered = Gathered()
+    losses = gathered.losses
     if not zipfile.is_zipfile(path):
         gathered.add("", path.stem, np.load(path, allow_pickle=False))
         return Source(gathered.tables())

@@ -17,6 +17,7 @@ from ehbench.data.readers.table import (
     columns_of,
 )
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _UNITS = (b"unit", b"units", b"Unit", b"Units")
@@ -36,9 +37,14 @@ def read(path: Path, dialect: Dialect) -> Source:
         if values is None:
             losses.append(message("data.not_read", name=field.name))
             continue
-        for column, first in columns_of(
-            field.name, values, (unit or b"").decode("utf-8", "replace")
-        ):
+        text = (unit or b"").decode("utf-8", "replace")
+        try:
+            parts = columns_of(field.name, values, text)
+        except LogError as error:
+            reason = message("data.not_converted", name=field.name, reason=error.message)
+            losses.append(reason)
+            continue
+        for column, first in parts:
             columns.append(column)
             began = first if began is None else began
     names = column_names([column.name for column in columns])

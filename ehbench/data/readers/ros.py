@@ -62,11 +62,12 @@ def read(path: Path, dialect: Dialect) -> Source:
                 unread[topic] = f"{topic} ({kind})"
     zeros = [_stamps(stamps).min() for stamps in times.values()]
     zero = int(min(zeros, default=0))
-    tables = [
-        _table(topic, rows[topic], _stamps(times[topic]), zero, kinds[topic]) for topic in rows
-    ]
-    losses = tuple(message("data.topic_not_read", topic=topic) for topic in unread.values())
-    return Source(tuple(tables), losses=losses)
+    tables, losses = [], [message("data.topic_not_read", topic=text) for text in unread.values()]
+    for topic, content in rows.items():
+        table, refused = _table(topic, content, _stamps(times[topic]), zero, kinds[topic])
+        tables.append(table)
+        losses += refused
+    return Source(tuple(tables), losses=tuple(losses))
 
 
 def _stamps(pairs: list[tuple[int, int]]) -> np.ndarray:
@@ -77,18 +78,31 @@ def _stamps(pairs: list[tuple[int, int]]) -> np.ndarray:
 
 def _table(
     topic: str, rows: list[dict[str, float]], stamps: np.ndarray, zero: int, kind: str
-) -> SourceTable:
-    """A topic's numbers by name, in the order of its time; NaN where a message has none."""
+) -> tuple[SourceTable, list[str]]:
+    """(a topic's numbers by name, in the order of its time, NaN where a message has none; notes on
+    integers that no float is).
+    """
     order = np.argsort(stamps, kind="stable")
     names = dict.fromkeys(name for row in rows for name in row)
     units = _UNITS.get(kind, {})
-    columns = []
+    columns, losses = [], []
     for name in names:
-        values = np.array([row.get(name, np.nan) for row in rows])[order]
+        numbers = [row.get(name, np.nan) for row in rows]
+        odd = next((n for n in numbers if isinstance(n, int) and int(float(n)) != n), None)
+        if odd is not None:
+            reason = message("data.integer_rounded", number=odd)
+            losses.append(message("data.not_converted", name=f"{topic}/{name}", reason=reason))
+            continue
+        values = np.array(numbers, float)[order]
         unit = next((unit for part, unit in units.items() if name.startswith(part)), "")
         columns.append(SourceColumn(name, values, unit))
     t = (stamps[order] - zero) / 1e9
-    return SourceTable(topic, tuple(columns), t, zero / 1e9 if zero > 0 else None)
+    return SourceTable(topic, tuple(columns), t, zero / 1e9 if zero > 0 else None), losses
+
+
+def _plain(value: Any) -> float:
+    """A number of a message, an integer as it is."""
+    return int(value) if isinstance(value, (int, np.integer)) else float(value)
 
 
 def _header(message: Any) -> int:
@@ -108,12 +122,12 @@ def _numbers(message: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str
         if key.isupper() or f"{name}.".startswith(_BESIDE):  # a constant, or no reading
             continue
         if isinstance(value, (bool, int, float, np.number, np.bool_)):
-            yield name, float(value)
+            yield name, _plain(value)
         elif isinstance(value, (list, tuple, np.ndarray)) and 0 < len(value) <= _LONGEST:
             places = labels if len(labels) == len(value) else range(len(value))
             for label, item in zip(places, value):
                 if isinstance(item, (bool, int, float, np.number, np.bool_)):
-                    yield f"{name}.{label}", float(item)
+                    yield f"{name}.{label}", _plain(item)
                 elif depth < _DEEPEST and is_dataclass(item):
                     yield from _numbers(item, f"{name}.{label}.", depth + 1)
         elif depth < _DEEPEST and is_dataclass(value):

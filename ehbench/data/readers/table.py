@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.data.readers.clock import moments
+from ehbench.data.readers.clock import moments, nanoseconds
+from ehbench.data.record import floats
 from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
@@ -182,6 +183,9 @@ def columns_of(
     """Columns of what a file has under a name, each with the wall clock of its first value where it
     is of moments: one of a row or column of numbers, several of a matrix, whose longer side is
     time, and of records. Empty where it is of no numbers.
+
+    Raises:
+        LogError: an integer that no float is.
     """
     values = np.asarray(values)
     if values.dtype.names:
@@ -204,19 +208,32 @@ def columns_of(
         return [(SourceColumn(name, seconds, "s"), began)]
     if values.dtype.kind not in "fiub":
         return []
-    return [(SourceColumn(name, values.astype(float), unit), None)]
+    try:
+        return [(SourceColumn(name, floats(values), unit), None)]
+    except LogError:
+        if unit not in ("", "ns") or (since := nanoseconds(values)) is None:
+            raise
+        return [(SourceColumn(name, since[0], "ns"), since[1])]
 
 
 class Gathered:
-    """Columns gathered into tables by where they stand and how long they are."""
+    """Columns gathered into tables by where they stand and how long they are; ``losses`` are notes
+    on those that are refused.
+    """
 
     def __init__(self) -> None:
+        self.losses: list[str] = []
         self._columns: dict[tuple[str, int], list[SourceColumn]] = {}
         self._began: dict[tuple[str, int], float | None] = {}
 
     def add(self, place: str, name: str, values: np.ndarray, unit: str = "") -> bool:
         """Take what a file has under a name; whether there is a column of numbers in it."""
-        result = columns_of(name, values, unit)
+        try:
+            result = columns_of(name, values, unit)
+        except LogError as error:
+            text = message("data.not_converted", name=name, reason=error.message)
+            self.losses.append(text)
+            return True
         for column, began in result:
             key = (place, column.values.size)
             self._columns.setdefault(key, []).append(column)

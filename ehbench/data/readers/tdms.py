@@ -13,7 +13,9 @@ from nptdms.scaling import get_scaling
 
 from ehbench.data.readers.clock import moments
 from ehbench.data.readers.table import Dialect, Source, SourceColumn, SourceTable
+from ehbench.data.record import floats
 from ehbench.runtime.memory import refuse_beyond
+from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
@@ -44,7 +46,12 @@ def read(path: Path, dialect: Dialect) -> Source:
                 moved[channel.group_name] = began or 0.0
                 column = SourceColumn(channel.name, seconds, "s")
             elif values.ndim == 1 and values.dtype.kind in "fiub":
-                column = SourceColumn(channel.name, values.astype(float), unit)
+                try:
+                    column = SourceColumn(channel.name, floats(values), unit)
+                except LogError as error:
+                    text = message("data.not_converted", name=name, reason=error.message)
+                    losses.append(text)
+                    continue
             else:
                 losses.append(message("data.not_read", name=name))
                 continue
