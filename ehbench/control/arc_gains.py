@@ -117,6 +117,8 @@ class ArcGainSettings:
     maps: float = setting(0.12, "k1", "rate of the map corrections", "slow against the loop")
     observer: float = setting(6.0, "sum", "bandwidth of the observer", "fast against the loop")
     fastest_observer: float = setting(500.0, "rad/s", "its largest bandwidth", "noise at 1 kHz")
+    count: float = setting(0.08, "", "observed speed of a count, of the largest", "docs arc.md")
+    slowest_observer: float = setting(2.0, "k1", "its smallest bandwidth", "faster than the loop")
     pressure: float = setting(0.6, "sum", "bandwidth of the off-side pressure", "chosen")
     pressure_rate: float = setting(3.0, "1/s", "set-point's rate over supply pressure", "chosen")
     nudge: float = setting(0.01, "", "speed at standstill, of the largest", "chosen")
@@ -243,6 +245,10 @@ def pack_with_rates(
     }
     learning = _learning(point, unsure, bounds, chosen, (given, places))
     chosen |= _defaults(point, places[0].load, chosen, total, learning) | dict(given)
+    if "observer_bandwidth" not in given and chosen["stroke_resolution"] > 0.0:
+        quietest = ARC_GAINS.count * chosen["speed_correction"] / chosen["stroke_resolution"]
+        bandwidth = max(quietest, ARC_GAINS.slowest_observer * chosen["position_bandwidth"])
+        chosen["observer_bandwidth"] = min(chosen["observer_bandwidth"], bandwidth)
     chosen |= {"tick": given.get("tick", point.tick), "adapt": given.get("adapt", unsure.adapt)}
     chosen["adapt_oil"] = given.get("adapt_oil", 1.0)
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)

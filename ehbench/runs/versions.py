@@ -21,7 +21,7 @@ METHODS: Mapping[str, int] = {
     "diagnosis": 4,
     "validation": 3,
     "control": 1,  # controllers
-    "tuning": 2,
+    "tuning": 3,
     "trial": 1,  # the loop and what is measured of it
     "ledger": 1,
     "sampling": 1,  # designs of studies and their statistics
@@ -37,7 +37,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "response": (2, (*_SIMULATED, "frequency_response")),
     "validation": (5, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
-    "arc_tuning": (1, ("plant", "control", "tuning")),
+    "arc_tuning": (2, ("plant", "control", "tuning")),
     "trial": (1, _TRIAL),
     "trials": (1, _TRIAL),
     "study": (2, ("sampling",)),

@@ -16,7 +16,6 @@ from ehbench.control.arc_gains import (
     ARC_GAINS,
     Adaptation,
     named_gains,
-    pack_arc,
     pack_with_rates,
 )
 from ehbench.control.functions import pack_rules
@@ -44,7 +43,7 @@ ARC_SEARCH = ArcSearchSettings()
 # gains that a trial takes from a tuning
 CHOSEN = (
     *("position_bandwidth", "speed_bandwidth", "force_bandwidth", "observer_bandwidth"),
-    *("pressure_bandwidth", "robust_limit", "adaptation", "low_pressure"),
+    *("pressure_bandwidth", "robust_limit", "adaptation", "low_pressure", "stroke_resolution"),
 )
 
 
@@ -134,7 +133,8 @@ class Search:
             design, circuit, posture, 1.0 / float(recipe.rate)
         )
         self.rules = pack_rules(circuit.area_rod, self.design_point.supply_pressure)
-        usual = self.gains(ARC_GAINS.budget)
+        self.sensor = {"stroke_resolution": float(recipe.stroke_resolution)}
+        usual = self.gains(ARC_GAINS.budget)[0]
         result = (
             SampledPlant.of(motion.model, motion.point, self.design_point.tick)
             for motion in study.motions
@@ -149,13 +149,14 @@ class Search:
         """What a budget is over [s]: the slowest valve's lag and a tick."""
         return self.design_point.valve_lag + self.design_point.tick
 
-    def gains(self, budget: float) -> np.record:
-        """The gains for a phase budget [rad]."""
-        return pack_arc(self.design_point, self.rules, Adaptation(lag_budget=budget))
+    def gains(self, budget: float) -> tuple[np.record, np.ndarray]:
+        """The gains for a phase budget [rad], and the rates of adaptation at 1 rad/s."""
+        unsure = Adaptation(lag_budget=budget)
+        return pack_with_rates(self.design_point, self.rules, unsure, self.sensor)
 
     def loops(self, budget: float) -> list[ArcLoop]:
         """The loop at every operating point."""
-        gains = self.gains(budget)
+        gains, _ = self.gains(budget)
         return [plant.loop(self.design_point, gains) for plant in self.plants]
 
     def candidate(self, budget: float) -> ArcCandidate:
@@ -217,11 +218,10 @@ def _largest(search: Search, tried: dict[float, ArcCandidate]) -> float:
 def _result(
     study: Study, search: Search, budget: float, tried: dict[float, ArcCandidate]
 ) -> ArcTuning:
-    loops, gains = search.loops(budget), search.gains(budget)
+    loops = search.loops(budget)
     results = [loop.margins(search.sensing) for loop in loops]
     worst = min(range(len(results)), key=lambda i: results[i].delay)
-    _, rates = pack_with_rates(search.design_point, search.rules, Adaptation(lag_budget=budget), {})
-    named = named_gains(gains, rates)["gains"]
+    named = named_gains(*search.gains(budget))["gains"]
     chosen, points = search.judged(budget, results), [plant.point for plant in search.plants]
     warnings = rail_notes(study.rig, points)
     if not chosen.met:

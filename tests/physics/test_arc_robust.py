@@ -234,3 +234,16 @@ def test_beyond_its_delay_margin_the_virtual_rig_swings():
     facts = facts_of("thesis_arm", "50 lb", _later(2.0 * computed), **told)
     assert facts.measures["limit_cycle"]["amplitude"] > 1.0e-4
     assert any(text.key == "trial.swings" for text in facts.warnings)
+
+
+@pytest.mark.parametrize("speed", ["60 mm/s", "180 mm/s"])
+def test_a_coarse_sensor_slows_the_observer(speed):
+    """One count of 0.5 mm is no jolt: the true error is a third of that of the fast observer."""
+    coarse = {"bench": "bench/thesis_arm_adc.toml"}
+    facts = {}
+    for observer in ({}, {"observer_bandwidth": "370 rad/s"}):
+        gains = {"stroke_resolution": "0.5 mm"} | observer
+        _, facts[len(observer)] = trial_of("thesis_arm", "50 lb", {}, speed, gains=gains, **coarse)
+    slow, fast = facts[0].measures, facts[1].measures
+    assert slow["gains"]["observer_bandwidth"] < 60.0
+    assert slow["tracking_true"]["max_error"] < 0.35 * fast["tracking_true"]["max_error"]

@@ -62,7 +62,8 @@ class TuneRecipe(AnyTuning):
 class ArcTuneRecipe(AnyTuning):
     """A validated rig to the bandwidths of the adaptive robust controller of one cylinder.
 
-    Pressures come behind a lag of ``pressure_lag`` as well. Chosen is the largest sum of bandwidths
+    Pressures come behind a lag of ``pressure_lag`` as well, strokes in steps of
+    ``stroke_resolution``, which bounds the observer. Chosen is the largest sum of bandwidths
     that keeps ``delay_margin``, as it is stated, ``gain_margin`` and ``phase_margin`` at every
     point."""
 
@@ -75,3 +76,4 @@ class ArcTuneRecipe(AnyTuning):
     delay_margin: Annotated[Value, Q("delay_margin")] = Value(5.0e-3)
     gain_margin: Annotated[Value, Q("gain_margin")] = Value(2.0)
     phase_margin: Annotated[Value, Q("phase_margin")] = Value(0.3490658503988659)
+    stroke_resolution: Annotated[Value, Q("stroke_resolution")] = Value(2.5e-5)
