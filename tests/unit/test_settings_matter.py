@@ -1,0 +1,327 @@
+"""Numbers of methods that decide something: each row has an outcome that is as stated with the
+number as it is, and another one where it is a third more or a third less.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace as Stub
+
+import numpy as np
+import pytest
+
+from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.data.record import Record
+from ehbench.flow_maps.readings import SETTINGS as READING
+from ehbench.flow_maps.readings import FlowMapOptions, Noise, few, readings_table, sort_readings
+from ehbench.flow_maps.spline import SETTINGS as SPLINE
+from ehbench.flow_maps.spline import Axis, Spline
+from ehbench.frequency_response.response import SETTINGS as RESPONSE
+from ehbench.frequency_response.response import Averaging, Curve, estimate, signals_of
+from ehbench.identification.groups import SETTINGS as GROUPS
+from ehbench.identification.groups import groups_of
+from ehbench.identification.results import SETTINGS as RESULTS
+from ehbench.identification.results import _late, _turned
+from ehbench.ledger.bounds import SETTINGS as BOUNDS
+from ehbench.ledger.bounds import bounds
+from ehbench.stages.flow_map import ERRORS, _shared_errors
+from ehbench.trial.coordination import COORDINATION, _direction, pace_of
+from ehbench.trial.limit_cycle import LIMIT_CYCLE, limit_cycle
+from ehbench.trial.measures import MEASURES, short_measures, step_measures, tracking_measures
+from ehbench.trial.motion import MOTION, limits_of
+from ehbench.vocabulary.errors import EhbenchError
+
+RIG = load_rig(Path(__file__).parents[2] / "recipes" / "rigs" / "boom_four_valve.toml")
+
+
+USUAL = Averaging()
+
+
+@contextmanager
+def at(settings, name, value):
+    """Within the block a number of a frozen settings object is another one."""
+    before = getattr(settings, name)
+    object.__setattr__(settings, name, value)
+    try:
+        yield
+    finally:
+        object.__setattr__(settings, name, before)
+
+
+def refusal(work) -> str:
+    """The key of what is refused; '' for nothing."""
+    try:
+        work()
+    except EhbenchError as error:
+        return error.key
+    return ""
+
+
+# --- trials
+
+
+def steady():
+    """The mean of a step's last part, of which some is not steady."""
+    t = np.arange(1000) * 1e-3
+    return round(step_measures(t, np.where(t < 0.75, 1.3, 1.0), 1.0).steady_speed, 3)
+
+
+def unsettled(end):
+    t = np.arange(1000) * 1e-3
+    v = np.where((t > end) & (t < end + 0.01), 1.2, 1.0)
+    return step_measures(t, v, 1.0).settling_time is None
+
+
+def in_band(off):
+    t = np.arange(1000) * 1e-3
+    return step_measures(t, np.where(t < 0.3, 1.0 + off, 1.0), 1.0).settling_time
+
+
+def short(lasts, less):
+    t = np.arange(1000) * 1e-3
+    v = np.where((t >= 0.2) & (t < 0.2 + lasts - 5e-4), 1.0 - less, 1.0)
+    return short_measures(t, v, np.ones(t.size), v < 1.0) is None
+
+
+def final():
+    t = np.arange(1001) * 1e-3
+    return round(tracking_measures(t, np.where(t < 0.93, 1.0, 0.0), 0.0 * t)["final_error"], 3)
+
+
+def swing(cycles=12, size=1e-3, decay=0.0, reference=0.0):
+    """Whether a swing of a stroke of 1 m counts as a limit cycle."""
+    t = np.arange(4000) * 1e-3
+    phase = 2.0 * np.pi * 4.0 * t
+    on = (t >= 0.5) & (t < 0.5 + cycles / 4.0)
+    y = np.where(on, size * np.exp(-decay * (t - 0.5)) * np.sin(phase), 0.0)
+    desired = 0.1 + 0.05 * t + reference * np.sin(phase)  # never turns round
+    return limit_cycle(t, desired + y, desired, np.sin(phase)[:, None], 1.0) is not None
+
+
+# --- frequency responses
+
+
+def response(size=64, segments=8, choice=USUAL, delay=0, weak=0.0):
+    """A response of noise, or of two tones of which one is ``weak``, by so many segments."""
+    rng = np.random.default_rng(3)
+    x = rng.standard_normal(size * (segments + 1) // 2)
+    if weak:
+        n = np.arange(size * segments)
+        x = np.sin(2 * np.pi * 4 * n / size) + math.sqrt(weak) * np.sin(2 * np.pi * 9 * n / size)
+        choice = Averaging(window="boxcar")
+    y = np.roll(x, delay) + 1e-6 * rng.standard_normal(x.size)
+    signals = signals_of([(x, y)], 1.0, choice._replace(segment=float(size)))
+    return estimate(signals)
+
+
+def least_segments(count):
+    x = np.zeros(64 * count)
+    how = Averaging(64.0, "boxcar")
+    return refusal(lambda: signals_of([(x, x)], 1.0, how))
+
+
+def least_samples(size):
+    x = np.zeros(1000)
+    return refusal(lambda: signals_of([(x, x)], 1.0, Averaging(float(size), "boxcar")))
+
+
+def usual_size():
+    x = np.zeros(9000)
+    return signals_of([(x, x)], 1.0, Averaging(window="boxcar")).size
+
+
+def tones(weak):
+    """How many frequencies have power."""
+    return int(np.isfinite(response(weak=weak).coherence).sum())
+
+
+def is_late(delay):
+    texts = response(size=100, segments=20, choice=Averaging(coherence=0.5), delay=delay).warnings
+    return any(text.key == "frequency_response.late" for text in texts)
+
+
+def frequencies_of_a_line(count):
+    choice = Averaging(frequency=(count + 0.5) / 64.0)
+    return response(choice=choice).delay is None
+
+
+# --- flow maps
+
+
+def sorted_readings(slope=1.0, drops=(1e6, 2e6, 4e6, 8e6), up=None):
+    """Readings whose flow grows by ``slope`` with the command; ``up``: the share on the way up."""
+    u = np.repeat([2.0, 4.0, 6.0, 8.0, 10.0], len(drops))
+    drop = np.tile(drops, 5)
+    q = 1e-4 * (1.0 - slope + slope * u / 10.0) * np.sqrt(drop / 8e6)
+    line = np.arange(u.size)
+    if up is not None:
+        ways = np.where(np.arange(100) < 100 * up, 1.0, -1.0)
+        u = 5.0 + np.concatenate([[0.0], np.cumsum(ways)]) * 0.04
+        drop, line = np.tile(drops, 26)[: u.size], np.arange(u.size)
+        q = 1e-5 * u * np.sqrt(drop / 8e6)
+    return sort_readings("map", readings_table(u, drop, q, line=line), FlowMapOptions())
+
+
+def spans(gap):
+    return sorted_readings(drops=(1e6, 2e6, 4e6, 8e6, 8e6 * (1.0 - gap) ** 2)).spans
+
+
+def smallest_noise():
+    r = Stub(method=["a"], digit={"a": 0.0})
+    return round(1e6 * float(Noise({"a": (0.0, 0.0)}).std(r, np.zeros(1))[0]))
+
+
+def left_out():
+    return int(few(np.ones(200, bool), np.arange(200.0)).sum())
+
+
+def spline(**more):
+    return Spline(1.0, np.linspace(1.5, 10.0, 40), Axis(np.linspace(0.0, 1.0, 4), 3), **more)
+
+
+def narrow():
+    one = spline(kinks=(5.0,)).volts
+    return round(1e5 * float(np.diff(one).min()))
+
+
+# --- energies and fits
+
+
+def motion(back=0.1, stroke=0.1, force=3000.0, pressed=0.0):
+    """The bounds of a boom that goes out by ``stroke`` and comes ``back`` [m]."""
+    head, rod = RIG.cylinder_named("boom").areas()
+    x = 0.02 + np.concatenate(
+        [np.linspace(0, stroke, 500), np.linspace(stroke, stroke - back, 500)]
+    )
+    p = np.full(1000, (force + 5e5 * rod) / head)
+    low = 5e5 + np.where(np.arange(1000) > 900, pressed, 0.0)
+    channels = {"boom.x": x, "boom.p_head": p, "boom.p_rod": low}
+    return bounds(RIG, Record(np.arange(1000) * 1e-3, channels), "boom")
+
+
+def travel(share):
+    stroke = share * float(RIG.cylinder_named("boom").stroke)
+    return refusal(lambda: motion(back=stroke, stroke=stroke))
+
+
+def carries(share):
+    head, _ = RIG.cylinder_named("boom").areas()
+    return motion(force=share * float(RIG.supply.pressure) * head).carries
+
+
+def closed_by_oil(share):
+    price = motion().standard
+    unit = motion(pressed=1e5).kept / price
+    return motion(pressed=1e5 * share / unit).closed
+
+
+def products(error, power=1.0):
+    """How many products of powers logs know that know a product by its ``error``, each to 1."""
+    a = np.array([power, -1.0]) / math.hypot(power, 1.0)
+    b = np.array([a[1], -a[0]])
+    normal = np.outer(a, a) / error**2 + np.outer(b, b)
+    return [one.text for one in groups_of(("m", "k"), (2.0, 3.0), normal, 1.0)]
+
+
+def log_of(y):
+    counts = np.ones((y.size, 1), bool)
+    return Stub(name="log", channels=("v",), recorded=y[:, None], counts=counts, sample_time=1e-3)
+
+
+def goes_other_way(angle):
+    t = np.arange(1000) * 2e-3 * np.pi
+    return bool(_turned(log_of(np.sin(t)), np.sin(t + angle)[:, None]))
+
+
+def behind(ticks, noise=0.0):
+    t = np.arange(2000) * 1e-3
+    y = np.sin(20.0 * (t - 1e-3 * ticks)) + noise * np.random.default_rng(1).standard_normal(2000)
+    return bool(_late(log_of(y), np.sin(20.0 * t)[:, None]))
+
+
+def drive():
+    given = {"stage": "trial", "rig": "x", "controller": {"kind": "arc"}}
+    way = {"kind": "point_to_point", "waypoints": ["1 mm", "2 mm"], "speed": "1 m/s"}
+    recipe = TrialRecipe(**given, motion=way)
+    limits = limits_of(recipe, recipe.motion, 2)
+    return limits["hold"], round(limits["acceleration"], 3)
+
+
+def pace():
+    flow = np.where(np.arange(2000) == 1000, 2.0, 0.5)
+    built = pace_of(flow, 1.0, 1e-3)
+    assert built is not None
+    return int(np.count_nonzero(built.pace < 1.0 - 1e-9))
+
+
+def tip_stands(speed):
+    t = np.arange(10) * 1e-3
+    return not _direction(np.outer(speed * t, [1.0, 0.0, 0.0]), 1e-3).any()
+
+
+ROWS = [
+    (MEASURES, "steady", steady, 1.027),
+    (MEASURES, "unsettled", lambda: [unsettled(e) for e in (0.85, 0.91)], [False, True]),
+    (MEASURES, "band", lambda: [in_band(o) for o in (0.04, 0.06)], [0.0, 0.3]),
+    (MEASURES, "lasts", lambda: [short(s, 0.1) for s in (0.08, 0.12)], [True, False]),
+    (MEASURES, "less", lambda: [short(0.5, s) for s in (1.6e-3, 2.4e-3)], [True, False]),
+    (MEASURES, "final", final, 0.297),
+    (LIMIT_CYCLE, "cycles", lambda: [swing(n) for n in (4.4, 6.0)], [False, True]),
+    (LIMIT_CYCLE, "smallest", lambda: [swing(size=s) for s in (4.2e-4, 6e-4)], [False, True]),
+    (LIMIT_CYCLE, "lasting", lambda: [swing(8, 3e-3, d) for d in (0.5, 0.7)], [True, False]),
+    (LIMIT_CYCLE, "reference", lambda: [swing(reference=s) for s in (4e-4, 6e-4)], [True, False]),
+    (RESPONSE, "averages", lambda: [bool(least_segments(n)) for n in (3, 4)], [True, False]),
+    (RESPONSE, "samples", lambda: [bool(least_samples(n)) for n in (15, 16)], [True, False]),
+    (RESPONSE, "usual_averages", usual_size, 1125),
+    (RESPONSE, "no_power", lambda: [tones(p) for p in (0.8e-8, 1.2e-8)], [1, 2]),
+    (RESPONSE, "late", lambda: [is_late(n) for n in (8, 12)], [False, True]),
+    (RESPONSE, "line", lambda: [frequencies_of_a_line(n) for n in (3, 4)], [True, False]),
+    (RESPONSE, "shown", lambda: len(Curve.of(response(), 0.2).frequency), 19),
+    (READING, "spans", lambda: spans(0.02), 24),
+    (READING, "effect", lambda: [refusal(lambda s=s: sorted_readings(s)) for s in (0.19, 0.23)],
+     ["flow_maps.idle", ""]),
+    (READING, "sweep", lambda: [bool(np.any(sorted_readings(up=s).sweep)) for s in (0.13, 0.17)],
+     [False, True]),
+    (READING, "outliers", left_out, 10),
+    (READING, "noise", smallest_noise, 100),
+    (SPLINE, "spans", lambda: spline().volts.size - 1, 12),
+    (SPLINE, "slope", lambda: round(1e9 * float(spline().floor.max())), 100000),
+    (SPLINE, "narrow", narrow, 436),
+    (SPLINE, "sharp", lambda: round(1e9 * spline(kinks=(5.0,)).along_u.stiffness.min()), 100),
+    (SPLINE, "soft", lambda: round(1e11 * spline(soft=True).along_u.stiffness.min()), 100),
+    (SPLINE, "bend", lambda: round(1e6 * spline().along_s.bent(1).stiffness.min()), 100),
+    (BOUNDS, "travel", lambda: [travel(s) for s in (0.004, 0.006)], ["ledger.did_not_move", ""]),
+    (BOUNDS, "closed", lambda: [motion(back=b).closed for b in (0.0985, 0.0975)], [True, False]),
+    (BOUNDS, "loaded", lambda: [carries(s) for s in (0.016, 0.024)], ["none", "head"]),
+    (BOUNDS, "oil", lambda: [closed_by_oil(s) for s in (0.0025, 0.0035)], [True, False]),
+    (GROUPS, "better", lambda: [len(products(e)) for e in (0.115, 0.145)], [1, 0]),
+    (GROUPS, "halves", lambda: products(0.05, 0.5), ["k^2/m"]),
+    (RESULTS, "opposite", lambda: [goes_other_way(a) for a in (1.98, 2.2)], [False, True]),
+    (RESULTS, "late", lambda: [behind(n) for n in (0.2, 0.3)], [False, True]),
+    (RESULTS, "latest", lambda: [behind(n) for n in (4.5, 6.0)], [True, False]),
+    (ERRORS, "pressure", lambda: round(_shared_errors(
+        Stub(pressure_error=None, command_error=None), RIG, "sh")["drop_std"]
+        / float(RIG.supply.pressure), 6), 0.001414),
+    (ERRORS, "command", lambda: _shared_errors(
+        Stub(pressure_error=1.0, command_error=None), RIG, "sh")["command_std"], 0.005),
+    (MOTION, "rest", drive, (0.5, 5.0)),
+    (MOTION, "speed_up", drive, (0.5, 5.0)),
+    (COORDINATION, "smooth", pace, 863),
+    (COORDINATION, "still", lambda: [tip_stands(v) for v in (8e-5, 1.2e-4)], [True, False]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
+)
+def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
+    assert scenario() == outcome
+    value = getattr(settings, name)
+    for factor in (4.0 / 3.0, 2.0 / 3.0):
+        other = value * factor
+        if isinstance(value, int):
+            other = math.ceil(other) if factor > 1.0 else math.floor(other)
+        with at(settings, name, other):
+            assert scenario() != outcome, (name, other)
