@@ -656,6 +656,13 @@ def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
     return [item and not (f in SPARE and kinds[f] in plain) for f, item in enumerate(able)]
 
 
+def able_functions(circuit: Circuit, lost: int = -1) -> list[bool]:
+    """Which working functions a circuit can do without the valve of number ``lost``."""
+    paths = circuit.paths.copy()
+    paths[(paths >= 0) & (circuit.edges.valve[paths] == lost)] = -1
+    return _able(paths, circuit.edges)
+
+
 def _domains(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
     """(all validity domains back to back: count, commands, lowest drops, highest drops; where each
     edge's two start, −1 for none).

@@ -10,6 +10,7 @@ import numpy as np
 
 from ehbench.control.axis import Axis
 from ehbench.control.functions import default_pressure
+from ehbench.control.monitor import Monitor
 from ehbench.vocabulary.messages import Message
 from ehbench.vocabulary.quantities import Quantity
 
@@ -59,13 +60,14 @@ class Controller(NamedTuple):
     """A built-in controller at work on one cylinder, as compiled loops take it.
 
     ``observed`` marks the channels of the sample that it is given, ``given`` holds them, the others
-    NaN. ``gains`` and ``memory`` are of its law."""
+    NaN. ``gains`` and ``memory`` are of its law; ``monitor`` may watch its valves."""
 
     axis: Axis
     gains: np.record
     memory: Any
     observed: np.ndarray
     given: np.ndarray
+    monitor: Monitor | None = None
 
 
 @dataclass(frozen=True)

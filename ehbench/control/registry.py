@@ -14,6 +14,7 @@ from numba.extending import overload
 
 from ehbench.control import LAW_NAMES
 from ehbench.control.law import Law
+from ehbench.control.monitor import watch
 from ehbench.runtime.compiled import WITHIN, kernel
 
 LAWS: dict[str, Law] = {name: import_module(f"{__package__}.{name}").LAW for name in LAW_NAMES}
@@ -47,7 +48,7 @@ def tick(t, sample, reference, controller, command, telemetry):
         reference: x_d, v_d, a_d, j_d of the cylinder.
         controller: a `ehbench.control.law.Controller`.
         command: out, [V], one per valve; only those of the controller's cylinder are written.
-        telemetry: out, as `Law.channels`.
+        telemetry: out, as `Law.channels`, then `valve_fault` with a monitor.
     """
     for i in range(sample.shape[0]):
         controller.given[i] = sample[i] if controller.observed[i] else math.nan
@@ -61,3 +62,5 @@ def tick(t, sample, reference, controller, command, telemetry):
         command,
         telemetry,
     )
+    if controller.monitor is not None:
+        telemetry[-1] = watch(sample, command, controller.axis, controller.monitor)

@@ -28,6 +28,7 @@ from ehbench.control.functions import (
     pack_rules,
 )
 from ehbench.control.law import Controller, Law
+from ehbench.control.monitor import monitor_of
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
 from ehbench.control.trajectory import SHAPING_NAMES, pack_shaping
@@ -115,8 +116,27 @@ class Compiled:
         if not plays:
             still = np.zeros_like(axis.circuit.play)
             axis = axis._replace(circuit=axis.circuit._replace(play=still))
+        if law.monitor is not None:  # which writes what the circuit can do
+            able = axis.circuit.able.copy()
+            axis = axis._replace(circuit=axis.circuit._replace(able=able))
+            law = law._replace(monitor=monitor_of(axis, law.monitor.tick, law.monitor.lag))
         law = law._replace(axis=axis, memory=self.law.memory(axis), given=given)
         return replace(self, controller=law, telemetry=telemetry)
+
+
+def valve_fault(design: Design, t: np.ndarray, code: np.ndarray) -> dict[str, Any]:
+    """The valve that a monitor reported: its name, ``stays`` "shut" or "open", from time ``t`` [s].
+
+    Args:
+        design: of the controller.
+        t: of the trial [s].
+        code: channel `valve_fault`, not all zero.
+    """
+    first = int(np.flatnonzero(code)[0])
+    circuit, number = design.circuit, int(code[first])
+    valves = np.unique(circuit.edges.valve[circuit.first : circuit.first + circuit.count])
+    name = design.valves[int(valves[abs(number) - 1])]
+    return {"valve": name, "stays": "shut" if number > 0 else "open", "t": float(t[first])}
 
 
 @dataclass
@@ -263,8 +283,11 @@ def compiled(
         law.memory(point.axis),
         law.observed(point.axis, channels),
         np.zeros(channels),
+        monitor_of(point.axis, point.tick, point.valve_lag) if chosen.monitor else None,
     )
     names = law.channels(design.cylinder, design.edges)
+    if chosen.monitor:
+        names = (*names, f"{design.cylinder}.valve_fault")
     return Compiled(
         law,
         controller,

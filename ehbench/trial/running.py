@@ -16,7 +16,7 @@ from ehbench.config.rig import Rig
 from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
 from ehbench.machines.protocol import Machine, in_real_time, truth_of
-from ehbench.trial.controllers import Compiled, Laws
+from ehbench.trial.controllers import Compiled, Laws, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import (
@@ -260,6 +260,10 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
                 saturated = met.astype(int) & SATURATED > 0
                 known["short"] = short_measures(record.t[:rows], v, desired, saturated)
             warnings += _warnings(known, prepared.rig, item.cylinder)
+            code = record.channels.get(f"{item.cylinder}.valve_fault", np.zeros(1))
+            if code.any():
+                known["valve_fault"] = fault = valve_fault(item.design, record.t, code)
+                warnings.append(message(f"trial.valve_{fault['stays']}", **fault))
         measures = results.pop(prepared.loop.design.cylinder)
         if prepared.loop.plan is not None:
             measures |= prepared.loop.plan.measures(record, rows)

@@ -280,6 +280,8 @@ class CylinderController(FileModel):
 
     @model_validator(mode="after")
     def _single_law(self) -> CylinderController:
+        if self.monitor and self.code is not None:
+            raise ValueError(message("config.monitor_of_class"))
         if self.shaping:
             _refuse_shaping(self.kind)
         if "from" in self.gains:
@@ -295,7 +297,8 @@ class Controller(FileModel):
     washout = "0 rad/s" }``; a class gets them as keywords. ``rules`` of function selection,
     ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest. Where
     several cylinders move, all have this law but for those named under ``cylinders``, and
-    ``coupling`` says whether a law with a model of the mechanism counts on the others' motion."""
+    ``coupling`` says whether a law with a model of the mechanism counts on the others' motion.
+    ``monitor`` watches for valves that do not follow, and moves the load by the others."""
 
     name: str = ""
     kind: LawName | None = None
@@ -305,6 +308,7 @@ class Controller(FileModel):
     shaping: dict[str, Any] = {}
     unused: tuple[str, ...] = ()
     coupling: bool = True
+    monitor: bool = False
     cylinders: dict[str, CylinderController] = {}
     where: Annotated[tuple[str | int, ...], Internal] = Field(default=("controller",), exclude=True)
 

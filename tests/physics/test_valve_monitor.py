@@ -1,0 +1,80 @@
+"""A valve that fails in motion is found by the flows of both chambers, and the load moves on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.config.recipe import (
+    Fault,
+    MachineChange,
+    Motion,
+    TrialRecipe,
+    load_recipe,
+    load_rig,
+)
+from ehbench.config.recipe.trial import Controller
+from ehbench.trial.preparation import prepare
+from ehbench.trial.running import run
+
+ROOT = Path(__file__).parents[2]
+START = 2.0  # s: the boom rises at full speed
+
+
+def result_of(payload: str | None = None, **changes):
+    loaded = load_recipe(ROOT / "recipes/trials/arc_fast_bench.toml")
+    assert isinstance(loaded, TrialRecipe)
+    motion = Motion.model_validate(
+        {
+            "kind": "point_to_point",
+            "cylinder": "boom",
+            "waypoints": ["50 mm", "200 mm", "50 mm"],
+            "hold": "1 s",
+            "speed": "60 mm/s",
+            "acceleration": "0.3 m/s^2",
+            "jerk": "6 m/s^3",
+        }
+    )
+    controller = Controller(kind="arc", monitor=True)
+    updates = {"motion": motion, "controller": controller, "payload": payload, **changes}
+    recipe = loaded.model_copy(update=updates)
+    return run(prepare(recipe, load_rig(ROOT / "recipes/rigs/thesis_arm.toml"))).facts
+
+
+@pytest.mark.parametrize(
+    ("valve", "kind", "stays", "within", "largest"),
+    [
+        # lowered from 4.7 s on, before which the valve has nothing to do
+        ("hect", "stuck_closed", "shut", 3.2, 6e-3),
+        ("hepc", "stuck_closed", "shut", 0.15, 20e-3),
+        ("rect", "stuck_closed", "shut", 0.25, 10e-3),
+        ("hepc", "stuck_open", "open", 0.25, None),
+        ("regen", "stuck_open", "open", 0.2, None),
+    ],
+)
+def test_a_valve_that_fails_is_named_and_the_others_go_on(valve, kind, stays, within, largest):
+    """By the true stroke of the virtual bench, whose valves are not the design model's."""
+    fault = {"start": f"{START} s", "kind": kind, "target": f"boom.{valve}"}
+    facts = result_of("50 lb", fault=(Fault.model_validate(fault),))
+    found = facts.measures["valve_fault"]
+    assert (found["valve"], found["stays"]) == (f"boom.{valve}", stays)
+    assert START < found["t"] < START + within
+    assert f"trial.valve_{stays}" in [note.key for note in facts.warnings]
+    assert (facts.stop is None) == (largest is not None)
+    if largest is not None:
+        assert facts.measures["tracking_true"]["max_error"] < largest
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{}, {"flow": 0.8}, {"valve_lag": 2.0}, {"bulk_modulus": 0.5}, {"friction": 3.0}],
+    ids=str,
+)
+@pytest.mark.parametrize("payload", [None, "50 lb"])
+def test_a_sound_machine_is_not_blamed(payload, change):
+    machine = MachineChange.model_validate(change)
+    facts = result_of(payload, machine=machine)
+    assert "valve_fault" not in facts.measures
+    assert facts.stop is None and np.isfinite(facts.measures["tracking"]["max_error"])
