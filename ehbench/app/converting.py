@@ -17,9 +17,6 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.text import unlike
 
-_LONGEST = 60  # letters of a variable in MATLAB, which takes 63
-_MOST = 2**31  # [bytes] of a variable in a MAT file
-
 
 def convert(path: Path, to: str, out: Path | None = None, columns: Path | None = None) -> Path:
     """Write a log as ``parquet`` or ``mat``, in SI; the file it wrote.
@@ -86,7 +83,7 @@ def _mat(path: Path, record: Record) -> None:
     """A vector a channel, with dots as underscores; ``names`` and ``units`` by the same names."""
     from scipy.io import savemat
 
-    if 8 * record.t.size >= _MOST:
+    if 8 * record.t.size >= 2**31:  # bytes of a variable in a MAT file
         raise InputError(message("app.mat_too_large", count=record.t.size))
     variables = dict(zip(record.channels, _variables(list(record.channels))))
     results: dict[str, object] = {"t": record.t[:, None]}
@@ -104,10 +101,10 @@ def _mat(path: Path, record: Record) -> None:
 
 
 def _variables(names: list[str]) -> list[str]:
-    """Names as MATLAB takes them, each once and none of those taken."""
+    """Names as MATLAB takes them, of 63 letters at most, each once and none of those taken."""
     results: list[str] = []
     for name in names:
-        plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST]
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII)[:60]
         plain = plain if plain[:1].isalpha() else f"c{plain}"
         taken = (*results, "t", "names", "units", "meta", "losses", "posix_time")
         results.append(unlike(plain, taken))

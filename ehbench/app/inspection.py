@@ -5,7 +5,6 @@ dry run: by the ``prepare`` of its stage, with which a run begins.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,7 +46,7 @@ class Inspection:
         """What the command says of a file: a row for each thing it holds, and how to run it."""
         words = ("note", "not checked")
         rows = [line.strip().partition(": ") for line in self.lines[1:] if line.startswith(" ")]
-        held = [row for row in rows if row[0] not in words]
+        facts = [row for row in rows if row[0] not in words]
         steps = []
         if self.notes is not None and not self.errors and not self.notes.refused:
             stage = stage_of(self.notes.recipe)
@@ -58,7 +57,7 @@ class Inspection:
         state += ", with losses" if self.code == 3 else ""
         return Answer(
             f"{state}: {self.lines[0]}",
-            [Grid(["", ""], [row[::2] if row[1] else ("", row[0]) for row in held])],
+            [Grid(["", ""], [row[::2] if row[1] else ("", row[0]) for row in facts])],
             steps,
             [row[2] for row in rows if row[0] in words],
             values={"code": self.code, "lines": self.lines, "errors": list(map(str, self.errors))},
@@ -131,7 +130,14 @@ def _rig(path: Path) -> Inspection:
         f"rig '{rig.name}'" + (f": {rig.title}" if rig.title else ""),
         f"  {parts}, supply {pressure} up to {maximum}{kind}",
     ]
-    notes = list(_unconnected(rig))
+    notes: list[str] = []
+    for cylinder in rig.cylinder:  # unusual, but at times meant
+        edges = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
+        connected = {end for edge in edges for end in (edge.from_, edge.to)}
+        for node in NODES:
+            if node not in connected and (node != "tank" or cylinder.pump is None):
+                name = f"{node} end" if node in ("head", "rod") else node
+                notes.append(message("app.unconnected", cylinder=cylinder.name, node=name))
     for load in (None, *rig.payload):
         try:
             texts, remarks = _standstill(rig, load)
@@ -176,17 +182,6 @@ def _standstill(rig: Rig, load: str | None) -> tuple[list[str], list[str]]:
         if unlimited[places].max() > supply and cylinder.pump is None:
             notes.append(message("app.weak_supply", **fields))
     return lines, notes
-
-
-def _unconnected(rig: Rig) -> Iterator[str]:
-    """A note for each node that no edge of a cylinder touches: unusual, but at times meant."""
-    for cylinder in rig.cylinder:
-        edges = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
-        connected = {end for edge in edges for end in (edge.from_, edge.to)}
-        for node in NODES:
-            if node not in connected and (node != "tank" or cylinder.pump is None):
-                name = f"{node} end" if node in ("head", "rod") else node
-                yield message("app.unconnected", cylinder=cylinder.name, node=name)
 
 
 def _map(path: Path) -> Inspection:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -193,3 +195,8 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
         "aria-label": title,
     }
     return ElementTree.tostring(root, encoding="unicode", short_empty_elements=True)
+
+
+def digest(script: str) -> str:
+    """The SHA-256 by which a page allows a script of its own."""
+    return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode()

@@ -67,7 +67,7 @@ class Chapter:
 
 def first_screen(chapters: Sequence[Chapter], maximum: int = 4) -> list[Block]:
     """Cards, verdict, figure and next steps; at most so many reasons and steps."""
-    cards = _cards(chapters)
+    cards = cards_of(chapters)
     blocks: list[Block] = [Cards(cards)] if cards else []
     blocks += _verdict(chapters, maximum)
     blocks += _figure(chapters)
@@ -80,7 +80,7 @@ def first_screen(chapters: Sequence[Chapter], maximum: int = 4) -> list[Block]:
 def summary(chapters: Sequence[Chapter]) -> tuple[str, Grid, list[Message]]:
     """Verdict, main numbers and next steps over several runs."""
     verdict = next((b.text for b in _verdict(chapters, 0) if isinstance(b, Text)), "")
-    rows = [[card.label, card.value, card.about] for card in _cards(chapters)]
+    rows = [[card.label, card.value, card.about] for card in cards_of(chapters)]
     return verdict, Grid(["number", "value", "about"], rows), next_steps(chapters)
 
 
@@ -98,7 +98,7 @@ def overview(chapters: Sequence[Chapter]) -> Grid:
     return Grid(["run", "stage", "status", "in short"], rows, look="stack")
 
 
-def _cards(chapters: Sequence[Chapter], maximum: int = 5) -> list[Card]:
+def cards_of(chapters: Sequence[Chapter], maximum: int = 5) -> list[Card]:
     """One number of each rank, from a machine where one has it and from the run that others build
     on, then others of the last ranks.
     """
@@ -132,7 +132,7 @@ def _verdict(chapters: Sequence[Chapter], maximum: int) -> list[Block]:
     elif rejected:
         text, look = _PAGE.text("rejected", names=rejected), "bad"
     else:
-        logs = set().union(*(_held_out(chapter.run) for chapter in judged))
+        logs = set().union(*(logs_judged(chapter.run) for chapter in judged))
         reserved = [title for title, status in statuses.items() if status != "accepted"]
         text = _PAGE.text("accepted", count=len(logs), names=reserved)
         look = "warn" if reserved else "good"
@@ -153,7 +153,7 @@ def _verdict(chapters: Sequence[Chapter], maximum: int) -> list[Block]:
     return blocks
 
 
-def _held_out(run: Saved) -> set[str]:
+def logs_judged(run: Saved) -> set[str]:
     """The logs that count, by their bytes and windows: several runs may judge the same."""
     logs = run.json("validation.json")["logs"]
     inputs = run.facts.get("inputs", [])

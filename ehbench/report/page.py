@@ -4,8 +4,6 @@ same files.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,6 +21,7 @@ from ehbench.report.blocks import (
     Picture,
     Section,
     Text,
+    digest,
     inline,
     prose,
     slug,
@@ -242,8 +241,3 @@ def _render(
     environment.filters["soft"] = lambda name: name.replace(".", ".\u200b").replace("_", "_\u200b")
     template = environment.from_string(page)
     return template.render(title=title, note=note, sections=sections, style=style, script=script)
-
-
-def digest(script: str) -> str:
-    """The SHA-256 by which a page allows a script of its own."""
-    return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode()

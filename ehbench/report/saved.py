@@ -21,6 +21,7 @@ from ehbench.data.text import text_table
 from ehbench.report.index import INDEX
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, quantity
 from ehbench.vocabulary.units import to_si
 
@@ -45,9 +46,7 @@ class Table(Mapping):
 
     def __init__(self, values: Any, file: Path, where: str = "") -> None:
         if not isinstance(values, dict):
-            raise InputError(
-                f"'{where or 'the file'}' is no table", file=file, hint="make the run again"
-            )
+            raise InputError(message("report.no_table", name=where or "the file"), file=file)
         self._values, self._file, self._where = values, file, where
 
     def __getitem__(self, key: str) -> Any:
@@ -58,11 +57,7 @@ class Table(Mapping):
         """
         name = f"{self._where}.{key}" if self._where else key
         if key not in self._values:
-            raise InputError(
-                f"has no '{name}'",
-                file=self._file,
-                hint="make the run again with this version of ehbench",
-            )
+            raise InputError(message("report.no_key", name=name), file=self._file)
         return self._wrap(self._values[key], name)
 
     def get(self, key: str, default: Any = None) -> Any:
@@ -85,9 +80,8 @@ class Table(Mapping):
         """
         value = self[key]
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            raise InputError(
-                f"has '{self._where}.{key}' = {value!r}, which is no number", file=self._file
-            )
+            text = message("report.not_a_number", name=f"{self._where}.{key}", value=value)
+            raise InputError(text, file=self._file)
         return value
 
     def _wrap(self, value: Any, name: str) -> Any:
@@ -143,8 +137,8 @@ class Points:
 
     def of(self, valve: str, direction: str) -> Points:
         """The readings of one map."""
-        at = (self.valve == valve) & (self.direction == direction)
-        return Points(**{name: getattr(self, name)[at] for name in self.__dataclass_fields__})
+        rows = (self.valve == valve) & (self.direction == direction)
+        return Points(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
 
 class _File(TypedDict, total=False):
@@ -184,22 +178,19 @@ class Saved:
     def __init__(self, folder: Path) -> None:
         self.folder = Path(folder)
         if self.folder.exists() and not (self.folder / "run.json").exists():
-            raise InputError(
-                "is no run folder: it has no run.json",
-                file=self.folder if self.folder.name else self.folder.resolve(),
-                hint="runs are folders such as reports/identify_<hash>",
-            )
+            place = self.folder if self.folder.name else self.folder.resolve()
+            raise InputError(message("report.no_run"), file=place)
         self.facts = self.json("run.json")
         try:
             TypeAdapter(_Facts).validate_python(dict(self.facts.plain()), strict=True)
         except ValidationError as error:
             first = error.errors()[0]
-            place = ".".join(map(str, first["loc"]))
-            raise InputError(
-                f"'{place}': {first['msg'][0].lower() + first['msg'][1:]}",
-                file=self.folder / "run.json",
-                hint="make the run again",
-            ) from None
+            name, reason = (
+                ".".join(map(str, first["loc"])),
+                first["msg"][0].lower() + first["msg"][1:],
+            )
+            text = message("report.bad_fact", name=name, reason=reason)
+            raise InputError(text, file=self.folder / "run.json") from None
         self.stage, self.name = self.facts["stage"], self.facts["name"]
         self.what = self.facts.get("what", "")
 
@@ -231,11 +222,7 @@ class Saved:
         path = self.folder / name
         tables = read_json(path)
         if not isinstance(tables, list):
-            raise InputError(
-                "holds no list of tables",
-                file=path,
-                hint="make the run again with this version of ehbench",
-            )
+            raise InputError(message("report.no_tables"), file=path)
         return [Table(row, path, f"[{i}]") for i, row in enumerate(tables)]
 
     def figures(self) -> list[Table]:
@@ -271,14 +258,15 @@ def read_series(path: Path) -> Series:
         try:
             row = quantity(channel)
         except KeyError as error:
-            raise InputError(f"column '{name}': {error.args[0]}", file=path, line=1) from None
+            text = message("report.bad_column", name=name, reason=error.args[0])
+            raise InputError(text, file=path, line=1) from None
         values = values if unit is None else to_si(values, unit, row)
         if channel == "t":
             t = values
         else:
             sides[front or back or "recorded"][channel] = values
     if t is None:
-        raise InputError("has no column 't [s]'", file=path, line=1)
+        raise InputError(message("report.no_column", name="t [s]", columns=""), file=path, line=1)
     return Series(t, **sides)
 
 
@@ -302,22 +290,21 @@ def read_points(path: Path) -> Points:
         InputError: a column is missing, or a cell is no number.
     """
     table = text_table(path, "valve,direction,command [V],pressure_drop [kPa],flow [gpm]")
-    columns = {_head(name)[0]: (at, _head(name)[1]) for at, name in enumerate(table.header)}
+    columns = {_head(name)[0]: (i, _head(name)[1]) for i, name in enumerate(table.header)}
     values_of: dict[str, np.ndarray] = {}
     for name in Points.__dataclass_fields__:
         if name not in columns:
-            raise InputError(
-                f"has no column '{name}'", file=path, line=1, hint="it has " + ", ".join(columns)
-            )
-        at, unit = columns[name]
+            text = message("report.no_column", name=name, columns="it has " + ", ".join(columns))
+            raise InputError(text, file=path, line=1)
+        place, unit = columns[name]
         if name in ("valve", "direction", "method"):
-            values_of[name] = np.array(table.cells(at), dtype=str)
+            values_of[name] = np.array(table.cells(place), dtype=str)
         elif name == "outlier":
             values_of[name] = np.array(
-                [cell.lower() in ("1", "true", "yes") for cell in table.cells(at)], dtype=bool
+                [cell.lower() in ("1", "true", "yes") for cell in table.cells(place)], dtype=bool
             )
         else:
             row = VOCABULARY["flow" if name == "fitted" else name]
-            values = table.floats([at])[:, 0]
+            values = table.floats([place])[:, 0]
             values_of[name] = values if unit is None else to_si(values, unit, row)
     return Points(**values_of)

@@ -18,7 +18,7 @@ from ehbench.report import build, terminal
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.content import Findings, Headline, SectionContent, StageReport
 from ehbench.report.dark import dark
-from ehbench.report.first_screen import Chapter, _cards, _held_out
+from ehbench.report.first_screen import Chapter, cards_of, logs_judged
 from ehbench.report.rig_table import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import report_of
@@ -83,8 +83,8 @@ def test_a_log_that_two_runs_judged_counts_once(tmp_path):
         inputs = [{"role": "log", "path": "x", "sha256": one} for one in both]
         write_json(tmp_path / name / "run.json", {"stage": "x", "name": name, "inputs": inputs})
         runs.append(Saved(tmp_path / name))
-    assert len(_held_out(runs[0]) | _held_out(runs[1])) == 1
-    assert len(_held_out(runs[0]) | _held_out(runs[2])) == 2
+    assert len(logs_judged(runs[0]) | logs_judged(runs[1])) == 1
+    assert len(logs_judged(runs[0]) | logs_judged(runs[2])) == 2
 
 
 def test_no_row_of_the_chapters_is_a_wall_of_numbers(folders):
@@ -103,7 +103,7 @@ def test_five_numbers_one_a_rank_the_machine_before_the_model(folders):
         Chapter(Saved(folder), stage, none, lambda key: [], item, f"run-{place}")
         for place, (folder, item) in enumerate(zip(folders, found, strict=True), 1)
     ]
-    cards = _cards(chapters)
+    cards = cards_of(chapters)
     assert [card.label for card in cards] == ["a", "machine", "x", "y", "y"]
     assert cards[0].link == "#run-1" and cards[-1].link == "#run-2"
 

@@ -67,6 +67,22 @@ class _Account:
     given: float  # by the supply
     small: float  # energy below which a row is drawn together with others
 
+    @classmethod
+    def of(cls, ledger: Ledger, share: float = 0.012) -> _Account:
+        """A ledger with the cylinders and rows above a share of all energy."""
+        rows = ledger["rows"]
+        named = {row["name"]: row for row in rows}
+        cylinders = dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None)
+        works = {name: named[f"{name}.work"]["energy"] for name in cylinders}
+        given = sum(row["energy"] for row in rows if row["group"] == "supply")
+        whole = max(given, sum(abs(work) for work in works.values()), 1e-12)
+        tops = {
+            name: max(abs(row["energy"]) for row in rows if row["cylinder"] == name)
+            for name in cylinders
+        }
+        busy = [name for name in cylinders if tops[name] > share * whole]
+        return cls(rows, named, works, busy or list(cylinders)[:1], given, share * whole)
+
     @property
     def rails(self) -> bool:
         """Whether there is a low rail besides the pump: then both have ribbons to the supply."""
@@ -81,22 +97,6 @@ class _Account:
         """The cylinder's name before a label, where there are several."""
         named = len(self.busy) > 1 and node not in (None, PUMP, MECHANISM)
         return f"{node}: " if named else ""
-
-
-def _account(ledger: Ledger, share: float = 0.012) -> _Account:
-    """A ledger with the cylinders and rows above a share of all energy."""
-    rows = ledger["rows"]
-    named = {row["name"]: row for row in rows}
-    cylinders = list(dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None))
-    works = {cylinder: named[f"{cylinder}.work"]["energy"] for cylinder in cylinders}
-    given = sum(row["energy"] for row in rows if row["group"] == "supply")
-    whole = max(given, sum(abs(work) for work in works.values()), 1e-12)
-    maximum = {
-        cylinder: max(abs(row["energy"]) for row in rows if row["cylinder"] == cylinder)
-        for cylinder in cylinders
-    }
-    busy = [cylinder for cylinder in cylinders if maximum[cylinder] > share * whole]
-    return _Account(rows, named, works, busy or cylinders[:1], given, share * whole)
 
 
 def _flows(account: _Account) -> list[_Flow]:
@@ -311,7 +311,7 @@ def sankey(path: Path, ledger: Ledger) -> None:
 
     What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 %
     are drawn together."""
-    account = _account(ledger)
+    account = _Account.of(ledger)
     layout, unit, given = _layout(account), unit_for([ledger]), account.given
     with canvas(path, size=(7.4, layout.tall)) as (figure, ax):
         ax.set_xlim(-0.36, 1.98)

@@ -5,6 +5,7 @@ tables.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 
 from ehbench.config.recipe import Campaign
 from ehbench.config.rig import Rig
@@ -13,6 +14,7 @@ from ehbench.report.captions import capital
 from ehbench.report.saved import Saved
 from ehbench.report.words import words
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 
 class Titles:
@@ -42,15 +44,10 @@ class Titles:
         """
         for key in self._given:
             if key not in self._keys:
-                from difflib import get_close_matches
-
                 near = get_close_matches(key, self._keys, 1, 0.3)
                 place = self._campaign.at("figures", key) if self._campaign else {}
-                raise InputError(
-                    f"'figures' names '{key}', which no run of the report has",
-                    hint=f"nearest is '{near[0]}'" if near else None,
-                    **place,
-                )
+                hint = f"nearest is '{near[0]}'" if near else None
+                raise InputError(message("report.no_title", key=key), hint=hint, **place)
 
 
 def heading(campaign: Campaign | None, rigs: Sequence[Rig]) -> tuple[str, Sequence[Block]]:

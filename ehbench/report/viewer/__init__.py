@@ -6,7 +6,6 @@ The curves are drawn by uPlot (``uplot/``, MIT), which travels inside the page."
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,10 +18,11 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.readers import suffixes
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
+from ehbench.report.blocks import digest
 from ehbench.report.captions import capital
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, read_points, read_series
-from ehbench.report.words import axis, number, pretty, row_of, shown, title_of, unit_of, words
+from ehbench.report.words import number, pretty, row_of, title_of, unit_of, words
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
@@ -30,7 +30,6 @@ from ehbench.vocabulary.units import from_si
 
 MOST = 4_000_000  # numbers in a page; with more, curves are thinned to their extremes
 MARK = '<meta name="generator" content="ehbench show">'
-_DROPS = 121  # points of a curve of a flow map
 
 
 @dataclass(frozen=True)
@@ -73,43 +72,30 @@ def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence
     Raises:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
     """
-    names = _names(sources)
-    results: dict[tuple[str, str], Sheet] = {}
-    for of, source in enumerate(sources):
-        for sheet in _sheets(Path(source), of, columns):
-            title = sheet.title or ("" if len(sources) > 1 else names[0])
-            fixed = results.get((title, sheet.across))
-            curves = (*(fixed.curves if fixed else ()), *sheet.curves)
-            still = (*(fixed.still if fixed else ()), *sheet.still)
-            results[title, sheet.across] = Sheet(title, sheet.across, curves, still)
-    if not any(sheet.curves for sheet in results.values()):
-        raise InputError("holds nothing that changes", file=sources[0])
-    sheets = [sheet for sheet in results.values() if sheet.curves]
-    data = [_data(sheet, len(sheets)) for sheet in sheets]
-    return _render(" and ".join(names), data, names, changes)
-
-
-def _names(sources: Sequence[Path]) -> list[str]:
-    """What the sources are called: as short as tells them apart."""
     names = [Path(source).resolve().name for source in sources]
     if len(set(names)) < len(names):
         names = ["/".join(Path(source).resolve().parts[-2:]) for source in sources]
-    return names
-
-
-def _sheets(source: Path, of: int, columns: Path | None) -> Iterator[Sheet]:
-    if not source.exists():
-        raise InputError("no such file", file=source)
-    if source.is_dir() and not (source / "metadata.yaml").is_file():
-        yield from _run(source, of)
-    elif source.suffix == ".json":
-        maps = load_flow_maps(source)
-        yield from (_map(item, None, of) for item in maps.each())
-    elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
-        yield _log(source, None, of, "", columns)
-    else:
-        hint = "it shows logs, flow_maps.json and run folders"
-        raise InputError(f"cannot show '{source.suffix}' files", file=source, hint=hint)
+    results: dict[tuple[str, str], Sheet] = {}
+    for of, source in enumerate(map(Path, sources)):
+        if not source.exists():
+            raise InputError(message("report.no_file"), file=source)
+        if source.is_dir() and not (source / "metadata.yaml").is_file():
+            sheets = _run(source, of)
+        elif source.suffix == ".json":
+            sheets = (_map(item, None, of) for item in load_flow_maps(source).each())
+        elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
+            sheets = iter([_log(source, None, of, "", columns)])
+        else:
+            raise InputError(message("report.cannot_show", kind=source.suffix), file=source)
+        for sheet in sheets:
+            title = sheet.title or ("" if len(sources) > 1 else names[0])
+            known = results.get((title, sheet.across), Sheet(title, sheet.across, ()))
+            still, curves = (*known.still, *sheet.still), (*known.curves, *sheet.curves)
+            results[title, sheet.across] = Sheet(title, sheet.across, curves, still)
+    drawn = [sheet for sheet in results.values() if sheet.curves]
+    if not drawn:
+        raise InputError(message("report.nothing_changes"), file=sources[0])
+    return _render(names, [_data(sheet, len(drawn)) for sheet in drawn], changes)
 
 
 def _run(folder: Path, of: int) -> Iterator[Sheet]:
@@ -123,7 +109,10 @@ def _run(folder: Path, of: int) -> Iterator[Sheet]:
     for path in [*sorted(folder.glob("*.mcap")), *sorted((folder / "logs").glob("*.mcap"))]:
         yield _log(path, rig, of, words(path.stem))
     for path in sorted((folder / "series").glob("*.csv")):
-        yield _comparison(path, rig, of)
+        series = read_series(path)
+        channels = {f"{name} recorded": values for name, values in series.recorded.items()}
+        channels |= {f"{name} simulated": values for name, values in series.simulated.items()}
+        yield _over_time(words(path.stem), series.t, channels, rig, of)
 
 
 def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None = None) -> Sheet:
@@ -131,14 +120,6 @@ def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None 
 
     record = read(path, check=False, columns=columns)
     return _over_time(title, record.t, record.channels, rig, of)
-
-
-def _comparison(path: Path, rig: Rig | None, of: int) -> Sheet:
-    """A saved comparison: what was recorded and what was simulated."""
-    series = read_series(path)
-    channels = {f"{name} recorded": values for name, values in series.recorded.items()}
-    channels |= {f"{name} simulated": values for name, values in series.simulated.items()}
-    return _over_time(words(path.stem), series.t, channels, rig, of)
 
 
 def _over_time(
@@ -162,34 +143,25 @@ def _map(item: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) 
     """Flow over pressure drop, a curve a measured command, and the readings."""
 
     def seen(name: str, values: np.ndarray) -> np.ndarray:
-        if rig is not None:
-            return shown(rig, name, values)
-        return np.asarray(from_si(values, row_of(name).display, row_of(name)), float)
+        unit = unit_of(rig, name) if rig else row_of(name).display
+        return np.asarray(from_si(values, unit, row_of(name)), float)
 
-    unit = pretty(unit_of(rig, "flow") if rig else row_of("flow").display)
-    across = axis(rig, "pressure_drop") if rig else f"pressure drop [{_drop_unit()}]"
-    drop = np.linspace(0.0, 1.0, _DROPS) ** 2 * max(item.drop_max, float(item.hull_high.max()))
-    curves = [
-        Curve(
-            f"{number(u, 3)} V",
-            unit,
-            seen("pressure_drop", drop),
-            seen("flow", np.asarray(item.flow(drop, u))),
-            of,
-            what="flow",
-        )
-        for u in item.hull_command[item.hull_command > item.deadband]
-    ]
+    flow, drops = (
+        pretty(unit_of(rig, name) if rig else row_of(name).display)
+        for name in ("flow", "pressure_drop")
+    )
+    drop = np.linspace(0.0, 1.0, 121) ** 2 * max(item.drop_max, float(item.hull_high.max()))
+    curves = []
+    for u in item.hull_command[item.hull_command > item.deadband]:
+        x, y = seen("pressure_drop", drop), seen("flow", np.asarray(item.flow(drop, u)))
+        curves.append(Curve(f"{number(u, 3)} V", flow, x, y, of, what="flow"))
     if readings is not None:
         points = read_points(readings).of(item.valve, item.direction)
         order = np.argsort(points.pressure_drop)
         x, y = seen("pressure_drop", points.pressure_drop)[order], seen("flow", points.flow)[order]
-        curves.append(Curve("readings", unit, x, y, of, dots=True, what="flow"))
-    return Sheet(f"{item.valve}, {item.direction}", across, tuple(curves))
-
-
-def _drop_unit() -> str:
-    return pretty(row_of("pressure_drop").display)
+        curves.append(Curve("readings", flow, x, y, of, dots=True, what="flow"))
+    title, across = f"{item.valve}, {item.direction}", f"pressure drop [{drops}]"
+    return Sheet(title, across, tuple(curves))
 
 
 def _data(sheet: Sheet, sheets: int) -> dict[str, Any]:
@@ -206,24 +178,16 @@ def _data(sheet: Sheet, sheets: int) -> dict[str, Any]:
             xs.append(_packed(x, "<f8"))
         shape = {"name": curve.name, "of": curve.of, "x": axes[key], "dots": curve.dots}
         panels.setdefault(curve.unit, []).append(shape | {"y": _packed(y, "<f4")})
-    return {
-        "title": sheet.title,
-        "across": sheet.across,
-        "still": list(dict.fromkeys(sheet.still)),
-        "xs": xs,
-        "panels": [
-            {"title": _titled(unit, sheet.curves), "curves": curves}
-            for unit, curves in panels.items()
-        ],
-    }
-
-
-def _titled(unit: str, curves: Sequence[Curve]) -> str:
-    """What a panel shows, with its unit: ``Head-end pressure, rod-end pressure [kPa]``."""
-    own = [curve.what for curve in curves if curve.unit == unit]
-    named = [title for title in dict.fromkeys(own) if title]
-    label = capital(", ".join(title.lower() for title in named[:3]) + ", …" * (len(named) > 3))
-    return f"{label} [{unit}]" if unit else label
+    titled = []
+    for unit, curves in panels.items():
+        # what a panel shows, with its unit: ``Head-end pressure, rod-end pressure [kPa]``
+        whats = [curve.what for curve in sheet.curves if curve.unit == unit and curve.what]
+        named = [what.lower() for what in dict.fromkeys(whats)]
+        label = capital(", ".join(named[:3]) + ", …" * (len(named) > 3))
+        title = f"{label} [{unit}]" if unit else label
+        titled.append({"title": title, "curves": curves})
+    about = {"title": sheet.title, "across": sheet.across}
+    return about | {"still": list(dict.fromkeys(sheet.still)), "xs": xs, "panels": titled}
 
 
 def _packed(values: np.ndarray, kind: str) -> str:
@@ -251,10 +215,7 @@ def extremes(x: np.ndarray, y: np.ndarray, maximum: int) -> tuple[np.ndarray, np
 
 
 def _render(
-    title: str,
-    sheets: Sequence[Mapping[str, Any]],
-    names: Sequence[str],
-    changes: Sequence[str],
+    names: Sequence[str], sheets: Sequence[Mapping[str, Any]], changes: Sequence[str]
 ) -> str:
     from jinja2 import Environment, StrictUndefined
 
@@ -264,16 +225,14 @@ def _render(
         return (files / name).read_text(encoding="utf-8").strip()
 
     scripts = [text("uplot/uPlot.iife.min.js"), text("show.js")]
-    digests = (hashlib.sha256(script.encode("utf-8")).digest() for script in scripts)
-    allowed = " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
     data = json.dumps({"names": list(names), "sheets": list(sheets)}, separators=(",", ":"))
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     return environment.from_string(text("show.html")).render(
-        title=title,
+        title=" and ".join(names),
         names=names,
         changes=[message("report.unsupported", change=change) for change in changes],
         mark=MARK,
-        allowed=allowed,
+        allowed=" ".join(f"'sha256-{digest(script)}'" for script in scripts),
         style=text("uplot/uPlot.min.css") + "\n" + text("show.css"),
         data=data.replace("<", "\\u003c"),
         scripts=scripts,
@@ -289,7 +248,7 @@ def place(sources: Sequence[Path], out: Path | None) -> Path:
     """
     path = out or Path("_and_".join(Path(source).resolve().stem for source in sources) + ".html")
     if path.is_dir():
-        raise InputError("is a folder", file=path, hint="name a file, like --out look.html")
+        raise InputError(message("report.out_is_folder"), file=path)
     if path.exists() and MARK not in path.read_text(encoding="utf-8", errors="replace")[:2000]:
-        raise InputError("stands already and is no page of `ehbench show`", file=path)
+        raise InputError(message("report.not_our_page"), file=path)
     return path
