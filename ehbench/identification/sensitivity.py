@@ -32,6 +32,7 @@ from ehbench.identification.results import Lean, Moved
 from ehbench.identification.search import coordinates
 from ehbench.identification.simulator import Effort, Log, Simulator
 from ehbench.identification.uncertainty import Errors, errors_of
+from ehbench.plant.ties import position_channel, tied_words
 from ehbench.preprocessing.sensors import VAGUE, Term
 from ehbench.signals.series import white_noise
 from ehbench.vocabulary.errors import EhbenchError
@@ -158,7 +159,9 @@ def _asked(fit: Problem, state: State) -> list[Hypothesis]:
     simulator, logs = fit.simulator, fit.logs
     values = {n: v for n, v in fit.by_name(state.theta).items() if n in simulator.known}
     cylinders = list(dict.fromkeys(name for log in logs for name in log.asked))
-    channels = list(dict.fromkeys(name for log in logs for name in log.channels))
+    tied = [position_channel(log.record, name) for log in logs for name in log.asked]
+    tied = [name for name in tied if name and all(tied_words(log.record) for log in logs)]
+    channels = list(dict.fromkeys([*(name for log in logs for name in log.channels), *tied]))
     records, rig = [log.record for log in logs], simulator.rig.with_values(values)
     terms = {(term.channel, term.word) for log in logs for term in log.start.terms}
     spectra = any(log.band is not None for log in logs)

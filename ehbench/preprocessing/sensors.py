@@ -111,20 +111,16 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
             elif isinstance(given, Value) and given.std:
                 std = given.std / abs(per)
             if std > 0.0 or (word in ("lag", "delay") and known > 0.0):
-                late = word in ("lag", "delay") and sensor.channel.endswith((".q", ".x"))
-                if late and any("qd" in tied_words(record) for record in records):
-                    # what comes too late cannot be given as motion
-                    text = message("preprocessing.late_motion", channel=sensor.channel, word=word)
-                    raise InputError(text)
                 results.append(Term(sensor.channel, word, known, per, std, sensor.per_log))
     return tuple(results)
 
 
 def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A log whose known errors are taken out, as sound sensors would have given it by what is
-    estimated as well: commands as the valves get them, readings by their level and scale.
+    estimated as well: commands as the valves get them, readings by their level and scale, a motion
+    that is tied as much earlier as its sensor is late.
     """
-    channels = dict(record.channels)
+    channels, given = dict(record.channels), tied_words(record)
     for name, item in _by_channel(terms).items():
         if name not in channels:
             continue
@@ -132,6 +128,10 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
         true = (channels[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
         if name.endswith(".command"):
             true = _delayed(true, record.sample_time, item, bias)
+        elif name.rpartition(".")[2] in given:
+            late = sum(t.value(bias.get(t.name, 0.0)) for t in item if t.word in ("lag", "delay"))
+            at = np.arange(true.size, dtype=float)
+            true = np.interp(at + late / record.sample_time, at, true)
         channels[name] = true
     return replace(record, channels=channels) if terms else record
 

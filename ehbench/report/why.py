@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +86,8 @@ class Origin:
 
 
 def origin(name: str, folder: Path) -> Origin:
-    """Where the number ``name`` of a run comes from; of a report, that of its run that has it.
+    """Where the number ``name`` of a run comes from; of a report, that of its run that has it; of a
+    run that carries the parameters of its rig, the fit that they are from.
 
     Raises:
         InputError: no run, no number of that name, or several.
@@ -108,6 +109,9 @@ def origin(name: str, folder: Path) -> Origin:
             raise next(several, (errors or [none])[0])
     result = named_result(traced.run, name)
     rig = next((source for source in traced.sources if source.role == "rig"), None)
+    if rig and rig.run and result.file == "parameters.json" and (rig.run / result.file).is_file():
+        found = origin(result.path, rig.run)
+        return replace(found, changes=tuple(dict.fromkeys([*changes, *traced.changes()])))
     return Origin(
         run=str(traced.folder),
         result=result,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 METHODS: Mapping[str, int] = {
-    "logs": 1,  # reading of logs and files, gaps, sensor terms, initial states
+    "logs": 2,  # reading of logs and files, gaps, sensor terms, initial states
     "plant": 1,  # equations of the plant, its parts and their integration
     "bench": 1,  # virtual bench: delays, noise, quantisation
     "flow_maps": 2,
@@ -19,7 +19,7 @@ METHODS: Mapping[str, int] = {
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
     "diagnosis": 4,
-    "validation": 3,
+    "validation": 4,
     "control": 1,  # controllers
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it

@@ -324,7 +324,11 @@ def span_of(item: DataFile) -> tuple[float, float]:
 
 
 def _window(record: Record, item: DataFile, path: Path) -> Record:
-    """The part of a record between the data entry's start and stop, with the payload it names."""
+    """The part of a record between the data entry's start and stop, with the payload and forces
+    that it names.
+    """
+    import numpy as np
+
     low, high = span_of(item)
     inside = (record.t >= low) & (record.t <= high)
     if inside.sum() < 3 <= record.t.size:
@@ -336,6 +340,7 @@ def _window(record: Record, item: DataFile, path: Path) -> Record:
         meta.pop("payload_change", None)
         meta["payload"] = item.payload
     channels = {name: values[inside] for name, values in record.channels.items()}
+    channels |= {name: np.full(inside.sum(), float(force)) for name, force in item.force.items()}
     return type(record)(record.t[inside], channels, meta, record.attachments, record.losses)
 
 

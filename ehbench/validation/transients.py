@@ -40,7 +40,12 @@ class TransientSettings:
         "mean square of a window's error, in that of noise, that tells nothing of a model",
         "two standard errors of a window of 100 samples",
     )
-    sigmas: float = setting(3.0, "", "standard errors that the halves may differ further", "chance")
+    sigmas: float = setting(
+        3.0,
+        "",
+        "standard errors that the halves may differ further, and by which it must decay",
+        "chance: noise of a narrow band decays as often as it grows",
+    )
 
 
 SETTINGS = TransientSettings()
@@ -119,7 +124,7 @@ def why_not_judged(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
         y: what rings, shape (samples, channels).
         result: the ringing in it.
     """
-    if result.damping_ratio <= 0.0:
+    if result.damping_ratio <= SETTINGS.sigmas * result.damping_ratio_std:
         return message("validation.grows", damping=result.damping_ratio)
     shape = math.sqrt(max(0.0, 1.0 - result.damping_ratio**2))
     periods = float(t[-1] - t[0]) * result.natural_frequency * shape / (2.0 * math.pi)

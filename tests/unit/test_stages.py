@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
-import pytest
+from pathlib import Path
 
+import numpy as np
+import pytest
+import tomli_w
+
+from ehbench import load_rig, workflow
 from ehbench.app.cli import app
 from ehbench.config import recipe
+from ehbench.data.logs import write_log
+from ehbench.plant.model import Model
 from ehbench.report.stages import SECTIONS
 from ehbench.stages import REGISTRY, Stage
+from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.vocabulary.commands import COMMANDS
+from tests.virtual_logs import virtual_log
+
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
 STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
 KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}
@@ -26,3 +37,27 @@ def test_a_stage_has_a_command_and_a_section(stage):
 
 def test_every_command_that_runs_recipes_has_a_stage():
     assert {one.name for one in COMMANDS} < {stage.command for stage in STAGES} <= KNOWN
+
+
+def test_a_force_that_differs_between_logs_is_a_key_of_their_entry(tmp_path):
+    """It is played on the rod: the same commands move the slide otherwise."""
+    text = (RIGS / "slide_servo.toml").read_text()
+    force = '\n[[cylinder.force]]\nkind = "channel"\nchannel = "press.force"\n'
+    (tmp_path / "rig.toml").write_text(text + force)
+    log = virtual_log("slide_servo", load_rig(RIGS / "slide_servo.toml"), "steps", 1, 1.0)
+    write_log(tmp_path / "log.mcap", log)
+    table = {
+        "stage": "identify",
+        "what": "hydraulics",
+        "rig": "rig.toml",
+        "data": [{"path": "log.mcap", "force": {"press.force": f"{kilo} kN"}} for kilo in (0, 2)],
+        "parameters": ["bulk_modulus"],
+    }
+    (tmp_path / "fit.toml").write_text(tomli_w.dumps(table))
+    given = recipe.load_recipe(tmp_path / "fit.toml")
+    logs = HydraulicsStage().prepare(given, workflow.Session().inputs(given)).fit.logs
+    assert [set(item.record["press.force"]) for item in logs] == [{0.0}, {2000.0}]
+    model = Model.of(load_rig(tmp_path / "rig.toml"))
+    free, pushed = (model.replay(item.record)["press.p_head"] for item in logs)
+    area = model.rig.cylinder[0].areas()[0]
+    assert np.ptp(pushed - free) > 0.2 * 2000.0 / area

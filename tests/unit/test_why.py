@@ -132,6 +132,27 @@ def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop
     assert plain["value"] == 7.0e8 and len(plain["inputs"]) == 4 and plain["changes"] == []
 
 
+def test_a_parameter_that_a_validation_carries_leads_to_its_fit(shop):
+    """And what changed in the validation is still told."""
+    fit = shop / "reports" / "fit_1"
+    (shop / "judge.toml").write_text('stage = "validate"\ndata = ["two.csv"]\n')
+    judged = write_run(
+        shop / "reports" / "judged_1",
+        "validate",
+        shop / "judge.toml",
+        [("rig", fit), ("log", shop / "two.csv")],
+        {"parameters.json": json.loads((fit / "parameters.json").read_text())},
+        what="validation",
+    )
+    found = origin("bulk_modulus", judged)
+    assert found.as_json() | {"changes": ()} == origin("bulk_modulus", fit).as_json() | {
+        "changes": ()
+    }
+    assert found.changes == ()
+    (judged / "rig.toml").write_text("")
+    assert [c.key for c in origin("bulk_modulus", judged).changes] == ["report.output_changed"]
+
+
 @pytest.mark.parametrize(
     "new", [None, 'rated = { flow = "60 L/min", command = "10 V", drop = "35 bar" }']
 )

@@ -40,12 +40,14 @@ def data_file(raw: Any) -> Any:
 
 
 class DataFile(FileModel):
-    """A log to use: its path, the payload carried (else what the log's own meta says), a window of
-    its time, a note, files beside it.
+    """A log to use: its path, the payload carried (else what the log's own meta says), constant
+    forces on rods by the channel of a force of the rig, a window of its time, a note, files beside
+    it.
     """
 
     path: str
     payload: str | None = None
+    force: dict[str, Annotated[Value, Q("force")]] = {}
     start: Annotated[Value, Q("start")] | None = None
     stop: Annotated[Value, Q("stop")] | None = None
     note: str = ""
