@@ -16,7 +16,7 @@ import numpy as np
 
 from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
 from ehbench.data.record import Record
-from ehbench.plant.ties import tied_words
+from ehbench.plant.ties import tied_words, without_noise
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
@@ -129,9 +129,10 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
         if name.endswith(".command"):
             true = _delayed(true, record.sample_time, item, bias)
         elif name.rpartition(".")[2] in given:
-            late = sum(t.value(bias.get(t.name, 0.0)) for t in item if t.word in ("lag", "delay"))
-            at = np.arange(true.size, dtype=float)
-            true = np.interp(at + late / record.sample_time, at, true)
+            late = {t.word: t.value(bias.get(t.name, 0.0)) for t in item}
+            at, tick = np.arange(true.size, dtype=float), record.sample_time
+            true = np.interp(at + late.get("delay", 0.0) / tick, at, true)
+            true += late.get("lag", 0.0) * np.gradient(without_noise(true, tick), tick)
         channels[name] = true
     return replace(record, channels=channels) if terms else record
 

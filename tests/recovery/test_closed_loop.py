@@ -14,9 +14,10 @@ from ehbench import workflow
 from ehbench.config.recipe import Sensor, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
-from ehbench.identification.hydraulics import FitOptions, prepare_fit
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, without_noise
+from ehbench.preprocessing.sensors import lagged
 from ehbench.runs.rundir import read_json
 from ehbench.validation import prepare_validation, run_validation
 from ehbench.vocabulary.errors import InputError
@@ -123,12 +124,29 @@ def test_a_log_without_a_position_is_refused(how, dropped, said):
     [
         (FitOptions(channels=("v",)), "v: being tied"),
         (FitOptions(method="thesis"), "takes no tied motion"),
-        (FitOptions(sensors=(Sensor(channel="press.x", lag="4 ms"),)), "gives 'press.x' a lag"),
     ],
 )
 def test_what_a_given_motion_cannot_bear_is_refused(options, said):
     with pytest.raises(InputError, match=said):
         prepare_fit(rigs("load")[0], [("a", tied(loaded(), "motion"))], [STIFF], options)
+
+
+def test_a_given_motion_is_taken_as_much_earlier_as_its_sensor_is_late():
+    """4 ms move the leakage by a tenth; known, they leave the estimate of the sound sensor."""
+    log = loaded()
+    x = lagged(log["press.x"], log.sample_time, 4e-3)
+    late = replace(log, channels=log.channels | {"press.x": x})
+    known = (Sensor(channel="press.x", lag="4 ms"),)
+    sound, biased, right = (
+        identify_hydraulics(
+            rigs("load")[0],
+            [("a", tied(item, "motion"))],
+            [STIFF, LEAKS],
+            FitOptions(sensors=given),
+        )[LEAKS].value
+        for item, given in ((log, ()), (late, ()), (late, known))
+    )
+    assert abs(right / sound - 1.0) < 0.005 and abs(biased / sound - 1.0) > 0.05
 
 
 def test_motion_of_a_chain_needs_every_joint():
