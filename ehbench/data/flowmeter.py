@@ -40,10 +40,7 @@ class FlowmeterSettings:
         0.02, "", "share of the largest reading below which a sign says nothing", "scatter at rest"
     )
     supply_margin: float = setting(
-        1.5,
-        "",
-        "drop, in supply pressures, from which its unit is wrong",
-        "units differ by 7 to 10",
+        1.5, "", "drop in supply pressures from which its unit is wrong", "units differ by 7"
     )
     supply_share: float = setting(
         0.005, "", "largest drop, in supply pressures, below which its unit is doubted", "as above"
@@ -52,10 +49,7 @@ class FlowmeterSettings:
         1.0 / 3.0, "", "share of a valve's readings that may be left out as slips", "a majority is"
     )
     fewest_reverse: int = setting(
-        4,
-        "",
-        "readings with both signs turned from which they are a map's other direction",
-        "a fit",
+        4, "", "readings with both signs turned that are a map's other direction", "a fit"
     )
 
 

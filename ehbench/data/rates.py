@@ -21,23 +21,15 @@ from ehbench.vocabulary.text import listed
 class RateSettings:
     """How signals of a foreign file are told apart and brought together."""
 
-    bridged: int = setting(
-        5, "", "bad samples in a row that a straight line may stand for", "as for gaps"
-    )
+    bridged: int = setting(5, "", "bad or missing samples in a row that a line bridges", "short")
     gap: float = setting(
         1.5, "", "sample times between two samples from which one is missing", "half a sample late"
     )
     wrong_rate: float = setting(
-        0.01,
-        "",
-        "share by which rows may last another time than their stamps",
-        "clocks differ less",
+        0.01, "", "share by which rows may last another time than stamps", "clocks differ less"
     )
     repeated: float = setting(
-        0.05,
-        "",
-        "share of rows above which a time that stands still is rounded",
-        "repeats are rare",
+        0.05, "", "share of rows above which a standing time is rounded", "repeats are rare"
     )
     slower: float = setting(
         1.5, "", "times the rows between values from which a signal has its own rate", "2 in theory"

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ehbench.data.rates import SETTINGS as RATES
 from ehbench.data.record import Record, resampled
 from ehbench.signals.timestamps import missing_rows, timestamps_of
 from ehbench.vocabulary.errors import LogError
@@ -30,7 +31,6 @@ class TimeSettings:
     jitter: float = setting(
         0.25, "", "share of the sample time by which a sample may be early or late", "below a half"
     )
-    bridged: int = setting(5, "", "missing samples in a row that are interpolated", "short ones")
     rare: float = setting(
         0.4, "", "gaps a sample from which the log has another rate", "the median step is a gap"
     )
@@ -110,7 +110,7 @@ def parts_of(
     gaps = np.flatnonzero(missing >= 1.0)
     if not gaps.size or gaps.size > SETTINGS.rare * steps.size or np.any(steps <= 0.0):
         return whole, []
-    is_short = missing[gaps] <= SETTINGS.bridged
+    is_short = missing[gaps] <= RATES.bridged
     few, many = gaps[is_short], gaps[~is_short]
     edges = [0, *(many + 1).tolist(), record.t.size]
     spans = list(zip(edges[:-1], edges[1:], strict=True))

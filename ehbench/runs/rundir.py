@@ -114,20 +114,19 @@ def read_json(path: Path) -> Any:
     Raises:
         InputError: not there or not JSON.
     """
+
+    def message_of(value: dict[str, Any]) -> Any:  # where `plain` wrote one
+        if value.keys() != {"key", "text", "fields"}:
+            return value
+        return Message(value["text"], value["key"], value["fields"])
+
     try:
-        return json.loads(read_bytes(path, DATA).decode("utf-8"), object_hook=_messages)
+        return json.loads(read_bytes(path, DATA).decode("utf-8"), object_hook=message_of)
     except FileNotFoundError:
         raise InputError(message("runs.no_file"), file=path) from None
     except (ValueError, RecursionError) as error:
         text = message("runs.no_json", reason=str(error) or "nested too deeply")
         raise InputError(text, file=path) from None
-
-
-def _messages(value: dict[str, Any]) -> Any:
-    """A message of the catalogue where `plain` wrote one."""
-    if value.keys() != {"key", "text", "fields"}:
-        return value
-    return Message(value["text"], value["key"], value["fields"])
 
 
 @dataclass
@@ -255,6 +254,11 @@ def _record(
     """What ``run.json`` states of a run of any stage: the same from the same inputs."""
     digests = [(role, path, sha256(path)) for role, path in inputs]
     content = [(role, digest) for role, _, digest in digests]
+    # names that are the same on every machine: from the recipe, or a run folder's
+    named = {
+        path: path.name if path.is_dir() else Path(os.path.relpath(path, recipe.parent)).as_posix()
+        for _, path, _ in digests
+    }
     return {
         "stage": stage,
         "name": recipe.stem,
@@ -262,8 +266,7 @@ def _record(
         "hash": run_hash(sha256(recipe), content, versions),
         "recipe": {"path": recipe.name, "sha256": sha256(recipe)},
         "inputs": [
-            {"role": role, "path": _name_of(path, recipe.parent), "sha256": digest}
-            for role, path, digest in digests
+            {"role": role, "path": named[path], "sha256": digest} for role, path, digest in digests
         ],
         "seeds": dict(seeds),
         "schema": versions.schema,
@@ -271,13 +274,6 @@ def _record(
         "versions": dict(_libraries()),
         "commit": commit(),
     }
-
-
-def _name_of(path: Path, folder: Path) -> str:
-    """A name for an input that is the same on every machine: its path from the recipe, or a run
-    folder's name.
-    """
-    return path.name if path.is_dir() else Path(os.path.relpath(path, folder)).as_posix()
 
 
 @lru_cache(maxsize=1)

@@ -95,8 +95,18 @@ def _outcome(child: int, reading: int, bounds: Bounds) -> bytearray:
     Raises:
         Ended: as `confined`.
     """
+    result, end, waiting = bytearray(), time.monotonic() + bounds.wait, select.poll()
+    waiting.register(reading, select.POLLIN)
     try:
-        result = _received(reading, bounds)
+        while True:
+            left = end - time.monotonic()
+            if left <= 0.0 or len(result) > bounds.memory:
+                raise Ended(signal.SIGALRM if left <= 0.0 else signal.SIGKILL)
+            if not waiting.poll(1e3 * left):
+                continue
+            if not (piece := os.read(reading, _PIECE)):
+                break
+            result += piece
     except BaseException:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
@@ -107,26 +117,6 @@ def _outcome(child: int, reading: int, bounds: Bounds) -> bytearray:
     if status:
         raise Ended(os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
     return result
-
-
-def _received(pipe: int, bounds: Bounds) -> bytearray:
-    """All that comes out of a pipe.
-
-    Raises:
-        Ended: more than the bounds let through, in time or size.
-    """
-    result, end, waiting = bytearray(), time.monotonic() + bounds.wait, select.poll()
-    waiting.register(pipe, select.POLLIN)
-    while len(result) <= bounds.memory:
-        left = end - time.monotonic()
-        if left <= 0.0:
-            raise Ended(signal.SIGALRM)
-        if not waiting.poll(1e3 * left):
-            continue
-        if not (piece := os.read(pipe, _PIECE)):
-            return result
-        result += piece
-    raise Ended(signal.SIGKILL)
 
 
 def _confine(bounds: Bounds) -> None:

@@ -38,19 +38,14 @@ class EhbenchError(Exception):
         super().__init__(str(self))
 
     def __str__(self) -> str:
-        where = (
-            "" if self.file is None else self.file + (f":{self.line}" if self.line else "") + ": "
-        )
+        place = f"{self.file}:{self.line}" if self.line else self.file
+        where = "" if self.file is None else f"{place}: "
         return where + self.message + (f" ({self.hint})" if self.hint else "")
 
 
 def _one_line(text: str) -> str:
     """A sentence on one line: what it quotes of a file may be anything, and of any length."""
-    plain = (
-        text
-        if text.isprintable()
-        else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-    )
+    plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
     return plain if len(plain) <= _LONGEST else plain[: _LONGEST - 200] + " … " + plain[-190:]
 
 

@@ -129,26 +129,23 @@ def read_value(raw: Any, row: Quantity, count: int = 1) -> Value:
     else:
         if not isinstance(raw_value, (list, tuple)) or len(raw_value) != count:
             given = shortened(raw_value, 60)
-            raise InputError(
-                message("vocabulary.takes_list", name=row.name, count=count, given=given)
-            )
+            text = message("vocabulary.takes_list", name=row.name, count=count, given=given)
+            raise InputError(text)
         value = tuple(_scalar(item, row, "an entry") for item in raw_value)
     limits = _limits(table, row)
     each = value if isinstance(value, tuple) else (value,)
     lower, upper = limits.get("lower", -math.inf), limits.get("upper", math.inf)
     if not all(lower <= entry <= upper for entry in each):
         bounds = " and ".join(f"{key} = {table[key]}" for key in ("lower", "upper") if key in table)
-        raise UnitError(
-            message("vocabulary.outside_bounds", name=row.name, value=raw_value, bounds=bounds)
-        )
+        fields = {"name": row.name, "value": raw_value, "bounds": bounds}
+        raise UnitError(message("vocabulary.outside_bounds", **fields))
     source = str(table.get("source", ""))
     first = source.replace(":", " ").replace(",", " ").split(" ")[0]
     sure = table.get("sure", first if first in SURENESS else "assumed")
     if sure not in SURENESS:
         given, known = shortened(sure, 40), ", ".join(SURENESS)
-        raise InputError(
-            message("vocabulary.unknown_sureness", name=row.name, given=given, known=known)
-        )
+        fields = {"name": row.name, "given": given, "known": known}
+        raise InputError(message("vocabulary.unknown_sureness", **fields))
     return Value(value, sure, source, text=raw, unit=_unit(table, row), **limits)
 
 
@@ -180,11 +177,8 @@ def _scalar(item: Any, row: Quantity, what: str, check: bool = True) -> float:
         bare = Quantity(row.name, row.symbol, row.unit, row.display, row.meaning)
         result = units.parse(item, row if check else bare)
     elif row.unit != "dimensionless":
-        raise UnitError(
-            message(
-                "vocabulary.number_without_unit", name=row.name, shown=shown, display=row.display
-            )
-        )
+        fields = {"name": row.name, "shown": shown, "display": row.display}
+        raise UnitError(message("vocabulary.number_without_unit", **fields))
     else:
         try:
             result = float(item)
@@ -203,13 +197,9 @@ def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
     Raises:
         UnitError: they are no numbers of the quantity, or the standard error is negative.
     """
-    results = {
-        key: _scalar(table[key], row, f"the {key}", check=False)
-        for key in ("lower", "upper")
-        if key in table
-    }
+    keys = [key for key in ("lower", "upper", "std") if key in table]
+    results = {key: _scalar(table[key], row, f"the {key}", check=False) for key in keys}
     if "std" in table:
-        results["std"] = _scalar(table["std"], row, "the std", check=False)
         if isinstance(table["std"], str):
             results["std"] -= units.zero_of(table["std"], row)
         if results["std"] < 0.0:
@@ -228,12 +218,9 @@ def write_value(value: Value, row: Quantity) -> Any:
     def show(number: float) -> str:
         return f"{float(number)!r}{unit}"
 
-    table: dict[str, Any] = {
-        "value": [show(v) for v in value.value]
-        if isinstance(value.value, tuple)
-        else show(value.value)
-    }
-    table["sure"] = value.sure
+    many = isinstance(value.value, tuple)
+    text: Any = [show(v) for v in value.value] if many else show(float(value))  # type: ignore
+    table: dict[str, Any] = {"value": text, "sure": value.sure}
     if value.source:
         table["source"] = value.source
     for key in ("lower", "upper", "std"):

@@ -28,9 +28,9 @@ class Message(str):
     def __new__(
         cls, text: str, key: str = "", fields: Mapping[str, Any] | None = None, hint: str = ""
     ) -> Message:
-        made = super().__new__(cls, text)
-        made.key, made.fields, made.hint = key, dict(fields or {}), hint
-        return made
+        new = super().__new__(cls, text)
+        new.key, new.fields, new.hint = key, dict(fields or {}), hint
+        return new
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Message, (str(self), self.key, dict(self.fields), self.hint)

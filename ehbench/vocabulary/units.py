@@ -1,4 +1,5 @@
-"""Units: a table of base factors, one grammar over it, and conversion to and from SI.
+"""Units: a table of base factors (``units.toml`` beside this file), one grammar over it, and
+conversion to and from SI.
 
 A unit is made of words, products, quotients and small powers: ``m^3/(s*V*Pa^0.5)``, ``L/min/√bar``,
 ``kg·m²``. Nothing else of a text is read and nothing is evaluated. Pressures are gauge. Angles
@@ -9,9 +10,11 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 import unicodedata
 from functools import lru_cache
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from ehbench.vocabulary.errors import UnitError
 from ehbench.vocabulary.messages import Message, message
@@ -20,58 +23,8 @@ from ehbench.vocabulary.text import shortened
 
 _DIMENSIONS = ("kg", "m", "s", "A", "K", "rad", "cycle")
 _ANGLE, _CYCLE = _DIMENSIONS.index("rad"), _DIMENSIONS.index("cycle")
-# symbols; a factor with the unit, above in the table, that it counts; whether it takes prefixes
-_TABLE: tuple[tuple[str, float, str, bool], ...] = (
-    ("m meter metre", 1.0, "m", True),
-    ("g gram", 1e-3, "kg", True),
-    ("s sec second", 1.0, "s", True),
-    ("A amp ampere", 1.0, "A", True),
-    ("K kelvin", 1.0, "K", True),
-    ("rad radian", 1.0, "rad", True),
-    ("cycle", 1.0, "cycle", False),
-    ("dimensionless duty counts count digits 1", 1.0, "", False),
-    ("% percent", 0.01, "", False),
-    ("deg degree °", math.pi / 180.0, "rad", True),
-    ("rev turn revolution", 2.0 * math.pi, "rad", False),
-    ("in inch", 0.0254, "m", False),
-    ("ft foot", 0.3048, "m", False),
-    ("min minute", 60.0, "s", False),
-    ("h hr hour", 3600.0, "s", False),
-    ("d day", 86400.0, "s", False),
-    ("t tonne", 1000.0, "kg", False),
-    ("lb lbm pound", 0.45359237, "kg", False),
-    ("N newton", 1.0, "kg*m/s^2", True),
-    ("lbf", 0.45359237 * 9.80665, "N", True),
-    ("kgf kp", 9.80665, "N", False),
-    ("Pa pascal", 1.0, "N/m^2", True),
-    ("bar", 1e5, "Pa", True),
-    ("psi", 6894.757293168362, "Pa", False),
-    ("ksi", 6894757.293168362, "Pa", False),
-    ("atm", 101325.0, "Pa", False),
-    ("mmHg torr", 133.322387415, "Pa", False),
-    ("J joule", 1.0, "N*m", True),
-    ("W watt", 1.0, "J/s", True),
-    ("hp horsepower", 745.6998715822702, "W", False),
-    ("PS", 735.49875, "W", False),
-    ("V volt", 1.0, "W/A", True),
-    ("C coulomb", 1.0, "A*s", True),
-    ("ohm Ω", 1.0, "V/A", True),
-    ("L l liter litre", 1e-3, "m^3", True),
-    ("cc", 1e-6, "m^3", False),
-    ("gallon gal", 3.785411784e-3, "m^3", False),
-    ("lpm", 1e-3 / 60.0, "m^3/s", False),
-    ("gpm", 3.785411784e-3 / 60.0, "m^3/s", False),
-    ("igpm", 4.54609e-3 / 60.0, "m^3/s", False),
-    ("Hz hertz cps", 1.0, "cycle/s", True),
-    ("rpm", 2.0 * math.pi / 60.0, "rad/s", False),
-    ("P poise", 0.1, "Pa*s", True),
-    ("St stokes", 1e-4, "m^2/s", True),
-)
-_PREFIXES = {
-    **{"G": 1e9, "giga": 1e9, "M": 1e6, "mega": 1e6, "k": 1e3, "kilo": 1e3, "h": 1e2, "hecto": 1e2},
-    **{"da": 1e1, "d": 1e-1, "c": 1e-2, "centi": 1e-2, "m": 1e-3, "milli": 1e-3},
-    **{"u": 1e-6, "µ": 1e-6, "μ": 1e-6, "micro": 1e-6, "n": 1e-9, "nano": 1e-9},
-}
+with Path(__file__).with_suffix(".toml").open("rb") as _file:
+    _TABLE: dict[str, Any] = tomllib.load(_file)
 _ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67 / 1.8, "°F": 459.67 / 1.8}  # [K]
 
 _NUMBER = re.compile(
@@ -94,32 +47,7 @@ _BARE_POWER = re.compile(r"\b([kcdm]?m|in|ft)([23])\b(?!\s*(?:\^|\*\*))")  # cm2
 _CUBIC = re.compile(rf"\bcubic ({_WORD})")
 _NO_UNIT = ("", "-", "1")
 
-# words of instruments and spreadsheets for a unit; absolute pressures are not among them
-_SPOKEN = {
-    **dict.fromkeys(("volt", "volts", "vdc"), "V"),
-    **dict.fromkeys(("amp", "amps", "ampere", "adc"), "A"),
-    **dict.fromkeys(("barg", "bard", "bar(d)", "bar(g)", "bar g", "bar_g", "bars", "bar"), "bar"),
-    **dict.fromkeys(("psi", "psig", "psid", "psi(g)", "psi(d)", "psi g", "lbf/in2"), "psi"),
-    **dict.fromkeys(("kpa", "kpag", "kpa(g)"), "kPa"),
-    **dict.fromkeys(("mpa", "mpag", "mpa(g)"), "MPa"),
-    **dict.fromkeys(("pag", "pascal", "pascals"), "Pa"),
-    **dict.fromkeys(("sec", "secs", "second", "seconds", "sekunden"), "s"),
-    **dict.fromkeys(("msec", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("usec", "µs", "μs", "microseconds"), "us"),
-    **dict.fromkeys(("°/s", "deg/sec", "deg/s", "degrees/s", "dps"), "deg/s"),
-    **dict.fromkeys(("deg", "degrees", "°"), "deg"),
-    **dict.fromkeys(("mm/sec", "mm s-1"), "mm/s"),
-    **dict.fromkeys(("m/sec", "m s-1"), "m/s"),
-    **dict.fromkeys(("lpm", "l/min", "ltr/min", "l/m", "lit/min", "slpm"), "L/min"),
-    **dict.fromkeys(("gpm", "gal/min", "usgpm", "us gpm", "gpm us", "gpm (us)"), "gpm"),
-    "us gal/min": "gpm",
-    **dict.fromkeys(("rpm", "u/min", "1/min", "r/min", "rev/min"), "rpm"),
-    **dict.fromkeys(("percent", "pct", "prozent"), "%"),
-    **dict.fromkeys(("igpm", "gpm (uk)", "uk gpm", "imp gpm", "imperial gpm"), "igpm"),
-    **dict.fromkeys(("bit", "bits", "count", "cts", "digit", "lsb", "raw", "inc"), "counts"),
-    **dict.fromkeys(("deg c", "°c", "celsius", "degc"), "degC"),
-    **dict.fromkeys(("deg f", "°f", "fahrenheit", "degf"), "degF"),
-}
+_SPOKEN = {word: unit for unit, words in _TABLE["spoken"].items() for word in words}
 _ABSOLUTE = re.compile(r"(m?bar|psi|[km]?pa)[\s_]*\(?a(?:bs(?:ol\w*)?)?\.?\)?", re.I)
 _GAUGE = {unit.lower(): unit for unit in ("mbar", "bar", "psi", "Pa", "kPa", "MPa")}
 
@@ -168,17 +96,16 @@ def _words() -> dict[str, _Unit]:
         for name in _DIMENSIONS
     }
     scaled: dict[str, _Unit] = {}
-    for words, factor, of, takes_prefixes in _TABLE:
+    for words, factor, of, takes_prefixes in _TABLE["base"]:
         base = _product(of, results)
         unit = _Unit(factor * base.factor, base.powers)
         for word in words.split():
             results.setdefault(word, unit)
-            prefixes = _PREFIXES if takes_prefixes else {}
+            prefixes = _TABLE["prefixes"] if takes_prefixes else {}
             scaled |= {p + word: _Unit(x * unit.factor, unit.powers) for p, x in prefixes.items()}
     scale = {"K": 1.0, "C": 1.0, "F": 1.0 / 1.8}
-    zeros = {
-        word: _Unit(scale[word[-1]], results["K"].powers, zero) for word, zero in _ZEROS.items()
-    }
+    kelvin = results["K"].powers
+    zeros = {word: _Unit(scale[word[-1]], kelvin, zero) for word, zero in _ZEROS.items()}
     results = {**scaled, **results, **zeros}
     return {**{f"{word}s": unit for word, unit in results.items() if len(word) > 3}, **results}
 
@@ -351,16 +278,11 @@ def parse(text: str, row: Quantity) -> float:
     match = _NUMBER.match(text) if len(text) <= 3 * _LONGEST else None
     shown = shortened(text, 60)
     if not match:
-        raise UnitError(
-            message("vocabulary.no_number_for", text=shown, name=row.name, display=row.display)
-        )
+        fields = {"text": shown, "name": row.name, "display": row.display}
+        raise UnitError(message("vocabulary.no_number_for", **fields))
     if not match[2] and row.unit != "dimensionless":
-        number = match[1][:20]
-        raise UnitError(
-            message(
-                "vocabulary.no_unit", text=shown, name=row.name, number=number, display=row.display
-            )
-        )
+        fields = {"text": shown, "name": row.name, "display": row.display}
+        raise UnitError(message("vocabulary.no_unit", number=match[1][:20], **fields))
     value = float(to_si(float(match[1]), match[2], row))
     plausible(value, row, text.strip())
     return value
