@@ -39,6 +39,13 @@ def _step(t, sample, reference, axis, gains, memory, command, telemetry):
 
 
 @kernel
+def _watch(monitor, sample, command, axis, telemetry):
+    """One tick of the monitor, if there is one."""
+    if monitor is not None:
+        telemetry[-1] = watch(sample, command, axis, monitor)
+
+
+@kernel
 def tick(t, sample, reference, controller, command, telemetry):
     """One tick of a built-in controller; what it does not observe is NaN in what it gets.
 
@@ -62,5 +69,4 @@ def tick(t, sample, reference, controller, command, telemetry):
         command,
         telemetry,
     )
-    if controller.monitor is not None:
-        telemetry[-1] = watch(sample, command, controller.axis, controller.monitor)
+    _watch(controller.monitor, sample, command, controller.axis, telemetry)
