@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -43,20 +44,9 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
 SECONDS = 120.0  # of trying, by default
-LONG, SHORT, FEWEST, MOST = 0.5, 0.02, 4, 16  # a window [s], the least; how many of a log
-HEAD = 10.0  # [s] of a log at least that is looked at
-STEPS = 25  # of a descent
-FINE = 0.005  # share of a channel's spread below which an error does not matter
 ROUNDS = 5  # changes on top of one another, at most
-QUIET = 1.5  # times the noise that fits may leave, beyond which nothing is sought
-WORTH = 0.05  # share of what is left out, by which a change must lessen it to be worth its numbers
-# what a change promises to leave to first order, as a power of the least that another was found to
-# leave, beyond which it is not tried beside that
-HOPE = 0.1
-UNEQUAL = 0.1  # logarithm of a channel's mean square by which one fold may gain less than the other
 # no such rig, or no such fit
 IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
-UNSURE = 1.0  # standard errors within which a fit is not worse than the best
 
 
 def merged(sensors: Sequence[Sensor], more: Sequence[Sensor]) -> tuple[Sensor, ...]:
@@ -106,7 +96,7 @@ class Tried:
 
     setup: Setup
     left: dict[tuple[str, int], dict[str, float]]
-    found: tuple[dict[str, float], ...]
+    numbers: tuple[dict[str, float], ...]
     costs: tuple[float, ...]
 
 
@@ -192,7 +182,7 @@ def suggest(
     Args:
         prepared: the fit.
         records: its logs.
-        progress: told what is tried, and the share done.
+        progress: called with what is tried, and the share done.
         seconds: of processor time, the recipe's own fit among them, after which nothing more is
             begun.
         rounds: how many changes are tried on top of one another, at most.
@@ -209,8 +199,8 @@ def suggest(
         options = replace(prepared.options, channels=compared.channels)
         given = prepared.rig, records, prepared.parameters, options, prepared.flow_maps
         prepared = prepare_fit(*given)
-    tell = progress or (lambda text, share: None)
-    result = _Trials(prepared, records, tell, begun + seconds).run(rounds)
+    report = progress or (lambda text, share: None)
+    result = _Trials(prepared, records, report, begun + seconds).run(rounds)
     return replace(result, compared=compared)
 
 
@@ -221,23 +211,36 @@ class _Fold:
     """
 
     cost: float
-    found: dict[str, float]
+    numbers: dict[str, float]
     left: dict[tuple[str, int], dict[str, float]]
 
 
 class _Trials:
     """Trials of changes to one fit."""
 
+    head = 10.0  # [s] of a log at least that is looked at
+    steps = 25  # of a descent
+    fine = 0.005  # share of a channel's spread below which an error does not matter
+    quiet = 1.5  # times the noise that fits may leave, beyond which nothing is sought
+    # share of what is left out, by which a change must lessen it to be worth its numbers
+    worth = 0.05
+    # what a change promises to leave to first order, as a power of the minimum that another was
+    # seen to leave, beyond which it is not tried
+    hope = 0.1
+    # logarithm of a channel's mean square by which one fold may gain less than the other
+    unequal = 0.1
+    unsure = 1.0  # standard errors within which a fit is not worse than the best
+
     def __init__(
         self,
         prepared: PreparedFit,
         records: Sequence[tuple[str, Record]],
-        tell: Progress,
+        report: Progress,
         until: float,
     ) -> None:
-        options = replace(prepared.options, method="output_error", max_iterations=STEPS)
+        options = replace(prepared.options, method="output_error", max_iterations=self.steps)
         self.base = Setup(prepared.rig, prepared.parameters, options)
-        self.records, self.maps, self.tell = records, prepared.flow_maps, tell
+        self.records, self.maps, self.report = records, prepared.flow_maps, report
         self.begun, self.until = time.process_time(), until
         self.tried: list[Tried] = []
         self.spread: dict[str, float] = {}
@@ -246,17 +249,19 @@ class _Trials:
 
     def run(self, rounds: int) -> Suggestions:
         """All rounds, and the table."""
-        self.tell("suggest: fitting the recipe as it is", 0.0)
+        self.report("suggest: fitting the recipe as it is", 0.0)
         now, untried = self._first(), ()
         for _ in range(rounds):
-            if self._quiet(now):
-                break
+            levels = self._levels(now).items()
+            noise = {c: self.noise[c] + (self.fine * self.spread[c]) ** 2 for c, _ in levels}
+            if all(size <= self.quiet * noise[c] for c, size in levels):
+                break  # it leaves little more than white noise, or than what does not matter
             reached, untried = self._round(now)
             better = [item for item in reached if self._better(item, now)]
             if not better:
                 break
             now = self._simplest(now, min(better, key=lambda entry: self._misfit(entry, now)))
-        self.tell("suggest: done", 1.0)
+        self.report("suggest: done", 1.0)
         return self._table(untried)
 
     def _round(self, now: Tried) -> tuple[list[Tried], tuple[str, ...]]:
@@ -266,14 +271,14 @@ class _Trials:
         """
         left = self._changes(now)
         promised, untried = self._promised(now, [c for c in left if not c.row.costly])
-        reached = self._tries(now, promised, untried)
+        reached = self._tries(now, promised, untried, self.hope)
         if not self._any_better(reached, now):
             costly, late = self._promised(now, [c for c in left if c.row.costly])
             untried += late
-            reached += self._tries(now, costly, untried, hope=0.0)
+            reached += self._tries(now, costly, untried)
         if now is self.tried[0] and not self._any_better(reached, now):
-            rest = [item for item in promised if item[0] > (1.0 - WORTH) ** HOPE]
-            reached += self._tries(now, rest, untried, hope=0.0)
+            rest = [item for item in promised if item[0] > (1.0 - self.worth) ** self.hope]
+            reached += self._tries(now, rest, untried)
         self.tried += reached
         return reached, tuple(untried)
 
@@ -282,21 +287,21 @@ class _Trials:
         now: Tried,
         promised: Sequence[tuple[float, Hypothesis]],
         untried: list[str],
-        hope: float = HOPE,
+        hope: float = 0.0,
     ) -> list[Tried]:
         """Changes on top of a fit, one by one, to the first that promises too little beside the
         best: more than its misfit to the power of ``hope``. Those that there is no time for are
         added to ``untried``.
         """
         reached: list[Tried] = []
-        best = 1.0 - WORTH
+        best = 1.0 - self.worth
         for promise, change in promised:
             if promise > best**hope:
                 break
             if time.process_time() > self.until:
                 untried.append(change.name)
                 continue
-            self.tell(f"suggest: {change.name}", self._spent)
+            self.report(f"suggest: {change.name}", self._spent)
             tried = self._try(now, change)
             if tried is not None:
                 reached.append(tried)
@@ -319,7 +324,7 @@ class _Trials:
             if time.process_time() > self.until:
                 untried.append(change.name)
                 continue
-            self.tell(f"suggest: what {change.name} promises", self._spent)
+            self.report(f"suggest: what {change.name} promises", self._spent)
             try:
                 cost = self._foreseen(now, now.setup.with_change(change), change.starts)
             except IMPOSSIBLE:
@@ -341,7 +346,7 @@ class _Trials:
             EhbenchError, ValueError, ArithmeticError: there is no such rig, or no such fit.
         """
         _, problem = self._prepared(setup, 0)
-        return min(foreseen(problem, {**now.found[0], **start}) for start in starts)
+        return min(foreseen(problem, {**now.numbers[0], **start}) for start in starts)
 
     def _simplest(self, now: Tried, best: Tried) -> Tried:
         """The best of the parts of the last change of a fit that are not worse than the whole; the
@@ -371,7 +376,7 @@ class _Trials:
     def _changes(self, now: Tried) -> list[Hypothesis]:
         """What may be tried on top of a fit."""
         records, setup = [record for _, record in self.records], now.setup
-        result = now.found[int(np.argmin(now.costs))]
+        result = now.numbers[int(np.argmin(now.costs))]
         fitted = setup.rig.with_values({name: result[name] for name in setup.parameters})
         estimated = {
             (sensor.channel, w) for sensor in setup.options.sensors for w in WORDS if sensor[w]
@@ -400,18 +405,21 @@ class _Trials:
             setup = now.setup.with_change(change)
             folds = []
             starts = change.starts
-            for which, result in enumerate(now.found):
+            for which, result in enumerate(now.numbers):
                 each = [self._fold(setup, which, {**result, **s}) for s in starts]
                 best = min(range(len(each)), key=lambda k: each[k].cost)
                 folds.append(each[best])
                 starts = starts[best : best + 1]
-                if which == 0 and change.row.costly and not self._gains(now, folds[0]):
+                # whether the first fold fits its own windows so much better than the fit before
+                # that it may do so with those left out
+                worthy = -math.log(1.0 - self.worth) * self.hope * len(self.channels)
+                if not which and change.row.costly and now.costs[0] - folds[0].cost <= worthy:
                     return None
             gains = [old - fold.cost for old, fold in zip(now.costs, folds, strict=True)]
             less = int(np.argmin(gains))
-            if max(gains) - min(gains) > UNEQUAL * len(self.channels):
-                other = self._fold(setup, less, folds[1 - less].found)
-                folds[less] = min(folds[less], other, key=_by_cost)
+            if max(gains) - min(gains) > self.unequal * len(self.channels):
+                other = self._fold(setup, less, folds[1 - less].numbers)
+                folds[less] = min(folds[less], other, key=attrgetter("cost"))
             tried = _tried(setup, folds)
             same = all(
                 item.keys() == tried.left.get(at, {}).keys() for at, item in now.left.items()
@@ -420,17 +428,10 @@ class _Trials:
         except IMPOSSIBLE:
             return None
 
-    def _gains(self, now: Tried, first: _Fold) -> bool:
-        """Whether the first fold of a change fits its own windows so much better than the fit
-        before that it may do so with those left out.
-        """
-        gain = now.costs[0] - first.cost
-        return gain > -math.log(1.0 - WORTH) * HOPE * len(self.channels)
-
     def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], Problem]:
         """(the logs, a problem over them with the windows of a fold left out)."""
         fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
-        logs = [log.head(HEAD) for log in fit.logs]
+        logs = [log.head(self.head) for log in fit.logs]
         retained = logs
         if which is not None:
             retained = [
@@ -440,7 +441,7 @@ class _Trials:
         options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
         names = [*setup.parameters, *(c.name for c in sensors)]
         simulator = Simulator(setup.rig, retained, names, self.maps, options.workers, options.step)
-        return logs, problem_of(simulator, fit.search, None, STEPS, options.cutoff)
+        return logs, problem_of(simulator, fit.search, None, self.steps, options.cutoff)
 
     def _fold(self, setup: Setup, which: int, begin: Mapping[str, float]) -> _Fold:
         """A fit from some numbers on, with the windows of a fold left out."""
@@ -453,23 +454,14 @@ class _Trials:
         for k, (log, rest) in enumerate(zip(logs, residuals, strict=True)):
             windows = _windows(log)
             for w in range(int(windows[-1]) + 1):
-                own = (windows == w) & _out(log, k, which)
-                if own.any():
+                inside = (windows == w) & _out(log, k, which)
+                if inside.any():
                     left[log.name, w] = {
-                        channel: float(np.mean(rest[own & log.counts[:, i], i] ** 2))
+                        channel: float(np.mean(rest[inside & log.counts[:, i], i] ** 2))
                         for i, channel in enumerate(log.channels)
-                        if (own & log.counts[:, i]).any()
+                        if (inside & log.counts[:, i]).any()
                     }
         return _Fold(cost, problem.by_name(state.theta), left)
-
-    def _by_window(self, item: Tried, scale: Tried) -> np.ndarray:
-        """What is left out of each window, channels added up, each in units of what another fit
-        leaves of it in the mean.
-        """
-        level = self._levels(scale)
-        return np.array(
-            [sum(y / level[c] for c, y in entry.items()) for entry in item.left.values()]
-        )
 
     def _levels(self, item: Tried) -> dict[str, float]:
         """Mean squares of what is left of each channel [SI²]."""
@@ -477,7 +469,9 @@ class _Trials:
         for entry in item.left.values():
             for channel, size in entry.items():
                 results.setdefault(channel, []).append(size)
-        return {c: max(float(np.mean(y)), (FINE * self.spread[c]) ** 2) for c, y in results.items()}
+        return {
+            c: max(float(np.mean(y)), (self.fine * self.spread[c]) ** 2) for c, y in results.items()
+        }
 
     def _misfit(self, item: Tried, other: Tried) -> float:
         """Mean square of what is left, relative to another fit; geometric mean of the channels."""
@@ -485,28 +479,26 @@ class _Trials:
         return float(np.exp(np.mean([np.log(mine[c] / theirs[c]) for c in theirs])))
 
     def _difference(self, item: Tried, other: Tried) -> tuple[float, float]:
-        """(by how much a fit leaves more than another, its standard error), as shares of what that
-        one leaves.
+        """(by how much a fit leaves more than another, its standard error), as shares of what the
+        other leaves: of each window, channels added up, each in units of what the other leaves of
+        it in the mean.
         """
-        ours, theirs = self._by_window(item, other), self._by_window(other, other)
+        level = self._levels(other)
+        ours, theirs = (
+            np.array([sum(y / level[c] for c, y in row.items()) for row in fit.left.values()])
+            for fit in (item, other)
+        )
         whole = float(np.mean(theirs)) or 1.0
         off = (ours - theirs) / whole
         return float(np.mean(off)), float(np.std(off, ddof=1)) / len(off) ** 0.5
 
-    def _quiet(self, item: Tried) -> bool:
-        """Whether a fit leaves little more than white noise, or than what does not matter."""
-        return all(
-            size <= QUIET * (self.noise[c] + (FINE * self.spread[c]) ** 2)
-            for c, size in self._levels(item).items()
-        )
-
     def _better(self, item: Tried, other: Tried) -> bool:
         """Whether it is worth while to go on from a fit: what is surely better, the table says."""
-        return self._difference(item, other)[0] < -WORTH
+        return self._difference(item, other)[0] < -self.worth
 
     def _not_worse(self, item: Tried, best: Tried) -> bool:
         more, std = self._difference(item, best)
-        return more <= max(UNSURE * std, WORTH)
+        return more <= max(self.unsure * std, self.worth)
 
     def _table(self, untried: tuple[str, ...]) -> Suggestions:
         first = self.tried[0]
@@ -539,7 +531,7 @@ class _Trials:
         """A fit that begins where it was tried; parameters that the logs do not excite stay at
         the rig's values.
         """
-        setup, result = item.setup, item.found[int(np.argmin(item.costs))]
+        setup, result = item.setup, item.numbers[int(np.argmin(item.costs))]
         logs, problem = self._prepared(setup, None)
         state = evaluate(problem, at_values(problem, result))
         sizes = effects(problem, state, jacobian(problem, state, state.free))
@@ -567,22 +559,20 @@ class _Trials:
         return replace(setup, options=replace(setup.options, start=start, sensors=sensors))
 
 
-def _by_cost(item: _Fold) -> float:
-    return item.cost
-
-
 def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
     """A fit by its folds, what is left out by window in one order."""
     left = {key: item for fold in folds for key, item in fold.left.items()}
-    result, costs = tuple(fold.found for fold in folds), tuple(fold.cost for fold in folds)
+    result, costs = tuple(fold.numbers for fold in folds), tuple(fold.cost for fold in folds)
     return Tried(setup, dict(sorted(left.items())), result, costs)
 
 
-def _windows(log: Log) -> np.ndarray:
-    """Number of the window that each sample is in."""
+def _windows(log: Log, long: float = 0.5, short: float = 0.02) -> np.ndarray:
+    """Number of the window that each sample is in: 4 to 16 of a log, ``long`` [s] if they may be,
+    none below ``short`` [s].
+    """
     size, tick = len(log.recorded), log.sample_time
-    count = min(max(round(size * tick / LONG), FEWEST), MOST)
-    count = max(1, min(count, int(size * tick / SHORT)))
+    count = min(max(round(size * tick / long), 4), 16)
+    count = max(1, min(count, int(size * tick / short)))
     return np.arange(size) * count // size
 
 

@@ -9,7 +9,7 @@ from ehbench.config.rig import Rig, Slide
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
 from ehbench.report.captions import as_fitted, plus
 from ehbench.report.content import num
-from ehbench.report.saved import Table
+from ehbench.report.saved import Table, grouped
 from ehbench.report.words import number, pretty, row_of, shown, unit_of
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.terms import Z95
@@ -25,21 +25,7 @@ def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
             the others have 1.96 of their standard error.
     """
     known: dict[tuple[str, Any], Table] = {(fit["name"], fit.number("value")): fit for fit in fits}
-    groups: dict[str, dict[str, Value]] = {}
-    for name, value in [*rig.parameters().items(), *_vectors(rig).items()]:
-        groups.setdefault(name.rpartition(".")[0], {})[name] = value
-    rows = [
-        [group, *_value_row(rig, name, value, known.get((name, value.value)))]
-        for group, members in groups.items()
-        for name, value in members.items()
-    ]
-    notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
-    head = ["of", "parameter", "value", "unit", "how sure", "source"]
-    return [*([Bullets(notes)] if notes else []), Grid(head, rows)]
-
-
-def _vectors(rig: Rig) -> dict[str, Value]:
-    """Centres of mass, inertias, and what payloads change."""
+    # centres of mass, inertias, and what payloads change, besides what the rig counts as parameters
     bodies = [rig.mechanism] if isinstance(rig.mechanism, Slide) else rig.mechanism.joint
     vectors: dict[str, Value] = {
         f"{body.name}.{key}": getattr(body, key)
@@ -52,7 +38,16 @@ def _vectors(rig: Rig) -> dict[str, Value]:
             for key in ("mass", "com", "inertia"):
                 if getattr(change, key) is not None:
                     vectors[f"payload {load}: {link}.{key}"] = getattr(change, key)
-    return vectors
+    every = [*rig.parameters().items(), *vectors.items()]
+    groups = grouped(every, lambda item: item[0].rpartition(".")[0])
+    rows = [
+        [group, *_value_row(rig, name, value, known.get((name, value.value)))]
+        for group, members in groups.items()
+        for name, value in members
+    ]
+    notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
+    head = ["of", "parameter", "value", "unit", "how sure", "source"]
+    return [*([Bullets(notes)] if notes else []), Grid(head, rows)]
 
 
 def _value_row(rig: Rig, name: str, value: Value, fit: Table | None) -> list[Cell | str]:

@@ -116,7 +116,7 @@ def origin(name: str, folder: Path) -> Origin:
         run=str(traced.folder),
         result=result,
         shown=_shown(traced.run, result),
-        method=tuple(_method(traced.run, result)),
+        method=_method(traced.run, result),
         windows=tuple(_windows(traced.recipe)),
         sources=tuple(traced.sources),
         recipe=_recipe_line(traced.recipe, result),
@@ -144,18 +144,20 @@ def _shown(run: Saved, result: NamedResult) -> str:
     return text + (f", {words(status)}" if isinstance(status, str) else "")
 
 
-def _method(run: Saved, result: NamedResult) -> Iterator[str]:
+def _method(run: Saved, result: NamedResult) -> tuple[str, ...]:
+    """How a number was found, as far as the catalogue describes it."""
     names = [run.stage, words(str(run.what)), words(run.facts.get("method") or "")]
-    yield ", ".join(filter(None, names))
-    texts, about = templates("report"), result.about
-    if f"method_{run.what}" in texts:
-        yield message(f"report.method_{run.what}")
-    if f"error_{about.get('error_from')}" in texts:
-        yield message(f"report.error_{about['error_from']}")
+    texts: list[str] = [", ".join(filter(None, names))]
+    about, known = result.about, templates("report")
+    if f"method_{run.what}" in known:
+        texts.append(message(f"report.method_{run.what}"))
+    if f"error_{about.get('error_from')}" in known:
+        texts.append(message(f"report.error_{about['error_from']}"))
     if about.get("prior") is not None:
-        yield message("report.prior", share=float(about.get("from_data", 1.0)))
+        texts.append(message("report.prior", share=float(about.get("from_data", 1.0))))
     if "samples" in about:
-        yield message("report.samples", count=about["samples"])
+        texts.append(message("report.samples", count=about["samples"]))
+    return tuple(texts)
 
 
 def _windows(recipe: Source) -> Iterator[str]:

@@ -219,8 +219,13 @@ def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
                 ax.stairs(levels, times, baseline=None, **look)
                 look = {"color": CYCLE[2], "ha": "left", "va": "bottom", "fontsize": 7.5}
                 tag(ax, "truth, from the rig file", 0.0, levels[0], (3, 2), "x", **look)
-            for text, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
-                _bound(ax, rig, word, text, end)
+            for which, end in zip(("lower", "upper"), bounds.get(word, ()), strict=False):
+                if end is not None:  # named outside of it, at the right
+                    y, below = shown(rig, word, end), which == "lower"
+                    ax.axhline(y, color=ACCENT, linewidth=1.1, linestyle=(0, (5, 3)))
+                    offset, text = (-3, -2 if below else 2), f"{which} bound {number(y, 3)}"
+                    look = {"color": ACCENT, "ha": "right", "va": "top" if below else "bottom"}
+                    tag(ax, text, 1.0, y, offset, "x", fontsize=7.5, **look)
             ax.margins(y=0.2)
             ax.set_title(axis(rig, word, capital(words(word))), fontsize=8.5)
             if place + 2 >= len(learnt):
@@ -240,13 +245,3 @@ def _measured_payload(ax, rig: Rig, record: Record, cylinder: str) -> None:
     ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
     look: Look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
     plot_channel(ax, rig, record, names[2], **look)
-
-
-def _bound(ax, rig: Rig, word: str, which: str, value: float | None) -> None:
-    """A bound of an estimate, named outside of it, at the right."""
-    if value is not None:
-        y, below = shown(rig, word, value), which == "lower"
-        ax.axhline(y, color=ACCENT, linewidth=1.1, linestyle=(0, (5, 3)))
-        look: Look = {"color": ACCENT, "ha": "right", "va": "top" if below else "bottom"}
-        offset, text = (-3, -2 if below else 2), f"{which} bound {number(y, 3)}"
-        tag(ax, text, 1.0, y, offset, "x", fontsize=7.5, **look)
