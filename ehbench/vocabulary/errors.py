@@ -45,7 +45,9 @@ class EhbenchError(Exception):
 
 def _one_line(text: str) -> str:
     """A sentence on one line: what it quotes of a file may be anything, and of any length."""
-    plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    plain = text  # a message stays one, with its key
+    if not text.isprintable():
+        plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
     return plain if len(plain) <= _LONGEST else plain[: _LONGEST - 200] + " … " + plain[-190:]
 
 
