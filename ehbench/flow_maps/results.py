@@ -4,7 +4,7 @@ and the notes that people read."""
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -113,7 +113,8 @@ class FlowMapFit:
     flow falls by from its largest to the largest command [1]; 0 where it does not.
     ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the
     noise. ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops
-    of zero or less. ``warnings``: messages."""
+    of zero or less. ``warnings``: messages. Of a table of readings: ``rows`` are behind it, with
+    commands as openings, which the driver gets times ``sign``."""
 
     map: FlowMap
     deadband: float
@@ -140,16 +141,17 @@ class FlowMapFit:
     calibration: tuple[Calibration, ...]
     residuals: np.ndarray = field(repr=False)
     sigmas: np.ndarray = field(repr=False)
-    warnings: tuple[Message, ...] = ()
+    warnings: tuple[str, ...] = ()
+    rows: FlowmeterData | None = field(default=None, repr=False)
+    sign: int = 1
 
     def to_dict(self) -> dict:
         """The summary without map and residuals, for a JSON file."""
-        skip = ("map", "residuals", "sigmas")
-        plain = {
-            name: getattr(self, name) for name in self.__dataclass_fields__ if name not in skip
-        }
-        plain["outliers"] = [asdict(outlier) for outlier in self.outliers]
-        plain["calibration"] = [asdict(item) for item in self.calibration]
+        skip = ("map", "residuals", "sigmas", "rows", "sign")
+        plain = {item.name: getattr(self, item.name) for item in fields(self)}
+        plain = {name: value for name, value in plain.items() if name not in skip}
+        for name in ("outliers", "calibration"):
+            plain[name] = [asdict(item) for item in plain[name]]
         named = {name: getattr(self.map, name) for name in ("valve", "direction", "rated_flow")}
         return named | plain
 
@@ -231,12 +233,8 @@ def _map_of(
     result: Fit, scatter: float, valve: str, direction: str, outliers: tuple[str, ...]
 ) -> FlowMap:
     """The map with its standard errors."""
-    r, leak, spline, deadband = (
-        result.readings,
-        result.leak,
-        result.solution.spline,
-        result.deadband,
-    )
+    r, leak, deadband = result.readings, result.leak, result.deadband
+    spline = result.solution.spline
     knots = _digits(deadband.value + spline.along_u.breaks * (spline.top - deadband.value), 10)
     knots[0] = deadband.value
     fine_u = np.unique([*knots, *(0.5 * (knots[1:] + knots[:-1])), *deadband.interval])

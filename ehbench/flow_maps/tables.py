@@ -54,18 +54,6 @@ SETTINGS = TableSettings()
 
 
 @dataclass(frozen=True)
-class EdgeFit:
-    """The fit of one edge in one direction, with the readings behind it.
-
-    Commands in both are openings of the edge [V], zero or positive; the driver gets ``sign`` times
-    them."""
-
-    fit: FlowMapFit
-    readings: FlowmeterData
-    sign: int = 1
-
-
-@dataclass(frozen=True)
 class EdgeReadings:
     """The readings of one edge in one direction, commands as openings, with notes on them."""
 
@@ -133,43 +121,27 @@ def _units(rig: Rig, sign: int) -> Units:
 
 def run_readings(
     prepared: PreparedReadings,
-    calibration: Sequence[tuple[float, float, float]] = (),
-    reference_drop: float | None = None,
+    options: FlowMapOptions = FlowMapOptions(),  # noqa: B008
     progress: Progress | None = None,
-    *,
-    meter_limit: float = 0.0,
-    drop_std: float = 0.0,
-    command_std: float = 0.0,
-) -> list[EdgeFit]:
+) -> list[FlowMapFit]:
     """Fit a map to the readings of each edge.
 
     Args:
-        calibration: (command [V], flow [m³/s], tolerance) to check on every map.
-        reference_drop: [Pa] where the calibration is checked.
+        options: the nominal drop and the units of messages are the rig's.
         progress: called with what is fitted and the share done.
-        meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
-        drop_std: [Pa] the standard error that all drops share, and ``command_std`` [V] that of all
-            commands.
 
     Raises:
         InsufficientData: too few readings for a map.
     """
     rig, fits = prepared.rig, []
+    nominal = float(rig.supply.pressure)
     for index, edge in enumerate(prepared.edges):
         if progress is not None:
             progress(f"{edge.edge} {edge.side}", index / len(prepared.edges))
-        options = FlowMapOptions(
-            meter_limit=meter_limit,
-            calibration=calibration,
-            reference_drop=reference_drop,
-            drop_std=drop_std,
-            command_std=command_std,
-            nominal_drop=float(rig.supply.pressure),
-            show=_units(rig, edge.sign),
-        )
-        fit = fit_flow_map(edge.edge, edge.side, edge.rows, options)
-        fit = replace(fit, warnings=(*edge.notes, *_warm_flow(fit, edge.rows), *fit.warnings))
-        fits.append(EdgeFit(fit, edge.rows, edge.sign))
+        given = replace(options, nominal_drop=nominal, show=_units(rig, edge.sign))
+        fit = fit_flow_map(edge.edge, edge.side, edge.rows, given)
+        warnings = (*edge.notes, *_warm_flow(fit, edge.rows), *fit.warnings)
+        fits.append(replace(fit, warnings=warnings, rows=edge.rows, sign=edge.sign))
     return fits
 
 
@@ -328,60 +300,56 @@ def _warm_flow(fit: FlowMapFit, rows: FlowmeterData) -> Iterator[Message]:
         yield message("flow_maps.warm_flow", share=percent * slope, half=half, kelvin=10.0)
 
 
-def signs(fits: Sequence[EdgeFit]) -> dict[tuple[str, str], int]:
+def signs(fits: Sequence[FlowMapFit]) -> dict[tuple[str, str], int]:
     """Sign of the commands that open the edge, by name and direction of its map."""
-    return {(fit.fit.map.valve, fit.fit.map.direction): fit.sign for fit in fits}
+    return {(fit.map.valve, fit.map.direction): fit.sign for fit in fits}
 
 
-def summary(fits: Sequence[EdgeFit], rig: Rig) -> list[dict]:
+def summary(fits: Sequence[FlowMapFit], rig: Rig) -> list[dict]:
     """The result of each map as plain values for a JSON file; SI, with the messages people read.
 
     Commands and deadbands are openings [V], zero or positive, and the driver gets ``sign`` times
     them. The messages have the driver's volts."""
-    rows = []
+    results = []
     for fit in fits:
-        show = _units(rig, fit.sign)
-        plain = fit.fit.to_dict() | {"sign": fit.sign}
-        plain["outlier_sentences"] = [outlier.sentence(show) for outlier in fit.fit.outliers]
-        plain["calibration_sentences"] = [check.sentence(show) for check in fit.fit.calibration]
-        rows.append(plain)
-    return rows
+        show, plain = _units(rig, fit.sign), fit.to_dict() | {"sign": fit.sign}
+        plain["outlier_sentences"] = [item.sentence(show) for item in fit.outliers]
+        plain["calibration_sentences"] = [item.sentence(show) for item in fit.calibration]
+        results.append(plain)
+    return results
 
 
-def points_table(fits: Sequence[EdgeFit], rig: Rig) -> str:
+def points_table(fits: Sequence[FlowMapFit], rig: Rig) -> str:
     """Every reading with its fitted flow as CSV text, in the units people see.
 
     ``command`` is the opening, zero or positive, which the maps take; ``driver_command`` is what
     was sent: sign·command."""
     flow_unit, drop_unit = rig.unit_of("flow"), rig.unit_of("pressure_drop")
-    units = (
-        f"command [V],driver_command [V],pressure_drop [{drop_unit}],flow [{flow_unit}],"
-        f"fitted [{flow_unit}]"
-    )
-    lines = [f"valve,direction,{units},method,outlier,file,line"]
+    heads = ["valve", "direction", "command [V]", "driver_command [V]"]
+    heads += [f"pressure_drop [{drop_unit}]", f"flow [{flow_unit}]", f"fitted [{flow_unit}]"]
+    lines = [",".join([*heads, "method", "outlier", "file", "line"])]
     flow_row, drop_row = VOCABULARY["flow"], VOCABULARY["pressure_drop"]
-    for item in fits:
-        rows, fit = item.readings, item.fit
+    for fit in fits:
+        rows = fit.rows
+        assert rows is not None  # maps of a table have their readings
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
         drop = np.where(np.isnan(rows.pressure_drop), fit.map.drop_max, rows.pressure_drop)
-        level = np.asarray(fit.map.flow(drop, rows.command))
-        fitted = rows.flow - fit.residuals
-        # a residual of zero is of a reading too small for its meter
-        aside = (fit.residuals != 0.0) & (np.abs(fitted - level) > 1e-6 * fit.map.rated_flow)
-        fitted = np.where(np.isfinite(fitted) & aside, fitted, level)
-        for i in range(len(rows)):
-            cells = (
-                fit.map.valve,
-                fit.map.direction,
-                f"{rows.command[i]:.6g}",
-                f"{item.sign * rows.command[i] + 0.0:.6g}",
-                f"{from_si(drop[i], drop_unit, drop_row):.6g}",
-                f"{from_si(rows.flow[i], flow_unit, flow_row):.6g}",
-                f"{from_si(fitted[i], flow_unit, flow_row):.6g}",
-                str(rows.method[i]),
-                str(int((str(rows.file[i]), int(rows.line[i])) in out)),
-                str(rows.file[i]),
-                str(rows.line[i]),
-            )
-            lines.append(",".join(cells))
+        flows = rows.flow, _fitted_flow(fit, rows, drop)
+        numbers = [rows.command, fit.sign * rows.command + 0.0, from_si(drop, drop_unit, drop_row)]
+        numbers += [from_si(values, flow_unit, flow_row) for values in flows]
+        places = zip(rows.file.astype(str).tolist(), rows.line.tolist(), strict=True)
+        for *row, method, place in zip(*numbers, rows.method, places, strict=True):
+            cells = (fit.map.valve, fit.map.direction, *(f"{value:.6g}" for value in row))
+            lines.append(",".join([*cells, str(method), f"{int(place in out)}", *map(str, place)]))
     return "\n".join(lines) + "\n"
+
+
+def _fitted_flow(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarray:
+    """What the fit makes of each reading [m³/s]: the map, on the side of the hysteresis from which
+    the command came.
+    """
+    level = np.asarray(fit.map.flow(drop, rows.command))
+    fitted = rows.flow - fit.residuals
+    # a residual of zero is of a reading too small for its meter
+    aside = (fit.residuals != 0.0) & (np.abs(fitted - level) > 1e-6 * fit.map.rated_flow)
+    return np.where(np.isfinite(fitted) & aside, fitted, level)

@@ -82,25 +82,22 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
         from ehbench.flow_maps import tables as readings
+        from ehbench.flow_maps.readings import FlowMapOptions
         from ehbench.physics.flow_map import collect, save_flow_maps, table
 
         recipe, rig = prepared.recipe, prepared.state.rig
         assert prepared.readings is not None  # a run has all its readings
-        drop = recipe.calibration_drop
-        points = [
-            (float(item.command), float(item.flow), item.tolerance) for item in recipe.calibration
-        ]
-        options = (points, None if drop is None else float(drop), progress)
-        from ehbench.flow_maps.tables import run_readings
-
-        fits, errors = [], {}
+        drop, fits, errors = recipe.calibration_drop, [], {}
+        points = [(float(p.command), float(p.flow), p.tolerance) for p in recipe.calibration]
+        options = FlowMapOptions(calibration=points)
+        options = replace(options, reference_drop=None if drop is None else float(drop))
         for edge in prepared.readings.edges:
+            more = {"meter_limit": float(recipe.meter_limit)}
             if recipe.method == "steps":
-                more = _shared_errors(recipe, prepared.readings.rig, edge.edge)
-            else:
-                more = {"meter_limit": float(recipe.meter_limit)}
+                more = _shared_errors(recipe, rig, edge.edge)
+            part, given = replace(prepared.readings, edges=(edge,)), replace(options, **more)
             try:
-                fits += run_readings(replace(prepared.readings, edges=(edge,)), *options, **more)
+                fits += readings.run_readings(part, given, progress)
             except InsufficientData as error:
                 errors[f"{edge.edge} {edge.side}"] = error
         without: list[str] = [
@@ -111,22 +108,16 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
             raise next(iter(errors.values()))
         if not fits:
             raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
-        maps = collect([fit.fit.map for fit in fits])
+        maps = collect([fit.map for fit in fits])
         save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
         write_text(folder / "points.csv", readings.points_table(fits, rig))
-        text = table(
-            maps,
-            flow_unit=rig.unit_of("flow"),
-            pressure_unit=rig.unit_of("pressure_drop"),
-            signs=readings.signs(fits),
-        )
+        flow, drops = rig.unit_of("flow"), rig.unit_of("pressure_drop")
+        text = table(maps, flow_unit=flow, pressure_unit=drops, signs=readings.signs(fits))
         write_text(folder / "flow_maps.csv", text)
         write_rig(folder, rig, None)
         warnings = [
-            f"{fit.fit.map.valve} {fit.fit.map.direction}: {text}"
-            for fit in fits
-            for text in fit.fit.warnings
+            f"{fit.map.valve} {fit.map.direction}: {text}" for fit in fits for text in fit.warnings
         ]
         losses = prepared.readings.losses
         facts = {"rig": rig.name, "warnings": [*losses, *warnings, *without]}

@@ -14,6 +14,7 @@ import pytest
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
+from ehbench.flow_maps.readings import FlowMapOptions
 from ehbench.flow_maps.tables import (
     PreparedReadings,
     points_table,
@@ -199,7 +200,7 @@ def servo_rows(direction: str, sign: int, seed: int = 1, scale: float = 1.0) -> 
 
 
 def fitted(rig: Rig, parts, **options):
-    return run_readings(prepare_readings(rig, parts), **options)
+    return run_readings(prepare_readings(rig, parts), FlowMapOptions(**options))
 
 
 def fit_rows(write, rows: list[str], rig: Rig | None = None):
@@ -209,11 +210,9 @@ def fit_rows(write, rows: list[str], rig: Rig | None = None):
 
 def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
     rows = servo_rows("supply->head", 1) + servo_rows("supply->rod", -1, 2)
-    assert not any("repeat" in text for one in fit_rows(write, rows) for text in one.fit.warnings)
+    assert not any("repeat" in text for one in fit_rows(write, rows) for text in one.warnings)
     copied = [*rows, *rows[20:27], rows[90]]
-    said = [
-        text for one in fit_rows(write, copied) for text in one.fit.warnings if "repeat an" in text
-    ]
+    said = [text for one in fit_rows(write, copied) for text in one.warnings if "repeat an" in text]
     first = len(rows) + 2
     assert len(said) == 1 and said[0].startswith("servo.csv: 8 rows repeat an earlier one")
     assert f"(line {', '.join(str(first + k) for k in range(5))}, …)" in said[0]
@@ -223,7 +222,7 @@ def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
     assert not any(
         "repeat" in text
         for one in fit_rows(write, [*rows, again, rows[0]])
-        for text in one.fit.warnings
+        for text in one.warnings
     )
 
 
@@ -233,8 +232,8 @@ def test_flows_that_no_supply_gives_are_told(write, scale):
         fit_rows(write, servo_rows("supply->head", 1)),
         fit_rows(write, servo_rows("supply->head", 1, scale=scale)),
     )
-    assert not fine[0].fit.warnings
-    said = [text for text in wrong[0].fit.warnings if "check the unit" in text]
+    assert not fine[0].warnings
+    said = [text for text in wrong[0].warnings if "check the unit" in text]
     assert len(said) == 1 and "supply's limit of 60 L/min" in said[0]
 
 
@@ -243,8 +242,8 @@ def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
     cells = rows[-1].split(",")
     cells[4] = "3000"
     (one,) = fit_rows(write, [*rows[:-1], ",".join(cells)])
-    assert [outlier.line for outlier in one.fit.outliers] == [len(rows) + 1]
-    assert not any("check the unit" in text for text in one.fit.warnings)
+    assert [outlier.line for outlier in one.outliers] == [len(rows) + 1]
+    assert not any("check the unit" in text for text in one.warnings)
 
 
 def test_no_limit_of_the_supply_no_doubt_about_flows(write):
@@ -253,7 +252,7 @@ def test_no_limit_of_the_supply_no_doubt_about_flows(write):
         update={"supply": rig.supply.model_copy(update={"flow_limit": math.inf})}
     )
     (one,) = fit_rows(write, servo_rows("supply->head", 1, scale=60.0), endless)
-    assert not any("check the unit" in text for text in one.fit.warnings)
+    assert not any("check the unit" in text for text in one.warnings)
 
 
 def test_what_the_reader_doubts_reaches_the_map(write):
@@ -265,8 +264,8 @@ def test_what_the_reader_doubts_reaches_the_map(write):
     (one,) = fitted(load_rig(RIGS / "slide_servo.toml"), [part])
     # by the file's name alone: a result must not depend on where the data lie
     assert (
-        one.fit.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
-        and "/" not in one.fit.warnings[0]
+        one.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
+        and "/" not in one.warnings[0]
     )
 
 
@@ -276,28 +275,22 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
     by_sign = {one.sign: one for one in fits}
     assert sorted(by_sign) == [-1, 1] and set(signs(fits).values()) == {-1, 1}
     opened = by_sign[-1]
-    assert (
-        opened.readings.command.min() == 0.0 and opened.fit.map.deadband > 0
-    )  # maps take openings
+    assert opened.rows.command.min() == 0.0 and opened.map.deadband > 0  # maps take openings
     rows = [
         row
         for row in csv.DictReader(points_table(fits, rig).splitlines())
-        if row["valve"] == opened.fit.map.valve
+        if row["valve"] == opened.map.valve
     ]
     assert rows and all(
         float(row["driver_command [V]"]) == -float(row["command [V]"]) for row in rows
     )
     assert "-0" not in {row["driver_command [V]"] for row in rows}
     told = {plain["sign"]: plain for plain in summary(fits, rig)}
-    assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.fit.map.valve
+    assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.map.valve
     grid = list(
-        csv.DictReader(
-            table(collect([one.fit.map for one in fits]), signs=signs(fits)).splitlines()
-        )
+        csv.DictReader(table(collect([one.map for one in fits]), signs=signs(fits)).splitlines())
     )
-    sent = [
-        float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.fit.map.valve
-    ]
+    sent = [float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.map.valve]
     assert min(sent) == -10.0 and max(sent) == 0.0
     path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")
     (one,) = fitted(rig, [read_flowmeter(path)], calibration=[(4.0, 1e-4, 0.05)])
@@ -386,10 +379,10 @@ def warm_sheet(kelvin, effect: float = 0.0, seed: int = 3) -> str:
 def test_oil_that_warms_with_drop_or_command_is_told(write, kelvin, key, fields):
     rig = load_rig(RIGS / "boom_four_valve.toml")
     data = read_flowmeter(write(warm_sheet(kelvin, 0.004), "sh.csv"))
-    about = [text for text in fitted(rig, [data])[0].fit.warnings if "oil" in text]
+    about = [text for text in fitted(rig, [data])[0].warnings if "oil" in text]
     assert [note.key for note in about[:1]] == ([f"flow_maps.{key}"] if key else [])
     assert all(about[0].fields[name] == value for name, value in fields.items())
     if key == "warm_flow":  # 0.4 % for each kelvin
         assert abs(about[0].fields["share"] - 4.0) < about[0].fields["half"] < 1.0
     bare = replace(data, temperature=np.full(len(data), np.nan))
-    assert not [text for text in fitted(rig, [bare])[0].fit.warnings if "oil" in text]
+    assert not [text for text in fitted(rig, [bare])[0].warnings if "oil" in text]

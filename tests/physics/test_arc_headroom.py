@@ -35,7 +35,7 @@ def maps():
     """
     readings = read_flowmeter(RECIPES.parent / "datasets" / "thesis_arm" / "flowmeter" / "hepc.csv")
     (one,) = run_readings(prepare_readings(ARM, [readings]))
-    return collect([one.fit.map, replace(one.fit.map, valve="repc")])
+    return collect([one.map, replace(one.map, valve="repc")])
 
 
 def prepared(payload=None, machine=None, rig=ARM, supply=None, **gains):

@@ -67,7 +67,7 @@ def test_a_map_from_steps_holds_the_edge_s_law(rig, logs):
             # the speed's noise alone is 0.02 L/min; the chamber's compression is up to 3 L/min
             assert np.sqrt(np.mean(left**2)) < 0.05e-3 / 60.0
     rows = [part.select("boom.rt") for part in parts]
-    fit = run_readings(prepare_readings(rig, rows))[0].fit.map
+    fit = run_readings(prepare_readings(rig, rows))[0].map
     drop, command = np.meshgrid(np.linspace(1e6, 15e6, 30), np.linspace(1.5, 5.0, 30))
     inside = fit.inside(drop, command)
     left = (fit.flow(drop, command) - true_flow(model, "boom.rt", drop, command))[inside]
