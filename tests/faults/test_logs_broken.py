@@ -70,11 +70,8 @@ def judge(path: Path, data: bytes, truth: Record) -> Record | None:
     assert list(back.channels) == NAMES
     for name in NAMES:
         assert np.array_equal(truth[name][at], back[name])
-    if back.t.size < truth.t.size or (back.meta, back.attachments) != (
-        truth.meta,
-        truth.attachments,
-    ):
-        assert back.losses
+    facts = (back.meta, back.attachments) == (truth.meta, truth.attachments)
+    assert back.losses or (facts and back.t.size == truth.t.size)
     return back
 
 
@@ -91,14 +88,12 @@ def test_cut_anywhere(log, truth, tmp_path):
     for cut in map(int, cuts):
         back = judge(tmp_path / "a.mcap", log[:cut], truth)
         whole = sum(stop <= cut for _, stop in chunks)
-        assert (
-            back.t.size if back else 0
-        ) == whole * CHUNK  # a cut costs no chunk that is there in full
+        # a cut costs no chunk that is there in full
+        assert (back.t.size if back else 0) == whole * CHUNK
         if back and cut < data_end:
-            assert (
-                "breaks off" in back.losses[-1]
-                and f"t = {truth.t[whole * CHUNK - 1]:.9g} s" in back.losses[-1]
-            )
+            last = back.losses[-1]
+            assert last.key == "data.breaks_off"
+            assert last.fields["last"] == f"{truth.t[whole * CHUNK - 1]:.9g} s"
         elif back:
             assert back.losses
 
@@ -106,10 +101,8 @@ def test_cut_anywhere(log, truth, tmp_path):
 def test_a_cut_says_how_many_bytes_are_gone(log, truth, tmp_path):
     _, first, stop = [each for each in records(log) if each[0] == 6][5]
     back = judge(tmp_path / "a.mcap", log[: stop - 10], truth)
-    assert (
-        back.losses[0] == f"bytes {first} to {stop - 10} of {stop - 10} are lost: "
-        "a record runs past the end of the file"
-    )
+    fields = {key: back.losses[0].fields[key] for key in ("first", "last", "size")}
+    assert fields == {"first": first, "last": stop - 10, "size": stop - 10}
 
 
 def test_random_bit_flips_never_change_a_sample(log, truth, tmp_path):
@@ -158,11 +151,8 @@ def test_a_damaged_chunk_is_named_and_the_rest_kept(log, truth, tmp_path):
             assert (fields["count"], fields["most"]) == (CHUNK, CHUNK)
             assert (fields["first"], fields["last"]) == (before, after)
         if n == 0:
-            t = truth.t[CHUNK]
-            assert (
-                back.losses[1]
-                == f"/rig: the first {CHUNK} samples, before t = {t:.9g} s, are missing"
-            )
+            fields = back.losses[1].fields
+            assert (fields["count"], fields["t"]) == (CHUNK, truth.t[CHUNK])
 
 
 def test_holes_and_doubled_bytes(log, truth, tmp_path):
@@ -218,11 +208,8 @@ def test_a_killed_process_leaves_a_log(tmp_path):
     back = read(path)
     n = np.arange(back.t.size)
     assert n.size > 100
-    assert (
-        np.array_equal(back.t, n * 1e-3)
-        and np.array_equal(back["boom.q"], n * 1e-6)
-        and np.array_equal(back["boom.p_head"], n)
-    )
+    for name, each in (("t", 1e-3), ("boom.q", 1e-6), ("boom.p_head", 1)):
+        assert np.array_equal(back[name], n * each)
     assert back.meta == {"rig": "r"} and "breaks off" in back.losses[-1]
 
 
