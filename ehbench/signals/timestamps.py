@@ -109,7 +109,7 @@ def unrounded(t: np.ndarray, step: float) -> np.ndarray:
         return t
     tick = (t[-1] - t[0]) / steps.size
     odd = np.abs(steps - np.median(steps)) > 0.5 * step
-    if not SETTINGS.coarse * tick <= step <= SETTINGS.coarsest * tick:
+    if not SETTINGS.coarse * tick <= step <= SETTINGS.coarsest * tick or not odd.any():
         return t
     count = np.arange(t.size)
     even = np.polyval(np.polyfit(count, t, 1), count)

@@ -213,6 +213,11 @@ PUMP = [
 # by name: what the cylinder, the rest of the file, and each metering edge has besides
 VARIANTS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = {
     "slide, stribeck": ({**SEALS, "friction": {"law": "stribeck", **STRIBECK}}, {}, {}),
+    "slide, directional": (
+        {**SEALS, "friction": {"law": "directional", "friction_retracting": "300 N"}},
+        {},
+        {},
+    ),
     "slide, lugre": ({**SEALS, "friction": {"law": "lugre", **STRIBECK, **BRISTLES}}, {}, {}),
     "slide, lines": ({"line": LINES, "bulk_modulus": "850 MPa"}, {}, {}),
     "slide, mount": ({"mount": {"stiffness": "12 kN/mm", "damping": "15 kN*s/m"}}, {}, {}),

@@ -280,8 +280,6 @@ class CylinderController(FileModel):
 
     @model_validator(mode="after")
     def _single_law(self) -> CylinderController:
-        if self.monitor and self.code is not None:
-            raise ValueError(message("config.monitor_of_class"))
         if self.shaping:
             _refuse_shaping(self.kind)
         if "from" in self.gains:
@@ -346,6 +344,8 @@ class Controller(FileModel):
     def _single_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
             raise ValueError(message("config.kind_or_class"))
+        if self.monitor and self.code is not None:
+            raise ValueError(message("config.monitor_of_class"))
         if self.shaping:
             _refuse_shaping(self.kind)
         return self
