@@ -533,6 +533,7 @@ def wire(
     c: Annotated[bool, typer.Option("--c", help="A C header; with --out its responder.")] = False,
     m: Annotated[bool, typer.Option("--m", help="A MATLAB script.")] = False,
     py: Annotated[bool, typer.Option("--py", help="Python; with --out its responder.")] = False,
+    dbc: Annotated[bool, typer.Option("--dbc", help="A DBC file, for CAN.")] = False,
     csv: Annotated[bool, typer.Option("--csv", help="A table, the default.")] = False,
     rate: Annotated[float, typer.Option("--rate", help="Of the target [Hz].", min=1.0)] = 1000.0,
     out: Annotated[
@@ -542,7 +543,7 @@ def wire(
     """Write the layout of the packets of a rig, for its own computer."""
     from ehbench.app import linking
 
-    chosen = {"c": c, "m": m, "py": py, "csv": csv}
+    chosen = {"c": c, "m": m, "py": py, "dbc": dbc, "csv": csv}
     kind = next((name for name, wanted in chosen.items() if wanted), "csv")
     print(linking.wire(rig, kind, rate, out), end="")
 

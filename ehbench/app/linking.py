@@ -90,7 +90,17 @@ def serve(
     trial, target = served(file, on, rate, watchdog, allow_code)
     fields = {"machine": trial.machine.name, "rig": trial.rig.name, "url": url}
     print(message("links.serving", rate=target.rate, **fields), file=sys.stderr, flush=True)
-    if address.virtual:
+    names = layout.Layout.of(trial.rig).names(address.mode)
+    if address.scheme == "modbus":
+        from ehbench.links import modbus
+
+        place = (address.host, address.port)
+        modbus.serve(target, place, names, address.map, address.virtual)
+    elif address.scheme == "can" and address.map is not None:
+        from ehbench.links import can
+
+        can.serve(target, address.host, address.channel, names, address.map)
+    elif address.virtual:
         serve_virtual(target, address.port, address.host)
     with punctual(SERVING, pinned=False):
         responder.serve(target, address.port, address.host)

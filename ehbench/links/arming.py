@@ -13,6 +13,7 @@ import numpy as np
 import tomli_w
 
 from ehbench.data.record import Record
+from ehbench.links.client import LinkMachine
 from ehbench.links.clock import estimated
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import QUALITY, measure
@@ -118,15 +119,16 @@ def run_remote(
         InputError: what `rehearsed` refuses; a link that does not keep time; the wrong token.
     """
     address = Address.of(url)
-    machine = open_machine(prepared, url)
-    quality = None
-    if not address.virtual:
-        with punctual() as refused:
-            quality = measure(address.link(), url, PROBE, tuple(refused))
-        for problem in quality.problems():
-            raise InputError(problem)
-    machine.connect()
-    dry, distances = rehearsed(prepared, machine.watchdog)
+    machine, watchdog = open_machine(prepared, url), 0.0
+    if isinstance(machine, LinkMachine):
+        if not address.virtual:
+            with punctual() as refused:
+                quality = measure(address.link(), url, PROBE, tuple(refused))
+            for problem in quality.problems():
+                raise InputError(problem)
+        machine.connect()
+        watchdog = machine.watchdog
+    dry, distances = rehearsed(prepared, watchdog)
     token = token_of(prepared, url)
     farthest = max(distances.values(), default=0.0)
     shown = prepared.rig.shown("x", farthest)
@@ -136,9 +138,14 @@ def run_remote(
     if ask(about, token).strip().upper() != token:
         raise InputError(message("links.wrong_token", token=token))
     with punctual() as refused:
-        result = run(prepared, machine, log=log, progress=progress, fast=False)
-    ticks, warnings = result.record.t.size, []
-    late = machine.missed + int(result.record["missed_ticks"].sum())
+        fast = address.mode == "buffered"
+        result = run(prepared, machine, log=log, progress=progress, fast=fast)
+    ticks, warnings, late, counted = result.record.t.size, [], 0, {}
+    if isinstance(machine, LinkMachine):
+        gaps = result.record.channels.get("missed_ticks", np.zeros(1))  # none of a table
+        late = machine.missed + int(gaps.sum())
+        counted = {"rejected": dict(sorted(machine.rejected.items()))}
+        counted |= estimated(machine.exchanges)
     if late > QUALITY.late * ticks:
         warnings.append(message("links.late", share=late / ticks, most=QUALITY.late))
     link = {
@@ -146,9 +153,8 @@ def run_remote(
         "mode": address.mode,
         "ticks": ticks,
         "late": late,
-        "rejected": dict(sorted(machine.rejected.items())),
         "not_allowed": list(refused),
-        **estimated(machine.exchanges),
+        **counted,
     }
     compared = compare(dry.record, result.record) | {"stopping_distance": distances}
     compared["tracking"] = dry.facts.measures.get("tracking", {})

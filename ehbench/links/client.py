@@ -101,7 +101,7 @@ class LinkMachine:
             0,
         )
         self.newest, self._offset, self._wish = np.zeros(self._up), math.inf, RUNNING
-        self._epoch, self._clock = np.zeros(self._up), 0.0
+        self._epoch, self._clock, self._fresh = np.zeros(self._up), 0.0, False
         self.stamp, self.watchdog, self._every = Stamp(0.0, 0, 0.0), 0.0, 1
         self.exchanges: list[tuple[float, ...]] = []
 
@@ -140,6 +140,7 @@ class LinkMachine:
             sample = self.newest[[TIME, ACKNOWLEDGED]].tolist()
             self.exchanges.append((self.sequence, sent, self.now(), *sample))
         self.missed += not fresh
+        self._fresh = fresh
         return fresh
 
     def _take(self, numbers: np.ndarray) -> bool:
@@ -162,9 +163,9 @@ class LinkMachine:
         return int(self.newest[STATE])
 
     @property
-    def applied(self) -> np.ndarray:
-        """As `applied_of` says."""
-        return self.newest[len(HEADER) + len(self.channels) :]
+    def applied(self) -> np.ndarray | None:
+        """As `applied_of` says; None while no sample comes."""
+        return self.newest[len(HEADER) + len(self.channels) :] if self._fresh else None
 
     def sample(self) -> np.ndarray:
         """The newest sample."""

@@ -52,6 +52,10 @@ class Layout:
             "buffered": ("row", *commands),
         }[mode]
 
+    def names(self, mode: Mode) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Names of all numbers that come up and go down, the header's among them."""
+        return (*HEADER, *self.up), (*HEADER, *self.down(mode))
+
     @property
     def up(self) -> tuple[str, ...]:
         """Names of what comes up."""
@@ -121,10 +125,32 @@ def py_text(layout: Layout, rate: float) -> str:
     return "\n".join([*lines, ""])
 
 
+FRAMES = {"up": 0x100, "down": 0x200}  # first number of a frame
+
+
+def dbc_text(layout: Layout, rate: float) -> str:
+    """The layout as a DBC file: two float32 in a frame, the header in the last ones, which close
+    the vector.
+    """
+    lines, kinds = ['VERSION ""', "NS_ :", "BS_:", "BU_: host target"], []
+    for way, sender in (("up", "target"), ("down", "host")):
+        names = [*(layout.up if way == "up" else layout.down("stream")), *HEADER]
+        for k in range(0, len(names), 2):
+            number = FRAMES[way] + k // 2
+            lines += ["", f"BO_ {number} {way}_{k // 2}: 8 {sender}"]
+            for i, name in enumerate(names[k : k + 2]):
+                signal = f"{way}_{name.replace('.', '_')}"
+                unit = '"" Vector__XXX'
+                lines += [f" SG_ {signal} : {32 * i}|32@1- (1,0) [0|0] {unit}"]
+                kinds += [f"SIG_VALTYPE_ {number} {signal} : 1;"]
+    return "\n".join([*lines, "", *kinds, ""])
+
+
 WRITERS = {  # by option: the file's name, its text, the responder that reads it
     "csv": ("ehb_wire.csv", csv_text, None),
     "c": ("ehb_wire.h", c_text, "responder.c"),
     "m": ("ehb_wire.m", m_text, None),
+    "dbc": ("ehb_wire.dbc", dbc_text, None),
     "py": ("ehb_wire.py", py_text, "responder.py"),
 }
 

@@ -3,31 +3,58 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
+from pathlib import Path
+from typing import Any, get_args
 from urllib.parse import parse_qsl, urlsplit
 
+import numpy as np
+
+from ehbench.config.recipe.toml import read_text, table_of, validated
+from ehbench.links.buffered import BufferedLink, CardMachine
 from ehbench.links.client import LinkMachine
+from ehbench.links.daq import LabJackCard, NiCard
 from ehbench.links.layout import Layout, Mode
+from ehbench.links.responder import HEADER
 from ehbench.links.transport import Link, UdpLink
+from ehbench.machines.protocol import Machine
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import FileModel
 from ehbench.vocabulary.messages import message
 
-SCHEMES = ("udp",)
-PORT = 47000
+PORTS = {"udp": 47000, "modbus": 502, "can": 0}
+CARDS = {"nidaq": NiCard, "labjack": LabJackCard}
+
+
+class Terminal(FileModel):
+    """A terminal of a card: value = volts · ``scale`` + ``offset`` [SI]; volts of an output are
+    command · ``scale`` + ``offset``.
+    """
+
+    terminal: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+class CardMap(FileModel):
+    """Terminals of a card by the names of channels and valves."""
+
+    inputs: dict[str, Terminal]
+    outputs: dict[str, Terminal]
 
 
 @dataclass(frozen=True)
 class Address:
-    """What a URL says: ``udp://host:port?mode=stream&clock=virtual``."""
+    """What a URL says: ``udp://host:port?mode=stream&clock=virtual&map=file``."""
 
     url: str
     scheme: str
     host: str
     port: int
+    channel: str
     mode: Mode
     virtual: bool
-    options: dict[str, str]
+    map: Path | None
 
     @classmethod
     def of(cls, url: str) -> Address:
@@ -36,32 +63,84 @@ class Address:
         Raises:
             InputError: no such scheme, mode or option.
         """
+        known = ", ".join((*PORTS, *CARDS))
         try:
             parts = urlsplit(url)
             port = parts.port
         except ValueError as error:
-            raise InputError(message("links.url", url=url, known="udp://host:port")) from error
-        options = dict(parse_qsl(parts.query, keep_blank_values=True))
-        mode, clock = options.pop("mode", "stream"), options.pop("clock", "real")
-        known = (
-            mode in get_args(Mode) and clock in ("real", "virtual") and not options.keys() - {"map"}
-        )
-        if parts.scheme not in SCHEMES or not parts.hostname or not known:
-            raise InputError(message("links.url", url=url, known=", ".join(SCHEMES)))
+            raise InputError(message("links.url", url=url, known=known)) from error
+        given = dict(parse_qsl(parts.query, keep_blank_values=True))
+        card = parts.scheme in CARDS
+        mode: Any = given.pop("mode", "buffered" if card else "stream")
+        clock, place = given.pop("clock", "real"), given.pop("map", None)
+        sound = mode in get_args(Mode) and clock in ("real", "virtual") and not given
+        sound &= place is not None or parts.scheme in ("udp", "modbus")
+        sound &= mode != "buffered" or card or parts.scheme == "udp"
+        if not sound or parts.scheme not in (*PORTS, *CARDS) or not parts.hostname:
+            raise InputError(message("links.url", url=url, known=known))
         return cls(
-            *(url, parts.scheme, parts.hostname, port or PORT, mode, clock == "virtual", options)  # type: ignore[arg-type]
+            url,
+            parts.scheme,
+            parts.netloc.partition(":")[0],
+            port or PORTS.get(parts.scheme, 0),
+            parts.path.strip("/"),
+            mode,
+            clock == "virtual",
+            None if place is None else Path(place),
         )
 
-    def link(self) -> Link:
-        """The way to the target."""
-        return UdpLink(self.host, self.port, self.virtual)
+    def link(self, layout: Layout | None = None) -> Link:
+        """The way to the target; without a layout the header alone goes over it.
+
+        Raises:
+            InputError: a package is not installed, or a map cannot be read.
+        """
+        names = (HEADER, HEADER) if layout is None else layout.names(self.mode)
+        if self.scheme == "udp":
+            return UdpLink(self.host, self.port, self.virtual)
+        try:
+            if self.scheme == "modbus":
+                from ehbench.links.modbus import ModbusLink
+
+                return ModbusLink(self.host, self.port, names, self.map, self.virtual)
+            from ehbench.links.can import CanLink
+
+            assert self.map is not None  # `of` sees to it
+            return CanLink(self.host, self.channel, names, self.map)
+        except ImportError as error:
+            raise InputError(message("links.extra", extra=self.scheme)) from error
 
 
-def open_machine(prepared: Prepared, url: str) -> LinkMachine:
+def open_machine(prepared: Prepared, url: str) -> Machine:
     """The machine at the other end of a URL, for a prepared trial.
 
     Raises:
-        InputError: as `Address.of`.
+        InputError: as `Address.of` and `Address.link`.
     """
-    address = Address.of(url)
-    return LinkMachine(prepared, Layout.of(prepared.rig), address.link(), address.mode, url)
+    address, layout = Address.of(url), Layout.of(prepared.rig)
+    if address.scheme in CARDS:
+        return _card(prepared, address)
+    kind = BufferedLink if address.mode == "buffered" else LinkMachine
+    return kind(prepared, layout, address.link(layout), address.mode, url)
+
+
+def _card(prepared: Prepared, address: Address) -> CardMachine:
+    """The card of an address, by its map."""
+    assert address.map is not None  # `Address.of` sees to it
+    text, machine = read_text(address.map), prepared.machine
+    known = validated(CardMap, table_of(text, address.map), text, address.map)
+    outputs = [known.outputs.get(name) for name in machine.commands.names]
+    missing = [n for n, o in zip(machine.commands.names, outputs, strict=True) if o is None]
+    if missing:
+        raise InputError(message("links.no_terminal", names=", ".join(missing)), file=address.map)
+    inputs = [known.inputs.get(name) for name in machine.channels]
+    names = [item.terminal for item in inputs if item is not None]
+    into = np.array([(i.scale, i.offset) if i else (np.nan, 0.0) for i in inputs])
+    out = np.array([(o.scale, o.offset) for o in outputs if o is not None])
+    rest = out[:, 0] * machine.commands.rest + out[:, 1]
+    try:
+        terminals = [o.terminal for o in outputs if o is not None]
+        card = CARDS[address.scheme](address.host, names, terminals, rest)
+    except ImportError as error:
+        raise InputError(message("links.extra", extra="daq")) from error
+    return CardMachine(prepared, card, (into, out), address.url)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,41 +78,43 @@ class Quality:
         ]
 
 
+def _answered(link: Link, url: str, seconds: float) -> tuple[np.ndarray, list[tuple[float, ...]]]:
+    """(times at which packets were sent [s], time received, sequence, target's time, acknowledged
+    packet and watchdog's time of each sample).
+    """
+    token, sent, rows, newest = secrets.randbelow(TOKENS - 1) + 1, [], [], 0.0
+    header = np.zeros(len(HEADER))
+    header[TOKEN], header[STATE] = token, ALIVE
+    begun = heard = now = time.monotonic()
+    while now - begun <= seconds or len(rows) < 2:
+        sent.append(now)
+        header[[SEQUENCE, ACKNOWLEDGED]] = len(sent), newest
+        header[TIME] = 1e-3 * len(sent) if link.virtual else now
+        link.send(header)
+        came = link.receive(0.1)
+        now = time.monotonic()
+        for item in came:
+            if item.size >= len(HEADER) and item[TOKEN] == token:
+                rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
+                newest, heard = item[SEQUENCE], now
+        if now - heard > QUALITY.answer:
+            raise InputError(message("links.silent", url=url, rejected="none"))
+    return np.array(sent), rows
+
+
 def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ()) -> Quality:
-    """Answer a target's samples for a while, valves at rest.
+    """Answer a target's samples for a while, valves at rest; then the link is closed.
 
     Raises:
         InputError: nobody answers.
     """
-    token, sent, rows = secrets.randbelow(TOKENS - 1) + 1, [], []
-    header = np.zeros(len(HEADER))
-    header[TOKEN], header[STATE] = token, ALIVE
-    begun = heard = time.monotonic()
-    virtual_ticks, newest = 0, 0.0
-    while True:
-        header[SEQUENCE], header[TIME] = len(sent) + 1, time.monotonic()
-        header[ACKNOWLEDGED] = newest
-        if link.virtual:
-            virtual_ticks += 1
-            header[TIME] = 1e-3 * virtual_ticks
-        sent.append(time.monotonic())
-        link.send(header)
-        fresh = [
-            item for item in link.receive(0.1) if item.size > len(HEADER) and item[TOKEN] == token
-        ]
-        now = time.monotonic()
-        for item in fresh:
-            rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
-            newest, heard = item[SEQUENCE], now
-        if now - heard > QUALITY.answer:
-            raise InputError(message("links.silent", url=url, rejected="none"))
-        if now - begun > seconds and len(rows) > 1:
-            break
+    with closing(link):
+        sent, rows = _answered(link, url, seconds)
     table = np.array(rows)
     came, sequence, t, acknowledged = table[:, :4].T
     steps = np.diff(acknowledged)
     first = np.flatnonzero(np.r_[True, steps > 0.0] & (acknowledged > 0.0))
-    trips = came[first] - np.array(sent)[acknowledged[first].astype(int) - 1]
+    trips = came[first] - sent[acknowledged[first].astype(int) - 1]
     ticks = int(sequence[-1] - sequence[0])
     return Quality(
         url,

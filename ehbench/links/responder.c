@@ -18,7 +18,8 @@ enum { LAYOUT, TOKEN, SEQUENCE, TIME, ACKNOWLEDGED, STATE, REASON, WATCHDOG_S, H
 enum { IDLE, ALIVE, ARMED, RUNNING, STOPPING, STOPPED };
 enum { NONE, DONE, HOST, WATCHDOG, NOT_FINITE, DISAGREEMENT };
 enum { DOWN = HEADER + EHB_COMMANDS, UP = HEADER + EHB_SAMPLE + EHB_COMMANDS, TOKENS = 4096 };
-static const double WATCHDOG_TIME = 0.02, RAMP = 0.05, QUIET = 0.5, PATIENCE = 1.0; /* [s] */
+static double WATCHDOG_TIME = 0.02; /* [s], or the second word of the command line */
+static const double RAMP = 0.05, QUIET = 0.5, PATIENCE = 1.0; /* [s] */
 
 static int state = IDLE, reason = NONE, ramped = 0, used_count = 0;
 static double token = 0.0, sequence = 0.0, acknowledged = 0.0, heard = 0.0, gapless = 0.0;
@@ -126,6 +127,7 @@ int main(int count, char **words)
     if (bind(link, (struct sockaddr *)&place, sizeof place) != 0) return perror("bind"), 1;
     fcntl(link, F_SETFL, O_NONBLOCK);
     memcpy(applied, EHB_REST, sizeof applied);
+    if (count > 2) WATCHDOG_TIME = atof(words[2]);
     for (;;) {
         struct timespec pause = {0, 0};
         if (due > now()) pause.tv_nsec = (long)(1e9 * fmin(due - now(), 0.9));

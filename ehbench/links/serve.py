@@ -11,8 +11,8 @@ import numpy as np
 
 from ehbench.config.recipe import Fault
 from ehbench.links.layout import REFERENCES, Layout
-from ehbench.links.responder import HEADER, RUNNING, STOPPED, Target
-from ehbench.links.transport import LARGEST, TIME, VirtualClock
+from ehbench.links.responder import RUNNING, STOPPED, Target
+from ehbench.links.transport import ACKNOWLEDGED, LARGEST, SEQUENCE, VirtualClock
 from ehbench.machines.faults import FaultyMachine
 from ehbench.machines.rows import LawRows, control
 from ehbench.parts.sample import OF, entry
@@ -148,9 +148,10 @@ class ServedTarget(Target):
         if running and self.layout == self._buffered:
             self._log.append(datagram)
         if self.state == STOPPED and 0 <= self._asked < len(self._log):
-            past, at = self._log[self._asked], 8 * len(HEADER)
-            time = past[8 * TIME : 8 * TIME + 8]
-            datagram = datagram[: 8 * TIME] + time + datagram[8 * TIME + 8 : at] + past[at:]
+            past = np.frombuffer(self._log[self._asked]).copy()  # as the answer to this packet
+            now_at = [SEQUENCE, ACKNOWLEDGED]
+            past[now_at] = np.frombuffer(datagram)[now_at]
+            datagram = past.tobytes()
         return self._sent(datagram)
 
     def _sent(self, datagram: bytes) -> bytes:

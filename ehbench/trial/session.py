@@ -108,7 +108,8 @@ class Session:
         self._missed, self._real_time = 0.0, in_real_time(machine)
         if self._real_time:
             self.rows = self.rows._replace(t=self.rows.t.copy())  # measured as samples come
-        self.stamps = None if stamp is None else np.zeros((prepared.t.size, len(STAMPS)))
+        stamped = stamp is not None and self._bind is None
+        self.stamps = np.zeros((prepared.t.size, len(STAMPS))) if stamped else None
         self._stretch = max(1, round(SESSION.look * machine.rate))
 
     def _refuse_blind(self, measured: np.ndarray) -> None:

@@ -6,14 +6,22 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ehbench.config.recipe import Fault, TrialRecipe, load_rig
+from ehbench.data import read_log
+from ehbench.links.arming import run_remote, stopping_distances, token_of
+from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
+from ehbench.links.clock import estimated
 from ehbench.links.layout import Layout
+from ehbench.links.opening import Address, open_machine
+from ehbench.links.quality import Quality
 from ehbench.links.responder import (
     ALIVE,
     ARMED,
@@ -193,12 +201,12 @@ def test_a_host_that_falls_silent_is_let_go():
 # --- trials over a link, on a virtual clock
 
 
-def over_link(served, mode="stream", on_sample=None, **keys):
+def over_link(served, mode="stream", on_sample=None, kind=LinkMachine, **keys):
     """(result, machine, target) of a trial on a served bench."""
     item = ServedTarget(served, keys.pop("faults", ()))
     link = VirtualLink(item)
     prepared = trial("model", **keys)
-    machine = LinkMachine(prepared, LAYOUT, link, mode, "virtual")
+    machine = kind(prepared, LAYOUT, link, mode, "virtual")
     if on_sample is not None:
         take = machine._take
         machine._take = lambda numbers: take(on_sample(numbers.copy(), machine))
@@ -315,3 +323,238 @@ def test_a_target_of_another_rig_sends_nothing():
     with pytest.raises(InputError) as error:
         machine.start()
     assert error.value.key == "links.silent" and item.rejected["foreign"] > 100
+
+
+# --- a table that the target plays
+
+STEP = {
+    "valve": "press.servo",
+    "kind": "step",
+    "amplitude": "2 V",
+    "start": "0.2 s",
+    "stop": "0.6 s",
+}
+OPEN = {"motion": None, "controller": None, "duration": "1 s", "command": (STEP,)}
+
+
+def buffered(served, lose=0.0, **keys):
+    item = ServedTarget(served, watchdog=0.1)
+    link, dice = VirtualLink(item), np.random.default_rng(1)
+    send = link.send
+    link.send = lambda numbers: None if dice.random() < lose else send(numbers)
+    prepared = trial("model", **OPEN, **keys)
+    return run(prepared, BufferedLink(prepared, LAYOUT, link, "buffered", "virtual")), item
+
+
+@pytest.mark.parametrize("lose", [0.0, 0.1])
+def test_a_table_is_uploaded_played_and_its_log_downloaded(lose):
+    here = run(trial(**OPEN))
+    result, item = buffered(trial(**OPEN), lose)
+    assert result.facts.stop is None and item.state == STOPPED
+    np.testing.assert_array_equal(
+        result.record["press.servo.command"], here.record["press.servo.command"]
+    )
+    apart = result.record["press.x"] - here.record["press.x"]
+    assert np.abs(apart).max() < 2e-4 and np.ptp(here.record["press.x"]) > 5e-3
+
+
+def test_a_table_that_the_target_stops_ends_in_the_log_where_it_was_stopped():
+    served = trial(**OPEN, limits={"stroke_margin": "20 mm", "pressure_max": "4 MPa"})
+    result, item = buffered(served)
+    assert result.facts.stop.limit == "machine" and REASONS[item.reason] == "limit"
+    assert 0.2 < result.facts.stop.t < 0.4
+
+
+def test_a_closed_loop_cannot_be_played():
+    with pytest.raises(InputError) as error:
+        over_link(trial(), "buffered", kind=BufferedLink)
+    assert error.value.key == "links.buffered_loop"
+
+
+def test_a_card_plays_a_table(tmp_path, monkeypatch):
+    """Against a substitute: what is asked of nidaqmx, in which order."""
+    did = []
+
+    class Task:
+        def __init__(self):
+            self.channels = []
+            self.ao_channels = self.ai_channels = self.timing = self
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+        def add_ao_voltage_chan(self, name):
+            self.channels.append(name)
+
+        add_ai_voltage_chan = add_ao_voltage_chan
+
+        def cfg_samp_clk_timing(self, rate, source="", samps_per_chan=1):
+            did.append((tuple(self.channels), rate, source, samps_per_chan))
+
+        def write(self, volts, auto_start=True):
+            did.append(("write", volts))
+
+        def start(self):
+            did.append(("start", tuple(self.channels)))
+
+        def read(self, count, timeout):
+            (volts,) = [item[1] for item in did[-3:] if item[0] == "write"]
+            return [[0.5 * v for v in volts], [0.1 * v for v in volts]]
+
+    monkeypatch.setitem(sys.modules, "nidaqmx", SimpleNamespace(Task=Task))
+    (tmp_path / "card.toml").write_text(
+        '[inputs."press.x"]\nterminal = "ai0"\nscale = 0.1\noffset = 0.16\n'
+        '[inputs."press.p_head"]\nterminal = "ai3"\nscale = 1e6\n'
+        '[outputs."press.servo"]\nterminal = "ao0"\nscale = 0.5\n'
+    )
+    prepared = trial("model", **OPEN)
+    machine = open_machine(prepared, f"nidaq://Dev1?map={tmp_path / 'card.toml'}")
+    result = run(prepared, machine)
+    command = result.record["press.servo.command"]
+    assert result.facts.stop is None and command.max() == 2.0
+    np.testing.assert_allclose(result.record["press.x"][1:], 0.16 + 0.025 * command[1:])
+    np.testing.assert_allclose(result.record["press.p_head"][1:], 5e4 * command[1:])
+    assert "press.p_rod" not in result.record and did[-1] == ("write", 0.0)
+    rows = result.record.t.size + 1
+    assert (("Dev1/ai0", "Dev1/ai3"), 250.0, "/Dev1/ao/SampleClock", rows) in did
+
+
+# --- before anything moves
+
+
+def remote(monkeypatch, ask, **keys):
+    item = ServedTarget(trial())
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: VirtualLink(item))
+    return run_remote(trial("model", **keys), "udp://here:1?clock=virtual", ask), item
+
+
+def test_a_trial_runs_with_the_token_of_rig_recipe_and_link(monkeypatch):
+    asked = []
+    (result, link, dry, warnings), item = remote(
+        monkeypatch, lambda about, token: asked.append(token) or token.lower()
+    )
+    assert result.facts.stop is None and item.reason == REASONS.index("done") and not warnings
+    assert asked == [token_of(trial("model"), "udp://here:1?clock=virtual")]
+    assert asked[0] != token_of(trial("model"), "udp://there:1?clock=virtual")
+    assert link["late"] == 0 and set(link) >= {"rejected", "clock_offset", "command_delay"}
+    assert 0.0 < dry["stopping_distance"]["press"] < 0.02
+    assert dry["differences"]["press.x"]["largest"] < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("ask", "keys", "key"),
+    [
+        (None, {}, "links.unarmed"),
+        (lambda about, token: "000000", {}, "links.wrong_token"),
+        (None, {"limits": {}}, "links.no_margin"),
+        (None, {"limits": {"stroke_margin": "1 mm"}}, "links.stopping"),
+        (None, {"limits": {"stroke_margin": "20 mm", "speed_max": "50 mm/s"}}, "links.dry_run"),
+    ],
+)
+def test_nothing_moves_before_dry_run_margin_and_token(monkeypatch, ask, keys, key):
+    with pytest.raises(InputError) as error:
+        remote(monkeypatch, ask, **keys)
+    assert error.value.key == key
+
+
+def test_the_stopping_distance_grows_with_the_watchdog():
+    prepared = trial("model")
+    record = run(prepared).record
+    near, far = (stopping_distances(prepared, record, w)["press"] for w in (0.0, 0.1))
+    speed = np.abs(record["press.v"]).max()
+    assert far - near == pytest.approx(0.1 * speed, rel=0.05)
+
+
+@pytest.mark.parametrize(("late", "gap", "keys"), [(5, 4e-3, 0), (20, 4e-3, 1), (20, 0.011, 2)])
+def test_a_link_is_refused_by_late_ticks_and_gaps(late, gap, keys):
+    quality = Quality("udp://x", 1000, 0, late, (1e-3, 2e-3, 3e-3), gap, 0.02, 1000.0)
+    assert [p.key for p in quality.problems()] == ["links.late", "links.gap"][:keys]
+
+
+def test_clocks_and_delays_are_estimated_with_intervals_that_hold_the_truth():
+    """Exchanges drawn by hand: an offset, a drift, a delay each way."""
+    draw = np.random.default_rng(3)
+    t = 1e-2 * np.arange(4000.0)  # the target's
+    offset, drift = 1234.5, 3e-5
+    host = offset + (1.0 + drift) * t
+    came = host + 2e-4 + draw.exponential(1e-4, t.size)
+    sent = came - 1e-5 - 9e-3  # number k leaves before sample k comes and acts after 3 ms
+    acts = sent + 3e-3 + draw.exponential(1e-4, t.size)
+    acknowledged = np.searchsorted(acts, host)
+    rows = np.column_stack([1.0 + np.arange(t.size), sent, came, t, acknowledged])
+    known = estimated(rows.tolist())
+    waits = host[np.minimum(np.searchsorted(acknowledged, rows[:, 0]), t.size - 1)] - sent
+    for name, truth in {
+        "clock_offset": offset,
+        "clock_drift": drift,
+        "sample_delay": np.median(came - host),
+        "command_delay": np.median(waits),
+    }.items():
+        value, low, high = known[name]
+        assert low <= truth <= high and low <= value <= high, name
+    assert known["clock_offset"][2] - known["clock_offset"][1] < 2e-2
+
+
+# --- many trials with faults
+
+SENSORS = ("press.x", "press.p_head", "press.p_rod")
+
+
+def drawn(seed):
+    """A fault at a drawn time, of a drawn kind and target."""
+    draw = np.random.default_rng(seed)
+    kind = draw.choice(
+        ["nan", "stuck", "zero", "offset", "stuck_open", "stuck_closed", "supply_lost"]
+        + ["link_lost", "link_delayed", "link_reordered", "controller_late"]
+    )
+    keys = {"kind": str(kind), "start": f"{draw.uniform(0.1, 0.7)!r} s"}
+    if kind in ("nan", "stuck", "zero", "offset"):
+        keys["target"] = str(draw.choice(SENSORS))
+    if kind == "offset":
+        keys["value"] = "-40 mm" if keys["target"] == "press.x" else "30 bar"
+    if kind.startswith("stuck_"):
+        keys["target"] = "press.servo"
+    if kind in ("link_delayed", "controller_late"):
+        keys["duration"] = f"{draw.choice([5, 8, 100])} ms"
+    return Fault.model_validate(keys)
+
+
+@pytest.mark.slow
+def test_no_fault_takes_the_machine_farther_than_its_margin(tmp_path):
+    """Over 200 drawn faults: the true stroke stays between the ends, the valve ends at rest, the
+    log can be read, and what stopped the trial fits the fault.
+    """
+    reasons = {}
+    base = trial("model")
+    for seed in range(200):
+        failing = drawn(seed)
+        of_link = failing.kind.startswith("link_")
+        served = trial("bench", fault=() if of_link else (failing,), seed=seed)
+        item = ServedTarget(served, (failing,) if of_link else ())
+        strokes, tick = [], item.machine.tick
+
+        def seen(commands, tick=tick, bench=served.machine, strokes=strokes):
+            values = tick(commands)
+            row = np.empty(1)
+            bench.hidden.read(np.array(commands), row)
+            strokes.append(row[0])
+            return values
+
+        item.machine.tick = seen
+        machine = LinkMachine(base, LAYOUT, VirtualLink(item), "stream", "virtual")
+        log = tmp_path / f"{seed}.mcap"
+        result = run(base, machine, log=log, fast=False)
+        for _ in range(100):
+            item.tick(item.sequence / item.rate)
+        assert item.applied == [0.0] and item.state == STOPPED, failing
+        if failing.kind != "stuck_open":  # no command closes that valve
+            assert 0.15 < min(strokes) and max(strokes) < 0.22, failing
+        assert len(read_log(log)) == result.record.t.size
+        log.unlink()
+        stop = result.facts.stop
+        reasons.setdefault(failing.kind, set()).add(stop and stop.limit)
+    assert reasons["nan"] == {"finite"} and reasons["link_lost"] == {"sample_age"}
+    assert reasons["link_reordered"] == {None} and len(reasons) == 11

@@ -1,0 +1,110 @@
+"""Vectors as frames of CAN, by a DBC file: signals ``up_press_x``, ``down_press_servo_command``."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ehbench.links.layout import FRAMES
+from ehbench.links.responder import ALIVE, HEADER, STOPPING, Target
+from ehbench.links.transport import LAYOUT, STATE
+
+
+class Frames:
+    """The frames of one direction."""
+
+    def __init__(self, way: str, names: Sequence[str], path: Path) -> None:
+        import cantools
+
+        known = cantools.database.load_file(path)
+        self.signals = {f"{way}_{name.replace('.', '_')}": i for i, name in enumerate(names)}
+        wanted = (m for m in known.messages if any(s.name in self.signals for s in m.signals))
+        self.messages = {m.frame_id: m for m in sorted(wanted, key=lambda m: m.frame_id)}
+        self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
+
+    def send(self, bus, numbers: np.ndarray) -> None:
+        """Send a vector; numbers that it lacks are 0."""
+        import can
+
+        whole = np.zeros(len(self.signals))
+        whole[: numbers.size] = numbers
+        for number, message in self.messages.items():
+            values = {s.name: whole[self.signals[s.name]] for s in message.signals}
+            data = message.encode(values)
+            extended = message.is_extended_frame
+            bus.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
+
+    def take(self, frame) -> np.ndarray | None:
+        """The vector that a frame completes."""
+        message = self.messages.get(frame.arbitration_id)
+        if message is None:
+            return None
+        for name, value in message.decode(frame.data).items():
+            self._numbers[self.signals[name]] = value
+        return self._numbers.copy() if frame.arbitration_id == self.last else None
+
+
+def open_bus(interface: str, channel: str):
+    """A bus by its interface of python-can and its channel."""
+    import can
+
+    return can.Bus(interface=interface, channel=channel)
+
+
+class CanLink:
+    """A target on a CAN bus.
+
+    Args:
+        interface: of python-can, such as ``socketcan``.
+        channel: such as ``can0``.
+        names: of all numbers that come up, and of those that go down.
+        path: the DBC file.
+    """
+
+    virtual = False
+
+    def __init__(
+        self, interface: str, channel: str, names: tuple[Sequence[str], Sequence[str]], path: Path
+    ) -> None:
+        self._up, self._down = (Frames(w, n, path) for w, n in zip(FRAMES, names, strict=True))
+        self._bus = open_bus(interface, channel)
+
+    def send(self, numbers: np.ndarray) -> None:
+        """As `Link.send`."""
+        self._down.send(self._bus, numbers)
+
+    def receive(self, timeout: float) -> list[np.ndarray]:
+        """As `Link.receive`."""
+        came, until = [], time.monotonic() + timeout
+        while (frame := self._bus.recv(0.0 if came else max(until - time.monotonic(), 0.0))) or (
+            not came and time.monotonic() < until
+        ):
+            numbers = None if frame is None else self._up.take(frame)
+            came += [] if numbers is None else [numbers]
+        return came
+
+    def close(self) -> None:
+        """As `Link.close`."""
+        self._bus.shutdown()
+
+
+def serve(
+    target: Target, interface: str, channel: str, names: tuple[Sequence[str], Sequence[str]], path
+) -> None:
+    """Serve a target on a CAN bus, on its own clock."""
+    up, down = (Frames(way, n, path) for way, n in zip(FRAMES, names, strict=True))
+    bus, due = open_bus(interface, channel), time.monotonic()
+    while True:
+        while (frame := bus.recv(max(due - time.monotonic(), 0.0))) is not None:
+            if (numbers := down.take(frame)) is None:
+                continue
+            bare = numbers[STATE] in (ALIVE, STOPPING) or numbers[LAYOUT] not in target.modes
+            size = 0 if bare else target.modes[int(numbers[LAYOUT])][0]
+            datagram = numbers[: len(HEADER) + size].astype("<f8").tobytes()
+            target.receive(datagram, time.monotonic())
+        if datagram := target.tick(time.monotonic()):
+            up.send(bus, np.frombuffer(datagram, "<f8"))
+        due = max(due + 1.0 / target.rate, time.monotonic() - 0.1)

@@ -1,0 +1,276 @@
+"""Targets that are processes of their own, on loopback: the responders in C and Python, the served
+bench over UDP, Modbus and CAN, and either end killed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
+from ehbench.data import read_log
+from ehbench.links.layout import WRITERS, Layout, write_files
+from ehbench.links.opening import Address, open_machine
+from ehbench.links.quality import measure
+from ehbench.links.responder import ALIVE, ARMED, HEADER, REASONS, RUNNING, STOPPED
+from ehbench.links.transport import REASON, SEQUENCE, STATE, TOKEN, UdpLink
+from ehbench.trial import prepare, run
+from ehbench.vocabulary.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+RIG = load_rig(ROOT / "recipes/rigs/slide_servo.toml")
+LAYOUT = Layout.of(RIG)
+# a watchdog that a busy computer does not meet
+TEXT = """stage = "trial"
+rig = "RIG"
+rate = "100 Hz"
+[motion]
+kind = "point_to_point"
+cylinder = "press"
+waypoints = ["160 mm", "180 mm", "160 mm"]
+speed = "20 mm/s"
+[controller]
+kind = "position"
+[limits]
+stroke_margin = "20 mm"
+sample_age = "400 ms"
+overrun = "400 ms"
+"""
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+@pytest.fixture
+def started():
+    """Starts processes, which end with the test."""
+    running = []
+
+    def start(*words, until="", **keys):
+        running.append(subprocess.Popen(words, stderr=subprocess.PIPE, text=True, **keys))
+        while until and until not in (line := running[-1].stderr.readline()):
+            assert line or running[-1].poll() is None
+        return running[-1]
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+@pytest.fixture
+def trial(tmp_path):
+    path = tmp_path / "trial.toml"
+    path.write_text(TEXT.replace("RIG", str(ROOT / "recipes/rigs/slide_servo.toml")))
+    return path
+
+
+def served(started, trial, url, *words):
+    line = ["-m", "ehbench", "serve", str(trial), "--at", url, "--watchdog", "400", *words]
+    return started(sys.executable, *line, until="serving", cwd=ROOT)
+
+
+def prepared(trial, on="model"):
+    recipe = load_recipe(trial)
+    assert isinstance(recipe, TrialRecipe)
+    return prepare(recipe.model_copy(update={"on": on}), RIG)
+
+
+def test_layouts_name_every_number(tmp_path):
+    for kind, (name, text, _) in WRITERS.items():
+        written = text(LAYOUT, 1000.0)
+        files = write_files(LAYOUT, 1000.0, kind, tmp_path)
+        assert files[0].name == name and files[0].read_text() == written
+        flat = written.lower().replace(".", "_")
+        for word in ("press_p_head", "press_servo_command"):
+            assert word in flat, kind
+    assert len({LAYOUT.number(mode) for mode in ("stream", "setpoint", "buffered")}) == 3
+    for name in ("responder.c", "responder.py"):
+        assert len((tmp_path / name).read_text().splitlines()) <= 150
+
+
+def conversation(port):
+    """What a target says from the first packet to a stop by its watchdog."""
+    number, count = LAYOUT.number("stream"), len(LAYOUT.commands.names)
+    link, states, sequence = UdpLink("127.0.0.1", port), [], 0
+    newest = np.zeros(0)
+
+    def say(wish, seconds, values=count, token=77):
+        nonlocal sequence, newest
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            sequence += 1
+            header = [number, token, sequence, 0.0, 0.0, wish, 0.0, 0.0]
+            link.send(np.array(header + [1.5] * values))
+            for newest in link.receive(0.01):
+                states.append(int(newest[STATE]))
+        return newest
+
+    end = time.monotonic() + 10.0
+    while not states and time.monotonic() < end:
+        say(ALIVE, 0.05, 0)
+    while ARMED not in states and time.monotonic() < end:
+        say(ARMED, 0.05)
+    newest = say(RUNNING, 0.3)
+    assert newest[SEQUENCE] > 100 and newest[TOKEN] == 77
+    assert newest.size == len(HEADER) + len(LAYOUT.up) and newest[-1] == 1.5
+    until = time.monotonic() + 3.0
+    while time.monotonic() < until and (states[-1] != STOPPED or newest[-1] != 0.0):
+        for newest in link.receive(0.01):  # silent: its watchdog lets the valves go
+            states.append(int(newest[STATE]))
+    link.close()
+    assert list(dict.fromkeys(states)) == [1, 2, 3, 4, 5]
+    assert REASONS[int(newest[REASON])] == "watchdog" and newest[-1] == 0.0
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a compiler")
+def test_the_responder_in_c_is_a_target(tmp_path, started):
+    write_files(LAYOUT, 1000.0, "c", tmp_path)
+    line = ["cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "responder.c", "-o", "target"]
+    subprocess.run([*line, "-lm"], cwd=tmp_path, check=True)
+    port = free_port()
+    started(str(tmp_path / "target"), str(port), "0.4")
+    conversation(port)
+
+
+def test_the_responder_in_python_is_a_target(tmp_path, started):
+    write_files(LAYOUT, 1000.0, "py", tmp_path)
+    port = free_port()
+    main = (
+        "from responder import *\nfrom ehb_wire import *\nimport responder, sys\n"
+        "responder.SAMPLE = SAMPLE\n"
+        "target = Target(Rig(), COMMANDS, {LAYOUT: (len(COMMANDS), list)}, RATE, 0.4)\n"
+        "serve(target, int(sys.argv[1]))\n"
+    )
+    started(sys.executable, "-c", main, str(port), cwd=tmp_path)
+    conversation(port)
+
+
+HOST = """
+import sys
+from pathlib import Path
+sys.path.insert(0, TESTS)
+from test_link_processes import *
+machine = open_machine(prepared(Path(sys.argv[1])), sys.argv[2])
+begin = machine._begin
+def told():
+    begin()
+    print(machine.token, file=sys.stderr, flush=True)
+machine._begin = told
+tick = machine.tick
+def ticked(command):
+    if machine.row == 100:
+        print("moving", file=sys.stderr, flush=True)
+    return tick(command)
+machine.tick = ticked
+run(machine.prepared, machine, log=Path(sys.argv[3]), fast=False)
+""".replace("TESTS", repr(str(Path(__file__).parent)))
+
+
+def test_either_end_is_safe_when_the_other_is_killed(tmp_path, started, trial):
+    port = free_port()
+    url = f"udp://127.0.0.1:{port}"
+    target = served(started, trial, url)
+    quality = measure(Address.of(url).link(), url, 1.0)
+    assert quality.ticks > 50 and quality.rate == pytest.approx(100.0, rel=0.02)
+    assert quality.watchdog == 0.4
+    log = tmp_path / "killed.mcap"
+    host = started(sys.executable, "-c", HOST, str(trial), url, str(log), cwd=ROOT)
+    said = []
+    while not said or said[-1] != "moving\n":
+        said.append(host.stderr.readline())
+        assert said[-1], said
+    time.sleep(1.0)
+    os.kill(host.pid, signal.SIGKILL)
+    host.wait()
+    time.sleep(0.7)  # its watchdog and ramp
+    rows = len(read_log(log))
+    assert rows >= 100  # two seconds ran, the last may be lost
+    token = next(int(line) for line in reversed(said) if line.strip().isdigit())
+    link, newest = UdpLink("127.0.0.1", port), np.zeros(0)
+    for sequence in range(10**6, 10**6 + 20):
+        header = [LAYOUT.number("stream"), token, sequence, 0.0, 0.0, ALIVE, 0.0, 0.0]
+        link.send(np.array(header))
+        for newest in link.receive(0.02):
+            pass
+    link.close()
+    assert newest[STATE] == STOPPED and REASONS[int(newest[REASON])] == "watchdog"
+    assert newest[-1] == 0.0  # the valve's command
+
+    threading.Timer(3.0, target.kill).start()
+    ready = prepared(trial)
+    result = run(ready, open_machine(ready, url), log=tmp_path / "log.mcap", fast=False)
+    assert result.facts.stop is not None and result.facts.stop.limit == "sample_age"
+    assert result.facts.after.still is None  # no sensor says so
+    record = result.record
+    assert (np.diff(record.t) > 0.0).all() and record["press.servo.command"][-1] == 0.0
+    assert len(read_log(tmp_path / "log.mcap")) == record.t.size
+
+
+def test_a_served_bench_speaks_modbus(started, trial):
+    pytest.importorskip("pymodbus")
+    url = f"modbus://127.0.0.1:{free_port()}?clock=virtual"
+    served(started, trial, url, "--on", "bench")
+    ready = prepared(trial)
+    over = run(ready, open_machine(ready, url), fast=False)
+    here = run(prepared(trial, "bench"), fast=False)
+    assert over.facts.stop is None and over.record.t.size == here.record.t.size
+    for name in ("press.x", "press.servo.command"):
+        scale = np.ptp(here.record[name])
+        np.testing.assert_allclose(over.record[name], here.record[name], atol=3e-2 * scale)
+
+
+def test_a_served_bench_speaks_can(tmp_path, started, trial):
+    pytest.importorskip("can")
+    pytest.importorskip("cantools")
+    (dbc,) = write_files(LAYOUT, 100.0, "dbc", tmp_path)
+    url = f"can://udp_multicast/239.74.163.9?map={dbc}"
+    served(started, trial, url)
+    ready = prepared(trial)
+    over = run(ready, open_machine(ready, url), fast=False)
+    assert over.facts.stop is None
+    assert over.facts.measures["tracking"]["max_error"] < 3e-3
+
+
+def test_a_map_of_registers_scales_numbers(tmp_path):
+    from ehbench.links.modbus import blocks
+
+    header = "".join(f'"{name}" = {{ address = {2 * i} }}\n' for i, name in enumerate(HEADER))
+    (tmp_path / "map.toml").write_text(
+        f'[up]\n{header}"press.x" = {{ address = 40, type = "int16", scale = 1e-5 }}\n'
+        '"press.p_head" = { address = 41, type = "uint32", scale = 100.0, offset = -1e5 }\n'
+        f"[down]\n{header}"
+    )
+    up, _ = blocks(*LAYOUT.names("stream"), tmp_path / "map.toml")
+    numbers = np.zeros(len(up.names))
+    numbers[up.names.index("press.x")] = -0.12345
+    numbers[up.names.index("press.p_head")] = 7.0e6
+    registers = up.encode(numbers)
+    assert registers[40] == 65536 - 12345 and registers[41:43] == [71000 >> 16, 71000 & 0xFFFF]
+    again = up.decode(registers)
+    assert again[up.names.index("press.x")] == pytest.approx(-0.12345)
+    assert again[up.names.index("press.p_head")] == 7.0e6
+    assert np.isnan(again[up.names.index("press.v")])  # no register, so no sensor
+
+
+@pytest.mark.parametrize(
+    "url", ["tcp://x:1", "udp://", "udp://x:port", "udp://x?mode=fast", "can://x/y", "udp://x?a=1"]
+)
+def test_an_address_that_is_none_is_refused(url):
+    with pytest.raises(InputError) as error:
+        Address.of(url)
+    assert error.value.key == "links.url"
