@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +20,12 @@ class Frames:
     def __init__(self, way: str, names: Sequence[str], path: Path) -> None:
         import cantools
 
-        known = cantools.database.load_file(path)
+        known: Any = cantools.database.load_file(path)
         self.signals = {f"{way}_{name.replace('.', '_')}": i for i, name in enumerate(names)}
         wanted = (m for m in known.messages if any(s.name in self.signals for s in m.signals))
-        self.messages = {m.frame_id: m for m in sorted(wanted, key=lambda m: m.frame_id)}
+        self.messages: dict[int, Any] = {
+            m.frame_id: m for m in sorted(wanted, key=lambda m: m.frame_id)
+        }
         self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
 
     def send(self, bus, numbers: np.ndarray) -> None:

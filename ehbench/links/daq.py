@@ -5,6 +5,7 @@ Both are tested against a substitute of the vendor's library alone, never on a c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class NiCard:
 
     def play(self, table: np.ndarray, rate: float) -> np.ndarray:
         """As `Card.play`."""
-        import nidaqmx
+        nidaqmx = import_module("nidaqmx")
 
         rows, clock = len(table), f"/{self.device}/ao/SampleClock"
         with nidaqmx.Task() as out, nidaqmx.Task() as into:
@@ -44,7 +45,7 @@ class NiCard:
 
     def close(self) -> None:
         """As `Card.close`."""
-        import nidaqmx
+        nidaqmx = import_module("nidaqmx")
 
         with nidaqmx.Task() as out:
             for name in self.outputs:
@@ -65,7 +66,7 @@ class LabJackCard:
     def __init__(
         self, device: str, inputs: Sequence[str], outputs: Sequence[str], rest: np.ndarray
     ) -> None:
-        from labjack import ljm
+        ljm = import_module("labjack.ljm")
 
         self._ljm, self.inputs, self.outputs, self.rest = ljm, inputs, outputs, rest
         self._handle = ljm.openS("ANY", "ANY", device)
