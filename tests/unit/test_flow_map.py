@@ -41,27 +41,13 @@ def a_map(seed: int = 0, valve: str = "hect", direction: str = "forward", **chan
     rng = np.random.default_rng(seed)
     knots = np.array([1.62, 1.75, 2.0, 2.25, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0])
     steps = rng.exponential(0.8 * GPM, (knots.size, 9)) * np.linspace(0.2, 1.0, 9) + 1e-9
-    hull = np.array([0.0, 2.0, 10.0])
-    fields = {
-        "valve": valve,
-        "direction": direction,
-        "deadband": 1.62,
-        "deadband_interval": (1.6, 1.64),
-        "opening_knots": knots,
-        "drop_max": 6.5e6,
-        "delta": 2e4,
-        "increments": steps,
-        "hull_command": hull,
-        "hull_low": np.array([1e5, 1e5, 2e5]),
-        "hull_high": np.array([6.5e6, 6.5e6, 3e6]),
-        "std_command": np.array([1.6, 5.0, 10.0]),
-        "std_root": np.array([0.0, 1000.0, 2549.0]),
-        "std": GPM * np.array([[0, 0.01, 0.02], [0, 0.03, 0.05], [0, 0.06, 0.08]]),
-        "rated_flow": 8 * GPM,
-        "samples": 500,
-        "outliers": ("line 3: odd",),
-        "source": "maps.csv",
-    }
+    fields = {"valve": valve, "direction": direction, "deadband": 1.62, "rated_flow": 8 * GPM}
+    fields |= {"deadband_interval": (1.6, 1.64), "opening_knots": knots, "increments": steps}
+    fields |= {"drop_max": 6.5e6, "delta": 2e4, "hull_command": np.array([0.0, 2.0, 10.0])}
+    fields |= {"hull_low": np.array([1e5, 1e5, 2e5]), "hull_high": np.array([6.5e6, 6.5e6, 3e6])}
+    fields |= {"std_command": np.array([1.6, 5.0, 10.0]), "std_root": np.array([0.0, 1e3, 2549.0])}
+    fields |= {"std": GPM * np.array([[0, 0.01, 0.02], [0, 0.03, 0.05], [0, 0.06, 0.08]])}
+    fields |= {"samples": 500, "outliers": ("line 3: odd",), "source": "maps.csv"}
     return FlowMap(**{**fields, **changes})
 
 
@@ -121,9 +107,8 @@ def test_pieces_are_the_splines_of_scipy(degree):
     j = np.searchsorted(breaks, x, side="right") - 1
     powers = (x - breaks[j])[:, None] ** np.arange(degree + 1)
     ours = np.einsum("xkp,xp->xk", bspline_pieces(breaks, degree)[j], powers)
-    theirs = BSpline.design_matrix(
-        x, np.r_[[0.0] * degree, breaks, [2.0] * degree], degree
-    ).toarray()
+    knots = np.r_[[0.0] * degree, breaks, [2.0] * degree]
+    theirs = BSpline.design_matrix(x, knots, degree).toarray()
     np.testing.assert_allclose(ours, theirs, atol=1e-13)
 
 
@@ -131,9 +116,8 @@ def test_kernel_is_the_tensor_product_spline():
     one, rng = a_map(), np.random.default_rng(1)
     drop, opening = rng.uniform(0, one.drop_max, 5000), rng.uniform(one.deadband, 10.0, 5000)
     # both are sums of a dozen products in double precision
-    np.testing.assert_allclose(
-        one.flow(drop, opening), by_scipy(one, drop, opening), rtol=0, atol=1e-13 * one.rated_flow
-    )
+    exact, least = by_scipy(one, drop, opening), 1e-13 * one.rated_flow
+    np.testing.assert_allclose(one.flow(drop, opening), exact, rtol=0, atol=least)
 
 
 def test_packed_maps_keep_apart_and_match_the_arrays():
@@ -196,21 +180,18 @@ def test_beyond_the_largest_drop_the_flow_joins_on_and_grows_no_faster_than_an_o
         edge = one.flow(one.drop_max, 7.0)
         assert math.isclose(one.flow(one.drop_max * (1 + 1e-9), 7.0), edge, rel_tol=1e-6)
         ratio = one.flow(4 * one.drop_max, 7.0) / edge
-        assert (
-            1.0 - 1e-12 <= ratio <= 2.0 + 1e-4
-        )  # twice the root of the drop, δ and rounding aside
+        # twice the root of the drop, δ and rounding aside
+        assert 1.0 - 1e-12 <= ratio <= 2.0 + 1e-4
     assert a_map(increments=falling).flow(4 * one.drop_max, 7.0) == pytest.approx(edge, rel=1e-12)
 
 
 def test_inverse_saturates_shuts_and_says_so():
     one = a_map()
     most = one.flow(1e6, one.command_max)
-    np.testing.assert_array_equal(
-        one.command(1e6, [0.0, -0.1 * most, 1.01 * most]), [0.0, 0.0, one.command_max]
-    )
-    np.testing.assert_array_equal(
-        one.reachable(1e6, [0.0, 0.5 * most, 1.01 * most, -0.1 * most]), [True, True, False, False]
-    )
+    flows = most * np.array([0.0, 0.5, 1.01, -0.1])
+    commands = one.command(1e6, flows)[[0, 2, 3]]
+    np.testing.assert_array_equal(commands, [0.0, one.command_max, 0.0])
+    np.testing.assert_array_equal(one.reachable(1e6, flows), [True, True, False, False])
     assert one.command(0.0, 1e-4) == one.command_max and not one.reachable(0.0, 1e-4)
     assert one.deadband < one.command(1e6, 1e-9 * most) < one.deadband + 1e-3
 
@@ -232,21 +213,16 @@ def test_shapes_broadcast_and_scalars_stay_scalars():
 
 def test_inside_follows_the_measured_drops_of_the_neighbouring_commands():
     one = a_map()
-    assert (
-        one.inside(2e6, 10.0)
-        and not one.inside(4e6, 10.0)
-        and not one.inside(1e6, 10.1)
-        and not one.inside(5e4, 3.0)
-    )
+    places = np.array([[2e6, 4e6, 1e6, 5e4], [10.0, 10.0, 10.1, 3.0]])
+    assert one.inside(*places).tolist() == [True, False, False, False]
     high = 6.5e6 + (3e6 - 6.5e6) * (6.0 - 2.0) / 8.0
     assert one.inside(high - 1.0, 6.0) and not one.inside(high + 1.0, 6.0)
 
 
 def test_flow_std_reads_its_table_and_is_zero_when_shut():
     one = a_map()
-    drop = float(
-        np.sqrt(0.5 * 1e12 + np.sqrt(0.25 * 1e24 + 1e6**2 * one.delta**2))
-    )  # s = 1000 there
+    # s = 1000 there
+    drop = float(np.sqrt(0.5 * 1e12 + np.sqrt(0.25 * 1e24 + 1e6**2 * one.delta**2)))
     assert one.flow_std(drop, 5.0) == pytest.approx(0.03 * GPM, rel=1e-9)
     assert one.flow_std(drop, 0.5 * (1.6 + 5.0)) == pytest.approx(0.02 * GPM, rel=1e-9)
     assert one.flow_std(drop, 0.0) == 0.0 and one.flow_std(0.0, 5.0) == 0.0
@@ -257,22 +233,14 @@ def test_both_directions_take_signed_drops():
     both = ValveMaps(a_map(0), a_map(1, direction="reverse"))
     drop = np.array([-2e6, 0.0, 2e6])
     flow = both.flow(drop, 5.0)
-    np.testing.assert_array_equal(
-        flow, [-both.reverse.flow(2e6, 5.0), 0.0, both.forward.flow(2e6, 5.0)]
-    )
+    ends = [-both.reverse.flow(2e6, 5.0), 0.0, both.forward.flow(2e6, 5.0)]
+    np.testing.assert_array_equal(flow, ends)
     np.testing.assert_allclose(both.command(drop[[0, 2]], flow[[0, 2]]), 5.0, rtol=1e-12)
-    assert (
-        both.inside(-2e6, 5.0)
-        and both.reachable(-2e6, flow[0])
-        and not both.reachable(-2e6, -flow[0])
-    )
-    assert both.command(-2e6, flow[2]) == 0.0
+    assert both.inside(-2e6, 5.0) and both.command(-2e6, flow[2]) == 0.0
+    assert both.reachable(-2e6, flow[0]) and not both.reachable(-2e6, -flow[0])
     alone = ValveMaps(a_map(0))
-    assert (
-        alone.flow(-2e6, 5.0) == -alone.flow(2e6, 5.0)
-        and alone.inside(2e6, 5.0)
-        and not alone.inside(-2e6, 5.0)
-    )
+    assert alone.flow(-2e6, 5.0) == -alone.flow(2e6, 5.0)
+    assert alone.inside(2e6, 5.0) and not alone.inside(-2e6, 5.0)
 
 
 def test_file_reads_back_exactly_and_writes_the_same_bytes(tmp_path):
@@ -285,10 +253,8 @@ def test_file_reads_back_exactly_and_writes_the_same_bytes(tmp_path):
     for loaded in (load_flow_maps(tmp_path), load_flow_maps(path)):
         assert dump_flow_maps(loaded) == text and list(loaded) == ["boom.repc", "hect"]
         np.testing.assert_array_equal(loaded["hect"].reverse.data, maps["hect"].reverse.data)
-        assert (
-            loaded["hect"].forward.outliers == ("line 3: odd",)
-            and loaded["boom.repc"].reverse is None
-        )
+        assert loaded["hect"].forward.outliers == ("line 3: odd",)
+        assert loaded["boom.repc"].reverse is None
 
 
 def test_unknown_valve_names_those_there_are(tmp_path):
@@ -322,9 +288,8 @@ def test_damaged_files_are_refused_by_name(tmp_path):
     good = json.loads(dump_flow_maps(collect([a_map()])))
 
     def refused(content, word):
-        path.write_text(
-            content if isinstance(content, str) else json.dumps(content), encoding="utf-8"
-        )
+        text = content if isinstance(content, str) else json.dumps(content)
+        path.write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match=word) as caught:
             load_flow_maps(path)
         assert caught.value.file == str(path)
@@ -401,14 +366,10 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     np.testing.assert_allclose(full(band), gram, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(pull, right, rtol=1e-12, atol=1e-12)
     along_u = spline.along_u
-    whole = (
-        gram
-        + smoothing[0] * np.kron(along_s.mass, along_u.curvature)
-        + smoothing[1] * np.kron(along_s.curvature, along_u.mass)
-    )
-    np.testing.assert_allclose(
-        full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
-    )
+    near = {"rtol": 1e-12, "atol": 1e-12}
+    whole = gram + smoothing[0] * np.kron(along_s.mass, along_u.curvature)
+    whole += smoothing[1] * np.kron(along_s.curvature, along_u.mass)
+    np.testing.assert_allclose(full(spline.penalised(band, smoothing)), whole, **near)
     free, determinant = spline.free(band, right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
     rough = free @ (whole - gram) @ free
@@ -418,11 +379,8 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     mass = np.kron(along_s.mass, along_u.mass)
     prior = np.linalg.eigvals(np.linalg.solve(mass, whole - gram)).real
     least = np.argmin(np.abs(prior))
-    exact = (
-        np.linalg.slogdet(whole)[1]
-        - np.linalg.slogdet(mass)[1]
-        - np.log(np.delete(prior, least)).sum()
-    )
+    exact = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(mass)[1]
+    exact -= np.log(np.delete(prior, least)).sum()
     assert determinant == pytest.approx(exact, abs=1e-6)
     held, _, tied = spline.solve(band, right, smoothing)
     steps = spline.sign * spline.increments(free).T.ravel()
