@@ -154,8 +154,8 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
         if rms > SETTINGS.rms or (result.solution.widening > SETTINGS.lack and rms > limit):
             raise InsufficientData(message("flow_maps.no_map_fits", map=readings.who, rms=rms))
         more, std = _hysteresis_of(result)
-        least = SETTINGS.lag_share * float(readings.levels[-1])
-        sure = removed + more > max(SETTINGS.lag * std, least)
+        smallest = SETTINGS.lag_share * float(readings.levels[-1])
+        sure = removed + more > max(SETTINGS.lag * std, smallest)
         if not sure or abs(more) < 0.1 * std:
             break
         removed += more

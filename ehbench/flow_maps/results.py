@@ -481,8 +481,10 @@ def check_calibration(
         verdict = "met"
     else:
         verdict = "missed" if bounds[1] < band[0] or bounds[0] > band[1] else "undecided"
-    least, most = float(np.min(flows)), float(np.max(flows))
-    return Calibration(command, target, tolerance, flow, *bounds, least, most, low, high, verdict)
+    lowest, highest = float(np.min(flows)), float(np.max(flows))
+    return Calibration(
+        command, target, tolerance, flow, *bounds, lowest, highest, low, high, verdict
+    )
 
 
 def _features(result: Fit, fit: FlowMapFit) -> Iterator[Message]:

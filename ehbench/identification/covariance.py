@@ -238,14 +238,14 @@ def gains_of(blocks: Sequence[Block], prior: Prior) -> np.ndarray:
     """By how much the cost would fall for each of the parameters that are behind those of the
     prior, were it freed alone of them, to first order; shape (parameters behind,).
     """
-    solved, own = [eliminate(block, prior.weight) for block in blocks], len(prior.sharpness)
+    solved, count = [eliminate(block, prior.weight) for block in blocks], len(prior.sharpness)
     normal = np.sum([item.normal for item in solved], axis=0)
     pull = np.sum([item.gradient for item in solved], axis=0)
-    normal[:own, :own] += prior.normal
-    pull[:own] += prior.gradient
-    without, result = -float(pull[:own] @ _step(normal[:own, :own], pull[:own])), []
-    for k in range(own, len(pull)):
-        which = [*range(own), k]
+    normal[:count, :count] += prior.normal
+    pull[:count] += prior.gradient
+    without, result = -float(pull[:count] @ _step(normal[:count, :count], pull[:count])), []
+    for k in range(count, len(pull)):
+        which = [*range(count), k]
         step = _step(normal[np.ix_(which, which)], pull[which])
         result.append(-float(pull[which] @ step) - without)
     return np.array(result)

@@ -44,13 +44,13 @@ def on_response(log: Log, command: str, choice: Averaging) -> Log:
         text = message("identification.no_command", **fields)
         raise InputError(text, hint=like_channel(command, list(log.record.channels)))
     fields["cylinder"] = command.partition(".")[0]
-    own = [i for i, name in enumerate(log.channels) if name.startswith(f"{fields['cylinder']}.")]
-    if not own or not command.endswith(".command"):
+    places = [i for i, name in enumerate(log.channels) if name.startswith(f"{fields['cylinder']}.")]
+    if not places or not command.endswith(".command"):
         raise InputError(message("identification.no_answer", **fields))
-    names = tuple(log.channels[i] for i in own)
-    if not log.counts[:, own].all():
+    names = tuple(log.channels[i] for i in places)
+    if not log.counts[:, places].all():
         raise InputError(message("identification.response_cavitates", **fields))
-    log = replace(log, channels=names, recorded=log.recorded[:, own])
+    log = replace(log, channels=names, recorded=log.recorded[:, places])
     results = []
     for channel, y in zip(log.channels, log.recorded.T, strict=True):
         try:

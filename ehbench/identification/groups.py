@@ -75,7 +75,7 @@ def groups_of(
         )
         power = _rounded(power, covariance)
         std = _std(power, covariance)
-        if np.count_nonzero(power) > 1 and std < SETTINGS.better * _least(power, covariance):
+        if np.count_nonzero(power) > 1 and std < SETTINGS.better * _smallest(power, covariance):
             powers = {name: float(p) for name, p in zip(names, power, strict=True) if p}
             value = math.exp(sum(p * math.log(v) for p, v in zip(power, values, strict=True) if p))
             reach = math.exp(min(Z95 * std, 50.0))
@@ -89,7 +89,7 @@ def _std(power: np.ndarray, covariance: np.ndarray) -> float:
     return float(np.sqrt(power @ covariance @ power))
 
 
-def _least(power: np.ndarray, covariance: np.ndarray) -> float:
+def _smallest(power: np.ndarray, covariance: np.ndarray) -> float:
     """The least that one factor of a product alone leaves open of its logarithm."""
     return float(
         np.min(np.abs(power) * np.sqrt(np.diag(covariance)), where=power != 0, initial=np.inf)
@@ -101,16 +101,18 @@ def _leaders(covariance: np.ndarray) -> list[int]:
     knowledge would sharpen another one most.
     """
     left, result = covariance.copy(), []
-    own = np.diag(covariance)
-    while len(result) < len(own) - 1:
-        rest = [i for i in range(len(own)) if i not in result and left[i, i] > 1e-9 * own[i]]
+    variances = np.diag(covariance)
+    while len(result) < len(variances) - 1:
+        rest = [
+            i for i in range(len(variances)) if i not in result and left[i, i] > 1e-9 * variances[i]
+        ]
         best, gain = -1, 1.0 / SETTINGS.better**2
         for i in rest:
             after = np.diag(left) - left[:, i] ** 2 / left[i, i]
             others = [k for k in rest if k != i]
             if not others:
                 continue
-            more = max(left[k, k] / max(after[k], 1e-12 * own[k]) for k in others)
+            more = max(left[k, k] / max(after[k], 1e-12 * variances[k]) for k in others)
             if more > gain:
                 best, gain = i, more
         if best < 0:
@@ -126,7 +128,7 @@ def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """
     halves = np.round(SETTINGS.halves * power) / SETTINGS.halves
     plain = np.max(np.abs(halves)) <= SETTINGS.largest
-    if plain and _std(halves, covariance) < SETTINGS.better * _least(halves, covariance):
+    if plain and _std(halves, covariance) < SETTINGS.better * _smallest(halves, covariance):
         return halves if np.all(halves == np.round(halves)) else 2.0 * halves
     return np.where(np.abs(power) < 0.05, 0.0, np.round(power, 2))
 

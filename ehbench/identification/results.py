@@ -480,8 +480,8 @@ def _late(log: Log, simulated: np.ndarray) -> list[str]:
     left, slope = left / size, slope / size
     power = float(np.sum(slope**2))
     delay = float(np.sum(slope * left)) / power if power > 0.0 else 0.0
-    told = SETTINGS.late * tick <= abs(delay) <= SETTINGS.latest * tick
-    if not told or delay**2 * power < SETTINGS.explains * float(np.sum(left**2)):
+    is_delay = SETTINGS.late * tick <= abs(delay) <= SETTINGS.latest * tick
+    if not is_delay or delay**2 * power < SETTINGS.explains * float(np.sum(left**2)):
         return []
     word = "behind" if delay > 0 else "ahead of"
     return [message("identification.late", log=log.name, delay=abs(delay) * 1e3, word=word)]

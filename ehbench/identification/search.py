@@ -187,8 +187,8 @@ def _coordinate(
         if name == f"{cylinder.name}.volume_rod":
             minimum = 1.001 * cylinder.areas()[1] * float(cylinder.stroke)
 
-    def bound(key: str, own: float | None) -> float | None:
-        return _number(given[key][name], name, where(key, name)) if name in given[key] else own
+    def bound(key: str, default: float | None) -> float | None:
+        return _number(given[key][name], name, where(key, name)) if name in given[key] else default
 
     first = _number(given["start"].get(name, float(value)), name, where("start", name))
     low, high = bound("lower", value.lower), bound("upper", value.upper)

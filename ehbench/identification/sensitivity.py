@@ -108,7 +108,7 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> tuple[list[str], tu
     if _only_noise(fit, state):
         return [], ()
     effort = Effort()
-    suspects = _promising(fit, result, list(_columns(fit, state, _asked(fit, state), effort)))
+    suspects = _promising(fit, result, list(_columns(fit, state, _fixed_rows(fit, state), effort)))
     rig = fit.simulator.rig
     warnings: list[str] = [
         message(
@@ -148,13 +148,13 @@ def _only_noise(fit: Problem, state: State) -> bool:
         return False
     noise = 0.0
     for log in fit.logs:
-        own = [white_noise(y) for y in log.recorded.T] / by_channel(state.scales, log)
-        noise += float(np.sum(own**2 * np.count_nonzero(log.counts, axis=0)))
+        noises = [white_noise(y) for y in log.recorded.T] / by_channel(state.scales, log)
+        noise += float(np.sum(noises**2 * np.count_nonzero(log.counts, axis=0)))
     left = squares(fit, state)
     return left - noise < SETTINGS.worth * left
 
 
-def _asked(fit: Problem, state: State) -> list[Hypothesis]:
+def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
     """The rows of the fault table that a fit takes as known."""
     simulator, logs = fit.simulator, fit.logs
     values = {n: v for n, v in fit.by_name(state.theta).items() if n in simulator.known}

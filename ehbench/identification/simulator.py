@@ -175,7 +175,7 @@ def prepare(
     rig = model.rig
     record, doubts = preprocess(name, record, model)
     warnings = [f"{name}: {text}" for text in doubts]
-    requested = [cylinder.name for cylinder in rig.cylinder if _asked(cylinder, record)]
+    requested = [cylinder.name for cylinder in rig.cylinder if _is_commanded(cylinder, record)]
     live = [c.name for c in rig.cylinder if c.name in requested or _moves(c, record)]
     if not requested:
         raise InsufficientData(message("identification.no_command_changes", log=name, rig=rig.name))
@@ -212,9 +212,11 @@ def _counts(
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
     for cylinder in rig.cylinder:
         void = _cavitates(rig, cylinder, record)
-        own = [i for i, channel in enumerate(channels) if channel.startswith(cylinder.name + ".")]
-        if own and void.any():
-            counts[np.ix_(void, np.array(own))] = False
+        columns = [
+            i for i, channel in enumerate(channels) if channel.startswith(cylinder.name + ".")
+        ]
+        if columns and void.any():
+            counts[np.ix_(void, np.array(columns))] = False
             fields = {"t": record.t[int(np.argmax(void))], "share": 100 * np.mean(void)}
             fields |= {"log": name, "cylinder": cylinder.name}
             messages.append(message("identification.cavitates", **fields))
@@ -252,7 +254,7 @@ def shut(model: Model, log: Log) -> str | None:
     return closest[1] if closest else message("identification.opens_nothing")
 
 
-def _asked(cylinder: Cylinder, record: Record) -> bool:
+def _is_commanded(cylinder: Cylinder, record: Record) -> bool:
     """Whether a command of the cylinder changes."""
     commands = _commands(cylinder, record)
     return any(np.ptp(record[channel]) > command for channel, command in commands.items())
@@ -291,8 +293,8 @@ def _columns(record: Record, live: Sequence[str], required: Sequence[str]) -> di
     """
     columns: dict[str, np.ndarray] = {}
     for word in required:
-        own = [item for cylinder in live for item in channels_asked(record, cylinder, word)]
-        for channel in [word] if "." in word else own:
+        listed = [item for cylinder in live for item in channels_asked(record, cylinder, word)]
+        for channel in [word] if "." in word else listed:
             names = alternatives(channel)
             results = {name: column(record, name, record) for name in names}
             present = [name for name in names if results[name] is not None]
@@ -437,14 +439,14 @@ class Simulator:
             mesh = FREE if meshes is None else meshes[k]
             shared = self._by_name(values, True)
             tasks.append((built[key][log.payload], log, shifts, shared, mesh, slack))
-        done = map_threads(self._one, tasks, self.workers)
+        done = map_threads(self._simulated, tasks, self.workers)
         return [channels for channels, _ in done], [mesh for _, mesh in done]
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.uncertain)) for log in self.logs]
 
-    def _one(self, task: _Task) -> tuple[np.ndarray | None, np.ndarray]:
+    def _simulated(self, task: _Task) -> tuple[np.ndarray | None, np.ndarray]:
         """(simulated channels, None where it failed; the steps taken) of one log."""
         model, log, shifts, shared, mesh, slack = task
         if model is None:

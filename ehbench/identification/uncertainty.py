@@ -97,13 +97,13 @@ def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
     if len(logs) < 2:
         return ()
     inner = np.linalg.pinv(normal[np.ix_(rest, rest)])
-    own = normal[np.ix_(logs, logs)]
-    own = own - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
+    projected = normal[np.ix_(logs, logs)]
+    projected = projected - normal[np.ix_(logs, rest)] @ inner @ normal[np.ix_(rest, logs)]
     ideal = np.sqrt(1.0 / np.maximum(np.diag(normal), 1e-300))
     widening = [result.alone[k] / ideal[k] for k in logs]
     names = [problem.search[live[k]].name for k in logs]
     values = [problem.search[live[k]].at(state.theta[live[k]]) for k in logs]
-    return groups_of(names, values, own, float(np.median(widening)))
+    return groups_of(names, values, projected, float(np.median(widening)))
 
 
 def _at_bound(problem: Problem, state: State, i: int) -> bool:

@@ -38,9 +38,9 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     states = np.zeros((samples, names.states))
     driven = {int(j): names.cylinders[i] for i, j in enumerate(plant.cylinders.joint)}
     for j, joint in enumerate(names.joints):
-        own = driven.get(j, joint)
+        owner = driven.get(j, joint)
         position, rate = ("x", "v") if plant.kind == SLIDE else ("q", "qd")
-        states[:, j], states[:, n + j] = record[f"{own}.{position}"], record[f"{own}.{rate}"]
+        states[:, j], states[:, n + j] = record[f"{owner}.{position}"], record[f"{owner}.{rate}"]
     for i, name in enumerate(names.cylinders):
         for key in ("p_head", "p_rod"):
             states[:, names.state(key, i)] = record[f"{name}.{key}"]

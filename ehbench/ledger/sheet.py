@@ -233,9 +233,9 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
             and row.rsplit(".", 1)[-1] not in ("work", *MECHANICAL)
         ]
         shafts = [row for row, group, _, owner in rows if owner == name and group == "supply"]
-        own = (f"{name}.drawn", f"{name}.drawn_compression", *shafts)
+        supplied = (f"{name}.drawn", f"{name}.drawn_compression", *shafts)
         taken.append(f"{name}.work")
-        parts.append((f"{name}.{word}", "oil of the cylinder", name, own, taken))
+        parts.append((f"{name}.{word}", "oil of the cylinder", name, supplied, taken))
     work = [f"{name}.work" for name in cylinders]
     spent = [
         row for row, group, _, _ in rows if group == "load" or row.rsplit(".", 1)[-1] in MECHANICAL

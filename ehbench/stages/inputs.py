@@ -263,12 +263,12 @@ class Inputs:
         others = []
         for number, other in enumerate(item.beside):
             place = ("data", index, "beside", number, "columns")
-            own = None
+            whole = None
             if other.columns is not None:
-                own = whole_map(other.columns, self.recipe.path, place)
+                whole = whole_map(other.columns, self.recipe.path, place)
             shift = None if other.shift is None else float(other.shift)
             shared = other.clock == "shared"
-            others.append(AdditionalFile(self.existing(other.path), own, shift, shared))
+            others.append(AdditionalFile(self.existing(other.path), whole, shift, shared))
         for entry in (columns, *(other.columns for other in others)):
             for file in () if entry is None else entry.files:
                 maps += [("columns", file)] if ("columns", file) not in maps else []

@@ -117,8 +117,8 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
-            leans = rundir.read_json(intervals).get("leans", [])
-            validation = replace(validation, leans=tuple(leans))
+            sensitivities = rundir.read_json(intervals).get("leans", [])
+            validation = replace(validation, leans=tuple(sensitivities))
         verdict = run_validation(validation, recipe.thresholds, progress, diagnose=recipe.structure)
         write_rig(folder, state.rig, state.flow_maps)
         others = [item.as_json() for item in recipe.reference]
@@ -133,11 +133,11 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         )
         if verdict.accepted:
             return work
-        said = " ".join(verdict.reasons)
+        reported = " ".join(verdict.reasons)
         causes = [
             f"{item.sentence}; {item.remedy}"
             for item in verdict.structure.findings[:2]
-            if item.sentence not in said
+            if item.sentence not in reported
         ]
         return Work(work.facts, [*verdict.reasons, *causes], REJECTED)
 
@@ -201,8 +201,8 @@ def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]
         fit = TracedRun(state.origin)
         recipe = recipe_of(fit)
         same = all(source.is_same for source in fit.sources if source.role == "log")
-        own = replace(inputs, recipe=recipe, notes=Notes(recipe))
-        return tuple(own.logs(recipe.data).records) if same else ()
+        fitting = replace(inputs, recipe=recipe, notes=Notes(recipe))
+        return tuple(fitting.logs(recipe.data).records) if same else ()
     except EhbenchError:
         return ()
 
