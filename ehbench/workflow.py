@@ -25,7 +25,7 @@ from ehbench.stages.campaign import write_report
 from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 
 if TYPE_CHECKING:
@@ -149,7 +149,13 @@ def export(source: Path, options: Mapping[str, Any], session: Session | None = N
     from ehbench.stages.export import recipe_for
 
     session = session or Session()
-    return run(recipe_for(source, options, session), session)
+    recipe = recipe_for(source, options, session)
+    try:
+        return run(recipe, session)
+    except EhbenchError:
+        if recipe.path != source.resolve():
+            recipe.path.unlink(missing_ok=True)
+        raise
 
 
 @one_thread()

@@ -300,7 +300,7 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
         Parts | None, typer.Option("--what", help="Default: all there is.", show_default=False)
     ] = None,
     formats: Annotated[
-        str, _listed("--as", "FORMAT,...", "c, matlab, urdf, mjcf. Default: c.")
+        str, _listed("--as", "FORMAT,...", "c, fmu2, fmu3, matlab, urdf, mjcf. Default: c.")
     ] = "",
     payload: Annotated[str, _listed("--payload", "NAME", "What the model carries.")] = "",
     rate: Annotated[str, _listed("--rate", "HZ", "Steps a second.")] = "",

@@ -9,11 +9,14 @@ from collections.abc import Mapping
 
 from ehbench.export.c_code import write_c
 from ehbench.export.content import Export, Writer, Written
+from ehbench.export.fmu import write_fmu2, write_fmu3
 from ehbench.export.tables import write_matlab, write_mjcf, write_urdf
 
 __all__ = ["FORMATS", "Export", "Writer", "Written"]
 FORMATS: Mapping[str, Writer] = {
     "c": write_c,
+    "fmu2": write_fmu2,
+    "fmu3": write_fmu3,
     "matlab": write_matlab,
     "urdf": write_urdf,
     "mjcf": write_mjcf,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.control.functions import RULE_NAMES
 from ehbench.control.registry import tick
 from ehbench.export.component import Component, Variable, members, numbers
@@ -71,9 +72,13 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
         for i, name in enumerate(model.layout.valves)
     ]
     variables += [
-        Variable.of(name, "output", f"sample[{i}]", sample[i]) for i, name in enumerate(channels)
+        Variable.of(name, "output", f"sample[{i}]", sample[i], **_in_metres(trial.rig, name))
+        for i, name in enumerate(channels)
     ]
-    variables += [Variable.of(states[i], "output", f"y[{i}]", y[i]) for i in hidden]
+    variables += [
+        Variable.of(states[i], "output", f"y[{i}]", y[i], **_in_metres(trial.rig, states[i]))
+        for i in hidden
+    ]
     last = min(session.end, EXPORT.rows + 1)
     rows = session.rows
     part = Component(
@@ -100,6 +105,12 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
     return replace(part, variables=(*part.variables, *more))
 
 
+def _in_metres(rig: Rig, name: str) -> dict[str, str]:
+    """The unit of a joint coordinate where the joint slides."""
+    unit = {"q": "m", "qd": "m/s"}.get(name.rsplit(".", 1)[-1])
+    return {"unit": unit} if unit and rig.mechanism.kind == "slide" else {}
+
+
 def _rig_parameters(
     trial: Prepared, part: Component, about: Mapping[str, str]
 ) -> Iterator[Variable]:
@@ -108,8 +119,8 @@ def _rig_parameters(
     """
     known, payload = trial.rig.parameters(), trial.recipe.payload
 
-    def numbers_of(rig: object) -> dict[str, int]:
-        plant = Model.of(rig, trial.maps, payload).plant  # type: ignore[arg-type]
+    def numbers_of(rig: Rig) -> dict[str, int]:
+        plant = Model.of(rig, trial.maps, payload).plant
         like = replace(part, arguments={"plant": plant})
         return {name: bits for leaf in like.memory for name, bits in numbers(leaf).items()}
 

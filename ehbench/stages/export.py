@@ -53,7 +53,12 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
 
     def prepare(self, recipe: ExportRecipe, inputs: Inputs) -> PreparedExport:
         from ehbench.export import Export
+        from ehbench.export.compiler import compiler
 
+        for target in recipe.targets:
+            if compiler(target) is None:
+                text = message("export.no_compiler", target=target)
+                raise InputError(text, **recipe.at("targets"))
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         _refuse(inputs, not _is_validated(state), "unvalidated", rig=state.rig.name,
                 stage=state.stage)  # fmt: skip

@@ -9,7 +9,7 @@ from pydantic import Field
 from ehbench.config.recipe.base import Payload, Recipe
 from ehbench.vocabulary.fields import Q, Value
 
-Format = Literal["c", "matlab", "urdf", "mjcf"]
+Format = Literal["c", "fmu2", "fmu3", "matlab", "urdf", "mjcf"]
 Target = Literal["linux64", "win64", "aarch64"]
 
 

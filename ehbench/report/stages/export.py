@@ -17,10 +17,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     """The files with what they are."""
     written = run.json("export.json")["written"]
     rows = [
-        [Cell(item["file"], "code"), item["about"], item["check"] or item["note"] or "–"]
+        [Cell(item["file"], "code"), item["check"] or item["note"] or "–", item["about"]]
         for item in written
     ]
-    table = Grid(["file", "what", "check on this machine"], rows)
+    table = Grid(["file", "check on this machine", "what"], rows)
     sentence = f"{count(len(written), 'export')} written."
     return SectionContent("done", sentence, [Part("Results", [table])])
 

@@ -1,0 +1,192 @@
+"""Functional mock-up units for co-simulation: the C of a part with its source, a description of its
+variables, and a binary for each target that a compiler is there for.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from xml.etree import ElementTree
+from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
+
+from ehbench.export.c_code import checked
+from ehbench.export.compiler import HERE, build, compiler
+from ehbench.export.component import Component
+from ehbench.export.content import Export, Written
+from ehbench.export.kernels import Kernels
+from ehbench.export.source import template, write_sources
+from ehbench.runtime.disk import replacing, write_text
+from ehbench.vocabulary.messages import message
+
+# by target: folder of its binary in version 2 and 3, and ending
+PLACES = {
+    "linux64": ("linux64", "x86_64-linux", ".so"),
+    "win64": ("win64", "x86_64-windows", ".dll"),
+    "aarch64": ("aarch64-linux", "aarch64-linux", ".so"),
+}
+SOURCES = ("fmi.c", "{name}.c")
+
+
+def write_fmu2(export: Export, folder: Path) -> list[Written]:
+    """Write each part as FMU of version 2.0 into ``fmu2``."""
+    return list(_written(export, folder / "fmu2", 2))
+
+
+def write_fmu3(export: Export, folder: Path) -> list[Written]:
+    """Write each part as FMU of version 3.0 into ``fmu3``."""
+    return list(_written(export, folder / "fmu3", 3))
+
+
+def _written(export: Export, folder: Path, version: int) -> Iterator[Written]:
+    targets = export.recipe.targets or ((HERE,) if compiler() else ())
+    folder.mkdir()
+    for part, kernel in zip(export.components, export.kernels, strict=True):
+        with TemporaryDirectory() as scratch:
+            place = Path(scratch)
+            check = _content(part, kernel, version, targets, place)
+            files = sorted(path for path in place.rglob("*") if path.is_file())
+            with replacing(folder / f"{part.name}.fmu") as path, ZipFile(path, "w") as unit:
+                for file in files:
+                    about = ZipInfo(file.relative_to(place).as_posix())  # of 1980: the same bytes
+                    unit.writestr(about, file.read_bytes(), ZIP_DEFLATED)
+        note = "" if targets else message("export.source_only", name=part.name)
+        about = f"{part.about}; " + (", ".join(targets) or message("export.no_binary"))
+        yield Written(f"{folder.name}/{part.name}.fmu", about, check, note)
+
+
+def _content(
+    part: Component, kernel: Kernels, version: int, targets: tuple[str, ...], place: Path
+) -> str:
+    """Write what a unit holds; what its check says on this machine."""
+    sources, name = place / "sources", part.name
+    write_sources(part, kernel, sources)
+    check = checked(sources, name)
+    (sources / "check.csv").unlink()
+    (sources / "check.c").unlink()
+    digest = hashlib.sha256((sources / f"{name}.c").read_bytes()).hexdigest()[:32]
+    token = "{" + "-".join(digest[a:b] for a, b in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32)))
+    token += "}"
+    head = f'#define FMI {version}\n#define TOKEN "{token}"\n'
+    write_text(sources / "fmi.c", head + template("fmi.c", name))
+    for target in targets:
+        command, folder = compiler(target), PLACES[target][version - 2]
+        assert command is not None  # the stage sees to it
+        library = place / "binaries" / folder / f"{name}{PLACES[target][2]}"
+        library.parent.mkdir(parents=True)
+        files = [sources / file.format(name=name) for file in SOURCES]
+        shared = ("-shared", *(() if target == "win64" else ("-fPIC", "-fvisibility=hidden")))
+        build(command, files, library, *shared)
+        for file in library.parent.iterdir():  # a linker's notes
+            if file != library:
+                file.unlink()
+    describe: Callable[..., ElementTree.Element] = {2: describe_2, 3: describe_3}[version]
+    _write_xml(place / "modelDescription.xml", describe(part, token))
+    if version == 3:
+        root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+        files = ElementTree.SubElement(
+            ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name),
+            "SourceFileSet",
+            language="C99",
+        )
+        for file in SOURCES:
+            ElementTree.SubElement(files, "SourceFile", name=file.format(name=name))
+        _write_xml(sources / "buildDescription.xml", root)
+    return check
+
+
+def _write_xml(path: Path, root: ElementTree.Element) -> None:
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    write_text(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + text + "\n")
+
+
+def _root(part: Component, version: str, **more: str) -> ElementTree.Element:
+    tool = f"ehbench {metadata.version('ehbench')}"
+    about = {"modelName": part.name, "description": part.about, "generationTool": tool}
+    about |= {"variableNamingConvention": "flat", **more}
+    return ElementTree.Element("fmiModelDescription", fmiVersion=version, **about)
+
+
+def _units(part: Component, root: ElementTree.Element) -> None:
+    units = ElementTree.SubElement(root, "UnitDefinitions")
+    for unit in sorted({item.unit for item in part.variables if _unit(item.unit)}):
+        ElementTree.SubElement(units, "Unit", name=unit)
+
+
+def _unit(unit: str) -> dict[str, str]:
+    return {} if unit in ("", "dimensionless") else {"unit": unit}
+
+
+def _rows(part: Component) -> Iterator[tuple[dict[str, str], dict[str, str]]]:
+    """(what it is, its numbers) of each variable."""
+    kinds: dict[str, dict[str, Any]] = {
+        "input": {"variability": "continuous"},
+        "output": {"variability": "continuous", "initial": "exact"},
+        "parameter": {"variability": "tunable", "initial": "exact"},
+    }
+    for number, item in enumerate(part.variables):
+        about = {"name": item.name, "valueReference": str(number), "causality": item.role}
+        values = _unit(item.unit) | {"start": repr(item.start)}
+        if item.role == "parameter":
+            bounds = {"min": item.lower, "max": item.upper}
+            values |= {key: repr(end) for key, end in bounds.items() if math.isfinite(end)}
+        yield about | kinds[item.role] | {"description": item.about}, values
+
+
+def describe_2(part: Component, token: str) -> ElementTree.Element:
+    """``modelDescription.xml`` of version 2.0."""
+    root = _root(part, "2.0", guid=token)
+    able = dict.fromkeys(("canGetAndSetFMUstate", "canSerializeFMUstate"), "true")
+    simulation = ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=part.name,
+        canHandleVariableCommunicationStepSize="true",
+        **able,
+    )
+    files = ElementTree.SubElement(simulation, "SourceFiles")
+    for file in SOURCES:
+        ElementTree.SubElement(files, "File", name=file.format(name=part.name))
+    _units(part, root)
+    ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(1.0 / part.rate))
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    for about, values in _rows(part):
+        row = ElementTree.SubElement(variables, "ScalarVariable", about)
+        ElementTree.SubElement(row, "Real", values)
+    outputs = ElementTree.SubElement(ElementTree.SubElement(root, "ModelStructure"), "Outputs")
+    for number, item in enumerate(part.variables, 1):
+        if item.role == "output":
+            ElementTree.SubElement(outputs, "Unknown", index=str(number))
+    return root
+
+
+def describe_3(part: Component, token: str) -> ElementTree.Element:
+    """``modelDescription.xml`` of version 3.0."""
+    root = _root(part, "3.0", instantiationToken=token)
+    able = dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState"), "true")
+    ElementTree.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=part.name,
+        canHandleVariableCommunicationStepSize="true",
+        fixedInternalStepSize=repr(1.0 / part.rate),
+        **able,
+    )
+    _units(part, root)
+    ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(1.0 / part.rate))
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    for about, values in _rows(part):
+        ElementTree.SubElement(variables, "Float64", about | values)
+    time = {"name": "time", "valueReference": str(len(part.variables)), "unit": "s"}
+    time |= {"causality": "independent", "variability": "continuous"}
+    ElementTree.SubElement(variables, "Float64", time)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for number, item in enumerate(part.variables):
+        if item.role == "output":
+            ElementTree.SubElement(structure, "Output", valueReference=str(number))
+    return root
