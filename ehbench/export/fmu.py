@@ -114,7 +114,7 @@ def _root(part: Component, version: str, **more: str) -> ElementTree.Element:
 
 def _units(part: Component, root: ElementTree.Element) -> None:
     units = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({item.unit for item in part.variables if _unit(item.unit)}):
+    for unit in sorted({"s", *(item.unit for item in part.variables if _unit(item.unit))}):
         ElementTree.SubElement(units, "Unit", name=unit)
 
 

@@ -78,7 +78,9 @@ def arguments_of(leaf: Leaf) -> Iterator[tuple[str, str]]:
     it, its size, shape and strides.
     """
     value = leaf.value
-    if isinstance(value, np.void):
+    if value is None:
+        yield "ptr", "0"
+    elif isinstance(value, np.void):
         yield "ptr", f"(char *)&self->{leaf.name}"
     elif isinstance(value, np.ndarray):
         yield from (("ptr", "0"), ("ptr", "0"))
