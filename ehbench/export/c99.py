@@ -279,6 +279,8 @@ class Function:
             return self._pointer(text[text.index("(") + 1 : -1])
         if kind == "double":
             return number(text)
+        if kind not in C_TYPES or not re.fullmatch(r"-?\d+", text):
+            raise refuse(f"{kind} {text}")
         bits = int(kind[1:])
         return f"{int(text) % 2**bits}{'u' if bits < 64 else 'ull'}"
 

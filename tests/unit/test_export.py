@@ -1,0 +1,222 @@
+"""Exported C and functional mock-up units against trials of ehbench, bit for bit."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ehbench import trial, workflow
+from ehbench.config.recipe import ExportRecipe, TrialRecipe, load_rig
+from ehbench.export import FORMATS, Export, c99, compiler
+from ehbench.export.source import write_sources
+from ehbench.plant.model import Model
+from ehbench.vocabulary.errors import EhbenchError
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+CC = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
+needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler is here")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
+SANE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+# every shipped rig and every built-in law
+CASES = {
+    "thesis_arm": "arc",
+    "slide_servo": "position",
+    "crane_proportional": "pressure_feedback",
+    "boom_four_valve": "open_loop",
+    "pump_cylinder": "",  # a pump moves it: commands alone
+}
+
+
+def prepared(name: str, law: str = "", seconds: float = 0.5):
+    """A short trial of the last cylinder of a rig, out and back."""
+    rig = load_rig(RECIPES / "rigs" / f"{name}.toml")
+    stroke, cylinder = float(rig.cylinder[-1].stroke), rig.cylinder[-1].name
+    keys = {"stage": "trial", "rig": "rig.toml", "duration": f"{seconds} s"}
+    if law:
+        points = [f"{share * stroke!r} m" for share in (0.4, 0.42, 0.4)]
+        gains = {"feedback_gain": "1e-12 m^3/(s*Pa)"} if law == "pressure_feedback" else {}
+        keys["motion"] = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": points}
+        keys["motion"] |= {"speed": f"{0.2 * stroke!r} m/s", "hold": "0.05 s"}
+        keys["controller"] = {"kind": law, "gains": gains}
+    recipe = TrialRecipe(path=Path("x.toml"), **keys)
+    return rig, trial.prepare(recipe, rig)
+
+
+def export_of(name: str, law: str = "", **keys) -> Export:
+    rig, ready = prepared(name, law)
+    recipe = ExportRecipe(stage="export", rig="rig.toml", path=Path("x.toml"), **keys)
+    return Export(recipe, rig, None, Path("rig.toml"), ready, {})
+
+
+def program(folder: Path, name: str, *flags: str) -> str:
+    """What the check says, compiled with all warnings as errors."""
+    files = [str(folder / "check.c"), str(folder / f"{name}.c"), "-lm"]
+    subprocess.run([CC, *STRICT, *flags, *files, "-o", str(folder / "check")], check=True)
+    done = subprocess.run(
+        [folder / "check", folder / "check.csv"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done
+    return done.stdout
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", CASES)
+def test_c_equals_a_trial_to_the_bit(name, tmp_path):
+    export = export_of(name, CASES[name])
+    record = trial.run(export.trial).record
+    for part, kernel in zip(export.components, export.kernels, strict=True):
+        write_sources(part, kernel, tmp_path / part.name)
+        said = program(tmp_path / part.name, part.name, *(SANE if name == "slide_servo" else ()))
+        outputs = len(part.role("output"))
+        assert said.startswith(f"0 of {part.rows.shape[0] * outputs} differ")
+        if part.name.endswith("valves"):
+            continue
+        late = part.name.endswith("_model")  # its outputs are those at the end of a tick
+        names = [item.name for item in part.variables if item.role != "parameter"]
+        for channel, column in zip(names, part.rows.T, strict=True):
+            if channel in record:
+                begin = 1 if late and not channel.endswith(".command") else 0
+                recorded = record[channel][begin : begin + column.size]
+                assert np.array_equal(recorded, column, equal_nan=True), channel
+
+
+@needs_compiler
+def test_a_check_that_differs_fails(tmp_path):
+    export = export_of("slide_servo")
+    part = export.components[0]
+    write_sources(part, export.kernels[0], tmp_path)
+    rows = (tmp_path / "check.csv").read_text().splitlines()
+    last = rows[-1].split(",")
+    last[-1] = repr(float(last[-1]) + 1.0)
+    (tmp_path / "check.csv").write_text("\n".join([*rows[:-1], ",".join(last), ""]))
+    with pytest.raises(AssertionError, match="1 of"):
+        program(tmp_path, part.name)
+
+
+def test_what_has_no_rule_is_refused():
+    text = "define i32 @_ZN8exportedB(ptr %a) {\nentry:\n  %x = {}\n  ret i32 0\n}\n"
+    for instruction in ("fadd <2 x double> %a, %a", "call double @llvm.fma.f64(double 1.0)"):
+        with pytest.raises(EhbenchError) as error:
+            c99.Translation(text.replace("{}", instruction, 1), "8exported", "f").source()
+        assert error.value.key == "export.untranslated"
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory):
+    """FMUs of the slide of both versions, and its rig."""
+    pytest.importorskip("fmpy", reason="fmpy is not installed")
+    if CC is None:
+        pytest.skip("no C compiler is here")
+    folder, export = tmp_path_factory.mktemp("units"), export_of("slide_servo")
+    for version in (2, 3):
+        FORMATS[f"fmu{version}"](export, folder)
+    return folder, export
+
+
+@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("changed", [{}, {"bulk_modulus": 6e8}])
+@pytest.mark.filterwarnings("ignore")  # of fmpy
+def test_a_unit_equals_the_run_of_the_model(units, version, changed):
+    from fmpy import read_model_description, simulate_fmu
+    from fmpy.validation import validate_fmu
+
+    folder, export = units
+    file = str(folder / f"fmu{version}" / "slide_servo_model.fmu")
+    assert validate_fmu(file) == []
+    about = {item.name: item for item in read_model_description(file).modelVariables}
+    assert about["press.p_head"].unit == "Pa" and about["press.x"].causality == "output"
+    assert "assumed" in about["bulk_modulus"].description
+    t = np.arange(301) / 1000.0
+    volts = np.where(t >= 0.02, 3.0 * np.sin(40.0 * t), 0.0)
+    given = np.array(list(zip(t, volts)), dtype=[("time", float), ("press.servo.command", float)])
+    names = ["press.p_head", "press.p_rod", "carriage.q", "press.servo.opening", "p_supply"]
+    result = simulate_fmu(
+        file,
+        stop_time=0.3,
+        output_interval=0.002,  # two ticks
+        input=given[::2],
+        start_values=changed,
+        output=[*names, "press.servo.command"],
+    )
+    held = np.repeat(result["press.servo.command"][1:], 2)  # what acted until then
+    before = Model.of(export.rig)
+    model = Model.of(export.rig.with_values(changed))
+    log = model.run(before.trim(before.posture(None)), np.append(held, 0.0)[:, None])
+    for name in names:
+        column = log[:, model.layout.state_names.index(name)]
+        assert np.array_equal(result[name], column[::2]), name
+
+
+def test_a_unit_refuses_what_it_cannot_do(units):
+    from fmpy import extract, read_model_description
+    from fmpy.fmi2 import FMU2Slave
+
+    file = str(units[0] / "fmu2" / "slide_servo_model.fmu")
+    about = read_model_description(file)
+    number = {item.name: item.valueReference for item in about.modelVariables}
+    folder = extract(file)
+    first, second = (
+        FMU2Slave(guid=about.guid, unzipDirectory=folder, instanceName=name,
+                  modelIdentifier=about.coSimulation.modelIdentifier)
+        for name in "ab"
+    )  # fmt: skip
+    for unit in (first, second):
+        unit.instantiate()
+        unit.setupExperiment()
+    first.setReal([number["press.servo.command"]], [5.0])
+    for unit in (first, second):
+        unit.doStep(0.0, 0.05)
+    assert first.getReal([number["press.v"]])[0] > 0.01  # and the other stands
+    assert abs(second.getReal([number["press.v"]])[0]) < 1e-9
+    for wrong in (
+        lambda: first.doStep(0.05, 0.0015),
+        lambda: first.setReal([number["bulk_modulus"]], [float("nan")]),
+        lambda: first.setReal([number["bulk_modulus"]], [-1.0]),
+        lambda: first.setReal([number["press.x"]], [0.1]),
+    ):
+        with pytest.raises(Exception, match="status"):
+            wrong()
+    for unit in (first, second):
+        unit.freeInstance()
+    shutil.rmtree(folder)
+
+
+PYTHON = """stage = "trial"
+rig = "{rigs}/slide_servo.toml"
+duration = "1 s"
+[controller]
+class = "own:Own"
+"""
+FORCE = """
+[[cylinder.force]]
+name = "pull"
+kind = "recorded"
+"""
+
+
+@pytest.mark.parametrize(
+    ("written", "options", "insisted", "key", "code"),
+    [
+        ("rig", {}, False, "export.unvalidated", 4),
+        ("python", {}, True, "export.is_code", 2),
+        ("rig", {"parts": "controller"}, True, "export.without_controller", 2),
+        ("rig", {"targets": ("win64",)}, True, "export.no_compiler", 2),
+        ("rig", {"payload": "anvil"}, True, "config.no_payload", 2),
+    ],
+)
+def test_what_cannot_be_exported(tmp_path, monkeypatch, written, options, insisted, key, code):
+    monkeypatch.setattr(compiler, "find_spec", lambda name: None)
+    source = RECIPES / "rigs" / "slide_servo.toml"
+    if written == "python":
+        source = tmp_path / "trial.toml"
+        source.write_text(PYTHON.format(rigs=RECIPES / "rigs"))
+    before = sorted(tmp_path.rglob("*"))
+    session = workflow.Session(root=tmp_path, unvalidated=insisted)
+    with pytest.raises(EhbenchError) as error:
+        workflow.export(source, options, session)
+    assert (error.value.key, error.value.exit_code) == (key, code)
+    assert sorted(tmp_path.rglob("*")) == before
