@@ -7,7 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ehbench.diagnosis.faults import hypotheses
 from ehbench.identification.covariance import Block, Prior, release_of
+from ehbench.identification.hydraulics import identify_hydraulics
+from tests.virtual_logs import virtual_log
 from tools.studies.held_study import FATIGUE, fitted, held_wrong, off_by, rig_of
 
 
@@ -63,3 +66,25 @@ def test_what_others_do_when_a_number_is_freed_is_the_least_squares_of_all():
     found = release_of([block], Prior(np.zeros(3), np.zeros(3), 1.0), np.inf)
     assert found.move == pytest.approx(0.5) and found.gain == pytest.approx(np.sum(left**2))
     assert found.follow == pytest.approx(truth[:2] - held)
+
+
+def test_a_law_of_friction_that_the_rig_file_does_not_have_is_named():
+    """The slide takes more force to start than to move: its Coulomb friction, which is fitted,
+    comes out too large.
+    """
+    rig = rig_of("slide_servo").with_values({"press.friction_coulomb": 200.0})
+    log = virtual_log("slide_servo", rig, "steps", 3)
+    rows = hypotheses(rig, ["press"], ["press.v"], [log])
+    law = next(row for row in rows if row.kind == "friction law")
+    machine = law.rig(rig, 0.02)
+    static, coulomb = (
+        float(machine.parameters()[f"press.friction_{word}"]) for word in ("static", "coulomb")
+    )
+    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
+    names = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+    fit = identify_hydraulics(rig, logs, names)
+    lean = fit.leans[0]
+    assert lean.name == "press.friction_static" and lean.there == pytest.approx(static, rel=0.1)
+    assert lean.sentence.key == "identification.absent_fixed"
+    moved = {item.name: item for item in lean.moved}["press.friction_coulomb"]
+    assert moved.here > moved.there >= coulomb and moved.halves > 2.0
