@@ -20,9 +20,6 @@ from ehbench.physics.flow_map import FlowMap, root_drop
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.terms import Z95
 
-# spans along the root of the drop of a map without pressures: it rises within the first ones
-_LEVEL_SPANS = 24
-
 
 @dataclass(frozen=True)
 class Outlier:
@@ -252,7 +249,8 @@ def _map_of(
     if result.hysteresis is not None and result.hysteresis.removed:
         more["hysteresis"] = round(result.hysteresis.value, 4)
     if r.one_drop:
-        increments, low = np.repeat(increments, _LEVEL_SPANS + 2, axis=1), 0.0 * low
+        # 24 spans along the root of the drop: the map rises within the first ones
+        increments, low = np.repeat(increments, 24 + 2, axis=1), 0.0 * low
         more["level"] = True
     return FlowMap(
         valve=valve,

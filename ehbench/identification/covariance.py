@@ -14,9 +14,6 @@ import numpy as np
 from ehbench.identification.search import LEVEL
 from ehbench.signals.series import correlation_time
 
-# logs disagree where noise alone would make them do so less often than this
-DISAGREE = 0.01
-
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -354,7 +351,8 @@ def _disagree(pulls: Sequence[np.ndarray], meats: Sequence[np.ndarray]) -> bool:
         total += float(np.sum(along**2 / values[some]))
         freedom += int(np.count_nonzero(some))
     freedom -= len(size)
-    return freedom > 0 and total > float(chdtri(freedom, DISAGREE))
+    # noise alone would make them do so in one case of a hundred
+    return freedom > 0 and total > float(chdtri(freedom, 0.01))
 
 
 def _jackknife(solved: Sequence[Eliminated], root: np.ndarray) -> np.ndarray:

@@ -20,7 +20,6 @@ from ehbench.vocabulary.text import shortened
 from ehbench.vocabulary.units import split_number
 
 CASE, RECIPE = "case", "recipe"  # columns that no key has
-SMALLEST_SHARE = 2.0**-53  # a normal draw stays finite
 
 
 @dataclass(frozen=True)
@@ -206,7 +205,8 @@ class Design:
             return None
         from scipy.special import ndtri
 
-        return ndtri(np.clip(self._shares(), SMALLEST_SHARE, 1.0 - SMALLEST_SHARE))
+        smallest = np.finfo(float).epsneg  # a normal draw stays finite
+        return ndtri(np.clip(self._shares(), smallest, 1.0 - smallest))
 
     def _shares(self) -> np.ndarray:
         import warnings

@@ -18,8 +18,6 @@ from ehbench.sampling.sample import Sample
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 
-SYNC = 1.0  # [s] between two syncs
-
 
 class Journal:
     """The samples that are done.
@@ -79,7 +77,7 @@ class Journal:
                 place = self._end
                 self._write(_line(sample))
                 self.done[sample.index], self._places[sample.index] = True, place
-        if time.monotonic() - self._synced > SYNC:
+        if time.monotonic() - self._synced > 1.0:  # [s] between two syncs
             os.fsync(self._file.fileno())
             self._synced = time.monotonic()
 

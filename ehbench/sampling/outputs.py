@@ -26,8 +26,6 @@ from ehbench.vocabulary.quantities import Quantity
 from ehbench.vocabulary.text import quoted
 from ehbench.vocabulary.units import from_si
 
-STRETCH = 4096  # rows at a time
-
 
 @dataclass(frozen=True)
 class MeasureColumn:
@@ -110,7 +108,8 @@ def write_tables(
         _parquet(folder / "samples.parquet", columns) as add,
     ):
         csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
-        for rows in _stretches(journal):
+        samples = journal.samples()
+        while rows := list(islice(samples, 4096)):
             lines = [_line(row, design, measures, key) for row in rows]
             add([*zip(*lines, strict=True)])
             csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
@@ -141,12 +140,6 @@ def _parquet(
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns])
     with ParquetWriter(path, schema) as writer:
         yield lambda columns: writer.write(pyarrow.table(list(columns), schema=schema))
-
-
-def _stretches(journal: Journal) -> Iterator[list[Sample]]:
-    samples = journal.samples()
-    while rows := list(islice(samples, STRETCH)):
-        yield rows
 
 
 def _line(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:

@@ -18,8 +18,6 @@ from ehbench.sampling.sample import STATUS, WHOLE
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 
-MOST_GROUPS = 400  # a table of more is not read
-
 
 @dataclass(frozen=True)
 class Summary:
@@ -127,7 +125,7 @@ class Summary:
         nothing where there is one combination, or too many to read.
         """
         design = self.design
-        if not 1 < design.combinations <= MOST_GROUPS:
+        if not 1 < design.combinations <= 400:  # a table of more is not read
             return []
         keys, results = [item.key for item in design.listed], []
         values = [self._values(index) for index in range(len(self.measures))]

@@ -25,8 +25,6 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
-_SHOWN = 8
-
 
 @dataclass(frozen=True)
 class NextTest:
@@ -60,7 +58,7 @@ class NextTest:
                 num(interval(*map(self._shown, proposal.interval))),
                 num("–" if proposal.share is None else f"{100.0 * proposal.share:.0f} %"),
             ]
-            for proposal in self.proposals[:_SHOWN]
+            for proposal in self.proposals[:8]
         ]
         step = message("steps.write_test", run=run, parameter=name)
         if written is not None:
