@@ -4,6 +4,7 @@ written fits. `tools/studies/suggestion_study.py` has every fault of every rig."
 from __future__ import annotations
 
 import math
+import tomllib
 from functools import cache
 from pathlib import Path
 
@@ -86,7 +87,9 @@ def test_time_is_bounded_and_what_was_not_tried_is_named():
     found = suggest(prepared, [("log", log)], lambda text, share: told.append((text, share)), 0.01)
     assert [row.changes for row in found.rows] == [()]
     assert "friction of press" in found.untried
-    (note,) = found.answer(Path("fit.toml")).notes
+    answer = found.answer(Path("fit.toml"))
+    assert answer.verdict.key == "guidance.nothing_tried"
+    (note,) = answer.notes
     assert note.key == "guidance.untried" and "friction of press" in note.fields["names"]
     assert told[0][0].startswith("suggest") and told[-1] == ("suggest: done", 1.0)
 
@@ -111,6 +114,9 @@ def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     assert '[dynamics.press_servo_delay] kind = "delay"' in told and "new/fit.toml" in told
     rows = read_json(tmp_path / "new" / "suggestions.json")
     assert rows[0]["freedom"] == 2
+    written = tomllib.loads((tmp_path / "new" / "fit.toml").read_text())
+    (sensor,) = written["sensor"]  # begins where the trials have come to
+    assert float(sensor["offset"]["value"].split()[0]) == pytest.approx(5e5, rel=0.05)
     made = workflow.run(tmp_path / "new" / "fit.toml", workflow.Session(root=tmp_path / "runs"))
     found = {row["name"]: row for row in made.json("parameters")["parameters"]}
     assert found["press_servo_delay.delay"]["value"] == pytest.approx(0.015, abs=5e-4)

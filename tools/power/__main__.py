@@ -38,10 +38,12 @@ model has one error: coloured noise and several errors are not in these tables.
 
 ## Models with one error
 
+<!-- power wrong -->
 {wrong}
 
 ## Exact models
 
+<!-- power exact -->
 {exact}
 """
 
