@@ -104,7 +104,7 @@ Suggest = Annotated[
 Seconds = Annotated[
     float, _option("--seconds", help="With --suggest: for how long to try.", min=1.0)
 ]
-Profile = Annotated[
+ProfileOf = Annotated[
     str | None,
     _option(
         "--profile",
@@ -144,7 +144,7 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
     "unvalidated": (Unvalidated, False),
     "suggest": (Suggest, False),
     "seconds": (Seconds, 120.0),
-    "profile": (Profile, None),
+    "profile": (ProfileOf, None),
     "workers": (Workers, ""),
     "tls_ca_file": (_pem("--tls-ca-file", "who signs the cluster's certificates"), None),
     "tls_cert": (_pem("--tls-cert", "your certificate"), None),
@@ -205,8 +205,8 @@ def init(
     _say(answer, Says(as_json=as_json))
 
 
-@app.command(epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
-def check(
+@app.command("check", epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
+def check_file(
     file: Annotated[
         Path, typer.Argument(help="A rig, recipe, map of columns, flowmeter CSV or log.")
     ],
@@ -253,7 +253,7 @@ def _runner(command: Command) -> Callable[..., None]:
                 result = workflow.suggest(read, session, seconds)
             _say(result.answer(recipe, None if out is None else out / read.path.name), says)
         else:
-            _run(command.name, recipe, out, says, **more)
+            _run_recipe(command.name, recipe, out, says, **more)
 
     names = [*list(_OPTIONS)[:4], *command.options]
     kind = Parameter.POSITIONAL_OR_KEYWORD
@@ -328,17 +328,18 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
     }
     says = Says.of(loud, as_json)
     _say_first(says.quiet)
-    with _progress(says.quiet) as tell:
-        session = workflow.Session(out=out, progress=tell, unvalidated=unvalidated)
+    with _progress(says.quiet) as report_progress:
+        session = workflow.Session(out=out, progress=report_progress, unvalidated=unvalidated)
         built = workflow.export(source, options, session)
     _say(answer(built.folder, built.notes, built.code), says)
     raise typer.Exit(built.code)
 
 
 @app.command(
-    epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report"
+    "report",
+    epilog="Example:  ehbench report reports/flow_maps_* reports/validation_* --out my_report",
 )
-def report(
+def report_runs(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Run folders.")],
     out: Out = None,
     loud: Loud = None,
@@ -385,8 +386,11 @@ def reproduce(
     raise typer.Exit(built.code)
 
 
-@app.command(epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b")
-def compare(
+@app.command(
+    "compare",
+    epilog="Example:  ehbench compare reports/identify_1a2b3c4d reports/identify_5e6f7a8b",
+)
+def compare_runs(
     first: Annotated[Path, typer.Argument(metavar="RUN", help="A run folder.")],
     second: Annotated[Path, typer.Argument(metavar="RUN", help="Another of the same stage.")],
     verbose: Verbose = False,
@@ -544,7 +548,7 @@ def wire(
     from ehbench.app import linking
 
     chosen = {"c": c, "m": m, "py": py, "dbc": dbc, "csv": csv}
-    kind = next((name for name, wanted in chosen.items() if wanted), "csv")
+    kind = next((name for name, is_chosen in chosen.items() if is_chosen), "csv")
     print(linking.wire(rig, kind, rate, out), end="")
 
 
@@ -562,8 +566,8 @@ def link(
     raise typer.Exit(code)
 
 
-@app.command(epilog="Example:  ehbench serve recipes/trials/arc_slow.toml --on bench")
-def serve(
+@app.command("serve", epilog="Example:  ehbench serve recipes/trials/arc_slow.toml --on bench")
+def serve_machine(
     file: Annotated[Path, typer.Argument(help="A trial, whose machine it is, or a bench file.")],
     at: Annotated[
         str, typer.Option("--at", metavar="URL", help="Where.")
@@ -584,7 +588,7 @@ def serve(
     linking.serve(file, at, on, rate, 1e-3 * watchdog, allow_code)
 
 
-def _run(
+def _run_recipe(
     command: str,
     file: Path,
     out: Path | None,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 DURATION = "20 ms"
 
 
-def move(cylinder: Cylinder) -> dict[str, Any]:
+def short_motion(cylinder: Cylinder) -> dict[str, Any]:
     """What a trial's recipe says of a short motion."""
     points = [f"{share * float(cylinder.stroke)!r} m" for share in (0.4, 0.401)]
     motion = {"kind": "point_to_point", "cylinder": cylinder.name, "waypoints": points}
@@ -44,7 +44,7 @@ def move(cylinder: Cylinder) -> dict[str, Any]:
 
 def recipes(rig: Rig, machine: str) -> Iterator[dict[str, Any]]:
     """What a trial's recipe says, for every law on a machine; the open loop first."""
-    motion = move(rig.cylinder[0])
+    motion = short_motion(rig.cylinder[0])
     yield {"on": machine, "duration": DURATION}
     for name in LAW_NAMES:
         need = LAWS[name].required
@@ -93,7 +93,7 @@ def together(what: str) -> str:
     from ehbench.trial import run
 
     rig = load_rig(shipped("recipes") / "rigs" / "thesis_arm.toml")
-    motion, *others = map(move, rig.cylinder)
+    motion, *others = map(short_motion, rig.cylinder)
     run(prepared(rig, {"motion": motion | {"also": others}, "controller": {"kind": "arc"}}))
     return what
 

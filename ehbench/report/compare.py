@@ -147,12 +147,12 @@ def _parameters(run: Saved) -> dict[str, tuple[float | None, Ends | None]]:
     path = run.folder / "parameters.json"
     if path.is_file():
         rows = Table(read_json(path), path)["parameters"]
-        return {row["name"]: (row.number("value"), _ends(row.get("interval"))) for row in rows}
+        return {row["name"]: (row.number("value"), _interval(row.get("interval"))) for row in rows}
     if run.what == "flow_map":
         return {
             f"{row['valve']}.{row['direction']}.deadband": (
                 row.number("deadband"),
-                _ends(row["deadband_interval"]),
+                _interval(row["deadband_interval"]),
             )
             for row in run.rows("summary.json")
         }
@@ -166,7 +166,7 @@ def _parameters(run: Saved) -> dict[str, tuple[float | None, Ends | None]]:
     return known
 
 
-def _ends(interval: Any) -> Ends | None:
+def _interval(interval: Any) -> Ends | None:
     return (interval[0], interval[1]) if interval and None not in interval else None
 
 
@@ -176,13 +176,13 @@ def answer(result: Comparison, rig: Rig | None) -> Answer:
     """
     head = ["parameter", "first", "second", "unit", "intervals apart"]
     inputs, numbers = (
-        [[item.what, _short(item.first), _short(item.second)] for item in items]
+        [[item.what, _abbreviated(item.first), _abbreviated(item.second)] for item in items]
         for items in (result.inputs, result.numbers)
     )
     rows = []
     for item in result.parameters:
         pairs = ((item.first, item.first_interval), (item.second, item.second_interval))
-        cells = [num(_text(rig, item.name, value, ends)) for value, ends in pairs]
+        cells = [num(_number_text(rig, item.name, value, ends)) for value, ends in pairs]
         unit = "" if rig is None else pretty(unit_of(rig, item.name))
         rows.append([item.name, *cells, unit, num(number(item.intervals, 2))])
     tables = [
@@ -207,12 +207,12 @@ def rig_of(folder: Path) -> Rig | None:
     return Saved(folder).rig if (folder / "rig.toml").is_file() else None
 
 
-def _short(text: str) -> str:
+def _abbreviated(text: str) -> str:
     """A digest by its first letters."""
     return text[:8] if re.fullmatch("[0-9a-f]{64}", text) else text or DASH
 
 
-def _text(rig: Rig | None, name: str, value: float | None, ends: Ends | None) -> str:
+def _number_text(rig: Rig | None, name: str, value: float | None, ends: Ends | None) -> str:
     """A number with its interval, in the rig's unit; in SI the number alone."""
     if rig is None or value is None:
         return number(value)

@@ -79,7 +79,9 @@ def _numbers(file: str, value: Any, where: list[str]) -> Iterator[NamedResult]:
         whole = value.get("value")
         if _is_number(whole):
             ends = value.get("interval") or [value.get("low"), value.get("high")]
-            yield NamedResult(file, ".".join(where), whole, _unit(value, where), _pair(ends), about)
+            yield NamedResult(
+                file, ".".join(where), whole, _unit_of(value, where), _pair(ends), about
+            )
         for key, inside in value.items():
             if key in ("value", "correlation") or key.endswith("interval"):
                 continue
@@ -87,7 +89,7 @@ def _numbers(file: str, value: Any, where: list[str]) -> Iterator[NamedResult]:
                 yield from _numbers(file, inside, [*where, key])
             elif not _is_number(whole):
                 ends, path = _pair(value.get(f"{key}_interval")), ".".join([*where, key])
-                yield NamedResult(file, path, inside, _unit({}, [key]), ends, about)
+                yield NamedResult(file, path, inside, _unit_of({}, [key]), ends, about)
     elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):
         outer = where if where[-1:] != ["parameters"] else where[:-1]
         for index, item in enumerate(value):
@@ -99,7 +101,7 @@ def _is_number(value: Any) -> TypeGuard[bool | int | float]:
     return isinstance(value, bool | int | float)
 
 
-def _unit(table: Mapping[str, Any], where: Sequence[str]) -> str:
+def _unit_of(table: Mapping[str, Any], where: Sequence[str]) -> str:
     if isinstance(table.get("unit"), str):
         return table["unit"]
     row = VOCABULARY.get(where[-1]) if where else None

@@ -74,7 +74,7 @@ class TracedRun:
         name, digest = facts.get("path", ""), facts.get("sha256", "")
         places = [*self._noted("recipe"), *self._noted("argv")]
         places = [place for place in places if place.name == name]
-        return Source("recipe", name, _first([*places, self.folder.parent / name]), digest)
+        return Source("recipe", name, _existing([*places, self.folder.parent / name]), digest)
 
     @cached_property
     def sources(self) -> list[Source]:
@@ -85,7 +85,7 @@ class TracedRun:
         for index, item in enumerate(self.run.facts.get("inputs", [])):
             name = item["path"]
             places = [*noted[index : index + 1], base / name, self.folder.parent / name]
-            sources.append(Source(item["role"], name, _first(places), item["sha256"]))
+            sources.append(Source(item["role"], name, _existing(places), item["sha256"]))
         return sources
 
     def _noted(self, key: str) -> list[Path]:
@@ -107,7 +107,7 @@ def unsupported(folder: Path) -> list[Message]:
     return [change for change in changes if change.key != "report.input_missing"]
 
 
-def _first(places: Iterable[Path]) -> Path | None:
+def _existing(places: Iterable[Path]) -> Path | None:
     return next((place for place in places if place.is_file() or place.is_dir()), None)
 
 

@@ -48,7 +48,7 @@ def standstill_caption(
             function, idle = record[names[0]].round(), record[names[1]] == 0.0
             count = int(np.sum((np.diff(function) != 0.0) & idle[1:] & idle[:-1]))
             often |= {law: count} if count >= changes else {}
-        for name in () if case.steps else _commands(case, record):
+        for name in () if case.steps else _command_names(case, record):
             size = _chatter(case, record, record[name], window)
             if size > max(worst[0], chatter * float(np.abs(record[name]).max())):
                 worst = (size, name.removesuffix(".command").rpartition(".")[2], law)
@@ -58,7 +58,7 @@ def standstill_caption(
         still=not any(
             np.ptp(record[name][record.t > record.t[-1] - 0.15]) > 0.0
             for case, record in known
-            for name in _commands(case, record)
+            for name in _command_names(case, record)
         ),
         often=often,
         worst=worst,
@@ -84,7 +84,7 @@ def swing_after(case: Case, record: Record, soon: float = 0.15) -> tuple[float, 
     return float(speed.max()), float(speed[-max(speed.size // 10, 5) :].max())
 
 
-def _commands(case: Case, record: Record) -> list[str]:
+def _command_names(case: Case, record: Record) -> list[str]:
     first = f"{case.cylinder}."
     return [c for c in record.channels if c.startswith(first) and c.endswith(".command")]
 

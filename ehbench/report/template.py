@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import jinja2
 
 
-def _times(value: float | None, factor: float) -> float | None:
+def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else factor * value
 
 
@@ -55,7 +55,7 @@ _FILTERS: dict[str, Any] = {
     "text": Cell,
     "digits": num,
     "name": lambda text: Cell(text, "name"),
-    "times": _times,
+    "times": _scaled,
     "meaning": lambda name: words.row_of(name).meaning,
 }
 _RIG_FILTERS: dict[str, Any] = {
@@ -74,7 +74,7 @@ _RIG_FILTERS: dict[str, Any] = {
     "ranged": captions.ranged_in,
     # a number of a decay with its 95 % interval; why there is none, as a hint
     "ring": lambda rig, ring, key: Cell(
-        captions.plus(rig, key, ring.get(key), _times(ring.get(f"{key}_std"), Z95)),
+        captions.plus(rig, key, ring.get(key), _scaled(ring.get(f"{key}_std"), Z95)),
         "number",
         hint=ring.get("reason", ""),
     ),
@@ -139,7 +139,7 @@ class Template:
         if kind == "digits" or isinstance(value, str):
             return num(words.DASH if value is None else str(value))
         if kind == "percent":
-            value = _times(value, 100.0)
+            value = _scaled(value, 100.0)
         elif kind in VOCABULARY and self.rig is not None:
             value = words.shown(self.rig, kind, value)
         return num(words.number(value, column.digits))

@@ -67,7 +67,7 @@ class Answer:
             out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")
         for item in self.tables if whole else self.tables[:1]:
             columns = () if whole else self.columns
-            out += ["", *table(item, columns, sys.maxsize if whole else width), ""]
+            out += ["", *table_lines(item, columns, sys.maxsize if whole else width), ""]
         last = [plural(len(self.notes), "note") + f" {self.notes_in}"] if self.notes else []
         last = [] if whole else last
         last += [] if self.place is None else [str(self.place)]
@@ -193,13 +193,13 @@ def values(folder: Path) -> dict[str, Any]:
 
 def _rows(grid: Grid) -> list[dict[str, str]]:
     """The rows of a table by its head; one table of names and values where it has no head."""
-    rows = [[_text(cell) for cell in row] for row in grid.rows]
+    rows = [[_cell_text(cell) for cell in row] for row in grid.rows]
     if not any(grid.head):
         return [{row[0]: row[1] for row in rows}]
     return [dict(zip(grid.head, row, strict=True)) for row in rows]
 
 
-def table(
+def table_lines(
     grid: Grid, columns: Sequence[str] = (), width: int = 100, readable: int = 20
 ) -> Iterator[str]:
     """A table in columns of one width each: those that are named (none: all), as many as fit; a
@@ -208,7 +208,7 @@ def table(
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))
     cells = [[grid.head[i] for i in places]] if any(grid.head) else []
-    cells += [[_text(row[i]) for i in places] for row in grid.rows]
+    cells += [[_cell_text(row[i]) for i in places] for row in grid.rows]
     looks = [{getattr(row[i], "look", "") for row in grid.rows} for i in places]
     digits = [look <= {"number"} for look in looks]
     wide = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -231,5 +231,5 @@ def table(
     yield from lines
 
 
-def _text(cell: Cell | str) -> str:
+def _cell_text(cell: Cell | str) -> str:
     return cell.text if isinstance(cell, Cell) else cell

@@ -25,7 +25,7 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     runs = page.text("runs", runs=sorted({case.row.get("seeds", 1) for case in cases} - {1}))
     tables: list[Block] = []
     if any(case.steps for case in cases):
-        tables.append(_steps(page, ordered, runs))
+        tables.append(_steps_table(page, ordered, runs))
     tables.append(_tracking(page, ordered, runs))
     shares = [share for case in ordered for share in limits_of(case.row).items()]
     if met := list(dict.fromkeys(name for name, share in shares if share > 0.0)):
@@ -49,7 +49,7 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     return tables
 
 
-def _steps(page: Template, cases: Sequence[Case], runs: str, stands: float = 1e-3) -> Grid:
+def _steps_table(page: Template, cases: Sequence[Case], runs: str, stands: float = 1e-3) -> Grid:
     """A row a step; one that misses less than ``stands`` of its speed to stand still, stands."""
     doubts = dict.fromkeys(doubt for case in cases for s in case.steps if (doubt := damping(s)[1]))
     places = {doubt: place for place, doubt in enumerate(doubts, 1)}
@@ -150,7 +150,7 @@ def _recipe_rows(recipe: Mapping[str, Any], key: str) -> list[list[Cell | str]]:
         rows.append([Cell(f"{key}: {name}", "name"), ""])
         for field, value in entry.items():
             if field != "name":
-                rows.append([Cell(field, "code"), Cell(_plain(value), "code")])
+                rows.append([Cell(field, "code"), Cell(_toml_text(value), "code")])
     return rows
 
 
@@ -168,7 +168,7 @@ def _by_controller(
         of, _, word = name.rpartition(".")
         row = row_of(name)
         cells = [
-            _values(rig, name, [table[name] for table in item if name in table])
+            _span_cell(rig, name, [table[name] for table in item if name in table])
             for item in tables.values()
         ]
         meaning = f"{words(of)}: {row.meaning}" if of else row.meaning
@@ -177,7 +177,7 @@ def _by_controller(
     return (["", "", *(words(name) for name in tables), "unit"], rows) if rows else None
 
 
-def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
+def _span_cell(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
     """A number that a controller had in all trials, or from the least to the largest; a pair of
     bounds as ``low … high``.
     """
@@ -189,9 +189,9 @@ def _values(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
     return num(low if lows == highs else f"{low} … {high}")
 
 
-def _plain(value: Any) -> str:
+def _toml_text(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{name} = {_plain(item)}" for name, item in value.items())
+        return ", ".join(f"{name} = {_toml_text(item)}" for name, item in value.items())
     if isinstance(value, list):
-        return ", ".join(_plain(item) for item in value)
+        return ", ".join(_toml_text(item) for item in value)
     return {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)

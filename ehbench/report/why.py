@@ -110,12 +110,12 @@ def origin(name: str, folder: Path) -> Origin:
     result = named_result(traced.run, name)
     rig = next((source for source in traced.sources if source.role == "rig"), None)
     if rig and rig.run and result.file == "parameters.json" and (rig.run / result.file).is_file():
-        found = origin(result.path, rig.run)
-        return replace(found, changes=tuple(dict.fromkeys([*changes, *traced.changes()])))
+        fitted = origin(result.path, rig.run)
+        return replace(fitted, changes=tuple(dict.fromkeys([*changes, *traced.changes()])))
     return Origin(
         run=str(traced.folder),
         result=result,
-        shown=_shown(traced.run, result),
+        shown=_value_text(traced.run, result),
         method=_method(traced.run, result),
         windows=tuple(_windows(traced.recipe)),
         sources=tuple(traced.sources),
@@ -125,7 +125,7 @@ def origin(name: str, folder: Path) -> Origin:
     )
 
 
-def _shown(run: Saved, result: NamedResult) -> str:
+def _value_text(run: Saved, result: NamedResult) -> str:
     """The number with its interval, in the rig's units if it is one of the rig's parameters."""
     if isinstance(result.value, bool):
         return str(result.value).lower()

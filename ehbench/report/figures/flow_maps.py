@@ -53,7 +53,7 @@ def flow_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
     look = {"sharex": True, "squeeze": False, "height_ratios": ratios}
     with canvas(path, len(ratios), 1, (7.2, 5.6), **look) as (figure, axes):
         main = axes[0, 0]
-        ends, tops = _curves(main, rig, item, drop, colours)
+        ends, tops = _map_curves(main, rig, item, drop, colours)
         flows = shown(rig, "flow", points.flow[~points.outlier]).tolist()
         high = max([*(y for y, _ in ends.values()), *tops, *flows, 1e-12])
         low = min([0.0, *flows])
@@ -99,7 +99,7 @@ def level_map(path: Path, rig: Rig, item: FlowMap, points: Points) -> None:
         legend(figure, [swatch("95 % band", colour, alpha=0.3, linewidth=0)])
 
 
-def _curves(
+def _map_curves(
     ax, rig: Rig, item: FlowMap, drop: np.ndarray, colours: dict
 ) -> tuple[Ends, list[float]]:
     """A curve a command with its band, and the line of a shut valve; gives where they end and the

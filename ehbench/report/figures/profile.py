@@ -13,7 +13,7 @@ from ehbench.report.words import axis, shown
 from ehbench.vocabulary.terms import Z95
 
 
-def profile(path: Path, rig: Rig, result: Table) -> None:
+def profile_curve(path: Path, rig: Rig, result: Table) -> None:
     """Rise of −2 log likelihood over the parameter, with the 95 % level of χ² with one degree of
     freedom; below, the other parameters relative to their values at its best.
     """

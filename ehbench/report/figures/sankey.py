@@ -99,7 +99,7 @@ class _Account:
         return f"{node}: " if named else ""
 
 
-def _flows(account: _Account) -> list[_Flow]:
+def _ribbons(account: _Account) -> list[_Flow]:
     """The ribbons of a ledger: pump → oil of each cylinder → mechanism, and what leaves or enters
     on the way.
     """
@@ -244,7 +244,7 @@ class _Layout:
 
 
 def _layout(account: _Account) -> _Layout:
-    flows = _flows(account)
+    flows = _ribbons(account)
     nodes = {  # from right to left, mechanism and load drawn at the left where they drive
         MECHANISM: (0.16 if account.uphill else 0.62, MECHANISM, GROUPS["load"][0]),
         **{cylinder: (0.36, cylinder, INK) for cylinder in account.busy},

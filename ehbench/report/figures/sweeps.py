@@ -30,7 +30,7 @@ def sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -> Non
         for column, sweep in enumerate(result):
             for side, look in _LOOKS.items():
                 if sweep.get(side) is not None:
-                    _curves(axes[:, column], rig, sweep, side, look)
+                    _draw_side(axes[:, column], rig, sweep, side, look)
             top, middle, bottom = axes[:, column]
             unit = pretty(unit_of(rig, sweep["channel"]))
             title = title_of(sweep["channel"])
@@ -52,7 +52,7 @@ def sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -> Non
         legend(figure, [key(side, **look) for side, look in _LOOKS.items()])
 
 
-def _curves(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> None:
+def _draw_side(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> None:
     curve, channel = sweep[side], sweep["channel"]
     frequency = np.array(curve["frequency"], float)
     coherent = np.array(sweep["recorded"]["coherent"], bool)

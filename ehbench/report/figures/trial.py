@@ -132,7 +132,9 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
     with canvas(path, len(panels), 1, size, **look) as (figure, axes):
         places = dict(zip(panels, axes[:, 0], strict=True))
         for word, text in (("x", "Stroke"), ("v", "Cylinder speed")):
-            _motion(places[word], rig, record, f"{cylinder}.{word}", axis(rig, word, text))
+            _actual_and_desired(
+                places[word], rig, record, f"{cylinder}.{word}", axis(rig, word, text)
+            )
         if "error" in places:
             ax, error = places["error"], tracking_error(rig, record, cylinder)
             ax.plot(*thin(record.t, error), color=RECORDED, linewidth=1.0)
@@ -152,7 +154,7 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
         legend(figure, handles, 3)
 
 
-def _motion(ax, rig: Rig, record: Record, name: str, title: str) -> None:
+def _actual_and_desired(ax, rig: Rig, record: Record, name: str, title: str) -> None:
     """Actual and desired, and shaped where the shaping changed it."""
     desired, shaped = f"{name}_desired", f"{name}_shaped"
     plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.2, label="actual")

@@ -55,7 +55,7 @@ def wide_panels(cases: Sequence[Named], far_apart: float = 8.0) -> dict[str, flo
     return panels
 
 
-def compare(path: Path, rig: Rig, cases: Sequence[Named], commands_of: int = 3) -> None:
+def compare_controllers(path: Path, rig: Rig, cases: Sequence[Named], commands_of: int = 3) -> None:
     """Several controllers on one motion: stroke, speed and tracking error, both pressures,
     functions, and the commands of so many controllers at most.
     """

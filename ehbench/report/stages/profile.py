@@ -18,7 +18,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
     result = run.json("profile.json")
     caption = Template("profile").text("caption")
     path = index.add("profile", f"Profile of {result['name']}", caption, FigureKey("profile"))
-    figures.profile(path, run.rig, result)
+    figures.profile_curve(path, run.rig, result)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:

@@ -49,7 +49,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for item in study["inputs"]:
         x = table[_head(item["key"], item["unit"])]
         if item["varied"] != "seed" and not item["is_text"] and np.ptp(x) > 0.0:
-            inputs.append((_head(item["key"], _unit(item)), x))
+            inputs.append((_head(item["key"], _input_unit(item)), x))
     marks = np.array([item["sample"] for item in study["worst"]], int)
     for measure in study["measures"]:
         name, y = measure["name"], table[_head(measure["name"], measure["unit"])]
@@ -58,10 +58,10 @@ def draw(run: Saved, index: FigureIndex) -> None:
             continue
         target = targets.get(name)
         path = place("spread", f"Spread of {name}", "spread", name, target=target)
-        figures.distribution(path, _shown(measure), y[there], measure, target)
+        figures.distribution(path, _label(measure), y[there], measure, target)
         if inputs:
             path = place("over", f"{name} over the inputs", "over", name)
-            figures.scatter(path, _shown(measure), y, inputs[:12], marks)
+            figures.scatter(path, _label(measure), y, inputs[:12], marks)
     for item in study["sensitivity"]:
         rows = sorted(item["inputs"], key=lambda row: -abs(row.get("total", row.get("rank", 0.0))))
         text = "sobol" if item["method"] == "sobol" else "rank"
@@ -79,18 +79,18 @@ def draw(run: Saved, index: FigureIndex) -> None:
             z[i, j] = np.nan if median is None else median
         if np.isfinite(z).any():
             path = place("map", f"Map of {measure['name']}", "map", measure["name"])
-            figures.field(path, keys, ticks, z, _shown(measure))
+            figures.field(path, keys, ticks, z, _label(measure))
 
 
 def _head(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _shown(item: Table) -> str:
+def _label(item: Table) -> str:
     return _head(words(item["name"]), pretty(item["unit"]))
 
 
-def _unit(item: Table) -> str:
+def _input_unit(item: Table) -> str:
     """The unit of an input; that of factors is ×."""
     return "×" if item["factor"] else pretty(item["unit"])
 
@@ -114,26 +114,26 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         results.append(page.table("targets", study["targets"], text=page.text))
     moves: list[Block] = [Bullets(explained)] if explained else []
     inputs = [
-        (place, _head(item["key"], _unit(item)))
+        (place, _head(item["key"], _input_unit(item)))
         for place, item in enumerate(study["inputs"])
         if item["varied"] != "seed"
     ]
-    measures = [(place, _shown(measure)) for place, measure in enumerate(study["measures"])]
+    measures = [(place, _label(measure)) for place, measure in enumerate(study["measures"])]
     worst = page.table("worst", study["worst"], inputs=inputs, measures=measures)
     parts = [
         Part("Results", results),
-        Part("By swept values", [*_groups(page, study), *pictures(FigureKey("map"))]),
+        Part("By swept values", [*_group_tables(page, study), *pictures(FigureKey("map"))]),
         Part("Spread", [*pictures(FigureKey("spread"))]),
         Part("What moves them", [*moves, *pictures(FigureKey("moves"))]),
         Part("The worst", [*[worst] * bool(worst.rows), *pictures(FigureKey("over"))]),
-        Part("Inputs", [page.table("inputs", study["inputs"], unit=_unit)], paper=False),
+        Part("Inputs", [page.table("inputs", study["inputs"], unit=_input_unit)], paper=False),
     ]
     ended = sum(study["status"].get(word, 0) for word in _ENDED)
     sentence = page.text("sentence", study=study, ended=ended)
     return SectionContent("done", sentence, [part for part in parts if part.inside])
 
 
-def _groups(page: Template, study: Table, maximum: int = 60) -> list[Block]:
+def _group_tables(page: Template, study: Table, maximum: int = 60) -> list[Block]:
     """Medians and upper quantiles of each combination of listed values, up to a maximum of rows."""
     groups = study["groups"]
     if not groups or len(groups) > maximum:
@@ -141,7 +141,7 @@ def _groups(page: Template, study: Table, maximum: int = 60) -> list[Block]:
     ways = [(", median", "median"), (", 95 %", "q95"), (", maximum", "maximum")]
     ways = ways if study["points"] > 1 else [("", "median")]
     measures = [
-        (place, f"{_shown(measure)}{text}", key)
+        (place, f"{_label(measure)}{text}", key)
         for place, measure in enumerate(study["measures"])
         for text, key in ways
     ]

@@ -71,7 +71,7 @@ def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> Non
         FigureKey("compare", payload=payload, motion=motion),
     )
     names = [case.row["controller"] for case in cases]
-    figures.compare(path, rig, list(zip(names, cases, records, strict=True)))
+    figures.compare_controllers(path, rig, list(zip(names, cases, records, strict=True)))
 
 
 def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:

@@ -80,7 +80,7 @@ def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence
         if not source.exists():
             raise InputError(message("report.no_file"), file=source)
         if source.is_dir() and not (source / "metadata.yaml").is_file():
-            sheets = _run(source, of)
+            sheets = _run_sheets(source, of)
         elif source.suffix == ".json":
             sheets = (_map(item, None, of) for item in load_flow_maps(source).each())
         elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
@@ -98,7 +98,7 @@ def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence
     return _render(names, [_data(sheet, len(drawn)) for sheet in drawn], changes)
 
 
-def _run(folder: Path, of: int) -> Iterator[Sheet]:
+def _run_sheets(folder: Path, of: int) -> Iterator[Sheet]:
     """The logs, comparisons and maps of a run folder."""
     run = Saved(folder)
     rig = run.rig if (folder / "rig.toml").is_file() else None
