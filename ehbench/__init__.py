@@ -114,7 +114,11 @@ def check(file: str | Path) -> Inspection:
 
 
 def identify(
-    recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None
+    recipe: str | Path,
+    *,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+    allow_code: bool = False,
 ) -> Outcome:
     """Run a recipe of stage ``identify``: flow maps from readings, or hydraulics from step logs.
 
@@ -124,11 +128,15 @@ def identify(
 
     Arguments and errors as in `run`.
     """
-    return _run(recipe, "identify", out, progress)
+    return _run(recipe, "identify", out, progress, allow_code=allow_code)
 
 
 def validate(
-    recipe: str | Path, *, out: str | Path | None = None, progress: Progress | None = None
+    recipe: str | Path,
+    *,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+    allow_code: bool = False,
 ) -> Outcome:
     """Run a recipe of stage ``validate``; ``.code`` is 4 when the rig is rejected and
     ``.json("validation")`` says why.
@@ -139,7 +147,7 @@ def validate(
 
     Arguments and errors as in `run`.
     """
-    return _run(recipe, "validate", out, progress)
+    return _run(recipe, "validate", out, progress, allow_code=allow_code)
 
 
 def tune(
@@ -317,7 +325,7 @@ def run(
         out: the run's folder; ``reports/<recipe>_<hash8>/`` by default.
         progress: called with an activity and the share done.
         unvalidated: tune on a rig that no validation accepted.
-        allow_code: let the recipe run a controller of your own, which is Python code.
+        allow_code: let the recipe run a controller or an FMU of your own.
 
     Returns:
         The outcome: ``.folder``, ``.code``, ``.notes``, and what the run saved: ``.rig``,

@@ -225,12 +225,19 @@ def machine_of(
     Raises:
         EhbenchError: no such payload, as `prepared_trial`.
     """
+    from ehbench.machines.fmu import FmuMachine
     from ehbench.machines.simulated import SimulatedMachine
+    from ehbench.plant.foreign import FmuModel
     from ehbench.plant.model import Model
+    from ehbench.stages.inputs import refuse_fmu
 
     if path.is_file() and kind_of(path) == "recipe":
         return prepared_trial(path, session).machine
-    return SimulatedMachine(Model.of(load_rig(path), maps_in(path), payload), rate)
+    rig, maps = load_rig(path), maps_in(path)
+    refuse_fmu(rig, session is not None and session.allow_code)
+    if rig.model is not None:
+        return FmuMachine(FmuModel.of(rig, maps, payload), rate)
+    return SimulatedMachine(Model.of(rig, maps, payload), rate)
 
 
 @one_thread()

@@ -89,7 +89,7 @@ Columns = Annotated[
     Path | None, _option("--columns", help="A map of the columns of a log by others.")
 ]
 AllowCode = Annotated[
-    bool, _option("--allow-code", help="Let recipes run Python code: controllers of your own.")
+    bool, _option("--allow-code", help="Let code of your own run: a controller, an FMU.")
 ]
 Unvalidated = Annotated[
     bool, _option("--unvalidated", help="Tune on a rig that no validation accepted.")

@@ -19,7 +19,7 @@ from ehbench.runtime.disk import impossible
 from ehbench.signals.oddities import oddities
 from ehbench.stages import Stage, stage_of
 from ehbench.stages.dry_run import DryRun
-from ehbench.stages.inputs import with_orifices
+from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
 from ehbench.stages.validation import in_rig_unit
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
@@ -114,6 +114,7 @@ def _recipe(path: Path, dry_run: DryRun) -> Inspection:
 
 def _rig(path: Path) -> Inspection:
     rig = load_rig(path)
+    refuse_fmu(rig, True)
     counts = {
         "joint": len(rig.joint_names),
         "cylinder": len(rig.cylinder),

@@ -36,7 +36,7 @@ from ehbench.identification.search import Coordinate, Where, coordinates, of_sen
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
 from ehbench.parts.edge import edge_law
 from ehbench.plant.build import Maps, map_of
-from ehbench.plant.model import Model
+from ehbench.plant.foreign import model_of
 from ehbench.plant.paced import AUTO, Step
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import payload_of
@@ -173,9 +173,9 @@ def prepare_fit(
         except InputError as error:
             text = f"{name}: {error.message}"
             raise InputError(text, **where("data", index), hint=error.hint) from None
-        model = Model.of(rig, flow_maps, payload_of(record))
+        model = model_of(rig, flow_maps, payload_of(record))
         log = prepare(model, record, name, requested.channels, terms, decimate, requested.cutoff)
-        freed = any(parameter.endswith(".deadband") for parameter in parameters)
+        freed = rig.model is not None or any(name.endswith(".deadband") for name in parameters)
         if not freed and (why := shut(model, log)):
             closed.append(message("identification.all_shut", log=name, reason=why))
             log = replace(log, warnings=(*log.warnings, closed[-1]))
@@ -257,8 +257,13 @@ def _refuse_inert(
     rig: Rig, parameters: Sequence[str], flow_maps: Maps | None, where: Where
 ) -> None:
     """Refuse the law's numbers of an edge that goes by its measured map, and the factor of one that
-    does not.
+    does not; of an FMU what it does not take.
     """
+    known = rig.parameters() if rig.model is None else rig.model.parameters
+    for name in parameters:
+        if rig.model is not None and name not in known:
+            text = message("identification.fmu_parameter", name=name, known=", ".join(known))
+            raise InputError(text, **where("parameters"))
     for edge_name, edge in rig.all_edges().items():
         measured = map_of(flow_maps, edge_name) is not None
         for word in (n.rpartition(".")[2] for n in parameters if n.rpartition(".")[0] == edge_name):
@@ -283,6 +288,10 @@ def run_fit(
     """
     requested, search = prepared.options, prepared.search
     simulator, maximum = simulator_of(prepared, prepared.logs), requested.max_iterations
+    if prepared.rig.model is not None:  # what fails where it begins fails everywhere
+        sensors = of_sensors(prepared.logs[0].start.terms)
+        starts = [c.start for c in (*search, *sensors)]
+        simulator.replay(starts, simulator.unshifted())
     if requested.method == "thesis":
         return Matching(simulator, search, progress or (lambda text, share: None), maximum).fit()
     return fit(problem_of(simulator, search, progress, maximum, requested.cutoff, journal))

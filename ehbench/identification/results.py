@@ -314,7 +314,8 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
         recordings.append((log.name, _recording(log, seen_as(log, replayed))))
         for name in log.live:
             moving.setdefault(name, []).append(replayed)
-    known = [item.name for item in result.fitted if item.interval is not None]
+    laws = simulator.rig.model is None  # nobody knows what the numbers of an FMU count on
+    known = [item.name for item in result.fitted if laws and item.interval is not None]
     return HydraulicsFit(
         rig=_identified(simulator.rig, result, len(simulator.logs)),
         method=result.method,

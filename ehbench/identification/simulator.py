@@ -16,6 +16,7 @@ from ehbench.data.record import BlockAverages, Record, block_averages
 from ehbench.identification.means import Decimate, means_of
 from ehbench.parts.edge import edge_onset
 from ehbench.plant.build import Kept, Maps
+from ehbench.plant.foreign import model_of
 from ehbench.plant.many import map_threads
 from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
@@ -28,6 +29,7 @@ from ehbench.preprocessing.observations import (
     count_error,
     least_change,
     payload_of,
+    position_of,
 )
 from ehbench.preprocessing.plausibility import LIMITED, at_limit
 from ehbench.preprocessing.preparation import preprocess
@@ -180,7 +182,12 @@ def prepare(
     if not requested:
         raise InsufficientData(message("identification.no_command_changes", log=name, rig=rig.name))
     means = means_of(model, record, decimate, cutoff)
-    columns = _compared(name, record if means is None else means.record, live, required)
+    seen = record if means is None else means.record
+    columns = _compared(name, seen, live, required)
+    gone = [c for c in columns if not model.shows(c if c in seen else position_of(c))]
+    if len(gone) == len(columns):
+        raise InputError(message("identification.fmu_shows", log=name, channels=", ".join(gone)))
+    columns = {channel: y for channel, y in columns.items() if channel not in gone}
     warnings += [
         message("identification.not_compared", log=name, word=word)
         for word in required
@@ -382,7 +389,7 @@ class Simulator:
         """
         changed = self.rig.with_values(self._by_name(values, False), self.known)
         return {
-            load: Model.of(changed, self.maps, load, self._kept)
+            load: model_of(changed, self.maps, load, self._kept)
             for load in {log.payload for log in self.logs}
         }
 

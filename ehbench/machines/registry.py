@@ -7,6 +7,7 @@ from collections.abc import Callable
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.machines.faults import FaultyMachine
+from ehbench.machines.fmu import FmuMachine
 from ehbench.machines.protocol import Machine
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.variation import varied
@@ -15,7 +16,9 @@ from ehbench.plant.build import Maps
 from ehbench.vocabulary.errors import InputError
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
-    "model": SimulatedMachine.of,
+    "model": lambda recipe, rig, maps: (SimulatedMachine if rig.model is None else FmuMachine).of(
+        recipe, rig, maps
+    ),
     "bench": VirtualMachine.of,
 }
 
@@ -38,7 +41,7 @@ def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Mac
     change = recipe.machine
     machine = (
         MACHINES.get(recipe.on, SimulatedMachine.of)(recipe, rig, maps)
-        if change is None
+        if change is None or (rig.model is not None and recipe.on == "model")
         else varied(recipe, rig, maps)
     )
     faults = [(fault, recipe.at("fault", i)) for i, fault in enumerate(recipe.fault)]

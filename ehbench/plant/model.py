@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -91,7 +91,7 @@ class Model:
         maps: Maps | None = None,
         payload: str | None = None,
         kept: Kept | None = None,
-    ) -> Model:
+    ) -> Self:
         """The model of a rig carrying ``payload``, its edges on measured ``maps`` where given; what
         it has in common with others of the same rig, but for its numbers, may be ``kept``.
 
@@ -115,6 +115,16 @@ class Model:
     @cached_property
     def _asked(self) -> dict[bool, Hashable]:
         return {}
+
+    def starts(self, number: str) -> bool:
+        """Whether a number of an initial state, by its channel, is one that a replay begins with;
+        of an FMU those alone that it takes.
+        """
+        return True
+
+    def shows(self, channel: str) -> bool:
+        """Whether a replay may have a channel; of an FMU those alone that it gives."""
+        return True
 
     def links(self, payload: str | None) -> np.recarray:
         """The links (or the slide) of the plant while they carry another payload.

@@ -242,6 +242,7 @@ def initial_state_of(
     if moves:
         numbers += _of_valves(model, record, live)
     numbers += _of_lines(model, record, rest, moves)
+    numbers = [number for number in numbers if model.starts(number.name)]
     for term in terms:
         if term.per_log and term.std > 0.0:
             step = SETTINGS.sensed * term.std

@@ -76,7 +76,7 @@ def confined(
             code = 1
             try:
                 os.close(reading)
-                _confine(bounds)
+                confine(bounds)
                 tempfile.tempdir = folder
                 os.chdir(folder)
                 restrict([*system_paths(), *readable], Path(folder))
@@ -119,8 +119,8 @@ def _outcome(child: int, reading: int, bounds: Bounds) -> bytearray:
     return result
 
 
-def _confine(bounds: Bounds) -> None:
-    """Bound this process, the child."""
+def confine(bounds: Bounds) -> None:
+    """Bound this process, a child, whose standard files then lead nowhere."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     faulthandler.disable()

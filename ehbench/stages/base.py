@@ -5,6 +5,7 @@ To add a stage, write one file here with its recipe model and its `Stage`, add i
 
 from __future__ import annotations
 
+import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -284,6 +285,10 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
 
     from ehbench.physics.flow_map import save_flow_maps
 
+    if rig.model is not None:
+        place = folder / Path(rig.model.fmu).name
+        shutil.copyfile(rig.model.place, place)
+        rig = rig.model_copy(update={"model": rig.model.model_copy(update={"fmu": place.name})})
     write_text(folder / "rig.toml", tomli_w.dumps(rig.as_toml()))
     if maps is not None:
         save_flow_maps(maps, folder / "flow_maps.json")

@@ -73,6 +73,9 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
             fit = _prepared_fit(recipe, state, logs, state.rig, recipe.sensor)
             inputs.notes.add("remarks", *(text for log in fit.logs for text in log.warnings))
             compared = recipe.compare_dynamics
+            if compared and state.rig.model is not None:
+                where = recipe.at("compare_dynamics")
+                raise InputError(message("stages.fmu_no_laws"), **where)
             rigs = with_each_dynamics(state.rig, compared) if compared else {}
             sensors = (*recipe.sensor, *recipe.compare_sensor)
             variants = {
@@ -146,6 +149,8 @@ def suggested(
     from ehbench.guidance.suggestions import SECONDS, suggest
 
     assert prepared.fit is not None  # a run has all its logs
+    if prepared.fit.rig.model is not None:
+        raise InputError(message("stages.fmu_no_laws"), file=prepared.recipe.path)
     limit = SECONDS if seconds is None else seconds
     return suggest(prepared.fit, prepared.logs.records, progress, limit)
 

@@ -148,7 +148,11 @@ class Inputs:
             if maps is None:
                 raise InputError(message("stages.no_maps"), file=maps_path)
         kind = ValidatedRig if promised or stage == "validated" else RigState
-        state = kind(load_rig(path), maps, stage, tuple(inputs), path)
+        loaded = load_rig(path)
+        if loaded.model is not None:
+            refuse_fmu(loaded, self.allow_code)
+            inputs.append(("fmu", loaded.model.place))
+        state = kind(loaded, maps, stage, tuple(inputs), path)
         sources = [f"{self.notes.name_of(path)} (rig '{state.rig.name}', {stage})"]
         if maps_path is not None:
             sources.append(f"{self.notes.name_of(maps_path)} (flow maps)")
@@ -297,6 +301,21 @@ class Inputs:
             return whole_map(item.columns, path, ("data", index, "columns"))
         columns = getattr(self.recipe, "columns", None)
         return None if columns is None else whole_map(columns, path, ("columns",))
+
+
+def refuse_fmu(rig: Rig, allowed: bool) -> None:
+    """Refuse a rig whose FMU may not run, or is not what its ``[model]`` says.
+
+    Raises:
+        InputError: says why.
+    """
+    from ehbench.plant.foreign import FmuModel
+
+    if rig.model is None:
+        return
+    if not allowed:
+        raise InputError(message("stages.fmu_not_allowed", fmu=rig.model.fmu))
+    _ = FmuModel.of(rig).binding
 
 
 def _stage_of(path: Path) -> str:

@@ -180,6 +180,8 @@ def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | 
         must_be_fitted(name, rows)  # before anything that the recipe names is run
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
+    if prepared.fit.rig.model is not None:
+        raise InputError(message("stages.fmu_no_laws"), file=recipe.path)
     fitted = {}
     for c in prepared.fit.search:
         row = rows[c.name]

@@ -19,6 +19,7 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis import Case, ask
 from ehbench.plant.build import Maps
+from ehbench.plant.foreign import model_of
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import Followed, follow_recording
@@ -29,6 +30,7 @@ from ehbench.preprocessing.observations import (
     column,
     commanded,
     payload_of,
+    position_of,
     stood_for,
     supply_off,
 )
@@ -226,7 +228,7 @@ def run_validation(
         reservations=(*better, *_unexplained(results)),
         black_box=black_box,
     ).with_fit(prepared.leans)
-    if not diagnose:
+    if not diagnose or prepared.rig.model is not None:  # whose laws nobody knows
         return verdict
     if progress is not None:
         progress("diagnosing the residuals", 1.0)
@@ -293,7 +295,7 @@ def models_of(
                 message("validation.unknown_channel", rig=rig.name, channel=channel, known=known)
             )
     payloads = {payload_of(record) for _, record in logs}
-    return {payload or "": Model.of(rig, flow_maps, payload) for payload in payloads}
+    return {payload or "": model_of(rig, flow_maps, payload) for payload in payloads}
 
 
 def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
@@ -348,7 +350,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
     )
     warnings = [*log.notes, *_not_counted(judged, moved)]
     words = [word for word in channels if word not in tied_words(record)]
-    free = _channels_wanted(record, moved, words)
+    free = [c for c in _channels_wanted(record, moved, words) if _shown(model, record, c)]
     try:
         if judged.failure is not None:
             raise LogError(str(judged.failure).removeprefix(f"{log.name}: "))
@@ -409,6 +411,11 @@ def _channels_wanted(record: Record, moved: Sequence[str], channels: Sequence[st
     return [
         item for name in moved for word in channels for item in channels_asked(record, name, word)
     ]
+
+
+def _shown(model: Model, record: Record, channel: str) -> bool:
+    """Whether a replay of the record has a channel, or what stands for it."""
+    return any(model.shows(c if c in record else position_of(c)) for c in alternatives(channel))
 
 
 def _pairs(

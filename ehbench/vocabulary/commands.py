@@ -23,24 +23,26 @@ COMMANDS = (
         "identify",
         "Identify flow maps or hydraulics from the data a recipe names.",
         "recipes/thesis/flow_maps.toml",
-        ("suggest", "seconds", "profile", "resume"),
+        ("suggest", "seconds", "profile", "resume", "allow_code"),
     ),
     Command(
         "response",
         "Estimate a frequency response from logs, with intervals, delay and bandwidth.",
         "recipes/slide_servo/response.toml",
+        ("allow_code",),
     ),
     Command(
         "validate",
         "Judge an identified rig on logs it was not fitted to; exit 4 when it is rejected.",
         "recipes/thesis/validation.toml",
+        ("allow_code",),
     ),
     Command(
         "tune",
         "Choose a controller's gains by root locus over postures, loads and functions, on a "
         "validated rig.",
         "recipes/thesis/tuning.toml",
-        ("unvalidated",),
+        ("unvalidated", "allow_code"),
     ),
     Command(
         "run-trial",

@@ -34,7 +34,11 @@ def _rig(text: str, path: Path) -> Rig:
     """The rig of a file's text. A rig cannot be altered, and one campaign reads its file dozens of
     times.
     """
-    return validated(Rig, table_of(text, path), text, path)
+    rig = validated(Rig, table_of(text, path), text, path)
+    if rig.model is None:
+        return rig
+    model = rig.model.model_copy(update={"place": (path.parent / rig.model.fmu).resolve()})
+    return rig.model_copy(update={"model": model})
 
 
 def recipe_kinds() -> dict[tuple[str, str | None], type[Recipe]]:

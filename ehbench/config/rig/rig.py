@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from ehbench.config.rig.cylinder import Cylinder
+from ehbench.config.rig.fmu import ForeignModel
 from ehbench.config.rig.mechanism import Chain, Joint, LinkLoad, Slide
 from ehbench.config.rig.names import Misplaced, Name, plain_name, prefix_of, second, tables_of
 from ehbench.config.rig.supply import LoadSensing, LowRail, Oil, Supply
@@ -53,6 +54,7 @@ class Rig(FileModel):
     cylinder: tuple[Cylinder, ...] = Field(min_length=1)
     dynamics: dict[Name, Dynamics] = {}
     payload: dict[str, dict[str, LinkLoad]] = {}
+    model: ForeignModel | None = None
 
     @field_validator("display")
     @classmethod
@@ -98,6 +100,30 @@ class Rig(FileModel):
             if link not in joints:
                 text = message("config.no_link", link=link, joints=", ".join(joints))
                 raise Misplaced(text, "payload", load, link)
+        return self
+
+    @model_validator(mode="after")
+    def _model_names_what_there_is(self) -> Rig:
+        if self.model is None:
+            return self
+        words = ("q", "qd", "x", "v", "p_head", "p_rod")
+        channels = [f"{c.name}.{word}" for c in self.cylinder for word in words]
+        channels += ["p_supply", "p_tank"]
+        valves = [f"{c.name}.{valve.name}" for c, valve in self.valves()]
+        for key, known in (
+            ("channels", channels),
+            ("commands", valves),
+            ("parameters", [*self.parameters()]),
+            ("start", channels),
+        ):
+            for name in getattr(self.model, key):
+                if name not in known:
+                    near = get_close_matches(name, known, 1) or known[:8]
+                    text = message("config.model_name", key=key, name=name, known=", ".join(near))
+                    raise Misplaced(text, "model", key, name)
+        if missing := [name for name in valves if name not in self.model.commands]:
+            text = message("config.model_valve", valves=", ".join(missing))
+            raise Misplaced(text, "model", "commands")
         return self
 
     @model_validator(mode="after")

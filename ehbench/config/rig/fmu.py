@@ -1,0 +1,23 @@
+"""A user's FMU in place of a rig's laws: what its variables are called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from ehbench.vocabulary.fields import FileModel
+
+
+class ForeignModel(FileModel):
+    """An FMU for co-simulation that takes the place of the rig's laws where a recipe simulates.
+
+    Controllers are still designed on the laws. Every table is by the name that ehbench has, with
+    the name of the FMU's variable."""
+
+    fmu: str
+    channels: dict[str, str] = Field(min_length=1)
+    commands: dict[str, str] = Field(min_length=1)
+    parameters: dict[str, str] = {}
+    start: dict[str, str] = {}
+    place: Path = Field(default=Path(), exclude=True, repr=False)

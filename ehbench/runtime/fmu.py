@@ -1,0 +1,239 @@
+"""FMUs of users: their variables, and their binaries at work in child processes.
+
+A binary is foreign code. Each runs in a process with bounded memory and time, which where the
+system knows how opens no files but its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+
+from ehbench.runtime.fmu_child import DONE, HEAD, START, STEP
+from ehbench.vocabulary import units
+from ehbench.vocabulary.errors import InputError, SimulationError, UnitError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.settings import setting
+
+
+@dataclass(frozen=True)
+class FmuSettings:
+    """What the binary of a user's FMU may take."""
+
+    memory: float = setting(4e9, "B", "memory of its process", "large tables")
+    wait: float = setting(30.0, "s", "time of its start, or of so many steps", "a stiff solver")
+    rows: int = setting(1000, "steps", "in one request", "a second at 1 kHz")
+    unpacked: float = setting(2e9, "B", "size of its files", "maps and tables")
+
+
+FMU = FmuSettings()
+
+
+class Variable(NamedTuple):
+    """A real number of an FMU: its value reference, and ``SI = factor·value + offset``."""
+
+    reference: int
+    factor: float
+    offset: float
+
+
+class Fmu:
+    """An FMU for co-simulation, unpacked.
+
+    Raises:
+        InputError: it cannot be read, is not for co-simulation, or not for this platform.
+    """
+
+    def __init__(self, file: Path) -> None:
+        try:
+            import fmpy
+        except ImportError:
+            raise InputError(message("runtime.no_fmpy"), file=file) from None
+        self.file = file
+        self._place = TemporaryDirectory(prefix="ehbench_fmu_")
+        self.folder = Path(self._place.name) / "fmu"
+        (self.folder.parent / "work").mkdir()
+        try:
+            with ZipFile(file) as archive:
+                size = sum(item.file_size for item in archive.infolist())
+            if size > FMU.unpacked:
+                raise InputError(message("runtime.fmu_large", size=size), file=file)
+            fmpy.extract(str(file), str(self.folder))
+            self.description = fmpy.read_model_description(str(self.folder), validate=False)
+            platforms = fmpy.supported_platforms(str(self.folder))
+        except InputError:
+            raise
+        except OSError as error:
+            reason = error.strerror or error
+            raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
+        except Exception as error:  # a zip or an XML may be broken in any way
+            reason = "no zip archive" if isinstance(error, BadZipFile) else error
+            raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
+        if (
+            self.description.coSimulation is None
+            or str(self.description.fmiVersion)[:1] not in "23"
+        ):
+            version = self.description.fmiVersion
+            raise InputError(message("runtime.fmu_kind", version=version), file=file)
+        if fmpy.platform not in platforms:
+            there = ", ".join(platforms) or "none"
+            fields = {"platform": fmpy.platform, "there": there}
+            raise InputError(message("runtime.fmu_platform", **fields), file=file)
+
+    def variable(self, name: str, unit: str) -> Variable:
+        """A variable by name, in the SI unit of what it stands for.
+
+        Raises:
+            InputError: there is none, it is no single real number, or not of that dimension.
+        """
+        known = {item.name: item for item in self.description.modelVariables}
+        item = known.get(name)
+        if item is None:
+            near = ", ".join(sorted(known, key=lambda other: (abs(len(other) - len(name)), other)))
+            raise InputError(
+                message("runtime.fmu_variable", name=name, known=near[:200]), file=self.file
+            )
+        if item.type not in ("Real", "Float64") or item.dimensions:
+            raise InputError(message("runtime.fmu_not_real", name=name), file=self.file)
+        said = item.unit or getattr(item.declaredType, "unit", None)
+        if said is None:
+            return Variable(item.valueReference, 1.0, 0.0)
+        base = {each.name: each.baseUnit for each in self.description.unitDefinitions}.get(said)
+        if base is not None:
+            return Variable(item.valueReference, base.factor, base.offset)
+        try:
+            factor = units.factor(said.replace(".", "*"), unit)
+        except UnitError as error:
+            fields = {"name": name, "unit": said, "problem": error.message}
+            raise InputError(message("runtime.fmu_unit", **fields), file=self.file) from None
+        return Variable(item.valueReference, factor, 0.0)
+
+    def process(self, references: Mapping[str, Sequence[int]]) -> FmuProcess:
+        """A child that runs it, by the value references of ``start``, ``commands`` and
+        ``channels``.
+        """
+        return FmuProcess(self, references)
+
+
+@lru_cache(maxsize=8)
+def _unpacked(file: Path, stamp: int, size: int) -> Fmu:
+    return Fmu(file)
+
+
+def fmu_of(file: Path) -> Fmu:
+    """The FMU of a file, unpacked once.
+
+    Raises:
+        InputError: as `Fmu`.
+    """
+    try:
+        facts = file.stat()
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
+    return _unpacked(file, facts.st_mtime_ns, facts.st_size)
+
+
+class FmuProcess:
+    """An FMU at work in a child.
+
+    Every method raises InputError where the binary crashes or hangs, SimulationError where it
+    reports an error."""
+
+    def __init__(self, fmu: Fmu, references: Mapping[str, Sequence[int]]) -> None:
+        self.fmu, self.width = fmu, len(references["channels"])
+        given = {"references": dict(references), "memory": FMU.memory, "seconds": FMU.wait}
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "ehbench.runtime.fmu_child", str(fmu.folder), json.dumps(given)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )
+        self.close = weakref.finalize(self, _end, self._child)
+
+    def start(self, values: np.ndarray) -> np.ndarray:
+        """The channels at t = 0, shape (channels,), of a new instance: ``values`` of its start,
+        then the commands.
+        """
+        return self._ask(START, values[None, :], 0.0)[0]
+
+    def steps(self, table: np.ndarray, tick: float) -> np.ndarray:
+        """The channels after each command of a ``table``, shape (rows, commands), has acted for a
+        tick [s]; fewer rows where one is not finite.
+        """
+        rows = [np.empty((0, self.width))]
+        for first in range(0, len(table), FMU.rows):
+            part = table[first : first + FMU.rows]
+            rows.append(self._ask(STEP, part, tick))
+            if len(rows[-1]) < len(part):
+                break
+        return np.concatenate(rows)
+
+    def _ask(self, kind: int, table: np.ndarray, tick: float) -> np.ndarray:
+        until = time.monotonic() + FMU.wait
+        body = np.ascontiguousarray(table, dtype=float).tobytes()
+        assert self._child.stdin is not None
+        try:
+            self._child.stdin.write(HEAD.pack(kind, len(table), tick) + body)
+            self._child.stdin.flush()
+            status, size, _ = HEAD.unpack(self._read(HEAD.size, until))
+            answer = self._read(size, until)
+        except (BrokenPipeError, EOFError):
+            code = self._child.wait()
+            name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+            if -code in (signal.SIGXCPU, signal.SIGALRM):
+                raise self._hung() from None
+            raise InputError(message("runtime.fmu_crashed", end=name), file=self.fmu.file) from None
+        if status != DONE:
+            raise SimulationError(
+                message("runtime.fmu_failed", problem=answer.decode(errors="replace")),
+                file=self.fmu.file,
+            )
+        return np.frombuffer(bytes(answer)).reshape(-1, self.width)
+
+    def _read(self, size: int, until: float) -> bytearray:
+        assert self._child.stdout is not None
+        number, result = self._child.stdout.fileno(), bytearray()
+        waiting = select.poll()
+        waiting.register(number, select.POLLIN)
+        while len(result) < size:
+            left = until - time.monotonic()
+            if left <= 0.0:
+                self.close()
+                raise self._hung()
+            if waiting.poll(1e3 * left):
+                piece = os.read(number, size - len(result))
+                if not piece:
+                    raise EOFError
+                result += piece
+        return result
+
+    def _hung(self) -> InputError:
+        return InputError(message("runtime.fmu_hung", seconds=FMU.wait), file=self.fmu.file)
+
+
+def _end(child: subprocess.Popen[Any]) -> None:
+    """End a child, whatever it does."""
+    child.kill()
+    child.wait()
+    for pipe in (child.stdin, child.stdout):
+        try:
+            pipe.close()  # type: ignore[union-attr]
+        except OSError:
+            continue

@@ -1,0 +1,223 @@
+"""A user's FMU as model and as machine: replayed, fitted, judged, run, and refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ehbench
+from ehbench.config.recipe import load_rig
+from ehbench.data.logs import write_log
+from ehbench.data.record import Record
+from ehbench.runtime import fmu
+from ehbench.vocabulary.errors import EhbenchError
+from tests.press_fmu import A1, A2, MASS, press, press_fmu
+
+pytest.importorskip("fmpy")
+TRUE = {"bulk_modulus": 1.1e9, "carriage.damping": 2400.0}
+RIG = f"""
+name = "press"
+[oil]
+bulk_modulus = {{ value = "700 MPa", lower = "100 MPa", upper = "3 GPa" }}
+[supply]
+pressure = "140 bar"
+tank_pressure = "2 bar"
+flow_limit = "60 L/min"
+[mechanism]
+kind = "slide"
+name = "carriage"
+mass = "{MASS} kg"
+damping = {{ value = "500 N*s/m", lower = "1 N*s/m", upper = "20000 N*s/m" }}
+[[cylinder]]
+name = "press"
+joint = "carriage"
+bore = "50 mm"
+rod = "28 mm"
+stroke = "400 mm"
+volume_head = "150 cm^3"
+volume_rod = "700 cm^3"
+relief_pressure = "210 bar"
+[[cylinder.valve]]
+name = "servo"
+command_min = "-10 V"
+command_max = "10 V"
+""" + "".join(
+    f'[[cylinder.valve.edge]]\nfrom = "{a}"\nto = "{b}"\nsign = {s}\nlaw = "orifice"\n'
+    'flow_gain = "4e-8 m^3/(s*V*Pa^0.5)"\n'
+    for a, b, s in (
+        ("supply", "head", 1),
+        ("rod", "tank", 1),
+        ("supply", "rod", -1),
+        ("head", "tank", -1),
+    )
+)
+MODEL = """
+[model]
+fmu = "press.fmu"
+channels = { "press.x" = "x", "press.v" = "v", "press.p_head" = "pA", "press.p_rod" = "pB" }
+commands = { "press.servo" = "u" }
+parameters = { bulk_modulus = "beta", "carriage.damping" = "drag" }
+start = { "press.x" = "x0", "press.p_head" = "pA0", "press.p_rod" = "pB0" }
+"""
+FIT = """
+stage = "identify"
+what = "hydraulics"
+rig = "rig.toml"
+parameters = ["bulk_modulus", "carriage.damping"]
+channels = ["v", "p_head", "p_rod"]
+"""
+JUDGE = """
+stage = "validate"
+rig = "fit"
+channels = ["v", "p_head", "p_rod"]
+[thresholds]
+fit_percent = { v = 60, p_head = 60, p_rod = 60 }
+"""
+TRIAL = """
+stage = "trial"
+rig = "rig.toml"
+rate = "500 Hz"
+[motion]
+kind = "point_to_point"
+waypoints = ["100 mm", "160 mm"]
+hold = "0.2 s"
+speed = "80 mm/s"
+[controller]
+kind = "position"
+"""
+
+
+def recorded(seed: int, first: float, back: float) -> Record:
+    """Steps out and back by SciPy, with the noise of sensors."""
+    t = np.arange(1000) * 1e-3
+    ends = [0.1, 0.35, 0.55, 0.8]
+    u = np.array([0.0, first, 0.0, back, 0.0])[np.searchsorted(ends, t, side="right")]
+    pa = 6e6
+    y0 = [0.15, 0.0, pa, pa * A1 / A2]
+    y = press(t, u, TRUE["bulk_modulus"], TRUE["carriage.damping"], np.array(y0))
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(size=y.shape) * [2e-5, 1e-3, 2e4, 2e4]
+    names = ("press.x", "press.v", "press.p_head", "press.p_rod")
+    channels = dict(zip(names, (y + noise).T, strict=True))
+    return Record(t, channels | {"press.servo.command": u}, {"payload": "none"})
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fmu")
+    press_fmu(folder / "press.fmu")
+    (folder / "rig.toml").write_text(RIG + MODEL)
+    for name, *steps in (("a", 1, 1.5, -1.0), ("b", 2, -1.2, 1.8), ("c", 3, 1.0, -1.5)):
+        write_log(folder / f"{name}.mcap", recorded(*steps))
+    data = '[[data]]\npath = "{}.mcap"\n'
+    (folder / "fit.toml").write_text(FIT + data.format("a") + data.format("b"))
+    (folder / "judge.toml").write_text(JUDGE + data.format("c"))
+    (folder / "trial.toml").write_text(TRIAL)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(place):
+    return ehbench.identify(place / "fit.toml", out=place / "fit", allow_code=True)
+
+
+def test_a_replay_is_scipys(place):
+    from ehbench.plant.foreign import model_of
+
+    rig = load_rig(place / "rig.toml").with_values(TRUE)
+    record = recorded(1, 1.5, -1.0)
+    quiet = record.channels | {"press.p_head": np.full(1000, 6e6)}
+    quiet["press.x"] = np.full(1000, 0.15)
+    quiet["press.p_rod"] = np.full(1000, 6e6 * A1 / A2)
+    built = model_of(rig).replay(replace(record, channels=quiet))
+    y0 = np.array([0.15, 0.0, 6e6, 6e6 * A1 / A2])
+    y = press(record.t, record["press.servo.command"], *TRUE.values(), y0)
+    for column, name in enumerate(("press.x", "press.v", "press.p_head", "press.p_rod")):
+        span = np.ptp(y[:, column])
+        assert built[name] == pytest.approx(y[:, column], rel=0, abs=1e-4 * span), name
+
+
+def test_a_fit_from_afar_has_the_truth_in_its_intervals(fitted, place):
+    table = fitted.parameters
+    for name, true in TRUE.items():
+        low, high = table.loc[name, ["low", "high"]]
+        assert table.loc[name, "status"] == "estimated"
+        assert low <= true <= high and high - low < 0.1 * true, (name, low, true, high)
+    again = load_rig(place / "fit")
+    assert again.model is not None and again.model.place == (place / "fit" / "press.fmu").resolve()
+
+
+def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, place):
+    good = ehbench.validate(place / "judge.toml", out=place / "good", allow_code=True)
+    assert good.code == 0 and good.json("validation")["accepted"]
+    first = (place / "judge.toml").read_text().replace('"fit"', '"rig.toml"')
+    (place / "first.toml").write_text(first)
+    bad = ehbench.validate(place / "first.toml", out=place / "bad", allow_code=True)
+    assert bad.code == 4
+
+
+def test_a_trial_runs_on_it(place):
+    run = ehbench.run_trial(place / "trial.toml", out=place / "trial", allow_code=True)
+    log = ehbench.read_log(run.folder / "log.mcap")
+    assert run.code == 0 and log["press.x"].iloc[-1] == pytest.approx(0.16, abs=2e-3)
+    machine = ehbench.open_machine(place / "rig.toml", rate=500.0, allow_code=True)
+    sample = machine.start({"press": "100 mm"})
+    assert sample[machine.channels.index("press.x")] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "change", "key"),
+    [
+        ("CRASH", None, "runtime.fmu_crashed"),
+        ("HANG", None, "runtime.fmu_hung"),
+        ("REFUSE", None, "runtime.fmu_failed"),
+        ("NANS", None, "plant.fmu_not_finite"),
+        ("", ('= "beta"', '= "betta"'), "runtime.fmu_variable"),
+        ("", ('= "drag"', '= "u0"'), "runtime.fmu_variable"),
+        ("", ('"press.x" = "x"', '"press.y" = "x"'), "config.model_name"),
+        ("", ('"press.x" = "x"', '"press.x" = "v"'), None),
+        ("", ('"press.servo" = "u"', ""), None),
+        ("", ('bulk_modulus = "beta", ', ""), "identification.fmu_parameter"),
+        ("windows", None, "runtime.fmu_platform"),
+        ("none", None, "runtime.fmu_unreadable"),
+        ("broken", None, "runtime.fmu_unreadable"),
+    ],
+)
+def test_what_cannot_run_is_refused(fault, change, key, place, tmp_path, monkeypatch):
+    if fault == "HANG":
+        monkeypatch.setattr(fmu, "FMU", replace(fmu.FMU, wait=4.0))
+    if fault == "windows":
+        press_fmu(tmp_path / "press.fmu", platform="win64")
+    elif fault == "broken":
+        (tmp_path / "press.fmu").write_bytes(b"PK\3\4 broken")
+    elif fault != "none":
+        press_fmu(tmp_path / "press.fmu", fault)
+    text = RIG + (MODEL.replace(*change) if change else MODEL)
+    (tmp_path / "rig.toml").write_text(text)
+    for name in ("a.mcap", "b.mcap", "fit.toml"):
+        (tmp_path / name).write_bytes((place / name).read_bytes())
+    with pytest.raises(EhbenchError) as caught:
+        ehbench.identify(tmp_path / "fit.toml", out=tmp_path / "fit", allow_code=True)
+    not_finite = ("runtime.fmu_failed", "plant.fmu_not_finite")
+    assert caught.value.exit_code == (5 if key in not_finite else 2)
+    if key is not None:
+        assert caught.value.key == key
+    assert not (tmp_path / "fit").exists()
+
+
+def test_foreign_code_runs_only_where_it_is_allowed(place, tmp_path):
+    for run in (
+        lambda: ehbench.identify(place / "fit.toml", out=tmp_path / "fit"),
+        lambda: ehbench.validate(place / "judge.toml", out=tmp_path / "fit"),
+        lambda: ehbench.run_trial(place / "trial.toml", out=tmp_path / "fit"),
+        lambda: ehbench.open_machine(place / "rig.toml"),
+    ):
+        with pytest.raises(EhbenchError) as caught:
+            run()
+        assert caught.value.key == "stages.fmu_not_allowed" and caught.value.exit_code == 2
+    assert not (tmp_path / "fit").exists()
+    assert ehbench.check(place / "fit.toml").errors == ()
+    json.dumps(ehbench.check(place / "rig.toml").lines)
