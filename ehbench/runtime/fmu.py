@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 
@@ -64,8 +65,9 @@ class Fmu:
         except ImportError:
             raise InputError(message("runtime.no_fmpy"), file=file) from None
         self.file = file
-        self._place = TemporaryDirectory(prefix="ehbench_fmu_")
-        self.folder = Path(self._place.name) / "fmu"
+        place = mkdtemp(prefix="ehbench_fmu_")
+        weakref.finalize(self, shutil.rmtree, place, ignore_errors=True)
+        self.folder = Path(place) / "fmu"
         (self.folder.parent / "work").mkdir()
         try:
             with ZipFile(file) as archive:

@@ -208,7 +208,7 @@ def test_what_cannot_run_is_refused(fault, change, key, place, tmp_path, monkeyp
     assert not (tmp_path / "fit").exists()
 
 
-def test_foreign_code_runs_only_where_it_is_allowed(place, tmp_path):
+def test_foreign_code_runs_only_where_it_is_allowed(fitted, place, tmp_path):
     for run in (
         lambda: ehbench.identify(place / "fit.toml", out=tmp_path / "fit"),
         lambda: ehbench.validate(place / "judge.toml", out=tmp_path / "fit"),
