@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 import ehbench
 from ehbench.config.recipe import load_rig
@@ -221,3 +224,42 @@ def test_foreign_code_runs_only_where_it_is_allowed(fitted, place, tmp_path):
     assert not (tmp_path / "fit").exists()
     assert ehbench.check(place / "fit.toml").errors == ()
     json.dumps(ehbench.check(place / "rig.toml").lines)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", [2, 3])
+def test_what_is_exported_comes_back(version, tmp_path):
+    """Exported, imported, and fitted from a distant start to noisy logs of the same rig."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no gcc to build an FMU with")
+    slide = Path(__file__).parents[2] / "recipes" / "rigs" / "slide_servo.toml"
+    export = f'stage = "export"\nrig = "{slide}"\nparts = "model"\nformats = ["fmu{version}"]\n'
+    (tmp_path / "export.toml").write_text(export)
+    run = ehbench.run(tmp_path / "export.toml", out=tmp_path / "export", unvalidated=True)
+    (unit,) = (run.folder / f"fmu{version}").glob("*.fmu")
+    shutil.copy(unit, tmp_path / "press.fmu")
+    true, rng = load_rig(slide).with_values(TRUE), np.random.default_rng(5)
+    for name, volts in (("a", 1.5), ("b", -1.2)):
+        t = np.arange(901) * 1e-3
+        ends = [0.1, 0.3, 0.5, 0.7]
+        u = np.array([0.0, volts, 0.0, -volts, 0.0])[np.searchsorted(ends, t, side="right")]
+        log = ehbench.simulate(true, {"press.servo": u}, 0.9)
+        noise = {"press.x": 2e-5, "press.v": 1e-3, "press.p_head": 2e4, "press.p_rod": 2e4}
+        channels = {c: log[c] + s * rng.normal(size=t.size) for c, s in noise.items()}
+        channels["press.servo.command"] = log["press.servo.command"]
+        write_log(tmp_path / f"{name}.mcap", Record(t, channels, {"payload": "none"}))
+    model = MODEL.replace('= "x"', '= "press.x"').replace('= "v"', '= "press.v"')
+    model = model.replace('= "pA"', '= "press.p_head"').replace('= "pB"', '= "press.p_rod"')
+    model = model.replace('= "u"', '= "press.servo.command"').replace('"beta"', '"bulk_modulus"')
+    model = model.replace('"drag"', '"carriage.damping"').partition("start")[0]
+    far = load_rig(slide).with_values({"bulk_modulus": 4e8, "carriage.damping": 400.0})
+    (tmp_path / "rig.toml").write_text(tomli_w.dumps(far.as_toml()) + model)
+    data = "".join(f'[[data]]\npath = "{name}.mcap"\n' for name in "ab")
+    (tmp_path / "fit.toml").write_text(FIT + data)
+    table = ehbench.identify(
+        tmp_path / "fit.toml", out=tmp_path / "fit", allow_code=True
+    ).parameters
+    for name, value in TRUE.items():
+        low, high = table.loc[name, ["low", "high"]]
+        assert table.loc[name, "status"] == "estimated"
+        assert low <= value <= high and high - low < 0.1 * value, (name, low, value, high)
