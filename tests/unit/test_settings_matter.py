@@ -22,10 +22,13 @@ from ehbench.frequency_response.response import SETTINGS as RESPONSE
 from ehbench.frequency_response.response import Averaging, Curve, estimate, signals_of
 from ehbench.identification.groups import SETTINGS as GROUPS
 from ehbench.identification.groups import groups_of
+from ehbench.identification.means import SETTINGS as MEANS
+from ehbench.identification.means import means_of
 from ehbench.identification.results import SETTINGS as RESULTS
 from ehbench.identification.results import _late, _turned
 from ehbench.ledger.bounds import SETTINGS as BOUNDS
 from ehbench.ledger.bounds import bounds
+from ehbench.plant.model import Model
 from ehbench.stages.flow_map import ERRORS, _shared_errors
 from ehbench.trial.coordination import COORDINATION, _direction, pace_of
 from ehbench.trial.limit_cycle import LIMIT_CYCLE, limit_cycle
@@ -33,7 +36,8 @@ from ehbench.trial.measures import MEASURES, short_measures, step_measures, trac
 from ehbench.trial.motion import MOTION, limits_of
 from ehbench.vocabulary.errors import EhbenchError
 
-RIG = load_rig(Path(__file__).parents[2] / "recipes" / "rigs" / "boom_four_valve.toml")
+RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+RIG, SLIDE = (load_rig(RIGS / f"{name}.toml") for name in ("boom_four_valve", "slide_servo"))
 
 
 USUAL = Averaging()
@@ -225,6 +229,16 @@ def products(error, power=1.0):
     return [one.text for one in groups_of(("m", "k"), (2.0, 3.0), normal, 1.0)]
 
 
+def means(rate, count=10_000, rig=SLIDE):
+    """How many samples make a mean, of the slide, whose valve is of 80 Hz, or of a slower machine;
+    0 for none.
+    """
+    t = np.arange(count) / rate
+    stroke = {f"{rig.cylinder[0].name}.x": 0.2 + 0.01 * np.sin(6.0 * t)}
+    built = means_of(Model.of(rig), Record(t, stroke))
+    return 0 if built is None else built.each
+
+
 def log_of(y):
     counts = np.ones((y.size, 1), bool)
     return Stub(name="log", channels=("v",), recorded=y[:, None], counts=counts, sample_time=1e-3)
@@ -298,6 +312,10 @@ ROWS = [
     (BOUNDS, "oil", lambda: [closed_by_oil(s) for s in (0.0025, 0.0035)], [True, False]),
     (GROUPS, "better", lambda: [len(products(e)) for e in (0.115, 0.145)], [1, 0]),
     (GROUPS, "halves", lambda: products(0.05, 0.5), ["k^2/m"]),
+    (MEANS, "share", lambda: means(10_000.0), 6),
+    (MEANS, "longest", lambda: means(20_000.0, rig=RIG), 20),
+    (MEANS, "fewest", lambda: means(10_000.0, 900), 4),
+    (MEANS, "worth", lambda: [means(10_000.0, n) for n in (410, 610)], [0, 3]),
     (RESULTS, "opposite", lambda: [goes_other_way(a) for a in (1.98, 2.2)], [False, True]),
     (RESULTS, "late", lambda: [behind(n) for n in (0.2, 0.3)], [False, True]),
     (RESULTS, "latest", lambda: [behind(n) for n in (4.5, 6.0)], [True, False]),
