@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import json
 import pickle
+import re
 import subprocess
 import sys
 import tempfile
@@ -137,6 +139,43 @@ def speed(rig: Rig, repeats: int = 30) -> Iterator[Row]:
             "× real time",
             lower=False,
         )
+
+
+def exported(ticks: int = 3000) -> Iterator[Row]:
+    """Time of a tick of the slide's model in C, as FMU and in ehbench, called from Python."""
+    from fmpy import extract, read_model_description
+    from fmpy.fmi2 import FMU2Slave
+
+    from ehbench import workflow
+    from ehbench.machines.simulated import SimulatedMachine
+
+    source = RECIPES / "rigs" / "slide_servo.toml"
+    with tempfile.TemporaryDirectory() as scratch:
+        session = workflow.Session(root=Path(scratch), unvalidated=True)
+        folder = workflow.export(source, {"formats": ("c", "fmu2")}, session).folder
+        written = json.loads((folder / "export.json").read_text())["written"]
+        in_c = re.search(r"took (\S+) us, the longest (\S+) us", written[0]["check"])
+        unit = str(folder / written[1]["file"])
+        about = read_model_description(unit)
+        slave = FMU2Slave(
+            guid=about.guid,
+            unzipDirectory=extract(unit, scratch),
+            modelIdentifier=about.modelName,
+            instanceName="unit",
+        )
+        slave.instantiate()
+        slave.setupExperiment()
+        as_unit = _best(lambda: [slave.doStep(0.0, 1e-3) for _ in range(ticks)], 3) / ticks
+        slave.freeInstance()
+    machine = SimulatedMachine(Model.of(load_rig(source)))
+    machine.start()
+    rest = machine.commands.rest
+    here = _best(lambda: [machine.tick(rest) for _ in range(ticks)], 3) / ticks
+    assert in_c is not None
+    yield Row("a tick of the slide's model in C", float(in_c[1]), 50.0, "µs")
+    yield Row("the longest of them", float(in_c[2]), 1e5, "µs")
+    yield Row("the same as FMU, called from Python", 1e6 * as_unit, 100.0, "µs")
+    yield Row("the same in ehbench, called from Python", 1e6 * here, 500.0, "µs")
 
 
 def chosen_steps(rig: Rig, repeats: int = 10) -> Iterator[Row]:
@@ -526,6 +565,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     for part in (
         studies,  # first: its peak of memory is the process's
         lambda: speed(rig),
+        exported,
         lambda: chosen_steps(rig),
         lambda: closed_loop(rig),
         lambda: together(rig),

@@ -107,9 +107,9 @@ def _write_xml(path: Path, root: ElementTree.Element) -> None:
 
 def _root(part: Component, version: str, **more: str) -> ElementTree.Element:
     tool = f"ehbench {metadata.version('ehbench')}"
-    about = {"modelName": part.name, "description": part.about, "generationTool": tool}
-    about |= {"variableNamingConvention": "flat", **more}
-    return ElementTree.Element("fmiModelDescription", fmiVersion=version, **about)
+    about = {"fmiVersion": version, "modelName": part.name, "description": part.about}
+    about |= {"generationTool": tool, "variableNamingConvention": "flat", **more}
+    return ElementTree.Element("fmiModelDescription", about)
 
 
 def _units(part: Component, root: ElementTree.Element) -> None:
