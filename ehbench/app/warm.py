@@ -98,6 +98,18 @@ def together(what: str) -> str:
     return what
 
 
+def exports(what: str) -> str:
+    """Compile and translate what an export writes; gives back what it is called."""
+    from ehbench.config.recipe import ExportRecipe
+    from ehbench.export import Export
+
+    rig = started()
+    recipe = ExportRecipe(stage="export", rig="rig.toml", path=Path("x"))
+    for keys in recipes(rig, "model"):
+        _ = Export(recipe, rig, None, Path("x"), prepared(rig, keys), {}).kernels
+    return what
+
+
 def fits(what: str) -> str:
     """Compile what fits flow maps; gives back what it is called."""
     from ehbench.flow_maps.readings import readings_table
@@ -142,9 +154,10 @@ def main() -> None:
     names = get_args(TrialSetRecipe.model_fields["on"].annotation)
     compile_dir(PACKAGE, quiet=2)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor(len(names) + 2, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(len(names) + 3, mp_context=get_context("spawn")) as pool:
         jobs = [pool.submit(warm, name) for name in names]
         jobs += [pool.submit(together, "model, of several cylinders")]
+        jobs += [pool.submit(exports, "model, exported")]
         last = pool.submit(fits, "fits of flow maps")
         for job in jobs:
             print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)

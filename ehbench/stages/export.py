@@ -60,6 +60,11 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
                 text = message("export.no_compiler", target=target)
                 raise InputError(text, **recipe.at("targets"))
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
+        for channel in (force.channel for item in state.rig.cylinder for force in item.force):
+            if channel is not None:
+                raise InputError(
+                    message("export.played_force", channel=channel), **recipe.at("rig")
+                )
         _refuse(inputs, not _is_validated(state), "unvalidated", rig=state.rig.name,
                 stage=state.stage)  # fmt: skip
         source, trial = _trial_of(recipe, inputs, state)

@@ -194,7 +194,19 @@ class = "own:Own"
 FORCE = """
 [[cylinder.force]]
 name = "pull"
-kind = "recorded"
+kind = "channel"
+channel = "press.load_force"
+"""
+TUNED = """stage = "trial"
+rig = "{rigs}/slide_servo.toml"
+rate = "500 Hz"
+[motion]
+kind = "point_to_point"
+waypoints = ["200 mm", "250 mm"]
+speed = "50 mm/s"
+[controller]
+kind = "pressure_feedback"
+gains = "{rigs}/../slide_servo/tuning.toml"
 """
 
 
@@ -203,6 +215,8 @@ kind = "recorded"
     [
         ("rig", {}, False, "export.unvalidated", 4),
         ("python", {}, True, "export.is_code", 2),
+        ("tuned", {}, True, "export.other_rate", 2),
+        ("force", {}, True, "export.played_force", 2),
         ("rig", {"parts": "controller"}, True, "export.without_controller", 2),
         ("rig", {"targets": ("win64",)}, True, "export.no_compiler", 2),
         ("rig", {"payload": "anvil"}, True, "config.no_payload", 2),
@@ -211,9 +225,11 @@ kind = "recorded"
 def test_what_cannot_be_exported(tmp_path, monkeypatch, written, options, insisted, key, code):
     monkeypatch.setattr(compiler, "find_spec", lambda name: None)
     source = RECIPES / "rigs" / "slide_servo.toml"
-    if written == "python":
-        source = tmp_path / "trial.toml"
-        source.write_text(PYTHON.format(rigs=RECIPES / "rigs"))
+    texts = {"python": PYTHON, "tuned": TUNED, "force": source.read_text() + FORCE}
+    if written in texts:
+        source = tmp_path / "source.toml"
+        text = texts[written]
+        source.write_text(text if written == "force" else text.format(rigs=RECIPES / "rigs"))
     before = sorted(tmp_path.rglob("*"))
     session = workflow.Session(root=tmp_path, unvalidated=insisted)
     with pytest.raises(EhbenchError) as error:
