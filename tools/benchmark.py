@@ -380,6 +380,33 @@ def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
     yield Row(f"MCAP log of {samples} × {channels} read into pandas", read - written, 0.7, "s")
 
 
+def links(seconds: float = 10.0) -> Iterator[Row]:
+    """The served bench over UDP on loopback: both ends share the cores."""
+    from ehbench.links.quality import measure
+    from ehbench.links.transport import UdpLink
+    from ehbench.runtime.realtime import punctual
+
+    for port, rate, most in ((47911, 1000, 0.5), (47912, 250, 0.2)):
+        url = f"udp://127.0.0.1:{port}"
+        bench = str(RECIPES / "bench" / "thesis_arm.toml")
+        line = [sys.executable, "-m", "ehbench", "serve", bench, "--at", url, "--rate", str(rate)]
+        with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as served:
+            assert served.stderr is not None
+            served.stderr.readline()
+            try:
+                with punctual() as refused:
+                    quality = measure(UdpLink("127.0.0.1", port), url, seconds, tuple(refused))
+            finally:
+                served.terminate()
+        what = f"link at {rate} Hz" + (f", without {', '.join(refused)}" if refused else "")
+        yield Row(f"{what}: late ticks", 100.0 * quality.late_share, most, "%")
+        yield Row(f"{what}: lost samples", 100.0 * quality.lost / quality.ticks, most, "%")
+        median, most_trips, longest = (1e3 * value for value in quality.round_trip)
+        yield Row(f"{what}: round trip, median", median, 1.2e3 / rate, "ms")
+        yield Row(f"{what}: round trip, 99.9 %", most_trips, 10.0, "ms")
+        yield Row(f"{what}: longest gap", 1e3 * quality.gap, 15.0, "ms")
+
+
 def start_up() -> Iterator[Row]:
     """Time of ``ehbench --help`` in a process of its own."""
     command = [str(Path(sys.executable).with_name("ehbench")), "--help"]
@@ -574,6 +601,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         long_fitting,
         lambda: long_fitting(10_000.0),
         logging,
+        links,
         start_up,
     ):
         if arguments and getattr(part, "__name__", "") not in arguments:

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ehbench.app.linking import moved_to
 from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.data import read_log
 from ehbench.links.layout import WRITERS, Layout, write_files
@@ -135,6 +136,13 @@ def conversation(port):
     link.close()
     assert list(dict.fromkeys(states)) == [1, 2, 3, 4, 5]
     assert REASONS[int(newest[REASON])] == "watchdog" and newest[-1] == 0.0
+
+
+def test_a_trial_is_moved_to_a_machine_by_an_option(trial):
+    assert moved_to(load_recipe(trial), "udp://rig:1").on == "udp://rig:1"
+    line = [sys.executable, "-m", "ehbench", "run-trial", str(trial), "--on", "tcp://rig", "--arm"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 2 and "tcp://rig" in done.stderr
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a compiler")

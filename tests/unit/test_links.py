@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import Fault, TrialRecipe, load_rig
-from ehbench.data import read_log
 from ehbench.links.arming import run_remote, stopping_distances, token_of
 from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
@@ -37,6 +36,7 @@ from ehbench.links.serve import ServedTarget
 from ehbench.links.transport import STATE, TOKEN, VirtualLink
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.errors import InputError
+from tools.studies import link_study
 
 ROOT = Path(__file__).parents[2]
 RIG = load_rig(ROOT / "recipes/rigs/slide_servo.toml")
@@ -500,61 +500,16 @@ def test_clocks_and_delays_are_estimated_with_intervals_that_hold_the_truth():
 
 # --- many trials with faults
 
-SENSORS = ("press.x", "press.p_head", "press.p_rod")
-
-
-def drawn(seed):
-    """A fault at a drawn time, of a drawn kind and target."""
-    draw = np.random.default_rng(seed)
-    kind = draw.choice(
-        ["nan", "stuck", "zero", "offset", "stuck_open", "stuck_closed", "supply_lost"]
-        + ["link_lost", "link_delayed", "link_reordered", "controller_late"]
-    )
-    keys = {"kind": str(kind), "start": f"{draw.uniform(0.1, 0.7)!r} s"}
-    if kind in ("nan", "stuck", "zero", "offset"):
-        keys["target"] = str(draw.choice(SENSORS))
-    if kind == "offset":
-        keys["value"] = "-40 mm" if keys["target"] == "press.x" else "30 bar"
-    if kind.startswith("stuck_"):
-        keys["target"] = "press.servo"
-    if kind in ("link_delayed", "controller_late"):
-        keys["duration"] = f"{draw.choice([5, 8, 100])} ms"
-    return Fault.model_validate(keys)
-
 
 @pytest.mark.slow
 def test_no_fault_takes_the_machine_farther_than_its_margin(tmp_path):
-    """Over 200 drawn faults: the true stroke stays between the ends, the valve ends at rest, the
-    log can be read, and what stopped the trial fits the fault.
+    """Over 200 of the faults that the study draws: the true stroke stays within the margin, the
+    valve ends at rest, the log can be read, and what stopped the trial fits the fault.
     """
-    reasons = {}
-    base = trial("model")
+    base, reasons = link_study.trial("model"), {}
     for seed in range(200):
-        failing = drawn(seed)
-        of_link = failing.kind.startswith("link_")
-        served = trial("bench", fault=() if of_link else (failing,), seed=seed)
-        item = ServedTarget(served, (failing,) if of_link else ())
-        strokes, tick = [], item.machine.tick
-
-        def seen(commands, tick=tick, bench=served.machine, strokes=strokes):
-            values = tick(commands)
-            row = np.empty(1)
-            bench.hidden.read(np.array(commands), row)
-            strokes.append(row[0])
-            return values
-
-        item.machine.tick = seen
-        machine = LinkMachine(base, LAYOUT, VirtualLink(item), "stream", "virtual")
-        log = tmp_path / f"{seed}.mcap"
-        result = run(base, machine, log=log, fast=False)
-        for _ in range(100):
-            item.tick(item.sequence / item.rate)
-        assert item.applied == [0.0] and item.state == STOPPED, failing
-        if failing.kind != "stuck_open":  # no command closes that valve
-            assert 0.15 < min(strokes) and max(strokes) < 0.22, failing
-        assert len(read_log(log)) == result.record.t.size
-        log.unlink()
-        stop = result.facts.stop
-        reasons.setdefault(failing.kind, set()).add(stop and stop.limit)
+        item = link_study.outcome(base, link_study.drawn(seed), seed, tmp_path / "log.mcap")
+        assert item.safe, item
+        reasons.setdefault(item.fault.kind, set()).add(item.limit)
     assert reasons["nan"] == {"finite"} and reasons["link_lost"] == {"sample_age"}
-    assert reasons["link_reordered"] == {None} and len(reasons) == 11
+    assert reasons["link_reordered"] == {""} and len(reasons) == len(link_study.KINDS)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from ehbench.data.record import Record
@@ -28,7 +31,7 @@ from ehbench.report.template import Template
 from ehbench.report.trial_captions import ESTIMATES, case_caption, estimates_caption
 from ehbench.report.trial_headlines import trials_findings
 from ehbench.report.trial_tables import measure_tables, settings_blocks
-from ehbench.report.words import number, words
+from ehbench.report.words import number, pretty, shown, unit_of, words
 from ehbench.vocabulary.messages import message
 
 
@@ -99,17 +102,39 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     for kind in ("tip", "trial", "estimates"):
         inside += pictures(FigureKey(kind))
     if not cases:
-        parts = [Part("Trial", [*inside, Grid(["", ""], rows)])]
+        parts = [Part("Trial", [*inside, Grid(["", ""], rows)]), *_link_parts(run, facts)]
         fields = {"duration": facts["duration"], "on": on, "payload": payload, "stopped": stopped}
         return SectionContent(stopped_status(stopped), page.text("open_loop", **fields), parts)
     rows.insert(1, ["controller", words(facts["controller"])])
     rows.insert(2, ["cylinder", ", ".join(item.cylinder for item in cases)])
     parts = [Part("Trial", inside), Part("Measures", measure_tables(run.rig, cases))]
+    parts += _link_parts(run, facts)
     if energy := pictures(FigureKey("sankey")):
         parts.append(Part("Energy", [*saving_blocks(run.rig, cases[:1]), *energy]))
     settings = [Grid(["", ""], rows), *settings_blocks(run.rig, cases)]
     parts.append(Part("Settings", settings, paper=False))
     return SectionContent(stopped_status(stopped), case_caption(run.rig, cases[0]), parts)
+
+
+def _link_parts(run: Saved, facts: Mapping[str, Any]) -> list[Part]:
+    """How a machine behind a link differed from its dry run on the model, and how the link did;
+    nothing of a trial in this process.
+    """
+    if "link" not in facts:
+        return []
+    link, rows, lines = facts["link"], [], []
+    for name, apart in facts["dry_run"]["differences"].items():
+        values = (number(shown(run.rig, name, apart[key]), 3) for key in ("largest", "rms"))
+        rows.append([name, *values, pretty(unit_of(run.rig, name))])
+    for name in ("command_delay", "sample_delay"):
+        if name in link:
+            value, low, high = (number(1e3 * item, 3) for item in link[name])
+            lines.append([name.replace("_", " "), f"{value} ms ({low} … {high})"])
+    packets = ", ".join(f"{n} {why}" for why, n in link.get("rejected", {}).items()) or "none"
+    lines.append(["late ticks", f"{link['late']} of {link['ticks']}"])
+    lines.append(["packets that did not count", packets])
+    head = ["machine less dry run", "largest", "rms", ""]
+    return [Part("Dry run and machine", [Grid(head, rows), Grid(["link", ""], lines)])]
 
 
 def findings(run: Saved) -> Findings:
