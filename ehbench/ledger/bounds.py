@@ -117,21 +117,18 @@ def travels(x: np.ndarray, least: float) -> tuple[float, float]:
 
 
 def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None) -> Bounds:
-    """What a record's motion of one cylinder must cost on a constant-pressure supply, and what it
-    did cost.
+    """What a record's motion of a cylinder must cost on a constant-pressure supply, and did cost.
 
-    With Ps the set pressure, L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load
-    that the head end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the
-    rod end: six ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+
-    + A2 L−)``. For a cycle of stroke Δx with the load on the head end these are SPEC 4's ``Ps (A1 +
-    A2) Δx``, ``Ps A1 Δx``, ``Ps (A1 − A2) Δx``.
+    With Ps the pressure of the supply while the cylinder moves (the set one where it is not
+    measured), L+ and L− the ways out and in: standard ``Ps (A1 L+ + A2 L−)``. A load that the head
+    end carries: six ``Ps A1 L+``, seventh ``Ps (A1 − A2) L+``. One that hangs on the rod end: six
+    ``Ps (A2 L− + (A1 − A2) L+)``. No load: six as standard, seventh ``Ps ((A1 − A2) L+ + A2 L−)``.
 
     Args:
         rig: gives areas, pins and set pressure.
         record: with ``.p_head``, ``.p_rod`` and ``.x`` or ``.q`` of the cylinder.
         cylinder: its name.
-        ledger: of the same record, for the energy drawn; without it the record's own edge flows say
-            it, if it has them.
+        ledger: of the same record, for the energy drawn; without it by its edge flows, if any.
 
     Raises:
         InputError: no such cylinder.
@@ -147,7 +144,10 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         raise InsufficientData(message("ledger.did_not_move", cylinder=cylinder))
     head, rod = item.areas()
     force = record[f"{cylinder}.p_head"] * head - record[f"{cylinder}.p_rod"] * rod
-    load = _Load.of(record.t, x, force, float(rig.supply.pressure), (head, rod))
+    supply = float(rig.supply.pressure)
+    if "p_supply" in record:  # a pump's compensator gives way under flow
+        supply = float(np.average(record["p_supply"][1:], weights=np.abs(np.diff(x))))
+    load = _Load.of(record.t, x, force, supply, (head, rod))
     prices, pressure = load.prices(), load.pressure
     paid = {name: pressure * (a * ways[0] + b * ways[1]) for name, (a, b) in prices.items()}
     used = (

@@ -17,8 +17,8 @@ from ehbench.ledger.readings import Readings, noise_of, read_log
 from ehbench.ledger.rows import Ledger
 from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.edge import MAP
-from ehbench.parts.nodes import TANK
-from ehbench.parts.oil import bulk
+from ehbench.parts.nodes import SUPPLY, TANK
+from ehbench.parts.oil import bulk, bulk_of
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
@@ -47,13 +47,15 @@ class Accuracy:
 
     ``pressure``: zero of a pressure sensor, of the set supply pressure. ``position``: scale of a
     position sensor. ``flow``: flow of an edge whose law or map states no error, or of a map outside
-    of its readings. ``lag``: natural frequency of a valve that states no error. ``alignment``:
+    of its readings. ``leakage``: what a shut edge at the supply lets pass, of the pump's largest
+    flow. ``lag``: natural frequency of a valve that states no error. ``alignment``:
     samples by which commands and readings may be apart. ``draws``: repetitions from which the
     effect of the sensors' noise is found."""
 
     pressure: float = 0.0025
     position: float = 0.002
     flow: float = 0.05
+    leakage: float = 3.0e-4
     lag: float = 0.2
     alignment: float = 1.0
     draws: int = 12
@@ -64,8 +66,8 @@ class Account:
     doubt.
     """
 
-    def __init__(self, sheet: Sheet, loads: Loads) -> None:
-        self.sheet, self.loads = sheet, loads
+    def __init__(self, sheet: Sheet, loads: Loads, accuracy: Accuracy) -> None:
+        self.sheet, self.loads, self.accuracy = sheet, loads, accuracy
 
     def states(self, model: Model, m: Readings) -> np.ndarray:
         """States, shape (samples, states), with the openings that follow from the commands."""
@@ -87,7 +89,41 @@ class Account:
         flows = np.empty((m.t.size, len(model.layout.edges) + 1))
         flows_at(states, m.commands, m.p_tank, plant, flows)
         flows[:, -1] = 0.0 if m.flow_supply is None else m.flow_supply
-        return flows
+        return self.balanced(model, m, flows)
+
+    def balanced(self, model: Model, m: Readings, flows: np.ndarray) -> np.ndarray:
+        """The flows with a factor for each edge of a chamber by which its oil comes out even: what
+        came in is what the piston's way, compression and leakages took.
+
+        Readings of a map go up, a motion goes to and fro, and hysteresis makes 2 % of that; the way
+        is known to ``position``. Factors are 1 ± ``flow`` before, cylinders with lines as they are.
+        """
+        if self.accuracy.flow == 0.0:
+            return flows
+        plant, result, dt = model.plant, flows.copy(), np.diff(m.t)[:, None]
+        for c, row in enumerate(plant.cylinders):
+            nodes: list[int] = [int(row.node_head), int(row.node_rod)]
+            ways = np.array([plant.edges.to_node == i for i in nodes], float)
+            ways -= [plant.edges.from_node == i for i in nodes]
+            (among,) = np.nonzero(ways.any(axis=0))
+            areas = np.array([row.area_head, -row.area_rod])
+            p, x = m.p[:, 2 * c : 2 * c + 2], m.x[:, c]
+            oil = [row.volume_head, row.volume_rod] + np.outer(x, areas)
+            across = row.leakage_internal * (p[:, :1] - p[:, 1:]) * [1.0, -1.0]
+            lost = across + [row.leakage_head, row.leakage_rod] * (p - m.p_tank[:, None])
+            stiff = np.vectorize(lambda pressure, row=row: bulk_of(row, pressure))(p)
+            pressed = 0.5 * (oil / stiff)[1:] + 0.5 * (oil / stiff)[:-1]
+            taken = np.diff(oil, axis=0) + pressed * np.diff(p, axis=0)
+            taken += 0.5 * dt * (lost[1:] + lost[:-1])
+            moved = 0.5 * dt * (flows[1:, among] + flows[:-1, among])
+            brought = np.cumsum(moved[:, None] * ways[:, among], axis=0)  # sample, chamber, edge
+            missing = np.cumsum(taken, axis=0) - brought.sum(axis=2)
+            whole = np.abs(areas) * row.stroke * np.sqrt(len(dt))
+            shares = (brought / whole[:, None]).reshape(-1, among.size)
+            certain = self.accuracy.position / self.accuracy.flow * np.eye(among.size)
+            wanted = np.append((missing / whole).ravel(), np.zeros(among.size))
+            result[:, among] *= 1.0 + np.linalg.lstsq(np.vstack([shares, certain]), wanted)[0]
+        return result
 
     def power(self, model: Model, m: Readings, states: np.ndarray, flows: np.ndarray) -> np.ndarray:
         """Powers [W] of the columns, shape (samples, columns)."""
@@ -208,7 +244,7 @@ def ledger_of_log(
     loads = Loads.of(record, load)
     shown = payload_of(record) if loads.changes else payload
     sheet = Sheet(model, "unexplained", bool(loads.changes))
-    account = Account(sheet, loads)
+    account = Account(sheet, loads, accuracy or Accuracy())
     states = account.states(model, readings)
     flows = account.flows(model, readings, states)
     power = account.power(model, readings, states, flows)
@@ -255,12 +291,16 @@ def _effects(
     for e, name in enumerate(model.layout.edges):
         std, texts = _flow_std(maps, e, result, accuracy)
         notes += texts
-        if std.any():
-            doubtful = flows.copy()
-            doubtful[:, e] += std
-            moved = account.power(model, readings, states, doubtful)
-            moved = account.energies(model, readings, states, moved)
-            effects[f"flow of {name}"] = moved - base
+        row, shut = model.plant.edges[e], flows[:, e] == 0.0
+        way = float(row.from_node == SUPPLY) - float(row.to_node == SUPPLY)
+        leak = way * accuracy.leakage * model.plant.supply.flow_limit * shut
+        for source, more in (("flow", std), ("leakage while shut", leak)):
+            if more.any():
+                doubtful = flows.copy()
+                doubtful[:, e] += more
+                moved = account.power(model, readings, states, doubtful)
+                moved = account.energies(model, readings, states, moved)
+                effects[f"{source} of {name}"] = moved - base
     effects |= lags
     for name, moved in _doubts(model, readings, accuracy):
         effects[name] = account(model, moved) - base

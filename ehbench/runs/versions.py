@@ -23,7 +23,7 @@ METHODS: Mapping[str, int] = {
     "control": 1,  # controllers
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it
-    "ledger": 1,
+    "ledger": 2,
     "sampling": 1,  # designs of studies and their statistics
 }
 
