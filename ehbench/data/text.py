@@ -216,8 +216,9 @@ def long_integers(
     """By column, (row, message) of its first integer that no float is: beyond 2^53 not all are."""
     results: dict[int, tuple[int, Message]] = {}
     for place, index in enumerate(columns):
-        for row in np.flatnonzero(np.abs(values[:, place]) >= 2.0**53):
-            cell = split(rows[int(row)], separator)[index]
+        large = np.isfinite(values[:, place]) & (np.abs(values[:, place]) >= 2.0**53)
+        for row in np.flatnonzero(large):
+            cell = split(rows[int(row)], separator)[index].lstrip("0")
             if cell.isdecimal() and int(cell) != int(values[row, place]):
                 results[index] = (int(row), message("data.integer_rounded", number=cell))
                 break

@@ -98,6 +98,15 @@ def test_a_blank_between_tabs_ends_no_number(second, tmp_path):
         _read(tmp_path / "a.csv", "mbar")
 
 
+@pytest.mark.parametrize("cell", ["9" * 400, "0" * 5000 + "7", "0" * 5000 + "9" * 17])
+def test_many_digits_are_a_number_or_a_sentence(cell, tmp_path):
+    (tmp_path / "a.csv").write_text(f"t;p\n0;1\n1;{cell}\n2;3\n")
+    try:
+        assert _read(tmp_path / "a.csv", "mbar")["p_supply"][1] == pytest.approx(700.0)
+    except LogError as error:
+        assert cell.lstrip("0")[0] == "9" and error.line == 3
+
+
 @pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
 def test_utf_16_without_its_mark(encoding, tmp_path):
     (tmp_path / "a.csv").write_bytes("t;p\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))

@@ -133,7 +133,7 @@ def nanoseconds(cells: Iterable[Any]) -> tuple[np.ndarray, float] | None:
     that count nanoseconds since 1970; None of others, and of such as go back.
     """
     texts = [str(cell) for cell in cells]
-    counts = [int(text) for text in texts if text.isdecimal()]
+    counts = [int(text) for text in texts if text.isdecimal() and len(text) == 19]
     known = len(counts) == len(texts) > 0 and 10**18 <= counts[0] <= counts[-1] < 26 * 10**17
     if not known or any(later < count for count, later in pairwise(counts)):
         return None
