@@ -5,11 +5,13 @@ from __future__ import annotations
 import shutil
 import subprocess
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 
 from ehbench import trial, workflow
+from ehbench.app import inspection
 from ehbench.config.recipe import ExportRecipe, TrialRecipe, load_rig
 from ehbench.export import FORMATS, Export, c99, compiler
 from ehbench.export.source import write_sources
@@ -236,3 +238,22 @@ def test_what_cannot_be_exported(tmp_path, monkeypatch, written, options, insist
         workflow.export(source, options, session)
     assert (error.value.key, error.value.exit_code) == (key, code)
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_without_a_compiler_sources_are_left_and_it_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiler, "find_spec", lambda name: None)
+    monkeypatch.setattr(compiler.shutil, "which", lambda name: None)
+    session = workflow.Session(out=tmp_path / "out", unvalidated=True)
+    source = RECIPES / "rigs" / "slide_servo.toml"
+    done = workflow.export(source, {"formats": ("c", "fmu2")}, session)
+    assert [getattr(note, "key", "") for note in done.notes] == [
+        "export.not_checked",
+        "export.source_only",
+    ]
+    assert done.code == 0 and (done.folder / "c" / "slide_servo_model" / "check.c").is_file()
+    with ZipFile(done.folder / "fmu2" / "slide_servo_model.fmu") as unit:
+        names = unit.namelist()
+    assert "sources/slide_servo_model.c" in names
+    assert not any(name.startswith("binaries") for name in names)
+    recipe = tmp_path / "out.toml"
+    assert inspection.check(recipe).errors == ()
