@@ -104,6 +104,7 @@ class LinkMachine:
         self._epoch, self._clock, self._fresh = np.zeros(self._up), 0.0, False
         self.stamp, self.watchdog, self._every = Stamp(0.0, 0, 0.0), 0.0, 1
         self.exchanges: list[tuple[float, ...]] = []
+        self._heard: list[np.ndarray] = []
 
     def now(self) -> float:
         """Time [s] by the host's clock, or by the virtual one."""
@@ -153,6 +154,7 @@ class LinkMachine:
             problem = "replayed"
         else:
             self.newest = numbers
+            self._heard.append(numbers)
             return True
         self.rejected[problem] += 1
         return False
@@ -216,6 +218,7 @@ class LinkMachine:
             name for name, value in zip(self.channels, sample, strict=True) if np.isnan(value)
         )
         self._epoch, self.row, self.missed = self.newest.copy(), 0, 0
+        self._heard = [self.newest]
         self.exchanges.clear()
         self.rejected.clear()
         self.stamp = Stamp(0.0, 0, 0.0)
@@ -252,7 +255,7 @@ class LinkMachine:
         """As `Machine.tick`; without a new sample the last, older."""
         if self.row == 0:  # the log was opened since
             self.exchange(ARMED, self._down(self.commands.rest))
-            self._epoch, self.missed = self.newest.copy(), 0
+            self._epoch, self.missed, self._heard = self.newest.copy(), 0, [self.newest]
         values = self._down(np.asarray(command, dtype=float))
         fresh = self.exchange(self._wish, values, HOST if self._wish == STOPPING else NONE)
         self.row += 1
@@ -264,6 +267,13 @@ class LinkMachine:
         age = 0.0 if fresh and self.link.virtual else self.now() - self.newest[TIME] - self._offset
         self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)
         return self.sample()
+
+    def heard(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """As `heard_of` says; of a table the log says it."""
+        if self.link.virtual or self.mode == "buffered":
+            return None
+        table = np.array(self._heard)
+        return table[:, TIME] - self._epoch[TIME], table[:, len(HEADER) :]
 
     def halt(self) -> None:
         """As `halt_of` says: a target that makes its own commands stops by itself."""

@@ -194,6 +194,15 @@ def applied_of(machine: Machine) -> np.ndarray | None:
     return getattr(machine, "applied", None)
 
 
+def heard_of(machine: Machine) -> tuple[np.ndarray, np.ndarray] | None:
+    """All that a machine in real time has sent: times [s] by its clock and, shape (samples,
+    channels and valves), samples with the commands [V] that acted up to them. Of those that came
+    too late for a tick a session has no row. None of a machine that waits.
+    """
+    heard = getattr(machine, "heard", None)
+    return None if heard is None else heard()
+
+
 def halt_of(machine: Machine) -> Callable[[], None] | None:
     """How a machine that makes its own commands is stopped, its valves to rest by its own ramp;
     None of one that only takes commands.

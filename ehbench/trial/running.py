@@ -15,7 +15,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
-from ehbench.machines.protocol import Machine, in_real_time, truth_of
+from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.trial.controllers import Compiled, Laws, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
@@ -221,12 +221,37 @@ def _record(session: Session, meta: dict[str, str]) -> Record:
     if session.stop is not None:
         meta = meta | {"stopped": session.stop.sentence}
     whole = slice(0, session.end)
-    record = Record(session.rows.t[whole], session.channels(whole), meta)
+    record = _on_beats(
+        Record(session.rows.t[whole], session.channels(whole), meta), session.machine
+    )
     try:
         check_record(record)
     except InputError as error:
         raise SimulationError(message("trial.diverged", problem=error.message)) from None
     return record
+
+
+def _on_beats(record: Record, machine: Machine) -> Record:
+    """A record of a machine in real time with a row for each of its ticks, those that a late host
+    left out among them: samples and commands as the machine sent them, by straight lines where a
+    sample was lost; what only the host knows as it was in the row before.
+    """
+    heard = heard_of(machine)
+    if heard is None:
+        return record
+    times, sent = heard
+    t = np.arange(round(float(record.t[-1]) * machine.rate) + 1) / machine.rate
+    row = np.clip(np.searchsorted(record.t, t + 0.5 / machine.rate) - 1, 0, None)
+    channels = {name: values[row] for name, values in record.channels.items()}
+    after = np.minimum(np.searchsorted(times, t + 0.5 / machine.rate), len(times) - 1)
+    known = t <= times[-1]  # a link that is lost says nothing of what acted
+    for i, name in enumerate(machine.channels):
+        if name in channels:
+            channels[name] = np.interp(t, times, sent[:, i])
+    for i, valve in enumerate(machine.commands.names, len(machine.channels)):
+        name = f"{valve}.command"
+        channels[name] = np.where(known, sent[after, i], channels[name])
+    return replace(record, t=t, channels=channels)
 
 
 def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:

@@ -380,7 +380,7 @@ class LiveLog:
         self.close()
         if self._writing is not None:
             self._writing.result()
-        if self.writer.cut or dict(record.meta) != self.meta:
+        if self.writer.cut or dict(record.meta) != self.meta or self._pool is not None:
             write_log(
                 self.path,
                 Record(record.t, record.channels, record.meta, self.attachments, record.losses),

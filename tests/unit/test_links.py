@@ -14,6 +14,9 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import Fault, TrialRecipe, load_rig
+from ehbench.data import read
+from ehbench.data.record import Record
+from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.links.arming import run_remote, stopping_distances, token_of
 from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
@@ -34,7 +37,7 @@ from ehbench.links.responder import (
 )
 from ehbench.links.serve import ServedTarget
 from ehbench.links.transport import STATE, TOKEN, VirtualLink
-from ehbench.trial import prepare, run
+from ehbench.trial import prepare, run, running
 from ehbench.vocabulary.errors import InputError
 from tools.studies import link_study
 
@@ -52,12 +55,12 @@ MOTION = {
 KEYS = {"rate": "250 Hz", "motion": MOTION, "controller": {"kind": "position"}}
 
 
-def trial(on="bench", **keys):
+def trial(on="bench", rig=RIG, **keys):
     given = {**KEYS, "limits": {"stroke_margin": "20 mm"}, **keys}
     recipe = TrialRecipe(
         stage="trial", rig="x", on=on, path=ROOT / "recipes/trials/position.toml", **given
     )
-    return prepare(recipe, RIG)
+    return prepare(recipe, rig)
 
 
 # --- a target by itself
@@ -513,3 +516,40 @@ def test_no_fault_takes_the_machine_farther_than_its_margin(tmp_path):
         reasons.setdefault(item.fault.kind, set()).add(item.limit)
     assert reasons["nan"] == {"finite"} and reasons["link_lost"] == {"sample_age"}
     assert reasons["link_reordered"] == {""} and len(reasons) == len(link_study.KINDS)
+
+
+@pytest.mark.parametrize(("mode", "kind"), [("stream", LinkMachine), ("buffered", BufferedLink)])
+def test_a_log_over_a_link_identifies_as_any_other(tmp_path, mode, kind):
+    steps = tuple(
+        {**STEP, "amplitude": f"{volts} V", "start": f"{t} s", "stop": f"{t + 0.3} s"}
+        for volts, t in ((3, 0.2), (-3, 0.7), (5, 1.2), (-5, 1.7))
+    )
+    keys = {**OPEN, "command": steps, "duration": "2.2 s", "rate": "500 Hz"}
+    bulk = 0.8 * float(RIG.parameters()["bulk_modulus"])
+    served = trial("model", rig=RIG.with_values({"bulk_modulus": bulk}), **keys)
+    prepared, link = trial("model", **keys), VirtualLink(ServedTarget(served))
+    machine, log = kind(prepared, LAYOUT, link, mode, "virtual"), tmp_path / "log.mcap"
+    run(prepared, machine, log=log, fast=mode == "buffered")
+    fit = identify_hydraulics(RIG, [("steps", read(log))], ["bulk_modulus"])
+    assert fit.parameters[0].value == pytest.approx(bulk, rel=1e-4)
+
+
+def test_a_log_has_the_samples_that_a_late_host_left_out():
+    """Rows 3 and 4 came too late for the host, and row 7 was lost on the way."""
+    t = 4e-3 * np.arange(10.0)
+    sent = np.column_stack([t * (i + 1) for i in range(len(LAYOUT.up))])
+    machine = LinkMachine(trial("model"), LAYOUT, VirtualLink(ServedTarget(trial())), "stream", "")
+    machine.heard = lambda: (np.delete(t, 7), np.delete(sent, 7, axis=0))
+    rows = [0, 1, 2, 5, 6, 8, 9]
+    channels = {
+        "press.x": sent[rows, 2],
+        "press.servo.command": np.zeros(7),
+        "press.x_desired": t[rows],
+    }
+    record = running._on_beats(Record(t[rows], channels), machine)
+    np.testing.assert_allclose(record.t, t)
+    np.testing.assert_allclose(record["press.x"], 3.0 * t)
+    acted = np.append(t[1:], t[-1])  # what acted from a row on comes with the next sample
+    acted[6] = t[8]
+    np.testing.assert_allclose(record["press.servo.command"], 9.0 * acted)
+    np.testing.assert_allclose(record["press.x_desired"], t[[0, 1, 2, 2, 2, 5, 6, 6, 8, 9]])
