@@ -31,7 +31,8 @@ def trials_findings(run: Saved) -> Findings:
 
 def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     """The largest error of the controller that tracks best, of motions that are no steps: that of
-    the tip where there is one. A four-way valve that others are compared with is no choice.
+    the tip where there is one, of the true stroke where it is known. A four-way valve that others
+    are compared with is no choice.
     """
     spools = [item.case for item in savings_of(cases) if item.is_spool]
     fit = [case for case in cases if case.fit and not case.steps]
@@ -40,7 +41,7 @@ def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
     kind, quantity = ("tip", "tip_error") if tips else ("tracking", "x")
 
     def error(case: Case) -> float:
-        return case.row[kind]["max_error"]
+        return (case.row.get(f"{kind}_true") or case.row[kind])["max_error"]
 
     groups = {case.row["case"]: [case] for case in tips} if tips else by_controller(fit)
     if not groups:
