@@ -89,8 +89,10 @@ def resolution(values: np.ndarray) -> Resolution:
     known = np.abs(values[np.isfinite(values)])
     if not known.size or not known.any():
         return Resolution(0.0, 0.0)
-    largest = known[known >= 10.0 ** np.floor(np.log10(known.max()))]
-    single = largest.astype(np.float32)
+    top = known.max()  # which a power of ten may exceed as it is rounded
+    largest = known[known >= min(top, 10.0 ** np.floor(np.log10(top)))]
+    with np.errstate(over="ignore"):
+        single = largest.astype(np.float32)
     narrow = float(np.spacing(single.max())) if np.array_equal(single, largest) else 0.0
     for decimal in 10.0 ** -np.arange(10):
         whole = largest / decimal

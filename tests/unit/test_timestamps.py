@@ -137,6 +137,11 @@ def test_rows_that_a_coarse_clock_lost_are_counted(rate, start):
     np.testing.assert_allclose(t - t[0], rows / rate, atol=0.02 / rate)
 
 
+@pytest.mark.parametrize("top", [5e-324, 1e-310, 9.999999999999999e22, 1e300])
+def test_numbers_of_any_size_have_a_resolution(top):
+    assert max(resolution(np.array([0.0, top]))) >= 0.0
+
+
 @pytest.mark.parametrize("lost", [1, 7, 80])
 def test_missing_samples_are_no_rounding(lost):
     rows = np.setdiff1d(np.arange(8000), np.random.default_rng(1).choice(8000, lost, False))
