@@ -46,7 +46,8 @@ class StepMeasures:
     which the speed stays within 5 % of that rise; ``rms_error`` [m/s] against the desired speed;
     ``damping_ratio`` and ``natural_frequency`` [rad/s] of the decay, ``ringing`` says why there are
     none; ``damping_ratio_fitted`` is a likely value where the decay is too fast to ring, or that of
-    the decay. A speed that hardly moved has neither overshoot nor settling time."""
+    the decay. A speed that hardly moved or swings ever more has neither overshoot nor settling
+    time."""
 
     start: float
     duration: float
@@ -70,6 +71,7 @@ def step_measures(
     before: float = 0.0,
     others: Sequence[np.ndarray] = (),
     share: float | None = None,
+    shaped: int = 0,
 ) -> StepMeasures:
     """Measures of one step from ``before`` to ``speed`` [m/s] that begins at ``t[0]``.
 
@@ -78,6 +80,7 @@ def step_measures(
         v: speed [m/s].
         others: more channels that ring with it, such as the chamber pressures.
         share: of the full speed, handed on.
+        shaped: samples until the desired speed has come; a decay begins only then.
     """
     last = v[-max(1, round(MEASURES.steady * v.size)) :]
     # what still rings cancels under a window that fades in and out, and a drift counts as by the
@@ -92,7 +95,9 @@ def step_measures(
         # a speed that was off a tenth before the end has not settled
         inside = int(off[-1]) + 1 if off.size else 0
         settling = float(t[inside] - t[0]) if inside < MEASURES.unsettled * v.size else None
-    swing = ringing(t, np.column_stack([v, *others]))
+    swing = ringing(t[shaped:], np.column_stack([v, *others])[shaped:])
+    if swing.ok and swing.damping_ratio < 0.0:  # what grows has no steady speed to overshoot
+        overshoot = settling = None
     fitted = swing.damping_ratio if swing.ok else swing.fitted_damping
     return StepMeasures(
         float(t[0]),

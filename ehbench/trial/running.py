@@ -368,9 +368,10 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
         if stop - level.first >= 3:
             part = slice(level.first, stop)
             before = float(loop.references.table[level.first - 1, 1]) if level.first else 0.0
-            step = step_measures(
-                t[part], v[part], level.speed, before, (p_head[part], p_rod[part]), level.share
-            )
+            off = np.abs(channels["v_desired"][part] - level.speed) > 1e-9
+            shaped = int(np.flatnonzero(off)[-1]) + 1 if off.any() else 0
+            others = p_head[part], p_rod[part]
+            step = step_measures(t[part], v[part], level.speed, before, others, level.share, shaped)
             measures["steps"].append(asdict(step))
     measures["tracking"] = tracking_measures(t, x, desired)
     if true is not None:

@@ -787,3 +787,19 @@ def test_a_set_runs_each_case_with_several_seeds(rig):
 def test_the_examples_load_and_name_what_is_there(path):
     recipe = load_recipe(path)
     assert all(recipe.file(name).exists() for name in (recipe.rig, recipe.bench) if name)
+
+
+def test_a_swing_that_grows_has_no_overshoot():
+    t = np.arange(2000) * 1e-3
+    result = step_measures(t, 0.1 + 0.004 * np.exp(0.5 * t) * np.sin(25.0 * t), 0.1)
+    assert result.damping_ratio == pytest.approx(-0.5 / 25.0, abs=0.003)
+    assert result.overshoot is None and result.settling_time is None
+
+
+def test_the_decay_of_a_shaped_step_begins_with_its_level():
+    """A ramp of 0.3 s is no part of the decay after it, whose damping ratio is 0.1 at 25 rad/s."""
+    t = np.arange(2000) * 1e-3
+    late = np.maximum(t - 0.3, 0.0)
+    swing = np.exp(-0.1 * 25.0 * late) * np.sin(25.0 * np.sqrt(0.99) * late)
+    result = step_measures(t, 0.1 * np.minimum(t / 0.3, 1.0) + 0.02 * swing, 0.1, shaped=300)
+    assert result.damping_ratio == pytest.approx(0.1, abs=0.002)
