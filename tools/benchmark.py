@@ -353,6 +353,36 @@ def long_fitting(rate: float = 1000.0) -> Iterator[Row]:
     yield Row(f"fit of 8 parameters on 2 logs of 31 s at {rate:g} Hz", took, 30.0, "s")
 
 
+def stiff_fitting(friction: float = 7e3, mass: float = 20.0) -> Iterator[Row]:
+    """Time of a fit of seven parameters on a noisy log of 31 s at 1 kHz: a piston of ``mass``
+    [kg] that its ``friction`` [N] stops at once.
+    """
+    from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+
+    rig = load_rig(RIG.with_name("slide_servo.toml"))
+    rig = rig.with_values({"carriage.mass": mass, "press.friction_coulomb": friction})
+    t, rng = np.arange(31_001) / 1000.0, np.random.default_rng(1)
+    u = 1.5 * np.sign(np.sin(2.0 * np.pi * t / 3.1)) * (np.sin(2.0 * np.pi * t / 1.55) > 0.0)
+    built = simulate(rig, {"press.servo": u}, 31.0, step=AUTO)
+    channels = {
+        name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
+        for name, y in built.channels.items()
+        if "command" not in name
+    }
+    channels["press.servo.command"] = built["press.servo.command"]
+    known = rig.parameters()
+    names = ["bulk_modulus", "press.friction_coulomb"]
+    names += [name for name in known if name.endswith(".flow_gain")]
+    start = {name: float(known[name]) * 1.3 ** (-1) ** k for k, name in enumerate(names)}
+    start["press.leakage_internal"] = 1e-13
+    began = time.perf_counter()
+    log = type(built)(built.t, channels, built.meta)
+    identify_hydraulics(rig, [("log", log)], list(start), FitOptions(start=start))
+    took = time.perf_counter() - began
+    what = f"fit of 7 parameters on 31 s at 1 kHz, {friction:g} N of friction on {mass:g} kg"
+    yield Row(what, took, 60.0, "s")
+
+
 def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
     """Time to write a long log as MCAP and to read it into pandas, which is imported before."""
     import pandas  # noqa: F401
@@ -600,6 +630,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         lambda: fitting(rig),
         long_fitting,
         lambda: long_fitting(10_000.0),
+        stiff_fitting,
         logging,
         links,
         start_up,
