@@ -106,6 +106,8 @@ class Account:
             ways = np.array([plant.edges.to_node == i for i in nodes], float)
             ways -= [plant.edges.from_node == i for i in nodes]
             (among,) = np.nonzero(ways.any(axis=0))
+            if not among.size:
+                continue
             areas = np.array([row.area_head, -row.area_rod])
             p, x = m.p[:, 2 * c : 2 * c + 2], m.x[:, c]
             oil = [row.volume_head, row.volume_rod] + np.outer(x, areas)

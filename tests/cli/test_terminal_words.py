@@ -135,6 +135,7 @@ STORED = {
     "response": lambda root: runs.table_run(root, "response", "slide_servo"),
     "arc_tuning": lambda root: runs.table_run(root, "arc_tuning", "slide_servo", "tuning"),
     "study": lambda root: runs.table_run(root, "study", "thesis_arm"),
+    "export": lambda root: runs.table_run(root, "export", "slide_servo"),
 }
 
 
