@@ -283,7 +283,7 @@ class Parts(StrEnum):
     both = "both"
 
 
-def _listed(name: str, metavar: str, text: str) -> Any:
+def _valued(name: str, metavar: str, text: str) -> Any:
     return typer.Option(name, metavar=metavar, help=text, show_default=False)
 
 
@@ -300,12 +300,12 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
         Parts | None, typer.Option("--what", help="Default: all there is.", show_default=False)
     ] = None,
     formats: Annotated[
-        str, _listed("--as", "FORMAT,...", "c, fmu2, fmu3, matlab, urdf, mjcf. Default: c.")
+        str, _valued("--as", "FORMAT,...", "c, fmu2, fmu3, matlab, urdf, mjcf. Default: c.")
     ] = "",
-    payload: Annotated[str, _listed("--payload", "NAME", "What the model carries.")] = "",
-    rate: Annotated[str, _listed("--rate", "HZ", "Steps a second.")] = "",
+    payload: Annotated[str, _valued("--payload", "NAME", "What the model carries.")] = "",
+    rate: Annotated[str, _valued("--rate", "HZ", "Steps a second.")] = "",
     targets: Annotated[
-        str, _listed("--target", "TARGET,...", "Of FMUs: linux64, win64, aarch64. Default: here.")
+        str, _valued("--target", "TARGET,...", "Of FMUs: linux64, win64, aarch64. Default: here.")
     ] = "",
     out: Out = None,
     loud: Loud = None,

@@ -295,7 +295,7 @@ class _Place(NamedTuple):
 def _places(axis: Axis) -> list[_Place]:
     """The axis's posture, then those along its stroke, the other joints as they are."""
     results = []
-    for item in (axis, *_along(axis)):
+    for item in (axis, *_postures_of(axis)):
         load, ratio = reference_load(item)
         damping = load.damping + float(axis.cylinder.friction_viscous)
         swing = hydraulic_frequency(item, load)
@@ -418,7 +418,7 @@ def _sensitivity(
     return _Sensitivity(phi, answer, omega)
 
 
-def _along(axis: Axis) -> Iterator[Axis]:
+def _postures_of(axis: Axis) -> Iterator[Axis]:
     """The axis in postures along its stroke, the other joints as they are."""
     cylinder = axis.cylinder
     for share in ARC_GAINS.strokes:

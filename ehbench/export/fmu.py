@@ -114,15 +114,15 @@ def _root(part: Component, version: str, **more: str) -> ElementTree.Element:
 
 def _units(part: Component, root: ElementTree.Element) -> None:
     units = ElementTree.SubElement(root, "UnitDefinitions")
-    for unit in sorted({"s", *(item.unit for item in part.variables if _unit(item.unit))}):
+    for unit in sorted({"s", *(item.unit for item in part.variables if _unit_key(item.unit))}):
         ElementTree.SubElement(units, "Unit", name=unit)
 
 
-def _unit(unit: str) -> dict[str, str]:
+def _unit_key(unit: str) -> dict[str, str]:
     return {} if unit in ("", "dimensionless") else {"unit": unit}
 
 
-def _rows(part: Component) -> Iterator[tuple[dict[str, str], dict[str, str]]]:
+def _variable_rows(part: Component) -> Iterator[tuple[dict[str, str], dict[str, str]]]:
     """(what it is, its numbers) of each variable."""
     kinds: dict[str, dict[str, Any]] = {
         "input": {"variability": "continuous"},
@@ -131,7 +131,7 @@ def _rows(part: Component) -> Iterator[tuple[dict[str, str], dict[str, str]]]:
     }
     for number, item in enumerate(part.variables):
         about = {"name": item.name, "valueReference": str(number), "causality": item.role}
-        values = _unit(item.unit) | {"start": repr(item.start)}
+        values = _unit_key(item.unit) | {"start": repr(item.start)}
         if item.role == "parameter":
             bounds = {"min": item.lower, "max": item.upper}
             values |= {key: repr(end) for key, end in bounds.items() if math.isfinite(end)}
@@ -155,7 +155,7 @@ def describe_2(part: Component, token: str) -> ElementTree.Element:
     _units(part, root)
     ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(1.0 / part.rate))
     variables = ElementTree.SubElement(root, "ModelVariables")
-    for about, values in _rows(part):
+    for about, values in _variable_rows(part):
         row = ElementTree.SubElement(variables, "ScalarVariable", about)
         ElementTree.SubElement(row, "Real", values)
     outputs = ElementTree.SubElement(ElementTree.SubElement(root, "ModelStructure"), "Outputs")
@@ -180,7 +180,7 @@ def describe_3(part: Component, token: str) -> ElementTree.Element:
     _units(part, root)
     ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(1.0 / part.rate))
     variables = ElementTree.SubElement(root, "ModelVariables")
-    for about, values in _rows(part):
+    for about, values in _variable_rows(part):
         ElementTree.SubElement(variables, "Float64", about | values)
     time = {"name": "time", "valueReference": str(len(part.variables)), "unit": "s"}
     time |= {"causality": "independent", "variability": "continuous"}

@@ -28,16 +28,16 @@ def matlab_files(rig: Rig, fitted: Fitted, linear: Sequence[StateSpace]) -> dict
         fitted: what identification says of some.
         linear: state spaces.
     """
-    name = _plain(rig.name)
+    name = _matlab_name(rig.name)
     facts = dict(_facts(rig, fitted))
     lines = [
         f"% {rig.name}: SI. p: values; info: unit, 95 % interval, status, source.",
         f"% Linear models: load('{name}.mat'); sys = ss(linear(1).A, linear(1).B, linear(1).C, 0);",
     ]
     for path, row in facts.items():
-        place, low, high = ".".join(path), *(_number(end) for end in row["interval"])
+        place, low, high = ".".join(path), *(_matlab_number(end) for end in row["interval"])
         texts = ", ".join(f"'{key}', {_quoted(row[key])}" for key in ("unit", "status", "source"))
-        lines.append(f"p.{place} = {_number(row['value'])};  % [{row['unit']}]")
+        lines.append(f"p.{place} = {_matlab_number(row['value'])};  % [{row['unit']}]")
         lines.append(f"info.{place} = struct('interval', [{low}, {high}], {texts});")
     return {
         f"{name}_parameters.m": ("\n".join(lines) + "\n").encode(),
@@ -50,7 +50,7 @@ def _facts(rig: Rig, fitted: Fitted) -> Iterator[tuple[tuple[str, ...], dict[str
     for name, value in rig.parameters().items():
         row = fitted.get(name, {})
         yield (
-            tuple(_plain(word) for word in name.split(".")),
+            tuple(_matlab_name(word) for word in name.split(".")),
             {
                 "value": float(value),
                 "unit": parameter_row(name).unit,
@@ -86,13 +86,13 @@ def _mat(facts: Mapping[tuple[str, ...], Mapping[str, Any]], linear: Sequence[St
     return header + file.getvalue()[116:]
 
 
-def _plain(word: str) -> str:
+def _matlab_name(word: str) -> str:
     """A word as MATLAB takes it for a name."""
     plain = re.sub(r"\W", "_", word, flags=re.ASCII)[:60]
     return plain if plain[:1].isalpha() else f"c{plain}"
 
 
-def _number(value: float) -> str:
+def _matlab_number(value: float) -> str:
     return repr(float(value)).replace("nan", "NaN").replace("inf", "Inf")
 
 

@@ -82,7 +82,7 @@ def _text(*values: float) -> str:
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
-def _written(root: ElementTree.Element) -> bytes:
+def _xml_bytes(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
 
@@ -120,7 +120,7 @@ def urdf(rig: Rig) -> bytes:
             limit = {"lower": low, "upper": high, "effort": "1e9", "velocity": "1e3"}
             ElementTree.SubElement(joint, "limit", limit)
         parent = body.name
-    return _written(root)
+    return _xml_bytes(root)
 
 
 def mjcf(rig: Rig) -> bytes:
@@ -141,4 +141,4 @@ def mjcf(rig: Rig) -> bytes:
         full = (body.inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
         mass = {"pos": _text(*body.com), "mass": _text(body.mass), "fullinertia": _text(*full)}
         ElementTree.SubElement(place, "inertial", mass)
-    return _written(root)
+    return _xml_bytes(root)

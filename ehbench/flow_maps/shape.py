@@ -529,7 +529,7 @@ def find_kinks(
         if value - score < SETTINGS.look_gain:
             break
         result = _place(settled(best)[0], cells)
-        bent, score = settled(_with(plain, result.value))
+        bent, score = settled(_with_kink(plain, result.value))
         if value - score < SETTINGS.kink_gain:
             break
         plain, value, kinks = bent, score, (*kinks, result)
@@ -556,7 +556,7 @@ def _bent(plain: Shape, cells: Cells, gap: np.ndarray) -> tuple[Shape, float]:
 
     @cache
     def bent(i: int) -> tuple[Shape, float]:
-        return roughly_smoothed(_with(plain, float(gap[i])), cells, 0)
+        return roughly_smoothed(_with_kink(plain, float(gap[i])), cells, 0)
 
     return bent(valley(lambda i: bent(i)[1], gap.size, gap.size // 2))
 
@@ -566,7 +566,7 @@ def _roomy(above: np.ndarray) -> np.ndarray:
     return np.diff(above, prepend=-np.inf) >= SETTINGS.kink_gap * (above[-1] - above[0])
 
 
-def _with(shape: Shape, kink: float) -> Shape:
+def _with_kink(shape: Shape, kink: float) -> Shape:
     return replace(shape, kinks=(*shape.kinks, kink))
 
 

@@ -172,7 +172,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
         else:
             better = _better(problem, state, i, float(rises[lowest]), float(points[lowest]))
             if better is None:
-                ends, rise, value = _ends(problem, state, i, points, rises)
+                ends, rise, value = _interval_ends(problem, state, i, points, rises)
                 better = _better(problem, state, i, rise, value)
                 if better is None:
                     free = tuple(k for k in state.free if k != i)
@@ -237,7 +237,7 @@ def _better(problem: Problem, state: State, i: int, rise: float, value: float) -
     return there if cost(problem, there) < cost(problem, state) else None
 
 
-def _ends(
+def _interval_ends(
     problem: Problem, state: State, i: int, points: np.ndarray, rises: np.ndarray
 ) -> tuple[tuple[float, float], float, float]:
     """(between which values the logs do not deny a parameter, the bounds where they never do; the

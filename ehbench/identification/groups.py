@@ -81,7 +81,7 @@ def groups_of(
             reach = math.exp(min(Z95 * std, 50.0))
             alone = {n: math.sqrt(covariance[k, k]) for k, n in enumerate(names) if n in powers}
             ends = (value / reach, value * reach)
-            groups.append(Group(_text(powers), powers, value, ends, std, alone))
+            groups.append(Group(_power_product(powers), powers, value, ends, std, alone))
     return tuple(groups)
 
 
@@ -133,7 +133,7 @@ def _rounded(power: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.where(np.abs(power) < 0.05, 0.0, np.round(power, 2))
 
 
-def _text(powers: dict[str, float]) -> str:
+def _power_product(powers: dict[str, float]) -> str:
     """``mass/area_head^2``."""
     sides: dict[bool, list[str]] = {True: [], False: []}
     for name, power in powers.items():

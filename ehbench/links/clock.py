@@ -35,7 +35,7 @@ def estimated(exchanges: Sequence[Sequence[float]]) -> dict[str, Any]:
     best = np.array(
         [(t[p][i], (came - t)[p][i]) for p in parts if p.any() for i in [_first(came, t, p)]]
     )
-    slope, error = _line(best)
+    slope, error = _fitted_slope(best)
     base = t[0]
     first = np.searchsorted(acknowledged, number)  # the sample that acknowledges a command
     known = first < len(t)
@@ -57,7 +57,7 @@ def _first(came: np.ndarray, t: np.ndarray, part: np.ndarray) -> int:
     return int(np.argmin((came - t)[part]))
 
 
-def _line(points: np.ndarray) -> tuple[float, float]:
+def _fitted_slope(points: np.ndarray) -> tuple[float, float]:
     """Slope of a line through points (t, y), and its standard error."""
     t, y = points.T
     t = t - t.mean()

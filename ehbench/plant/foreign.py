@@ -39,7 +39,7 @@ class Binding:
         self.variables: dict[str, list[Variable]] = {}
         for key, table in tables.items():
             self.variables[key] = [
-                self.fmu.variable(name, _unit(key, given)) for given, name in table.items()
+                self.fmu.variable(name, _channel_unit(key, given)) for given, name in table.items()
             ]
         self._idle: list[FmuProcess] = []
         self._lock = Lock()
@@ -71,7 +71,7 @@ class Binding:
         return np.array([i.factor for i in items]), np.array([i.offset for i in items])
 
 
-def _unit(key: str, name: str) -> str:
+def _channel_unit(key: str, name: str) -> str:
     if key == "parameters":
         return parameter_row(name).unit
     return "V" if key == "commands" else quantity(name).unit

@@ -20,7 +20,7 @@ from typing import BinaryIO
 from ehbench.runtime.landlock import restrict, system_paths
 from ehbench.runtime.memory import held
 
-_PIECE = 1 << 20  # bytes that a pipe hands over at once
+_PIPE_BYTES = 1 << 20  # bytes that a pipe hands over at once
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _outcome(child: int, reading: int, bounds: Bounds) -> bytearray:
                 raise Ended(signal.SIGALRM if left <= 0.0 else signal.SIGKILL)
             if not waiting.poll(1e3 * left):
                 continue
-            if not (piece := os.read(reading, _PIECE)):
+            if not (piece := os.read(reading, _PIPE_BYTES)):
                 break
             result += piece
     except BaseException:

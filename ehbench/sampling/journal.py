@@ -75,7 +75,7 @@ class Journal:
         for sample in samples:
             if not self.done[sample.index]:
                 place = self._end
-                self._write(_line(sample))
+                self._write(_journal_line(sample))
                 self.done[sample.index], self._places[sample.index] = True, place
         if time.monotonic() - self._synced > 1.0:  # [s] between two syncs
             os.fsync(self._file.fileno())
@@ -113,7 +113,7 @@ class Journal:
             self.path.unlink(missing_ok=True)
 
 
-def _line(item: Sample) -> bytes:
+def _journal_line(item: Sample) -> bytes:
     numbers = [value if math.isfinite(value) else None for value in item.measures]
     row = {"i": item.index, "c": item.code, "s": item.status, "m": numbers}
     if item.message:

@@ -138,10 +138,10 @@ def _leads(kind: Any, words: Sequence[str]) -> bool:
     """Whether a name leads somewhere in results that look like ``kind``."""
     if not words:
         return True
-    return any(_leads(inner, words[size:]) for size, inner in _steps(kind, words))
+    return any(_leads(inner, words[size:]) for size, inner in _ways_into(kind, words))
 
 
-def _steps(kind: Any, words: Sequence[str]) -> Iterator[tuple[int, Any]]:
+def _ways_into(kind: Any, words: Sequence[str]) -> Iterator[tuple[int, Any]]:
     """(words used, what lies there) of each way into ``kind``."""
     if kind is Any:
         yield len(words), Any
@@ -159,7 +159,7 @@ def _steps(kind: Any, words: Sequence[str]) -> Iterator[tuple[int, Any]]:
     origin, inside = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         for item in inside:
-            yield from _steps(item, words)
+            yield from _ways_into(item, words)
     elif origin is dict:
         yield from ((size, inside[1]) for size in range(1, len(words) + 1))
     elif origin in (tuple, list):

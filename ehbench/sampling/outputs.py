@@ -110,7 +110,7 @@ def write_tables(
         csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
         samples = journal.samples()
         while rows := list(islice(samples, 4096)):
-            lines = [_line(row, design, measures, key) for row in rows]
+            lines = [_cells(row, design, measures, key) for row in rows]
             add([*zip(*lines, strict=True)])
             csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
             for line in lines:
@@ -142,7 +142,7 @@ def _parquet(
         yield lambda columns: writer.write(pyarrow.table(list(columns), schema=schema))
 
 
-def _line(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
+def _cells(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
     own = design.inputs(item.index)
     values = [
         float(column.shown(value)) for column, value in zip(measures, item.measures, strict=True)

@@ -137,7 +137,7 @@ class Summary:
                     "cells": design.cells(inputs)[: len(keys)],
                     "samples": design.points,
                     "whole": int(np.isin(self.rows.codes[span], WHOLE).sum()),
-                    "measures": [_group(y[span]) for y in values],
+                    "measures": [_group_statistics(y[span]) for y in values],
                     "targets": [
                         statistics.share(int(met[span].sum()), design.points)._asdict()
                         for met in self._met
@@ -179,7 +179,7 @@ class Summary:
             yield about | {"inputs": inputs}
 
 
-def _group(values: np.ndarray) -> dict[str, Any]:
+def _group_statistics(values: np.ndarray) -> dict[str, Any]:
     """A measure of one combination."""
     y = values[np.isfinite(values)]
     if not y.size:

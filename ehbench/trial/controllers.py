@@ -238,7 +238,7 @@ def refuse_unknown(recipe: TrialRecipe) -> None:
     for cylinder in (chosen, *map(chosen.of, chosen.cylinders)):
         assert cylinder.kind is not None  # those of single cylinders are no classes either
         item, law = recipe.model_copy(update={"controller": cylinder}), LAWS[cylinder.kind]
-        gains, _, _ = _written(item, law)
+        gains, _, _ = _recipe_tables(item, law)
         # that of all cylinders may be nobody's where these have laws of their own
         if chosen.gains_from is None and (cylinder is not chosen or not chosen.cylinders):
             _refuse_without(item, law, gains)
@@ -339,7 +339,7 @@ def other_supply(rig: Rig, tuning: Mapping[str, Any] | None) -> tuple[Message, .
     if tuned["kind"] != here["kind"]:
         supply = message("trial.other_kind", tuned=tuned["kind"], kind=here["kind"])
     else:
-        supply = ", ".join(_change(rig, name, tuned[name], here[name]) for name in here)
+        supply = ", ".join(_supply_change(rig, name, tuned[name], here[name]) for name in here)
     return (message("trial.other_supply", supply=supply),)
 
 
@@ -349,7 +349,7 @@ def _differ(item: Any, other: Any) -> bool:
     return not math.isclose(item, other, rel_tol=ROUNDING)
 
 
-def _change(rig: Rig, name: str, tuned: Any, here: Any) -> str:
+def _supply_change(rig: Rig, name: str, tuned: Any, here: Any) -> str:
     """A value [SI] of the supply as it was tuned on and as it is; the kind by itself."""
     if name == "kind":
         return here
@@ -371,7 +371,7 @@ def _taken(
     """(gains, rules, shaping) of a recipe, SI: those of the tune run, and over them those that
     stand in the recipe.
     """
-    gains, rules, shaping = _written(recipe, law)
+    gains, rules, shaping = _recipe_tables(recipe, law)
     if tuning is not None:
         if tuning.get("cylinder") != cylinder:
             raise InputError(
@@ -383,7 +383,7 @@ def _taken(
     return gains, rules, shaping
 
 
-def _written(
+def _recipe_tables(
     recipe: TrialRecipe, law: Law
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """(gains, rules, shaping) that stand in a recipe, SI."""

@@ -189,7 +189,7 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
         leg, q = _leg(mover, (item, other), q, index)
         legs.append(leg)
     table = _times(recipe, motion, [leg.length for leg in legs])
-    tables = _along(table, legs, len(mover.moved))
+    tables = _cylinder_tables(table, legs, len(mover.moved))
     return Route(
         dict(zip(mover.moved, start.tolist(), strict=True)),
         dict(zip(mover.moved, tables, strict=True)),
@@ -293,7 +293,7 @@ def _times(recipe: TrialRecipe, motion: Motion, lengths: Sequence[float]) -> np.
     return point_to_point(stops.tolist(), tick=1.0 / float(recipe.rate), **limits)
 
 
-def _along(table: np.ndarray, legs: Sequence[Leg], count: int) -> list[np.ndarray]:
+def _cylinder_tables(table: np.ndarray, legs: Sequence[Leg], count: int) -> list[np.ndarray]:
     """The table of each cylinder along the way: the chain rule on each line's splines."""
     built = np.zeros((count, len(table), 4))
     ends = np.cumsum([leg.length for leg in legs])

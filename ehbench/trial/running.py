@@ -182,7 +182,7 @@ def run(
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)
-        truth, facts = truth_of(at_work), _facts(prepared, session, record)
+        truth, facts = truth_of(at_work), _run_facts(prepared, session, record)
     return Result(record, facts, None if truth is None else truth.model)
 
 
@@ -254,7 +254,7 @@ def _on_beats(record: Record, machine: Machine) -> Record:
     return replace(record, t=t, channels=channels)
 
 
-def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
+def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     recipe, law, stop, rate = prepared.recipe, session.law, session.stop, session.machine.rate
     warnings = [] if prepared.loop is None else list(prepared.loop.notes)
     for channel, count in zip(session.machine.channels, session.gaps.tolist(), strict=True):
@@ -274,7 +274,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             )
             if isinstance(part, Compiled) and part.law.after is not None:
                 known |= part.law.after(part.used, part.controller)
-            known["valves"] = _valves(prepared.rig, item.cylinder)
+            known["valves"] = _valve_frequencies(prepared.rig, item.cylinder)
             if part.used.get("gains", {}).get("adapt_maps"):
                 known["maps"] = learnt_maps(item.design, session.machine, record, rows)
             if isinstance(part, Compiled) and part.law.warns_saturated:
@@ -284,7 +284,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
                 )
                 saturated = met.astype(int) & SATURATED > 0
                 known["short"] = short_measures(record.t[:rows], v, desired, saturated)
-            warnings += _warnings(known, prepared.rig, item.cylinder)
+            warnings += _trial_warnings(known, prepared.rig, item.cylinder)
             code = record.channels.get(f"{item.cylinder}.valve_fault", np.zeros(1))
             if code.any():
                 known["valve_fault"] = fault = valve_fault(item.design, record.t, code)
@@ -314,7 +314,7 @@ def _facts(prepared: Prepared, session: Session, record: Record) -> Facts:
     )
 
 
-def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
+def _valve_frequencies(rig: Rig, cylinder: str) -> dict[str, list[float]]:
     """Natural frequencies [rad/s] of a cylinder's slowest and fastest valve; nothing where its
     valves follow at once.
     """
@@ -327,7 +327,7 @@ def _valves(rig: Rig, cylinder: str) -> dict[str, list[float]]:
     return {"natural_frequency": ends} if all(ends) and ends else {}
 
 
-def _warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[Message]:
+def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> list[Message]:
     """Warnings of saturated valves, limit cycles and missing working functions."""
     warnings, known = [], {"cylinder": cylinder}
     short, cycle = measures.get("short"), measures["limit_cycle"]

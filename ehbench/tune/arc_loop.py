@@ -298,14 +298,14 @@ def _plant_map(
         perfect_sample(y + push, plant, sample)
         return sample.copy()
 
-    sizes, none = _steps(model), np.zeros(len(valves))
+    sizes, none = _state_steps(model), np.zeros(len(valves))
     volts = np.full(len(valves), 1e-4)
     a = _differences(lambda push: after(push, none), sizes)
     b = _differences(lambda turned: after(np.zeros(y.size), turned), volts)
     return Sampled(a, b, _differences(read, sizes), np.zeros((sample.size, len(valves))))
 
 
-def _steps(model: Model) -> np.ndarray:
+def _state_steps(model: Model) -> np.ndarray:
     """Steps of differences for every state of the plant: rad or m, per second, Pa, V, V/s."""
     known = {"q": 1e-6, "qd": 1e-5, "opening": 1e-4, "rate": 1e-2}
     known |= {"mount_deflection": 1e-8, "sway": 1e-6, "sway_speed": 1e-5}

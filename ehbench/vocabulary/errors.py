@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ehbench.vocabulary.messages import Message
 
-_LONGEST = 700  # characters of a sentence
+_MAXIMUM = 700  # characters of a sentence
 
 
 class EhbenchError(Exception):
@@ -48,7 +48,7 @@ def _one_line(text: str) -> str:
     plain = text  # a message stays one, with its key
     if not text.isprintable():
         plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-    return plain if len(plain) <= _LONGEST else plain[: _LONGEST - 200] + " … " + plain[-190:]
+    return plain if len(plain) <= _MAXIMUM else plain[: _MAXIMUM - 200] + " … " + plain[-190:]
 
 
 class InputError(EhbenchError):

@@ -32,7 +32,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import to_si
 
-_MARKS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
+_SEPARATOR_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "white space"}
 
 __all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
 
@@ -113,7 +113,7 @@ def _overview(
         lines[0] += message(
             "app.dialect",
             encoding=dialect.encoding,
-            mark=_MARKS[dialect.separator],
+            mark=_SEPARATOR_WORDS[dialect.separator],
             sign="comma" if dialect.decimal == "," else "point",
             line=(dialect.skip or 0) + 1,
             units=message("app.units_below") if dialect.unit_row else "",

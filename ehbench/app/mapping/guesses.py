@@ -256,7 +256,7 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
     if may("load_pressure", set()) and words & (WORDS["drop"] | WORDS["across"]):
         return "load_pressure", LIKELY, ()
     if may("p_head", WORDS["pressure"]):
-        return _end(unit, words)
+        return _pressure_end(unit, words)
     if unit and is_of(unit, VOCABULARY["command"]) or words & WORDS["command"]:
         return "", UNDECIDED, ()
     for channel, kind, by_unit in _SENSORS:
@@ -268,7 +268,7 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
     return "", UNDECIDED, ()
 
 
-def _end(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
+def _pressure_end(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
     """Which pressure a name says, as `reading_of`; of the ends of which it names several the one
     with the most weight.
     """

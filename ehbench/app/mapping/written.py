@@ -12,7 +12,7 @@ from ehbench.data.rates import apart
 from ehbench.data.readers import Source, SourceColumn
 from ehbench.vocabulary.messages import message
 
-_MARKS = {"\t": "tab", " ": "space"}
+_SEPARATOR_KEYS = {"\t": "tab", " ": "space"}
 
 
 def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
@@ -40,7 +40,7 @@ def _dialect(source: Source) -> list[str]:
     if result.separator is None:
         return []
     keys = {
-        "separator": _MARKS.get(result.separator, result.separator),
+        "separator": _SEPARATOR_KEYS.get(result.separator, result.separator),
         "decimal": result.decimal,
         "skip": result.skip,
         "unit_row": result.unit_row,

@@ -20,7 +20,7 @@ from ehbench.vocabulary.units import factor, product, split_number, to_si, zero_
 LEAVE_OUT = "leave out"
 READING_WORDS = ("valve", "direction", "trial", "method", "note")  # of flowmeter readings
 ENDING = ".map.toml"
-_MARKS = {"tab": "\t", "space": " "}
+_SEPARATORS = {"tab": "\t", "space": " "}
 
 
 class MappedColumn(FileModel):
@@ -70,7 +70,7 @@ class MappedColumn(FileModel):
             return _through(self.from_, self.to, self.unit or file_unit, row)
         unit = self.unit if self.unit is not None else file_unit
         scale, by = _split(self.scale)
-        slope, zero = (product(by, unit, row.unit), 0.0) if by else _slope(unit, row)
+        slope, zero = (product(by, unit, row.unit), 0.0) if by else _factor_and_zero(unit, row)
         gain = self.sign * scale * slope
         neutral, of = _split(self.neutral)
         neutral *= factor(of, unit) if of and of != unit else 1.0
@@ -88,7 +88,7 @@ def _split(given: float | str) -> tuple[float, str]:
     return split_number(given) if isinstance(given, str) else (float(given), "")
 
 
-def _slope(unit: str, row: Quantity) -> tuple[float, float]:
+def _factor_and_zero(unit: str, row: Quantity) -> tuple[float, float]:
     """(factor, zero) of a unit into SI of a row."""
     if not unit.strip() and row.unit != "dimensionless":
         raise UnitError(message("config.no_unit", name=row.name, display=row.display))
@@ -189,7 +189,7 @@ class ColumnMap:
     def marks(self) -> tuple[str | None, str | None]:
         """(separator, decimal sign) as characters."""
         separator = self.columns.separator
-        return _MARKS.get(separator or "", separator), self.columns.decimal
+        return _SEPARATORS.get(separator or "", separator), self.columns.decimal
 
 
 def load_columns(path: str | Path) -> ColumnMap:

@@ -67,12 +67,12 @@ def lines_of(text: str) -> dict[tuple[Any, ...], int]:
     prefix: tuple[Any, ...] = ()
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
-            prefix = _table_at(_words(header[2]), header[1] == "[[", counts)
+            prefix = _table_at(_key_parts(header[2]), header[1] == "[[", counts)
             lines.setdefault(prefix, number)
             if isinstance(prefix[-1], int):
                 lines.setdefault(prefix[:-1], number)
         elif key := _KEY.match(line):
-            lines.setdefault(prefix + tuple(_words(key[1])), number)
+            lines.setdefault(prefix + tuple(_key_parts(key[1])), number)
     return lines
 
 
@@ -95,7 +95,7 @@ def _table_at(
     return path
 
 
-def _words(dotted: str) -> list[str]:
+def _key_parts(dotted: str) -> list[str]:
     return [
         part[1:-1] if part[:1] in "\"'" else part
         for part in re.findall(r'"[^"]*"|\'[^\']*\'|[A-Za-z0-9_-]+', dotted)

@@ -22,13 +22,13 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, meant, quantity
 
 
-def _share(raw: Any) -> Any:
+def _share_or_none(raw: Any) -> Any:
     if raw is True:
         raise ValueError(message("config.share_expected"))
     return None if raw is False else raw
 
 
-_Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share)]
+_Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share_or_none)]
 
 
 def _unasked(raw: Any) -> Any:

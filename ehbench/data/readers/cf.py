@@ -15,7 +15,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import factor
 
 _SINCE = re.compile(r"\s*(\w+)\s+since\s+([\d-]+)(?:[T ]([\d:.]+))?\s*(\S*)\s*")
-_MARKS = ("_FillValue", "missing_value", "valid_min", "valid_max", "valid_range")
+_CF_ATTRIBUTES = ("_FillValue", "missing_value", "valid_min", "valid_max", "valid_range")
 
 
 def converted(values: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
@@ -25,7 +25,7 @@ def converted(values: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
     Raises:
         LogError: such an attribute is no number.
     """
-    keys = [key for key in ("scale_factor", "add_offset", *_MARKS) if key in attributes]
+    keys = [key for key in ("scale_factor", "add_offset", *_CF_ATTRIBUTES) if key in attributes]
     unsigned = str(attributes.get("_Unsigned", "")).strip("b'\"").lower() == "true"
     if values.dtype.kind not in "fiu" or not (keys or unsigned):
         return values
@@ -38,7 +38,7 @@ def converted(values: np.ndarray, attributes: Mapping[str, Any]) -> np.ndarray:
         sizes = {"valid_range": (2,), "missing_value": range(1, number.size + 1)}.get(key, (1,))
         if number.dtype.kind not in "fiu" or number.size not in sizes:
             raise LogError(message("data.attribute_no_number", key=key, value=attributes[key]))
-        if key in _MARKS and unsigned and number.dtype.kind == "i":
+        if key in _CF_ATTRIBUTES and unsigned and number.dtype.kind == "i":
             number = number.astype(signed).view(values.dtype)
         # a mark of 1e20 is another number in float32, as the stored ones are
         about[key] = number.astype(values.dtype if values.dtype.kind == "f" else float)

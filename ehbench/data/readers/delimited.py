@@ -100,7 +100,7 @@ def table_of(lines: Sequence[str], dialect: Dialect, name: str = "") -> tuple[So
     for index, kind in enumerate(kinds):
         if kind == "numbers":
             place = of_numbers.index(index)
-            unit = _unit(units[index]) if index < len(units) else ""
+            unit = _cell_unit(units[index]) if index < len(units) else ""
             unit = unit or "ns" * (index in long and index not in doubts)
             if index < len(top) and names[index] != top[index]:  # numbered behind its unit
                 unit = unit or unit_in(top[index])
@@ -288,7 +288,7 @@ def _is_unit(cell: str) -> bool:
     return bool(named_unit(cell) or absolute_unit(cell) or _CLOCK_FORM.fullmatch(plain))
 
 
-def _unit(cell: str) -> str:
+def _cell_unit(cell: str) -> str:
     """The unit that a cell says; one that is not known here without the brackets about it."""
     if cell.lower() in _UNIT_HEADS:
         return ""

@@ -16,7 +16,7 @@ import numpy as np
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
-_LONGEST = 400  # characters; every step of a formula costs a pass over all samples
+_FORMULA_LIMIT = 400  # characters; every step of a formula costs a pass over all samples
 _TOKEN = re.compile(r"[A-Za-z]\w*|(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?!\w)|[-+*/^(), ]", re.ASCII)
 _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -49,10 +49,10 @@ def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "
     Raises:
         LogError: the formula has anything else in it than numbers, operators and functions.
     """
-    calls = set(re.findall(r"[a-z]+(?=\s*\()", text.lower()[:_LONGEST]))
+    calls = set(re.findall(r"[a-z]+(?=\s*\()", text.lower()[:_FORMULA_LIMIT]))
     key = "log" if "log" in calls else "condition" if calls & {"if", "iif"} else "not_understood"
     refusal = LogError(message(f"data.formula_{key}", formula=text))
-    if len(text) > _LONGEST or _TOKEN.sub("", text):
+    if len(text) > _FORMULA_LIMIT or _TOKEN.sub("", text):
         raise refusal
     readings = values.astype(float)
 

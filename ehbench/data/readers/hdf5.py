@@ -37,7 +37,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 losses.append(message(key, name=name))
                 continue
             place, _, last = name.rpartition("/")
-            values, unit = None, _unit(item.attrs)
+            values, unit = None, _unit_of_attributes(item.attrs)
             words = h5py.check_enum_dtype(item.dtype) or "MATLAB_empty" in item.attrs
             words = words or item.attrs.get("MATLAB_class") == b"char"
             if item.size and item.dtype.kind in "fiubV" and not words:
@@ -74,7 +74,7 @@ def _data_sets(
             yield from _data_sets(item, f"{name}/", seen, losses)
 
 
-def _unit(attributes: Mapping[str, Any]) -> str:
+def _unit_of_attributes(attributes: Mapping[str, Any]) -> str:
     """The unit that a data set says it is in."""
     for key in _UNITS:
         value = attributes.get(key)

@@ -20,7 +20,7 @@ _DEEPEST = 8  # structs in structs
 _PACKED = 20  # numbers that a byte of a packed file may stand for
 # what recorders call the numbers of a struct, their name and their unit
 _DATA, _NAMES = ("data", "values", "value"), ("name", "label", "title", "signalname")
-_UNITS = ("unit", "units")
+_UNIT_FIELDS = ("unit", "units")
 
 
 def read(path: Path, dialect: Dialect) -> Source:
@@ -91,7 +91,7 @@ def _add_struct(
             gathered.add(name, f"{name}.{field}", item, "s")
         elif field.lower() in _DATA and _is_vector(item):
             where, label = place if len(vectors) == 1 else name, text_of(_NAMES)
-            if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNITS)):
+            if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNIT_FIELDS)):
                 losses.append(message("data.not_read", name=f"{name}.{field}"))
         elif field.lower() == "y" and clocks.size > 1:  # of ControlDesk, each Y on its X
             for index, channel in enumerate(np.atleast_1d(np.asarray(item, object)), 1):

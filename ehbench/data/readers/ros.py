@@ -19,7 +19,7 @@ from ehbench.vocabulary.messages import message
 
 _LONGEST = 64  # numbers in a list of a message
 _DEEPEST = 6  # messages in messages
-_UNITS = {
+_MESSAGE_UNITS = {
     "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"},
     "sensor_msgs/msg/Temperature": {"temperature": "degC"},
     "sensor_msgs/msg/Range": {"range": "m"},
@@ -84,7 +84,7 @@ def _table(
     """
     order = np.argsort(stamps, kind="stable")
     names = dict.fromkeys(name for row in rows for name in row)
-    units = _UNITS.get(kind, {})
+    units = _MESSAGE_UNITS.get(kind, {})
     columns, losses = [], []
     for name in names:
         numbers = [row.get(name, np.nan) for row in rows]
