@@ -78,8 +78,7 @@ def monitor_of(axis: Axis, tick: float, lag: float) -> Monitor:
         lag: of the slowest valve [s].
     """
     circuit = axis.circuit
-    mine = circuit.edges[circuit.first : circuit.first + circuit.count]
-    valves = np.unique(mine.valve)
+    valves = np.unique(circuit.edges.valve[circuit.first : circuit.first + circuit.count])
     return Monitor(
         valves,
         np.array([able_functions(circuit, valve) for valve in valves], np.int64),

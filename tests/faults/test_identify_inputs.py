@@ -152,7 +152,7 @@ def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():
 def test_a_zero_start_asks_for_an_upper_bound():
     work = lambda: identify(rig(), [("log", crane())], ["lift.leakage_head"])
     error = refused("identification.zero_start", work)
-    assert '[upper] "lift.leakage_head"' in error.hint
+    assert '[upper] "lift.leakage_head"' in str(error.hint)
 
 
 # --- names ---

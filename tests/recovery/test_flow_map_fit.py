@@ -213,8 +213,8 @@ def test_scale_does_not_matter():
     for scale, other in zip(scales[1:], others, strict=True):
         # the same arithmetic on other powers of two, but for rounding
         flows = scale * one.map.flow(drop, command)
-        near = {"rtol": 1e-6, "atol": 1e-9 * scale * GPM}
-        np.testing.assert_allclose(other.map.flow(drop, command), flows, **near)
+        close = 1e-9 * scale * GPM
+        np.testing.assert_allclose(other.map.flow(drop, command), flows, rtol=1e-6, atol=close)
         assert other.deadband == pytest.approx(one.deadband, abs=1e-5)
 
 

@@ -137,7 +137,8 @@ def test_a_replay_is_scipys(place):
     quiet["press.p_rod"] = np.full(1000, 6e6 * A1 / A2)
     built = model_of(rig).replay(replace(record, channels=quiet))
     y0 = np.array([0.15, 0.0, 6e6, 6e6 * A1 / A2])
-    y = press(record.t, record["press.servo.command"], *TRUE.values(), y0)
+    beta, drag = TRUE.values()
+    y = press(record.t, record["press.servo.command"], beta, drag, y0)
     for column, name in enumerate(("press.x", "press.v", "press.p_head", "press.p_rod")):
         span = np.ptp(y[:, column])
         assert built[name] == pytest.approx(y[:, column], rel=0, abs=1e-4 * span), name

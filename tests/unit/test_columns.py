@@ -469,7 +469,8 @@ def test_pressures_on_both_sides_make_the_drop_and_one_alone_is_it(tmp_path, unp
         (tmp_path / "a.csv").write_text("\n".join([",".join(names), *rows]))
         made = mapping.draft(tmp_path / "a.csv", tmp_path / "a.map.toml")
         found = load_columns(made.path).columns.names
-        made.path.unlink(), made.picture.unlink()
+        made.path.unlink()
+        made.picture.unlink()
         return [found[name].channel if name in found else "" for name in names]
 
     sides = ["upstream_pressure", "downstream_pressure"]

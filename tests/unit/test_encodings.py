@@ -409,7 +409,9 @@ def test_an_integer_that_no_float_is_is_refused_and_never_rounded(name, tmp_path
     columns = {column.name: column for table in source.tables for column in table.columns}
     assert [int(value) for value in columns["exact"].values] == LONG["exact"].tolist()
     if "rounded" in columns:  # of text, which says so where it is asked for
-        row, doubt = columns["rounded"].doubt
+        doubtful = columns["rounded"].doubt
+        assert doubtful is not None
+        row, doubt = doubtful
         assert (row, doubt.key, doubt.fields["number"]) == (
             0,
             "data.integer_rounded",

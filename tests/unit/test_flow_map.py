@@ -189,7 +189,7 @@ def test_inverse_saturates_shuts_and_says_so():
     one = a_map()
     most = one.flow(1e6, one.command_max)
     flows = most * np.array([0.0, 0.5, 1.01, -0.1])
-    commands = one.command(1e6, flows)[[0, 2, 3]]
+    commands = np.asarray(one.command(1e6, flows))[[0, 2, 3]]
     np.testing.assert_array_equal(commands, [0.0, one.command_max, 0.0])
     np.testing.assert_array_equal(one.reachable(1e6, flows), [True, True, False, False])
     assert one.command(0.0, 1e-4) == one.command_max and not one.reachable(0.0, 1e-4)
@@ -366,10 +366,11 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
     np.testing.assert_allclose(full(band), gram, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(pull, right, rtol=1e-12, atol=1e-12)
     along_u = spline.along_u
-    near = {"rtol": 1e-12, "atol": 1e-12}
     whole = gram + smoothing[0] * np.kron(along_s.mass, along_u.curvature)
     whole += smoothing[1] * np.kron(along_s.curvature, along_u.mass)
-    np.testing.assert_allclose(full(spline.penalised(band, smoothing)), whole, **near)
+    np.testing.assert_allclose(
+        full(spline.penalised(band, smoothing)), whole, rtol=1e-12, atol=1e-12
+    )
     free, determinant = spline.free(band, right, smoothing)
     np.testing.assert_allclose(free, np.linalg.solve(whole, right), rtol=1e-8, atol=1e-8)
     rough = free @ (whole - gram) @ free

@@ -461,9 +461,11 @@ def cycle_ledger(
         ("rest", 7.0, "residual", left, None),
     ]
     names = ("name", "energy", "group", "label", "cylinder")
-    rows = [dict(zip(names, item, strict=True), interval=None) for item in parts]
-    for row in rows if half else ():
-        row["interval"] = [row["energy"] - half, row["energy"] + half]
+    rows = [
+        dict(zip(names, item, strict=True))
+        | {"interval": None if half is None else [item[1] - half, item[1] + half]}
+        for item in parts
+    ]
     functions = {
         name: {"boom.drawn": item[1], "boom.rect.throttling": 0.1 * item[1], "boom.damping": 1.0}
         for name, item in drawn.items()

@@ -659,7 +659,7 @@ def test_code_runs_only_when_allowed(rig, tmp_path):
     recipe = closed(tmp_path, 'class = "mine:C"')
     with refused("trial.code_not_allowed") as error:
         run_trial(rig, recipe)
-    assert error.value.line == 8 and "--allow-code" in error.value.hint
+    assert error.value.line == 8 and "--allow-code" in str(error.value.hint)
     assert not Path("touched").exists()
     assert code_file(recipe) == (tmp_path / "mine.py").resolve()
 
