@@ -377,7 +377,8 @@ def stiff_fitting(friction: float = 7e3, mass: float = 20.0) -> Iterator[Row]:
     start["press.leakage_internal"] = 1e-13
     began = time.perf_counter()
     log = type(built)(built.t, channels, built.meta)
-    identify_hydraulics(rig, [("log", log)], list(start), FitOptions(start=start))
+    options = FitOptions(start=start, upper={"press.friction_coulomb": 5.0 * friction})
+    identify_hydraulics(rig, [("log", log)], list(start), options)
     took = time.perf_counter() - began
     what = f"fit of 7 parameters on 31 s at 1 kHz, {friction:g} N of friction on {mass:g} kg"
     yield Row(what, took, 60.0, "s")
