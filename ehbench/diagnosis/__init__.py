@@ -169,11 +169,11 @@ class _Search:
                     results[i] = None
             built = replay_many(list(runs.values()))
             for i, replayed in zip(runs, built, strict=True):
-                left, own = self._left(case, points[i], replayed), results[i]
-                if left is None or own is None:
+                left, residuals = self._left(case, points[i], replayed), results[i]
+                if left is None or residuals is None:
                     results[i] = None
                 else:
-                    own[k] = left
+                    residuals[k] = left
         return results
 
     @staticmethod

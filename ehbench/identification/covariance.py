@@ -160,14 +160,14 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     ]
     scores = [np.einsum("tci,tc->ti", j, b.residuals) for j, b in zip(free, blocks, strict=True)]
     reaches = [_reach(score) for score in scores]
-    own = [prior.weight**2 * item.gain.T @ item.gain for item in solved]
+    prior_parts = [prior.weight**2 * item.gain.T @ item.gain for item in solved]
     meats = [
         _weighed(score, 1.0 - np.arange(reach + 1) / (reach + 1.0)) + known
-        for score, reach, known in zip(scores, reaches, own, strict=True)
+        for score, reach, known in zip(scores, reaches, prior_parts, strict=True)
     ]
     known = prior.weight**2 * np.diag(prior.sharpness**2)
     hac = np.sum(meats, axis=0) + known
-    acf = _by_autocovariance(free, blocks) + np.sum(own, axis=0) + known
+    acf = _by_autocovariance(free, blocks) + np.sum(prior_parts, axis=0) + known
     b = float(np.mean([r / len(s) for r, s in zip(reaches, scores, strict=True)]))
     pulls = [item.gradient for item in solved]
     informed = np.maximum(np.diag(total), 1e-300)
@@ -175,7 +175,7 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     return Covariance(
         inverse @ hac @ inverse,
         inverse @ acf @ inverse,
-        inverse @ (_by_counts(free, blocks) + np.sum(own, axis=0) + known) @ inverse,
+        inverse @ (_by_counts(free, blocks) + np.sum(prior_parts, axis=0) + known) @ inverse,
         _jackknife(solved, root) if _disagree(pulls, meats) else None,
         len(blocks),
         np.sqrt(np.maximum(np.diag(hac), 0.0)) / informed,
@@ -207,17 +207,17 @@ class Release(NamedTuple):
     follow: np.ndarray
 
 
-def release_of(blocks: Sequence[Block], prior: Prior, least: float) -> Release:
+def release_of(blocks: Sequence[Block], prior: Prior, minimum: float) -> Release:
     """What freeing the last of the parameters would do, all others following it, to first order;
     its standard error is by what would be left then, infinite where the cost would fall by less
-    than ``least``.
+    than ``minimum``.
     """
     solved = [eliminate(block, prior.weight) for block in blocks]
     normal = np.sum([item.normal for item in solved], axis=0) + prior.normal
     pull = np.sum([item.gradient for item in solved], axis=0) + prior.gradient
     step, without = _step(normal, pull), _step(normal[:-1, :-1], pull[:-1])
     gain, follow = float(pull[:-1] @ without - pull @ step), step[:-1] - without
-    if gain < least:
+    if gain < minimum:
         return Release(float(step[-1]), math.inf, gain, follow)
     after = []
     for block, item in zip(blocks, solved, strict=True):

@@ -73,8 +73,8 @@ def fastest(model: Model, record: Record) -> float:
     plant = model.plant
     rates = [0.0]
     for valve in plant.valves:
-        own = plant.elements.fastest[valve.first : valve.first + valve.count]
-        rates += [float(np.min(own))] if own.size else []
+        elements = plant.elements.fastest[valve.first : valve.first + valve.count]
+        rates += [float(np.min(elements))] if elements.size else []
     command, rest = model.commands_of(record)[0] if model.layout.played else None, plant.at.rates
     for end in (lambda y: y[0], np.min, np.max):
         seen = {

@@ -95,20 +95,20 @@ class Bounds:
         return asdict(self)
 
 
-def travels(x: np.ndarray, least: float) -> tuple[float, float]:
-    """(way out, way in) [m] of a stroke, counted between turning points at least ``least`` [m]
-    apart, so that noise is no way.
+def travels(x: np.ndarray, apart: float) -> tuple[float, float]:
+    """(way out, way in) [m] of a stroke, counted between turning points at least ``apart`` [m]
+    from each other, so that noise is no way.
     """
     anchor, extreme, going = float(x[0]), float(x[0]), 0
     ways = [0.0, 0.0]
     for value in x:
         value = float(value)
         if going == 0:
-            going = 1 if value - anchor > least else (-1 if anchor - value > least else 0)
+            going = 1 if value - anchor > apart else (-1 if anchor - value > apart else 0)
             extreme = value
         elif going * (value - extreme) > 0.0:
             extreme = value
-        elif going * (extreme - value) > least:
+        elif going * (extreme - value) > apart:
             ways[0 if going > 0 else 1] += abs(extreme - anchor)
             anchor, extreme, going = extreme, value, -going
     if going:

@@ -123,8 +123,8 @@ class Account:
             whole = np.abs(areas) * row.stroke * np.sqrt(len(dt))
             shares = (brought / whole[:, None]).reshape(-1, among.size)
             certain = self.accuracy.position / self.accuracy.flow * np.eye(among.size)
-            wanted = np.append((missing / whole).ravel(), np.zeros(among.size))
-            result[:, among] *= 1.0 + np.linalg.lstsq(np.vstack([shares, certain]), wanted)[0]
+            target = np.append((missing / whole).ravel(), np.zeros(among.size))
+            result[:, among] *= 1.0 + np.linalg.lstsq(np.vstack([shares, certain]), target)[0]
         return result
 
     def power(self, model: Model, m: Readings, states: np.ndarray, flows: np.ndarray) -> np.ndarray:
@@ -317,8 +317,8 @@ def _effects(
     return effects, notes
 
 
-def _at(m: Readings, kept: np.ndarray) -> Readings:
-    given = {name: value[kept] for name, value in vars(m).items() if value is not None}
+def _at(m: Readings, rows: np.ndarray) -> Readings:
+    given = {name: value[rows] for name, value in vars(m).items() if value is not None}
     return replace(m, **given)
 
 

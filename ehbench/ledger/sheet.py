@@ -164,11 +164,11 @@ def _power_rows(model: Model) -> list[Named]:
     }
     shafts: list[Named] = []
     for name, edge in model.rig.all_edges().items():
-        cylinder, own = name.split(".", 1)
-        shown = spools.get(name, own)
+        cylinder, edge_name = name.split(".", 1)
+        shown = spools.get(name, edge_name)
         if edge.law == "pump":
             rows.append((f"{name}.slip", "loss", f"{shown}, slip", cylinder))
-            shafts.append((f"{name}.shaft", "supply", f"{own}, shaft of the pump", cylinder))
+            shafts.append((f"{name}.shaft", "supply", f"{edge_name}, shaft of the pump", cylinder))
         else:
             label = f"{shown}, {edge.from_} → {edge.to}"
             rows.append((f"{name}.throttling", "valve", label, cylinder))

@@ -118,14 +118,14 @@ class BufferedLink(Buffered, LinkMachine):
 
     def _download(self, rows: int, reason: int) -> Played:
         """The log of the table that was played, row by row."""
-        asked, log, missing = {}, {}, dict.fromkeys(range(rows))
+        requests, log, missing = {}, {}, dict.fromkeys(range(rows))
         until = self.now() + LINK.patience + 3.0 * rows / self.rate
         while missing and self.now() < until:
             row = next(iter(missing))
             missing[row] = missing.pop(row)  # behind the others, should its answer be lost
-            asked[self.sequence + 1] = row
+            requests[self.sequence + 1] = row
             self.exchange(STOPPING, np.array([row, *self.commands.rest]))
-            row = asked.get(int(self.newest[ACKNOWLEDGED]), rows)
+            row = requests.get(int(self.newest[ACKNOWLEDGED]), rows)
             if row in missing and self.newest[STATE] != STOPPED:
                 log[row] = (self.sample(), self.newest[-len(self.commands.rest) :].copy())
                 del missing[row]

@@ -22,9 +22,9 @@ class Frames:
 
         known: Any = cantools.database.load_file(path)
         self.signals = {f"{way}_{name.replace('.', '_')}": i for i, name in enumerate(names)}
-        wanted = (m for m in known.messages if any(s.name in self.signals for s in m.signals))
+        messages = (m for m in known.messages if any(s.name in self.signals for s in m.signals))
         self.messages: dict[int, Any] = {
-            m.frame_id: m for m in sorted(wanted, key=lambda m: m.frame_id)
+            m.frame_id: m for m in sorted(messages, key=lambda m: m.frame_id)
         }
         self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
 

@@ -232,9 +232,9 @@ class LinkMachine:
         """
         places = [i for i, name in enumerate(self.channels) if name.endswith(".x")]
         for place, stroke in zip(places, self.strokes, strict=True):
-            x, wanted = self.sample()[place], expected[place]
-            if abs(x - wanted) > LINK.posture * stroke:
-                shown = (self.prepared.rig.shown("x", float(value)) for value in (x, wanted))
+            x, begin = self.sample()[place], expected[place]
+            if abs(x - begin) > LINK.posture * stroke:
+                shown = (self.prepared.rig.shown("x", float(value)) for value in (x, begin))
                 fields = dict(zip(("stands", "begins"), shown, strict=True))
                 raise InputError(message("links.stands", channel=self.channels[place], **fields))
 

@@ -77,11 +77,11 @@ def blocks(up: Sequence[str], down: Sequence[str], path: Path | None) -> tuple[B
         known = validated(RegisterMap, table_of(text, path), text, path)
         return Block(up, known.up), Block(down, known.down)
     ways = ((up, UP), (down, DOWN))
-    one, two = (
+    upward, downward = (
         Block(names, {name: Register(address=at + 2 * i) for i, name in enumerate(names)})
         for names, at in ways
     )
-    return one, two
+    return upward, downward
 
 
 class ModbusLink:
@@ -124,11 +124,11 @@ class ModbusLink:
         try:
             if not (self._client.connected or self._client.connect()):
                 return time.sleep(0.01)  # it is not there yet
-            said = getattr(self._client, name)(device_id=1, **keys)
+            answer = getattr(self._client, name)(device_id=1, **keys)
         except ModbusException:
             return
-        if not said.isError():
-            numbers = self._up.decode(said.registers)
+        if not answer.isError():
+            numbers = self._up.decode(answer.registers)
             if numbers[SEQUENCE] != self._last:
                 self._last = numbers[SEQUENCE]
                 self._came.append(numbers)

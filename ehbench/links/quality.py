@@ -54,13 +54,13 @@ class Quality:
 
     def problems(self) -> list[Message]:
         """Why no trial may run over it; none of a sound one."""
-        found = []
+        reasons = []
         if self.late_share > QUALITY.late:
-            found.append(message("links.late", share=self.late_share, most=QUALITY.late))
+            reasons.append(message("links.late", share=self.late_share, most=QUALITY.late))
         if self.gap > QUALITY.gap * self.watchdog:
             fields = {"gap": 1e3 * self.gap, "most": 1e3 * QUALITY.gap * self.watchdog}
-            found.append(message("links.gap", **fields))
-        return found
+            reasons.append(message("links.gap", **fields))
+        return reasons
 
     def rows(self) -> list[tuple[str, str]]:
         """A table for people."""

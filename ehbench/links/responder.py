@@ -89,17 +89,17 @@ class Target:
             if self.state in (ARMED, RUNNING):
                 self.stop(WATCHDOG)
             self.state = IDLE if self.state == ALIVE else self.state
-        acted, wanted = self.applied, [rest for _, _, rest, _ in self.commands]
+        acted, target = self.applied, [rest for _, _, rest, _ in self.commands]
         if self.state == RUNNING:
-            wanted = self.modes[self.layout][1](self.values)
+            target = self.modes[self.layout][1](self.values)
         elif self.state == STOPPING:
             left = max(round(self.ramp * self.rate) - self.ramped, 1)
-            wanted = [a + (w - a) / left for a, w in zip(self.applied, wanted)]
+            target = [a + (w - a) / left for a, w in zip(self.applied, target)]
             self.ramped, self.state = self.ramped + 1, STOPPED if left == 1 else STOPPING
         for i, (low, high, _, change) in enumerate(self.commands):
             last, step = acted[i], change / self.rate
-            wanted[i] = min(max(wanted[i], low, last - step), high, last + step)
-        self.applied, self.sequence = wanted, self.sequence + 1
+            target[i] = min(max(target[i], low, last - step), high, last + step)
+        self.applied, self.sequence = target, self.sequence + 1
         values = self.machine.tick(self.applied)
         acted = self.applied if self.machine.ahead else acted  # up to this sample
         if self.state == RUNNING and not all(a <= values[i] <= b for i, a, b in self.limits):

@@ -58,14 +58,14 @@ class Served:
         """Commands [V] of the recipe's laws towards x, v, a desired of each cylinder, which go on
         as they say until the next come.
         """
-        rows, wanted = self._rows, np.reshape(references, (len(self.machine.strokes), -1))
+        rows, setpoints = self._rows, np.reshape(references, (len(self.machine.strokes), -1))
         self._since = self._since + 1 if references == self._given else 0
         self._given, t = references, self._since / self.machine.rate
-        x, v, a = wanted.T
-        wanted = np.column_stack([x + t * (v + 0.5 * t * a), v + t * a, a])
+        x, v, a = setpoints.T
+        setpoints = np.column_stack([x + t * (v + 0.5 * t * a), v + t * a, a])
         loop = self.prepared.loop
         for law, item in zip(self._laws, () if loop is None else loop.driven, strict=False):
-            row = wanted[item.design.index]
+            row = setpoints[item.design.index]
             law.references[0, : row.size] = row
         rows.sample[:] = self._sample
         control(self._laws, 0, rows)
@@ -95,11 +95,11 @@ class ServedTarget(Target):
             layout.number("setpoint"): (len(layout.references), self.served.follow),
             self._buffered: (count + 1, lambda values: self._next()),
         }
-        limits, most = [], prepared.recipe.limits.pressure_max
+        limits, peak = [], prepared.recipe.limits.pressure_max
         for c, stroke in enumerate(self.served.machine.strokes.tolist()):
             limits += [(entry(c, OF.x), 0.0, stroke)]
-            if most is not None:  # the host's limit comes first
-                limits += [(entry(c, p), -np.inf, 1.2 * float(most)) for p in (OF.p_head, OF.p_rod)]
+            if peak is not None:  # the host's limit comes first
+                limits += [(entry(c, p), -np.inf, 1.2 * float(peak)) for p in (OF.p_head, OF.p_rod)]
         ramp, rate = float(prepared.recipe.limits.ramp), self.served.machine.rate
         super().__init__(self.served, layout.clamps(), modes, rate, watchdog, ramp, limits)
         self.faults, self._late, self._held = faults, deque[tuple[int, bytes]](), b""

@@ -221,16 +221,16 @@ class FaultyMachine:
     def _sensed(self, sample: np.ndarray) -> np.ndarray:
         """What the sensors say of a sample, which the machine's strokes are taken from."""
         self.hidden.take(sample)
-        t, said = self._tick / self.rate, sample.copy()
+        t, shown = self._tick / self.rate, sample.copy()
         for failure in self._of("sensor"):
-            i, value = failure.index, float(said[failure.index])
+            i, value = failure.index, float(shown[failure.index])
             if failure.active(t):
-                said[i] = _effect(failure, t, value)
-                self._derived(failure, said)
-            failure.last = float(said[i])
-        return said
+                shown[i] = _effect(failure, t, value)
+                self._derived(failure, shown)
+            failure.last = float(shown[i])
+        return shown
 
-    def _derived(self, failure: Failure, said: np.ndarray) -> None:
+    def _derived(self, failure: Failure, shown: np.ndarray) -> None:
         """A speed follows from its position, and fails with it."""
         kind, name = failure.fault.kind, self.channels[failure.index]
         for position, speed in ((".x", ".v"), (".q", ".qd")):
@@ -238,9 +238,9 @@ class FaultyMachine:
                 i = self.channels.index(name.removesuffix(position) + speed)
                 rate = failure.size if kind == "drift" else 0.0
                 still = kind in ("stuck", "zero")
-                said[i] = math.nan if kind == "nan" else rate + (0.0 if still else said[i])
+                shown[i] = math.nan if kind == "nan" else rate + (0.0 if still else shown[i])
 
-    def _receive(self, said: np.ndarray, t: float) -> None:
+    def _receive(self, shown: np.ndarray, t: float) -> None:
         """The newest sample that has come over the link by t [s]."""
         sequence, arrival, taken = self._tick, t, t
         for failure in self._of("machine"):
@@ -249,14 +249,14 @@ class FaultyMachine:
                 arrival = math.inf
             if kind == "link_delayed":
                 late = float(failure.fault.duration) if failure.active(t) else 0.0
-                failure.past.append((t + late, self._tick, taken, said))
+                failure.past.append((t + late, self._tick, taken, shown))
                 while len(failure.past) > 1 and failure.past[1][0] <= t + 0.5 * failure.tick:
                     failure.past.popleft()
-                arrival, sequence, taken, said = failure.past[0]
+                arrival, sequence, taken, shown = failure.past[0]
             if kind == "link_reordered" and failure.active(t) and self._tick % 2:
                 arrival = math.inf  # it comes behind the next, which is newer
         if arrival <= t + 0.5 / self.rate and sequence >= self.stamp.sequence:
-            self._seen, self.stamp = said, Stamp(taken, sequence, t - taken)
+            self._seen, self.stamp = shown, Stamp(taken, sequence, t - taken)
         else:
             self.stamp = self.stamp._replace(age=t - self.stamp.time)
 

@@ -163,11 +163,11 @@ class SimulatedMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
-        own, fixed = self._own, np.asarray(command, dtype=float)
+        sim, fixed = self._own, np.asarray(command, dtype=float)
         if self._pace is None:
-            model_tick(own.y, fixed, own.plant, own.line, own.steps, own.k, own.work, sample)
+            model_tick(sim.y, fixed, sim.plant, sim.line, sim.steps, sim.k, sim.work, sample)
         else:
-            paced_tick(own, fixed, self._pace, sample)
+            paced_tick(sim, fixed, self._pace, sample)
         self._must_be_finite()
         return sample
 
@@ -177,11 +177,11 @@ class SimulatedMachine:
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        own, pace = self._own, self._pace
-        run = bound(_advance, 0, 0, own, rows, law, pace) if often else _advance
+        running, pace = self._own, self._pace
+        run = bound(_advance, 0, 0, running, rows, law, pace) if often else _advance
 
         def through(first: int, stop: int) -> int:
-            row = run(first, stop, own, rows, law, pace)
+            row = run(first, stop, running, rows, law, pace)
             self._must_be_finite()
             return row
 
@@ -196,8 +196,8 @@ class ModelTruth:
     `Model.run`'s log.
     """
 
-    def __init__(self, model: Model, own: Running) -> None:
-        self.model, self._own = model, own
+    def __init__(self, model: Model, running: Running) -> None:
+        self.model, self._own = model, running
         self.width = model.layout.states + len(model.layout.edges) + 1
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:

@@ -117,7 +117,7 @@ def _bench(
         "rate": float(recipe.rate),
         "seed": recipe.seed,
     }
-    own, bench = VirtualMachine.of(recipe, rig, maps).rig, BenchRecipe(stage="bench", rig="")
+    base, bench = VirtualMachine.of(recipe, rig, maps).rig, BenchRecipe(stage="bench", rig="")
     if recipe.bench is not None:
         loaded = load_recipe(recipe.file(recipe.bench))
         assert isinstance(loaded, BenchRecipe)
@@ -126,7 +126,7 @@ def _bench(
     slower = change.model_copy(
         update={"friction": 1.0, "flow": 1.0, "deadband": Value(0.0), "supply_pressure": 1.0}
     )
-    machine = VirtualMachine(_varied_rig(own, slower), _bench_with(bench, slower, own), **given)
+    machine = VirtualMachine(_varied_rig(base, slower), _bench_with(bench, slower, base), **given)
     plant = machine.bench
     for name in FRICTION:
         plant.cylinders[name] *= change.friction

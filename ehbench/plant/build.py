@@ -210,9 +210,9 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         head, rod = item.areas()
         relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
-        own = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
+        numbers = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
         rows.append(
-            own
+            numbers
             | oil_fields(rig, item.bulk_modulus)
             | friction.LAWS[names.frictions[index]].pack(item)
             | dict(zip(PINS_OF, pins, strict=True))
@@ -223,7 +223,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
                 "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
-                "mobility": _mobility(kind, bodies.tobytes(), pins, joint, own["stroke"]),
+                "mobility": _mobility(kind, bodies.tobytes(), pins, joint, numbers["stroke"]),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
                 "friction": names.frictions[index],
@@ -325,15 +325,15 @@ def _valves(rig: Rig, names: Layout) -> tuple[np.recarray, np.recarray]:
     rows, elements = [], []
     for index, (_, item) in enumerate(rig.valves()):
         first, output = len(elements), -1
-        for one in (one for one in names.elements if one.valve == index):
-            output, states = one.state, len(valves.LAWS[one.law].states)
-            place = {"law": one.law, "state": output, "states": states}
-            elements.append(place | rig.dynamics[one.dynamics].row())
+        for element in (element for element in names.elements if element.valve == index):
+            output, states = element.state, len(valves.LAWS[element.law].states)
+            place = {"law": element.law, "state": output, "states": states}
+            elements.append(place | rig.dynamics[element.dynamics].row())
         lowest, highest = item.given
         count = len(elements) - first
         ends = {"lowest": lowest, "highest": highest}
         late = {
-            "delay": sum(rig.dynamics[one].late() for one in item.series),
+            "delay": sum(rig.dynamics[name].late() for name in item.series),
             "before": item.rest,
         }
         rows.append(ends | late | {"first": first, "count": count, "output": output})
@@ -425,17 +425,17 @@ def _forces(rig: Rig, names: Layout) -> np.recarray:
 
 
 def _supply(rig: Rig) -> np.record:
-    own = rig.supply
+    supply = rig.supply
     row: dict[str, float] = {"tied": -1}
-    row |= {key: float(getattr(own, key)) for key in ("pressure", "flow_limit", "volume")}
-    if own.load_sensing is not None:
-        load = own.load_sensing
+    row |= {key: float(getattr(supply, key)) for key in ("pressure", "flow_limit", "volume")}
+    if supply.load_sensing is not None:
+        load = supply.load_sensing
         row |= {"margin": float(load.load_margin), "lag": float(load.load_lag)}
-    if own.low_rail is not None:
-        low = own.low_rail
+    if supply.low_rail is not None:
+        low = supply.low_rail
         row |= {"rail": float(low.rail_pressure), "rail_margin": float(low.rail_margin)}
-    if own.accumulator is not None:
-        row |= {key: float(getattr(own.accumulator, key)) for key, _ in ACCUMULATOR}
+    if supply.accumulator is not None:
+        row |= {key: float(getattr(supply.accumulator, key)) for key, _ in ACCUMULATOR}
     return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]
 
 

@@ -164,14 +164,14 @@ class FmuModel(Model):
             stroke, lever = linkage_arrays(row, np.asarray(q, dtype=float))
             v = lever * qd if v is None and qd is not None else v
             qd = v / lever if qd is None and v is not None else qd
-            found = {"q": q, "x": stroke if x is None else x, "v": v, "qd": qd}
-            channels |= {f"{name}.{word}": y for word, y in found.items() if y is not None}
+            motion = {"q": q, "x": stroke if x is None else x, "v": v, "qd": qd}
+            channels |= {f"{name}.{word}": y for word, y in motion.items() if y is not None}
         size = len(next(iter(given.values())))
-        for name, said, own in (
+        for name, pressure, usual in (
             ("p_supply", start.supply, self.plant.supply.pressure),
             ("p_tank", start.tank, self.plant.tank_pressure),
         ):
-            channels.setdefault(name, np.full(size, float(own if said is None else said)))
+            channels.setdefault(name, np.full(size, float(usual if pressure is None else pressure)))
         return channels
 
     def replay(

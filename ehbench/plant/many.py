@@ -74,13 +74,13 @@ def replay_many(
         workers: threads; by default one for each core.
     """
 
-    def one(replay: Replay) -> Record | None:
+    def record_of(replay: Replay) -> Record | None:
         try:
             return replay.model.replay(replay.record, step, start=replay.start)
         except (EhbenchError, ArithmeticError):
             return None
 
-    return map_threads(one, replays, workers)
+    return map_threads(record_of, replays, workers)
 
 
 def map_threads(

@@ -74,8 +74,8 @@ def _edges_at(plant: Plant, row: np.record, opens: np.ndarray) -> Any:
     """Rows of the edges that are open, as `open_at_rest` has them, at a cylinder's chambers."""
     shown: Any = plant.edges_at_chambers
     chambers = (row.node_head, row.node_rod)
-    own = np.isin(shown.from_node, chambers) | np.isin(shown.to_node, chambers)
-    return shown[own & opens]
+    adjacent = np.isin(shown.from_node, chambers) | np.isin(shown.to_node, chambers)
+    return shown[adjacent & opens]
 
 
 def carrying(row: np.record, force: float, low: float) -> tuple[float, float]:

@@ -190,10 +190,10 @@ def _asked(
 
 def _spans(layout: np.dtype, idle: set[str]) -> tuple[tuple[int, int], ...]:
     """Where the bytes of other fields than some stand in a row: (from, to) of each run of them."""
-    own = np.zeros(layout.itemsize + 1, dtype=np.int8)
+    counted = np.zeros(layout.itemsize + 1, dtype=np.int8)
     for name, (kind, first, *_) in (layout.fields or {}).items():
-        own[first : first + kind.itemsize] = name not in idle
-    ends = np.flatnonzero(np.diff(own, prepend=0)).tolist()
+        counted[first : first + kind.itemsize] = name not in idle
+    ends = np.flatnonzero(np.diff(counted, prepend=0)).tolist()
     return tuple(zip(ends[::2], ends[1::2], strict=True))
 
 

@@ -168,8 +168,8 @@ def refuse_sample_time(name: str, record: Record, rig: Rig) -> None:
     periods = [rig.dynamics[item].period() for item in used]
     maximum = min([SETTINGS.coarse, *(SETTINGS.periods * period for period in periods)])
     if tick > maximum:
-        most = 1e3 * maximum
-        raise InputError(message("preprocessing.too_coarse", log=name, step=tick, most=most))
+        shown = 1e3 * maximum
+        raise InputError(message("preprocessing.too_coarse", log=name, step=tick, most=shown))
     if tick < SETTINGS.fine:
         span = np.ptp(record.t)
         raise InputError(message("preprocessing.too_fine", log=name, step=tick, span=span))

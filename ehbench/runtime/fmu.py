@@ -111,16 +111,16 @@ class Fmu:
             )
         if item.type not in ("Real", "Float64") or item.dimensions:
             raise InputError(message("runtime.fmu_not_real", name=name), file=self.file)
-        said = item.unit or getattr(item.declaredType, "unit", None)
-        if said is None:
+        declared = item.unit or getattr(item.declaredType, "unit", None)
+        if declared is None:
             return Variable(item.valueReference, 1.0, 0.0)
-        base = {each.name: each.baseUnit for each in self.description.unitDefinitions}.get(said)
+        base = {each.name: each.baseUnit for each in self.description.unitDefinitions}.get(declared)
         if base is not None:
             return Variable(item.valueReference, base.factor, base.offset)
         try:
-            factor = units.factor(said.replace(".", "*"), unit)
+            factor = units.factor(declared.replace(".", "*"), unit)
         except UnitError as error:
-            fields = {"name": name, "unit": said, "problem": error.message}
+            fields = {"name": name, "unit": declared, "problem": error.message}
             raise InputError(message("runtime.fmu_unit", **fields), file=self.file) from None
         return Variable(item.valueReference, factor, 0.0)
 

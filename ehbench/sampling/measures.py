@@ -76,8 +76,8 @@ def lookup(here: Any, words: Sequence[str]) -> Any:
             return lookup(here[name], words[size:])
         if isinstance(here, list | tuple):
             for at, item in enumerate(here):
-                own = (item.get("name"), item.get("case")) if isinstance(item, Mapping) else ()
-                if name in own or name == str(at):
+                keys = (item.get("name"), item.get("case")) if isinstance(item, Mapping) else ()
+                if name in keys or name == str(at):
                     return lookup(item, words[size:])
     return None
 

@@ -143,12 +143,12 @@ def _parquet(
 
 
 def _cells(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
-    own = design.inputs(item.index)
+    point = design.inputs(item.index)
     values = [
         float(column.shown(value)) for column, value in zip(measures, item.measures, strict=True)
     ]
     digest = hash_of(key, design.settings(item.index))
-    return [item.index, digest, item.code, item.status, *design.cells(own), *values, item.message]
+    return [item.index, digest, item.code, item.status, *design.cells(point), *values, item.message]
 
 
 def _cell(value: Any) -> str:

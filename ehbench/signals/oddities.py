@@ -65,9 +65,9 @@ def oddities(values: np.ndarray) -> list[Oddity]:
             results.append(Oddity("sentinel", at.size, int(rows[at[0]]), end))
     gone = np.isin(y, [item.value for item in results])
     left, right = y[1:-1] - y[:-2], y[1:-1] - y[2:]
-    least = np.where(left * right > 0.0, np.minimum(np.abs(left), np.abs(right)), 0.0)
+    height = np.where(left * right > 0.0, np.minimum(np.abs(left), np.abs(right)), 0.0)
     span = float(np.ptp(np.sort(y)[1:-1]))
-    odd = (least > max(SETTINGS.jump * usual, SETTINGS.span * span)) & ~gone[1:-1]
+    odd = (height > max(SETTINGS.jump * usual, SETTINGS.span * span)) & ~gone[1:-1]
     if odd.any() and odd.mean() < SETTINGS.share:
         at = np.flatnonzero(odd) + 1
         results.append(Oddity("jump", at.size, int(rows[at[0]]), float(y[at[0]])))

@@ -187,18 +187,18 @@ def _least_squares(
     channel: str, commands: tuple[str, ...], tick: float, order: int, records: Sequence[Record]
 ) -> Arx | None:
     """The ARX of an order, None where there are too few samples."""
-    tables, wanted = [], []
+    tables, outputs = [], []
     for record in records:
         _, y, u, _ = _signals(record, channel, commands, tick)
         if len(y) > 2 * order:
             past = [y[order - i : len(y) - i] for i in range(1, order + 1)]
             tables.append(np.column_stack([*past, _regressors(u, order)]))
-            wanted.append(y[order:])
+            outputs.append(y[order:])
     if not tables or len(table := np.concatenate(tables)) < SETTINGS.rows * table.shape[1]:
         return None
     size = np.abs(table).max(axis=0)
     size[size == 0.0] = 1.0
-    numbers = np.linalg.lstsq(table / size, np.concatenate(wanted), rcond=None)[0] / size
+    numbers = np.linalg.lstsq(table / size, np.concatenate(outputs), rcond=None)[0] / size
     return Arx(channel, commands, tick, numbers[:order], numbers[order:])
 
 

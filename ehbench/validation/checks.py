@@ -94,11 +94,11 @@ def _fit_check(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
     if required is None or reached is None:
         return
     fields = {"channel": _channel_name(result.channel), "reached": reached, "required": required}
-    sentence, least = message("validation.fit", **fields), required
+    sentence, minimum = message("validation.fit", **fields), required
     if 100.0 * (1.0 - result.noise_share) < required + SETTINGS.noisy:
-        least = beyond_noise(required, result.noise_share)
-        sentence = message("validation.fit_of_noisy", least=least, **fields)
-    yield Check(f"{result.channel} fit", reached, least, "percent", reached >= least, sentence)
+        minimum = beyond_noise(required, result.noise_share)
+        sentence = message("validation.fit_of_noisy", least=minimum, **fields)
+    yield Check(f"{result.channel} fit", reached, minimum, "percent", reached >= minimum, sentence)
 
 
 def beyond_noise(fit: float, noise_share: float) -> float:

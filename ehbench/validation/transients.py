@@ -62,7 +62,7 @@ def transients_of(
     names = [f"{valve}.command" for valve in model.layout.valves if f"{valve}.command" in record]
     given = np.column_stack([steps_only(record[name], minimum[name]) for name in names])
     mine = [name.startswith(f"{cylinder}.") for name in names]
-    own, raw = given[:, mine], np.column_stack([record[name] for name in names])[:, mine]
+    stepped, raw = given[:, mine], np.column_stack([record[name] for name in names])[:, mine]
     seen = {
         channel: pair
         for channel, pair in pairs.items()
@@ -72,7 +72,7 @@ def transients_of(
     results = []
     for window in series.transients(record.t, given):
         before = max(0, window.start - 1 - round(OBSERVATION.together / record.sample_time))
-        if not seen or not np.any(own[window.start] != own[before : window.start]):
+        if not seen or not np.any(stepped[window.start] != stepped[before : window.start]):
             continue
         t = record.t[window]
         if not stands(raw[before : window.stop], window.start - before):

@@ -130,8 +130,8 @@ def read_text(path: Path) -> str:
     try:
         data = read_bytes(path)
     except FileNotFoundError:
-        beside = path.parent.glob("*.toml") if path.parent.is_dir() else ()
-        near = get_close_matches(path.name, [file.name for file in beside], 1)
+        siblings = path.parent.glob("*.toml") if path.parent.is_dir() else ()
+        near = get_close_matches(path.name, [file.name for file in siblings], 1)
         hint = f"did you mean '{near[0]}'?" if near else None
         raise InputError("no such file", file=path, hint=hint) from None
     # a file's name may be of any bytes; what is no such name, and no UTF-8, is an error

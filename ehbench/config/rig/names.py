@@ -49,8 +49,8 @@ def second(names: Sequence[str]) -> int | None:
 
 def tables_of(model: BaseModel) -> dict[str, FileModel]:
     """The tables within a part of the rig."""
-    own = {name: getattr(model, name) for name in type(model).model_fields}
-    return {name: part for name, part in own.items() if isinstance(part, FileModel)}
+    fields = {name: getattr(model, name) for name in type(model).model_fields}
+    return {name: part for name, part in fields.items() if isinstance(part, FileModel)}
 
 
 def prefix_of(table: str) -> str:

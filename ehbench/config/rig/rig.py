@@ -263,11 +263,11 @@ class Rig(FileModel):
         """The unit of each parameter that the file has in another than SI, and of each word whose
         parameters all have the same.
         """
-        own = {name: value.unit for name, value in self.parameters().items() if value.unit}
+        typed = {name: value.unit for name, value in self.parameters().items() if value.unit}
         words: dict[str, set[str]] = {}
-        for name, unit in own.items():
+        for name, unit in typed.items():
             words.setdefault(name.rsplit(".", 1)[-1], set()).add(unit)
-        return {word: min(units) for word, units in words.items() if len(units) == 1} | own
+        return {word: min(units) for word, units in words.items() if len(units) == 1} | typed
 
     def with_payload(self, load: str | None) -> Rig:
         """This rig carrying the named payload.
@@ -315,8 +315,8 @@ class Rig(FileModel):
         """
         if load_sensing is None and low_rail is None:
             return self
-        own = {"load_sensing": load_sensing, "low_rail": low_rail}
-        supply = self.supply.model_copy(update=own)
+        margins = {"load_sensing": load_sensing, "low_rail": low_rail}
+        supply = self.supply.model_copy(update=margins)
         try:
             supply.check_following()
         except Misplaced as error:
@@ -433,7 +433,7 @@ class Rig(FileModel):
                     hint="there are " + (", ".join(known) or "none"),
                 )
 
-        def own(cylinder: Cylinder) -> Cylinder:
+        def changed(cylinder: Cylinder) -> Cylinder:
             valves = tuple(
                 valve.model_copy(update={"dynamics": name})
                 if (name := by_valve.get(f"{cylinder.name}.{valve.name}"))
@@ -442,7 +442,7 @@ class Rig(FileModel):
             )
             return cylinder.model_copy(update={"valve": valves})
 
-        return self.model_copy(update={"cylinder": tuple(map(own, self.cylinder))})
+        return self.model_copy(update={"cylinder": tuple(map(changed, self.cylinder))})
 
     def as_toml(self) -> dict[str, Any]:
         """The rig as nested plain values that a TOML writer takes; reading them back gives the same

@@ -184,8 +184,8 @@ def _must_be_whole(
     takes = (*needs, *law.takes)
     for key in sorted(edge.model_fields_set & of_laws - set(takes)):
         if getattr(edge, key) is not None:
-            own = ", ".join(takes)
-            raise Misplaced(message("config.law_without_key", name=law.name, key=key, own=own), key)
+            text = message("config.law_without_key", name=law.name, key=key, own=", ".join(takes))
+            raise Misplaced(text, key)
 
 
 class Valve(FileModel):

@@ -209,14 +209,14 @@ class LogWriter:
             stop = min(fit, int(np.searchsorted(t, begin + CHUNK_TIME)), t.size)
             stop = max(stop, done + 1)
             self._begin = begin
-            self._add(topics, row, t[done:stop], values[done:stop], own=topic is not None)
+            self._add(topics, row, t[done:stop], values[done:stop], selected=topic is not None)
             done = stop
             if self._size + row.itemsize > self._most:
                 self._finish_chunk()
         self._maybe_sync()
 
     def _add(
-        self, topics: list[_Topic], row: np.dtype, t: np.ndarray, values: np.ndarray, own: bool
+        self, topics: list[_Topic], row: np.dtype, t: np.ndarray, values: np.ndarray, selected: bool
     ) -> None:
         stamps = np.rint(t * 1e9).astype(np.int64)
         if self._span is None:  # MCAP has no time below zero; the field t keeps it
@@ -238,7 +238,7 @@ class LogWriter:
             part["log_time"] = part["publish_time"] = stamps
             part["cdr"] = CDR_LITTLE_ENDIAN
             part["data"][:, 0] = t
-            part["data"][:, 1:] = values if own else values[:, topic.columns]
+            part["data"][:, 1:] = values if selected else values[:, topic.columns]
             self._count[topic.id] = count + t.size
             index = np.empty((t.size, 2), "<u8")
             index[:, 0] = stamps

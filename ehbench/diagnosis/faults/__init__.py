@@ -108,8 +108,8 @@ class _Rows:
                     yield item
                     continue
                 owner = scales.cylinder.name
-                own = together.setdefault((fault.kind, owner, fault.keys[0]), {})
-                own.setdefault(f"{owner}.{scales.valve.name}", []).append(item)
+                per_valve = together.setdefault((fault.kind, owner, fault.keys[0]), {})
+                per_valve.setdefault(f"{owner}.{scales.valve.name}", []).append(item)
         for (kind, owner, _), by_valve in together.items():
             wholes = []
             for name, parts in by_valve.items():

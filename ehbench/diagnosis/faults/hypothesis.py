@@ -220,8 +220,8 @@ class Hypothesis:
 
     def parts(self, others: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Those of others that it is made of or an elaboration of."""
-        own = {*self.parameters}
-        return [o for o in others if o.numbers and {*o.parameters} < own and not o.edits]
+        parameters = {*self.parameters}
+        return [o for o in others if o.numbers and {*o.parameters} < parameters and not o.edits]
 
     def sentence(self, rig: Rig, delta: float) -> Message:
         """What a fault of size δ is, and how it shows."""

@@ -313,12 +313,12 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
     edges, curves = table(len(names), BENCH_EDGE), table(2 * len(names), CURVE)
     metering = [(edge, valve) for _, valve, edge in of.model.rig.edges()]
     for index, name in enumerate(names):
-        row, own, given = edges[index], plant.edges[index], _Given(of.recipe.edge, name)
+        row, modelled, given = edges[index], plant.edges[index], _Given(of.recipe.edge, name)
         for key in ("from_node", "to_node", "valve", "law", "unmetered"):
-            row[key] = own[key]
+            row[key] = modelled[key]
         row.forward, row.reverse = 2 * index, 2 * index + 1
-        if own.law in (PUMP, CHECK):
-            _set_unmetered(row, own, given, _draws(of.seed, name))
+        if modelled.law in (PUMP, CHECK):
+            _set_unmetered(row, modelled, given, _draws(of.seed, name))
         else:
             _set_edge(row, curves, given, (name, *metering[index]), of)
     return edges, curves
@@ -342,9 +342,9 @@ def _valves(
         )
         row.hysteresis = given("hysteresis", width * full)
         if valve.calibration:
-            own: Any = edges[np.flatnonzero(edges.valve == index)[0]]
+            edge: Any = edges[np.flatnonzero(edges.valve == index)[0]]
             drop = float(recipe.calibration_drop)
-            gain, offset = _tune(valve, own, curves, drop, row.hysteresis)
+            gain, offset = _tune(valve, edge, curves, drop, row.hysteresis)
             offset /= full
         row.gain, row.offset = given("driver_gain", gain), given("driver_offset", offset * full)
         series = [element for element in of.model.layout.elements if element.valve == index]

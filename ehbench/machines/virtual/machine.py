@@ -85,8 +85,8 @@ def _advance(first, stop, own, rows, law, noise):
 class TrueStrokes:
     """The strokes of a running bench as they are, without its sensors."""
 
-    def __init__(self, own: Running) -> None:
-        self._own, self.width = own, own.bench.cylinders.shape[0]
+    def __init__(self, running: Running) -> None:
+        self._own, self.width = running, running.bench.cylinders.shape[0]
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
         """As `Hidden.read`."""
@@ -156,19 +156,19 @@ class VirtualMachine:
             raise InputError(
                 "is no bench file", file=bench.path, hint='a bench file has stage = "bench"'
             )
-        own = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
-        own = own.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
+        bench_rig = load_rig(bench.file(bench.rig)).with_dynamics(recipe.dynamics)
+        bench_rig = bench_rig.with_supply(recipe.supply.load_sensing, recipe.supply.low_rail)
         for what, mine, its in (
-            ("cylinders", [c.name for c in rig.cylinder], [c.name for c in own.cylinder]),
-            ("valves", layout(rig).valves, layout(own).valves),
+            ("cylinders", [c.name for c in rig.cylinder], [c.name for c in bench_rig.cylinder]),
+            ("valves", layout(rig).valves, layout(bench_rig).valves),
         ):
             if mine != its:
                 raise InputError(
-                    f"the bench of rig '{own.name}' has other {what} than rig '{rig.name}'",
+                    f"the bench of rig '{bench_rig.name}' has other {what} than rig '{rig.name}'",
                     **recipe.at("bench"),
                     hint=f"the bench has {', '.join(its)}",
                 )
-        return cls(own, bench, **given)
+        return cls(bench_rig, bench, **given)
 
     def seeded(self, seed: int) -> VirtualMachine:
         """The same machine, not started, with other noise of its sensors."""
@@ -236,26 +236,26 @@ class VirtualMachine:
         return sample
 
     def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
-        own = self._own
+        running = self._own
         noise = self.noise(1)[0]
         bench_tick(
-            own.state,
+            running.state,
             command,
-            own.bench,
-            own.tick,
-            own.steps,
-            own.scratch,
+            running.bench,
+            running.tick,
+            running.steps,
+            running.scratch,
             noise,
             sample,
         )
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        own = self._own
-        run = bound(_advance, 0, 0, own, rows, law, self._noise) if often else _advance
+        running = self._own
+        run = bound(_advance, 0, 0, running, rows, law, self._noise) if often else _advance
 
         def through(first: int, stop: int) -> int:
-            row = run(first, stop, own, rows, law, self.noise(stop - first))
+            row = run(first, stop, running, rows, law, self.noise(stop - first))
             if row >= 0:  # noise that no tick used is the next one's, however long the call was
                 self._used -= stop - row
             self._must_be_finite()
