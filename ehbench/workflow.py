@@ -146,15 +146,15 @@ def export(source: Path, options: Mapping[str, Any], session: Session | None = N
     Raises:
         EhbenchError: as `run`; options for a recipe of an export, which has them.
     """
-    from ehbench.stages.export import recipe_for
+    from ehbench.stages.export import recipe_for, withdraw
 
     session = session or Session()
     recipe = recipe_for(source, options, session)
     try:
         return run(recipe, session)
-    except EhbenchError:
+    except EhbenchError as error:
         if recipe.path != source.resolve():
-            recipe.path.unlink(missing_ok=True)
+            withdraw(recipe.path, source, error)
         raise
 
 

@@ -19,7 +19,7 @@ from enum import StrEnum
 from inspect import Parameter, Signature
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -573,12 +573,16 @@ def serve_machine(
         str, typer.Option("--at", metavar="URL", help="Where.")
     ] = "udp://127.0.0.1:47000",
     on: Annotated[
-        str | None, typer.Option("--on", help="model or bench.", show_default=False)
+        Literal["model", "bench"] | None,
+        typer.Option("--on", help="Default: as the trial.", show_default=False),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option("--rate", help="Of the target [Hz].", show_default=False)
+        float | None,
+        typer.Option("--rate", help="Of the target [Hz].", min=1.0, show_default=False),
     ] = None,
-    watchdog: Annotated[float, typer.Option("--watchdog", help="[ms].", min=1.0)] = 20.0,
+    watchdog: Annotated[
+        float, typer.Option("--watchdog", help="Silence after which it stops, in ms.", min=1.0)
+    ] = 20.0,
     allow_code: AllowCode = False,
 ) -> None:
     """Serve a model or the virtual bench as a machine by itself, in real time, with watchdog,

@@ -9,7 +9,7 @@ from typing import Any
 from ehbench import workflow
 from ehbench.config.recipe import BenchRecipe, Recipe, TrialRecipe, load_recipe, load_rig
 from ehbench.links import layout, responder
-from ehbench.links.opening import Address
+from ehbench.links.opening import CARDS, Address
 from ehbench.links.quality import measure
 from ehbench.links.serve import LINK_FAULTS, ServedTarget, serve_virtual
 from ehbench.report.blocks import Grid
@@ -87,20 +87,25 @@ def serve(
         InputError: another kind of file, a URL that cannot be served.
     """
     address = Address.of(url)
+    if address.scheme in CARDS:
+        raise InputError(message("links.card", url=url))
     trial, target = served(file, on, rate, watchdog, allow_code)
     fields = {"machine": trial.machine.name, "rig": trial.rig.name, "url": url}
     print(message("links.serving", rate=target.rate, **fields), file=sys.stderr, flush=True)
     names = layout.Layout.of(trial.rig).names(address.mode)
-    if address.scheme == "modbus":
-        from ehbench.links import modbus
+    try:
+        if address.scheme == "modbus":
+            from ehbench.links import modbus
 
-        place = (address.host, address.port)
-        modbus.serve(target, place, names, address.map, address.virtual)
-    elif address.scheme == "can" and address.map is not None:
-        from ehbench.links import can
+            place = (address.host, address.port)
+            modbus.serve(target, place, names, address.map, address.virtual)
+        elif address.scheme == "can" and address.map is not None:
+            from ehbench.links import can
 
-        can.serve(target, address.host, address.channel, names, address.map)
-    elif address.virtual:
-        serve_virtual(target, address.port, address.host)
-    with punctual(SERVING, pinned=False):
-        responder.serve(target, address.port, address.host)
+            can.serve(target, address.host, address.channel, names, address.map)
+        elif address.virtual:
+            serve_virtual(target, address.port, address.host)
+        with punctual(SERVING, pinned=False):
+            responder.serve(target, address.port, address.host)
+    except OSError as error:
+        raise InputError(message("links.system", url=url, why=error.strerror)) from error

@@ -156,11 +156,13 @@ WRITERS = {  # by option: the file's name, its text, the responder that reads it
 
 
 def write_files(layout: Layout, rate: float, kind: str, folder: Path) -> list[Path]:
-    """Write the layout into a folder, with the responder that reads it, where there is one."""
+    """Write the layout into a folder, with the responder that reads it, where there is one; a
+    responder that stands there may be filled in, and stays.
+    """
     name, text, responder = WRITERS[kind]
     folder.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(text(layout, rate), encoding="utf-8")
     files = [folder / name]
-    if responder is not None:
+    if responder is not None and not (folder / responder).exists():
         files.append(Path(copy(Path(__file__).with_name(responder), folder / responder)))
     return files

@@ -93,12 +93,14 @@ class Address:
         """The way to the target; without a layout the header alone goes over it.
 
         Raises:
-            InputError: a package is not installed, or a map cannot be read.
+            InputError: a card; a package is not installed; no such host, bus or map.
         """
+        if self.scheme in CARDS:
+            raise InputError(message("links.card", url=self.url))
         names = (HEADER, HEADER) if layout is None else layout.names(self.mode)
-        if self.scheme == "udp":
-            return UdpLink(self.host, self.port, self.virtual)
         try:
+            if self.scheme == "udp":
+                return UdpLink(self.host, self.port, self.virtual)
             if self.scheme == "modbus":
                 from ehbench.links.modbus import ModbusLink
 
@@ -109,6 +111,8 @@ class Address:
             return CanLink(self.host, self.channel, names, self.map)
         except ImportError as error:
             raise InputError(message("links.extra", extra=self.scheme)) from error
+        except OSError as error:
+            raise InputError(message("links.system", url=self.url, why=error.strerror)) from error
 
 
 def open_machine(prepared: Prepared, url: str) -> Machine:

@@ -51,7 +51,11 @@ class UdpLink:
     def __init__(self, host: str, port: int, virtual: bool = False) -> None:
         self.virtual = virtual
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.connect((host, port))
+        try:
+            self._socket.connect((host, port))
+        except OSError:
+            self._socket.close()
+            raise
 
     def send(self, numbers: np.ndarray) -> None:
         """As `Link.send`; a target that is not there yet is no error."""

@@ -26,7 +26,7 @@ from ehbench.runtime.disk import write_text
 from ehbench.stages.base import Host, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
 from ehbench.stages.trial import prepared_case
-from ehbench.vocabulary.errors import InputError, ModelRejected
+from ehbench.vocabulary.errors import EhbenchError, InputError, ModelRejected
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
@@ -262,8 +262,22 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
     table = {"stage": "export", "rig": _relative(rig, path), **given}
     if path.exists() and not path.read_text(errors="replace").startswith(HEADER):
         raise InputError(message("stages.exists"), file=path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, HEADER + tomli_w.dumps(table))
-    return load_recipe(path)
+    try:
+        return load_recipe(path)
+    except EhbenchError as error:
+        withdraw(path, source, error)
+        raise
+
+
+def withdraw(path: Path, source: Path, error: EhbenchError) -> None:
+    """Delete the written recipe of an export that failed; its error names the source in its place,
+    where a user can look.
+    """
+    path.unlink(missing_ok=True)
+    if error.file == str(path):
+        error.file, error.line = str(source), None
 
 
 def _relative(file: Path, recipe: Path) -> str:

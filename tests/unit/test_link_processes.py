@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.app.linking import moved_to
+from ehbench.app.linking import moved_to, serve
 from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.data import read_log
 from ehbench.links.layout import WRITERS, Layout, write_files
@@ -273,6 +273,38 @@ def test_a_map_of_registers_scales_numbers(tmp_path):
     assert again[up.names.index("press.x")] == pytest.approx(-0.12345)
     assert again[up.names.index("press.p_head")] == 7.0e6
     assert np.isnan(again[up.names.index("press.v")])  # no register, so no sensor
+
+
+@pytest.mark.parametrize(
+    ("url", "key"),
+    [
+        ("udp://no.such.host.invalid:1", "links.system"),
+        ("can://virtual/x?map=no_such.dbc", "links.system"),
+        ("labjack://ANY?map=card.toml", "links.card"),
+    ],
+)
+def test_a_link_that_cannot_open_is_an_error_of_the_input(url, key):
+    with pytest.raises(InputError) as error:
+        Address.of(url).link()
+    assert error.value.key == key
+
+
+def test_a_port_in_use_and_a_card_are_not_served(trial):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        busy = f"udp://127.0.0.1:{taken.getsockname()[1]}"
+        for url, key in ((busy, "links.system"), ("nidaq://Dev1?map=x", "links.card")):
+            with pytest.raises(InputError) as error:
+                serve(trial, url, None, 100.0, 0.02, allow_code=False)
+            assert error.value.key == key
+
+
+def test_a_responder_that_is_filled_in_stays(tmp_path):
+    for kind, name in (("c", "responder.c"), ("py", "responder.py")):
+        (tmp_path / name).write_text("mine")
+        files = write_files(LAYOUT, 1000.0, kind, tmp_path)
+        assert [path.name for path in files] == [WRITERS[kind][0]]
+        assert (tmp_path / name).read_text() == "mine"
 
 
 @pytest.mark.parametrize(
