@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from ehbench.app import starter
+from ehbench.config.recipe.toml import read_text
+from ehbench.vocabulary.errors import InputError
 
 RIG, STEP = b"r\xfeg.toml", b"st\xfdp.toml"
 
@@ -92,3 +94,11 @@ def test_a_terminal_of_ascii_gets_every_word_it_can(workspace):
     ascii_only = os.environ | {"PYTHONIOENCODING": "ascii"}
     done = subprocess.run(words, cwd=workspace, env=ascii_only, capture_output=True, check=False)
     assert done.returncode == 0 and done.stdout.isascii()
+
+
+def test_a_text_too_long_for_a_name_is_no_name(tmp_path):
+    recipe = tmp_path / "a.toml"
+    recipe.write_bytes(b'title = "' + b"a" * 5000 + b'\xe1"\n')
+    with pytest.raises(InputError) as error:
+        read_text(recipe)
+    assert error.value.key == "config.not_utf8" and error.value.line == 1

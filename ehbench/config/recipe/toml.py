@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from difflib import get_close_matches
@@ -136,7 +137,7 @@ def read_text(path: Path) -> str:
         raise InputError("no such file", file=path, hint=hint) from None
     # a file's name may be of any bytes; what is no such name, and no UTF-8, is an error
     text = data.decode("utf-8-sig", "surrogateescape")
-    rest = _QUOTED.sub(lambda name: "" if (path.parent / name[1]).exists() else name[0], text)
+    rest = _QUOTED.sub(lambda name: "" if os.path.exists(path.parent / name[1]) else name[0], text)
     if lone := _LONE.search(rest):
         line = rest.count("\n", 0, lone.start()) + 1
         raise InputError(message("config.not_utf8"), file=path, line=line)
