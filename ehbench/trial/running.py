@@ -277,7 +277,8 @@ def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
             known["valves"] = _valve_frequencies(prepared.rig, item.cylinder)
             if part.used.get("gains", {}).get("adapt_maps"):
                 known["maps"] = learnt_maps(item.design, session.machine, record, rows)
-            if isinstance(part, Compiled) and part.law.warns_saturated:
+            measured = f"{item.cylinder}.v" in record
+            if isinstance(part, Compiled) and part.law.warns_saturated and measured:
                 v, desired, met = (
                     record[f"{item.cylinder}.{name}"][:rows]
                     for name in ("v", "v_desired", "limits")
@@ -353,6 +354,7 @@ def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> lis
 def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) -> dict[str, Any]:
     """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
     trial; tracking by its sensor and, where the machine knows it, of the ``true`` strokes [m].
+    Without a sensor the speed is the stroke's slope, and pressures are not a number.
     """
     prefix = f"{loop.cylinder}."
     channels = {
@@ -360,8 +362,9 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
         for name in record.channels
         if name.startswith(prefix)
     }
-    t, v, x = record.t[:rows], channels["v"], channels["x"]
-    p_head, p_rod, desired = (channels[name] for name in ("p_head", "p_rod", "x_desired"))
+    t, x, desired = record.t[:rows], channels["x"], channels["x_desired"]
+    v = channels["v"] if "v" in channels else np.gradient(x, t)
+    p_head, p_rod = (channels.get(name, np.full(rows, np.nan)) for name in ("p_head", "p_rod"))
     measures: dict[str, Any] = {"steps": []}
     for level in loop.references.levels:
         stop = min(level.stop, rows)

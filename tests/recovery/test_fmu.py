@@ -172,6 +172,17 @@ def test_a_trial_runs_on_it(place):
     assert sample[machine.channels.index("press.x")] == pytest.approx(0.1)
 
 
+def test_a_trial_needs_no_sensor_of_speed(place, tmp_path):
+    known = MODEL.replace('"press.v" = "v", ', "", 1)
+    shutil.copy(place / "press.fmu", tmp_path)
+    (tmp_path / "rig.toml").write_text(RIG + known)
+    (tmp_path / "trial.toml").write_text((place / "trial.toml").read_text())
+    run = ehbench.run_trial(tmp_path / "trial.toml", out=tmp_path / "trial", allow_code=True)
+    facts = run.json("trial")["measures"]
+    assert run.code == 0 and 0.0 < facts["tracking"]["max_error"] < 0.01
+    assert 0.0 < facts["speed_rms_error"] < 0.1
+
+
 @pytest.mark.parametrize(
     ("fault", "change", "key"),
     [
