@@ -548,8 +548,8 @@ def wire(
     from ehbench.app import linking
 
     chosen = {"c": c, "m": m, "py": py, "dbc": dbc, "csv": csv}
-    kind = next((name for name, is_chosen in chosen.items() if is_chosen), "csv")
-    print(linking.wire(rig, kind, rate, out), end="")
+    kinds = [name for name, is_chosen in chosen.items() if is_chosen] or ["csv"]
+    print(linking.wire(rig, kinds, rate, out), end="")
 
 
 @app.command(epilog="Example:  ehbench link udp://192.168.0.5:47000 --seconds 60")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +36,13 @@ def moved_to(recipe: Recipe | None, url: str) -> TrialRecipe:
     return recipe.model_copy(update={"on": Address.of(url).url})
 
 
-def wire(rig: Path, kind: str, rate: float, out: Path | None) -> str:
-    """The layout of a rig's packets, or the names of the files that it was written to."""
+def wire(rig: Path, kinds: Sequence[str], rate: float, out: Path | None) -> str:
+    """The layout of a rig's packets of each kind, or the names of the files that were written."""
     built = layout.Layout.of(load_rig(rig))
     if out is None:
-        return layout.WRITERS[kind][1](built, rate)
-    return "".join(f"{path}\n" for path in layout.write_files(built, rate, kind, out))
+        return "".join(layout.WRITERS[kind][1](built, rate) for kind in kinds)
+    written = [path for kind in kinds for path in layout.write_files(built, rate, kind, out)]
+    return "".join(f"{path}\n" for path in written)
 
 
 def measured(url: str, seconds: float) -> tuple[Answer, int]:

@@ -314,3 +314,12 @@ def test_an_address_that_is_none_is_refused(url):
     with pytest.raises(InputError) as error:
         Address.of(url)
     assert error.value.key == "links.url"
+
+
+def test_every_layout_that_is_asked_for_is_written(tmp_path):
+    from ehbench.app.linking import wire
+
+    written = wire(ROOT / "recipes/rigs/slide_servo.toml", ("c", "m", "csv"), 1000.0, tmp_path)
+    names = [Path(line) for line in written.splitlines()]
+    assert all(name.is_file() for name in names)
+    assert {name.suffix for name in names} == {".h", ".c", ".m", ".csv"}
