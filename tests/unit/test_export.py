@@ -222,7 +222,7 @@ gains = "{rigs}/../slide_servo/tuning.toml"
         ("rig", {"parts": "controller"}, True, "export.without_controller", 2),
         ("rig", {"targets": ("win64",)}, True, "export.no_compiler", 2),
         ("rig", {"payload": "anvil"}, True, "config.no_payload", 2),
-        ("rig", {"formats": ("ada",)}, True, "config.not_one_of", 2),
+        ("rig", {"formats": ("ada",)}, True, "config.entry_not_one_of", 2),
     ],
 )
 def test_what_cannot_be_exported(tmp_path, monkeypatch, written, options, insisted, key, code):

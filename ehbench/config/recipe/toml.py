@@ -220,7 +220,8 @@ def _explained(
         if key and not text.startswith(key):
             text = _with(f"{key}: {text}", text)
     elif kind == "literal_error":
-        text = message("config.not_one_of", **fields, words=expected.replace(" or ", ", "))
+        name = "config.not_one_of" if key else "config.entry_not_one_of"
+        text = message(name, **fields, words=expected.replace(" or ", ", "))
         near = get_close_matches(str(given), re.findall(r"'([^']*)'", expected), 1)
         hint = f"did you mean '{near[0]}'?" if near else None
     elif kind == "tuple_type":
