@@ -18,7 +18,7 @@ import numpy as np
 
 from ehbench.control.axis import Axis
 from ehbench.control.functions import able_functions
-from ehbench.control.measured import pressures
+from ehbench.control.measured import pressure_entries, pressures
 from ehbench.control.records import constants
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
@@ -89,6 +89,14 @@ def monitor_of(axis: Axis, tick: float, lag: float) -> Monitor:
         float(tick),
         float(lag),
     )
+
+
+def watched(axis: Axis, channels: int) -> np.ndarray:
+    """True for the channels of a rig's sample that the monitor reads, shape (channels,)."""
+    cylinder, mask = axis.circuit.cylinder, np.zeros(channels, bool)
+    mask[pressure_entries(cylinder, channels)] = True
+    mask[[entry(cylinder, OF.x), entry(cylinder, OF.v)]] = True
+    return mask
 
 
 @kernel

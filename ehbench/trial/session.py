@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ehbench.control.monitor import watched
 from ehbench.data.record import Record
 from ehbench.machines.protocol import (
     Machine,
@@ -119,7 +120,10 @@ class Session:
             InputError: names the channels.
         """
         for part in self.law.parts if isinstance(self.law, Laws) else ():
-            blind = np.flatnonzero(part.controller.observed & ~measured)
+            needed = part.controller.observed
+            if part.controller.monitor is not None:
+                needed = needed | watched(part.controller.axis, needed.size)
+            blind = np.flatnonzero(needed & ~measured)
             if blind.size:
                 names = ", ".join(self.machine.channels[i] for i in blind)
                 fields = {"law": part.law.name, "machine": self.machine.name, "channels": names}

@@ -18,6 +18,8 @@ from ehbench.config.recipe import (
 from ehbench.config.recipe.trial import Controller
 from ehbench.trial.preparation import prepare
 from ehbench.trial.running import run
+from ehbench.trial.session import Session
+from ehbench.vocabulary.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 START = 2.0  # s: the boom rises at full speed
@@ -78,3 +80,18 @@ def test_a_sound_machine_is_not_blamed(payload, change):
     facts = result_of(payload, machine=machine)
     assert "valve_fault" not in facts.measures
     assert facts.stop is None and np.isfinite(facts.measures["tracking"]["max_error"])
+
+
+@pytest.mark.parametrize(("monitor", "refused"), [(True, True), (False, False)])
+def test_a_monitor_without_a_sensor_of_speed_is_refused(monitor, refused):
+    loaded = load_recipe(ROOT / "recipes/trials/arc_fast_bench.toml")
+    controller = Controller(kind="open_loop", monitor=monitor)
+    recipe = loaded.model_copy(update={"controller": controller, "on": "model", "bench": None})
+    trial = prepare(recipe, load_rig(ROOT / "recipes/rigs/thesis_arm.toml"))
+    trial.machine.unmeasured = ("boom.v",)
+    if not refused:
+        Session(trial, trial.machine, False)
+        return
+    with pytest.raises(InputError) as error:
+        Session(trial, trial.machine, False)
+    assert error.value.key == "trial.blind_law" and "boom.v" in str(error.value)
