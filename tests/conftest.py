@@ -2,8 +2,6 @@
 loaded.
 """
 
-from __future__ import annotations
-
 import fcntl
 import gc
 import importlib

@@ -1,7 +1,5 @@
 """Recordings as other programs write them, by the libraries of their formats."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Callable
 from datetime import UTC, datetime

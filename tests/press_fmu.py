@@ -1,7 +1,5 @@
 """A press as an FMU 2.0, from C that shares nothing with the package, and the same by SciPy."""
 
-from __future__ import annotations
-
 import math
 import shutil
 import subprocess

@@ -4,8 +4,6 @@ A file has a name, a writer, the rig that it was recorded on, and the truth: the
 column, '' of one that is none or that nobody can know, and the columns that a draft has to find, at
 least as likely. Text files are rows of the table beside this file."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables of test cases as text."""
 
-from __future__ import annotations
-
 
 def rows(text: str) -> list[tuple[int | str | None, ...]]:
     """The rows of a table whose cells stand between bars: an empty cell is None, digits are a

@@ -1,7 +1,5 @@
 """Logs that rigs would record of themselves: steps, sine, chirp, slow ramps, with sensor noise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

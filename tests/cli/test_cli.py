@@ -2,8 +2,6 @@
 half-written.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

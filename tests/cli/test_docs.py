@@ -2,8 +2,6 @@
 range and default; every example loads, every snippet runs, every name is there.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex
@@ -51,7 +49,6 @@ RIGS = [
 
 
 # --- the reference of all keys
-# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("page", TABLES)
@@ -234,7 +231,6 @@ def test_workflows_call_targets_that_exist():
 
 
 # --- examples of files
-# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("text", RIGS, ids=lambda text: text.splitlines()[0].strip("# "))
@@ -275,7 +271,6 @@ def test_the_recipes_of_the_reference_check(tmp_path):
 
 
 # --- commands
-# -------------------------------------------------------------------------------------------------
 
 COMMANDS = [
     (page, line)
@@ -294,7 +289,6 @@ def test_every_command_has_its_options(page, line):
 
 
 # --- Python
-# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The notebooks run from their first cell to their last."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is given to others: a wheel that works outside a checkout, and the docs as a site."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What a command prints: a verdict, a table, at most three steps with a line to paste."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What would take too much memory or time is refused before it begins, with what it would take."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct

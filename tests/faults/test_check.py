@@ -2,8 +2,6 @@
 run or written.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A check looks at code without running any; what a class imports belongs to its run."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

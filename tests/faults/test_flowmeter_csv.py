@@ -1,7 +1,5 @@
 """Flowmeter CSVs: what is read, and what is refused with file, line and what would be right."""
 
-from __future__ import annotations
-
 import csv
 import math
 import tomllib
@@ -52,26 +50,20 @@ def test_reads_any_order_unit_and_comment_and_keeps_the_lines(write):
         '-0.01, 1, "regen", 70, 0, , , ,\n'
     )
     data = read_flowmeter(path)
-    assert (
-        data.line.tolist() == [4, 6]
-        and data.valve.tolist() == ["regen", "regen"]
-        and len(data) == 2
-    )
-    assert data.direction.tolist() == ["head->rod", "forward"] and data.method.tolist() == [
+    assert data.line.tolist() == [4, 6] and data.valve.tolist() == ["regen", "regen"]
+    assert len(data) == 2
+    assert data.direction.tolist() == ["head->rod", "forward"]
+    assert data.method.tolist() == [
         "cylinder",
         "flowmeter",
     ]
     np.testing.assert_allclose(data.flow, [30 / 6e4, -0.01 / 6e4])
     np.testing.assert_allclose(data.pressure_drop, [10.5e5, 70e5])
     np.testing.assert_allclose(data.command, [4.0, 0.0])
-    assert (
-        data.trial.tolist() == [2, 1]
-        and data.temperature[0] == pytest.approx(313.15)
-        and math.isnan(data.temperature[1])
-    )
-    assert data.groups() == [("regen", "forward"), ("regen", "head->rod")] and set(data.file) == {
-        str(path)
-    }
+    assert data.trial.tolist() == [2, 1] and data.temperature[0] == pytest.approx(313.15)
+    assert math.isnan(data.temperature[1])
+    assert data.groups() == [("regen", "forward"), ("regen", "head->rod")]
+    assert set(data.file) == {str(path)}
 
 
 def test_two_pressures_make_the_drop(write):
@@ -112,7 +104,8 @@ def test_select_and_merge_keep_file_and_line(write):
     one = read_flowmeter(write(HEADER + "\na,1,100,1\nb,2,100,2\n"))
     two = read_flowmeter(write(HEADER + "\na,3,100,3\n", "second.csv"))
     both = merge_flowmeter([one, two]).select("a")
-    assert both.line.tolist() == [2, 2] and [name.rsplit("/", 1)[-1] for name in both.file] == [
+    assert both.line.tolist() == [2, 2]
+    assert [name.rsplit("/", 1)[-1] for name in both.file] == [
         "hect.csv",
         "second.csv",
     ]
@@ -164,10 +157,8 @@ def test_a_drop_beyond_the_supply_is_a_slip_of_unit(write):
 
 def test_drops_far_below_the_supply_are_kept_with_a_warning(write):
     data = read_flowmeter(write(HEADER + "\na,1,6.5,1\n"), supply_pressure=6.9e6)
-    assert (
-        "under 0.5 %" in data.warnings[0]
-        and merge_flowmeter([data, data]).warnings == data.warnings * 2
-    )
+    assert "under 0.5 %" in data.warnings[0]
+    assert merge_flowmeter([data, data]).warnings == data.warnings * 2
     assert read_flowmeter(write(HEADER + "\na,1,650,1\n"), supply_pressure=6.9e6).warnings == ()
 
 
@@ -263,10 +254,8 @@ def test_what_the_reader_doubts_reaches_the_map(write):
     part = read_flowmeter(path, supply_pressure=1.4e7)
     (one,) = fitted(load_rig(RIGS / "slide_servo.toml"), [part])
     # by the file's name alone: a result must not depend on where the data lie
-    assert (
-        one.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
-        and "/" not in one.warnings[0]
-    )
+    assert one.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
+    assert "/" not in one.warnings[0]
 
 
 def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write):
@@ -281,9 +270,8 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
         for row in csv.DictReader(points_table(fits, rig).splitlines())
         if row["valve"] == opened.map.valve
     ]
-    assert rows and all(
-        float(row["driver_command [V]"]) == -float(row["command [V]"]) for row in rows
-    )
+    assert rows
+    assert all(float(row["driver_command [V]"]) == -float(row["command [V]"]) for row in rows)
     assert "-0" not in {row["driver_command [V]"] for row in rows}
     told = {plain["sign"]: plain for plain in summary(fits, rig)}
     assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.map.valve

@@ -1,7 +1,5 @@
 """Run folders by others go into a report as drawings and text, whatever else is in them."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -2,8 +2,6 @@
 that holds only what was measured under the names of what is measured.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

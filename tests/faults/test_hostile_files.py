@@ -1,7 +1,5 @@
 """Small files that crash a library, fill the memory or take for ever: one sentence each."""
 
-from __future__ import annotations
-
 import io
 import os
 import resource

@@ -2,8 +2,6 @@
 what would be right.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

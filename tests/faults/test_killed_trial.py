@@ -2,8 +2,6 @@
 the log, and what a living process works on stays.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

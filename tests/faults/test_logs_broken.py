@@ -2,8 +2,6 @@
 and what is missing is said.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import struct

@@ -1,7 +1,5 @@
 """Names of files and folders may be of any bytes: nothing is lost for it, and each name stays."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Only files that a run itself made are ever replaced, whatever is named as its place."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -2,8 +2,6 @@
 be right.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -76,10 +74,8 @@ def test_a_missing_edge_is_noted(tmp_path, node):
     valve["edge"] = [edge for edge in valve["edge"] if node not in (edge["from"], edge["to"])]
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(rig))
     lines = inspection.check(tmp_path / "rig.toml").lines
-    assert (
-        sum(f"touches the {node}" in line and "is one missing?" in line for line in lines) == 1
-        and lines[-1] == "ok"
-    )
+    assert sum(f"touches the {node}" in line and "is one missing?" in line for line in lines) == 1
+    assert lines[-1] == "ok"
 
 
 def test_a_load_that_the_supply_cannot_carry_is_noted(tmp_path):
@@ -112,10 +108,8 @@ def test_names_of_another_alphabet_go_all_the_way(tmp_path):
     text = CRANE.replace('"boom"', '"Löffel-Stiel"').replace('"lift"', '"Zylinder-Ö"')
     text = text.replace('name = "spool"', 'name = "Ventil_2"')
     moved = trial(tmp_path, text, "Zylinder-Ö.Ventil_2", 'posture = { "Zylinder-Ö" = "200 mm" }')
-    assert (
-        moved["Zylinder-Ö.x"][0] == pytest.approx(0.2, abs=1e-9)
-        and moved["Zylinder-Ö.x"][-1] > 0.21
-    )
+    assert moved["Zylinder-Ö.x"][0] == pytest.approx(0.2, abs=1e-9)
+    assert moved["Zylinder-Ö.x"][-1] > 0.21
 
 
 @pytest.mark.parametrize("valve", ["main.fast", "main.fine"])
@@ -140,9 +134,8 @@ def trial(folder: Path, rig: str, valve: str, more: str = ""):
         == "ok"
     )
     record, facts = run_trial(load_rig(folder / "rig.toml"), load_recipe(folder / "t.toml"))
-    assert not facts.stopped and all(
-        np.isfinite(values).all() for values in record.channels.values()
-    )
+    assert not facts.stopped
+    assert all(np.isfinite(values).all() for values in record.channels.values())
     return record
 
 

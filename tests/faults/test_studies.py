@@ -2,8 +2,6 @@
 killed, a study that is. What comes out is the same, byte for byte, wherever it was made.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

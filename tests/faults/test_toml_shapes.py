@@ -1,7 +1,5 @@
 """TOML that is no rig and no recipe in ways that no editor writes: one sentence, with its line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -6,8 +6,6 @@
 An input is known by its kind, its number and the seed. A finding is anything but a result or one
 sentence: a traceback, an input that takes longer than LONGEST, a user's file that is gone."""
 
-from __future__ import annotations
-
 import argparse
 import faulthandler
 import os

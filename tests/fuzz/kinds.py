@@ -1,7 +1,5 @@
 """What is fuzzed: a corpus, how an input is made of it, and what takes it."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

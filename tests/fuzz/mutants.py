@@ -1,7 +1,5 @@
 """Inputs made wrong on purpose: by bytes, by lines, and by what people and programs write."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Sequence

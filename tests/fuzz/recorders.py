@@ -2,8 +2,6 @@
 in it, a small file that swells, a name of any bytes, a figure with rules in its text.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import os
@@ -58,7 +56,6 @@ def take_written(given: Written, folder: Path) -> None:
 
 
 # --- spellings of numbers and times
-# ------------------------------------------------------------------------------------------------
 
 
 def _grouped(text: str, mark: str, sign: str) -> str:
@@ -150,7 +147,6 @@ def take_draft(given: Written, folder: Path) -> None:
 
 
 # --- formulas
-# ------------------------------------------------------------------------------------------------
 
 
 WIDTH = 220  # characters of a formula
@@ -202,7 +198,6 @@ def take_formula(given: Written, folder: Path) -> None:
 
 
 # --- small files that swell, names, figures
-# ------------------------------------------------------------------------------------------------
 
 
 def _zip(members: dict[str, bytes]) -> bytes:

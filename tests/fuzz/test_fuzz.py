@@ -1,7 +1,5 @@
 """A small fuzz of each kind; `make fuzz` is the large one."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from random import Random

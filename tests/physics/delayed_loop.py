@@ -2,8 +2,6 @@
 of pressure lagging: what its margins are judged by.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,8 +1,6 @@
 """The linear model of an operating point once more, from central differences of the compiled plant:
 what the equations of `ehbench.tune.linear` are held against, and what they leave out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -2,8 +2,6 @@
 rigs, and on the bench.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from pathlib import Path
@@ -108,7 +106,6 @@ def functions(run):
 
 
 # --- the proof, on a rig that fulfils its assumptions
-# ------------------------------------------------------------------
 
 
 @cache
@@ -334,7 +331,6 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
 
 
 # --- trials on the identified model
-# -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -440,10 +436,8 @@ def test_the_same_trial_twice_gives_the_same_bytes():
         )
         for _ in range(2)
     ]
-    assert (
-        runs[0].commands.tobytes() == runs[1].commands.tobytes()
-        and runs[0].log.tobytes() == runs[1].log.tobytes()
-    )
+    assert runs[0].commands.tobytes() == runs[1].commands.tobytes()
+    assert runs[0].log.tobytes() == runs[1].log.tobytes()
 
 
 def test_sees_only_its_channels():
@@ -460,9 +454,8 @@ def test_sees_only_its_channels():
     masked, open_ = (
         run_model(design, ax, gains, reference, posture, m) for m in (mask, np.ones(channels, bool))
     )
-    assert (
-        np.isfinite(masked.commands).all() and masked.commands.tobytes() == open_.commands.tobytes()
-    )
+    assert np.isfinite(masked.commands).all()
+    assert masked.commands.tobytes() == open_.commands.tobytes()
     for channel in (6, 8, 10, 11, 18):
         poor = mask.copy()
         poor[channel] = False
@@ -533,7 +526,6 @@ def test_an_inclined_slide_weighs_its_load():
 
 
 # --- what the bench adds: noise, quantization, lag, delay, friction, hysteresis, unlike valves
-# -------------------------
 
 
 @pytest.mark.slow
@@ -565,7 +557,6 @@ def test_on_the_bench(load):
 
 
 # --- packing
-# --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 that is to come, the off-side stands higher, for the edge passes more at a smaller drop.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -2,8 +2,6 @@
 picked up, put down or wrongly told at the first tick.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

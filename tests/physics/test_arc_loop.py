@@ -2,8 +2,6 @@
 swing.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from functools import cache

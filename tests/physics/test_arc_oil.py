@@ -2,8 +2,6 @@
 and wrong flows, and what is planned goes by it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

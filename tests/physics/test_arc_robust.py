@@ -2,8 +2,6 @@
 does not swing.
 """
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from pathlib import Path

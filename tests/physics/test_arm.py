@@ -1,7 +1,5 @@
 """The arm against MuJoCo, against its own energy, and against closed forms."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """The virtual bench: what it must share with the model, and what it must add."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Working functions in trials: no hunting at rest, stalls are told, choosing by power pays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

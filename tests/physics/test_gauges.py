@@ -1,8 +1,6 @@
 """Gauges across the piston and load cells in the rod: what they read follows from the pressures and
 from Newton's law of what the rod moves, and is compared where a chamber's pressure is not known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -2,8 +2,6 @@
 honestly what it cannot explain.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -107,7 +105,6 @@ def made(model) -> Record:
 
 
 # --- on the model
-# --------------------------------------------------------------------------------------------------
 
 
 def test_closes_on_every_rig(model, made):
@@ -302,7 +299,6 @@ def test_a_record_of_another_model_is_refused_or_noted(model, made):
 
 
 # --- trials under a controller
-# --------------------------------------------------------------------------------------
 
 FED = {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"}
 LAWS = {
@@ -397,7 +393,6 @@ def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_without_
 
 
 # --- from a log
-# --------------------------------------------------------------------------------------------------
 
 
 def measured(record: Record, model: Model) -> Record:
@@ -681,7 +676,6 @@ def test_noise_is_read_off_the_readings():
 
 
 # --- bounds
-# --------------------------------------------------------------------------------------------------
 
 
 def up_and_down(rig: Rig, cylinder: str, stroke: float, force: float) -> Record:
@@ -765,7 +759,6 @@ def test_a_ledger_cannot_be_changed(model, made):
 
 
 # --- pictures
-# --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Steps chosen by the guard: at the error of fixed ones, fewer of them, the same each time."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

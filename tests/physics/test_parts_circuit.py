@@ -1,7 +1,5 @@
 """Pump, check valve and accumulator against their closed forms, and in the energy sum."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Edge laws against their closed forms, what they do to a design, what logs tell of them."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

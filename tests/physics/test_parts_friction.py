@@ -2,8 +2,6 @@
 linear model.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A line between valves and chamber: closed forms, its energy, linear models, what refuses it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Forces on the rod: closed forms, the energy they give and take, and what logs tell of them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

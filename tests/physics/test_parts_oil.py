@@ -1,7 +1,5 @@
 """Oil with free air: softer as its pressure falls, energy that closes, and what logs tell of it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

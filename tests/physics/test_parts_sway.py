@@ -1,7 +1,5 @@
 """A load that sways: closed forms, energy, linear models."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -2,8 +2,6 @@
 model.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

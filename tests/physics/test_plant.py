@@ -2,8 +2,6 @@
 equilibrium, violence.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The position controller: closed form on an ideal actuator, and untuned on every shipped rig."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

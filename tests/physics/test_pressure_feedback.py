@@ -2,8 +2,6 @@
 pressures only.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -214,11 +212,8 @@ def test_position_and_velocity_do_not_reach_it(name):
     """
     masked, full = (step(name, STEPS[name][2], given=given)[0] for given in (None, True))
     assert np.isfinite(masked.samples).all() and np.isfinite(masked.commands).all()
-    assert (
-        (masked.commands == full.commands).all()
-        and (masked.notes == full.notes).all()
-        and (masked.samples == full.samples).all()
-    )
+    assert (masked.commands == full.commands).all() and (masked.notes == full.notes).all()
+    assert (masked.samples == full.samples).all()
     assert np.ptp(masked.commands, axis=0).max() > 1.0
 
 
@@ -386,9 +381,8 @@ def test_hold_shuts_and_others_are_left_alone():
     alone = Alone(feedback_gain=1e-10)
     alone.command[:] = 3.0
     note = alone.tick(0.0, 2e6, 5e5)
-    assert (
-        note["function"] == codes.HOLD and note["flow_head_desired"] == note["feedback_flow"] == 0.0
-    )
+    assert note["function"] == codes.HOLD
+    assert note["flow_head_desired"] == note["feedback_flow"] == 0.0
     valves = sorted(
         set(alone.circuit.edges.valve[alone.circuit.first :][: alone.circuit.count].tolist())
     )
@@ -400,9 +394,8 @@ def test_a_shaped_step_starts_smoothly():
     plain, shaped = (step("arm lifts", 0.0, shaping=s)[0] for s in (None, shaping))
     assert swing(shaped.v[300:])[0] < 0.7 * swing(plain.v[300:])[0]
     v = shaped.note("v_shaped")
-    assert np.abs(np.diff(v)).max() <= 0.5 * TICK * (1 + 1e-12) and v[-1] == pytest.approx(
-        0.08, abs=1e-12
-    )
+    assert np.abs(np.diff(v)).max() <= 0.5 * TICK * (1 + 1e-12)
+    assert v[-1] == pytest.approx(0.08, abs=1e-12)
     assert shaped.note("v_desired")[301] == 0.08
 
 

@@ -1,7 +1,5 @@
 """Racks and rotary actuators: a constant lever, held against a slide of the mass that it feels."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -3,8 +3,6 @@ every kind of controller, with and without a limit that stops it; and a log stre
 written at once.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

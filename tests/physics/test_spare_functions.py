@@ -1,7 +1,5 @@
 """The boom with a cartridge out of service: the four that are left move it as far as they can."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

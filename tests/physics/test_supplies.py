@@ -1,7 +1,5 @@
 """Supplies that follow the load: pressures in closed form, ledgers that close, the bench too."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

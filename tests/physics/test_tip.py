@@ -1,7 +1,5 @@
 """The tip of a mechanism, and the search for joint coordinates that bring it somewhere."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

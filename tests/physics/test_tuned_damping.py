@@ -1,7 +1,5 @@
 """Gains chosen on linear models, tried on the non-linear one: it damps as promised."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

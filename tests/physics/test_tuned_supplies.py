@@ -2,8 +2,6 @@
 running machine keeps.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from functools import cache

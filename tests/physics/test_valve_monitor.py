@@ -1,7 +1,5 @@
 """A valve that fails in motion is found by the flows of both chambers, and the load moves on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -2,8 +2,6 @@
 says, and nothing else.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the tests of a rig's parts share: a rig with a part, its linear form, noise, a fit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

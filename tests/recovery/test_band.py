@@ -1,7 +1,5 @@
 """Parameters from the frequency response of logs, in place of their samples."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -1,8 +1,6 @@
 """Logs of a controller that held the position: their motion is tied in, and pressures stay what is
 judged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

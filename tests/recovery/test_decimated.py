@@ -2,8 +2,6 @@
 the same intervals, said in words, whatever the clock, the gaps and the end of the log.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

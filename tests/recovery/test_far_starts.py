@@ -3,8 +3,6 @@ stands here:
 what comes back from far off, what is told as a range, and what the logs leave open.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

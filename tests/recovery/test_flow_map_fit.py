@@ -2,8 +2,6 @@
 its own intervals.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

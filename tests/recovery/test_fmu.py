@@ -1,7 +1,5 @@
 """A user's FMU as model and as machine: replayed, fitted, judged, run, and refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

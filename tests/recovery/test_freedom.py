@@ -2,8 +2,6 @@
 moving it a little does where the search begins.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

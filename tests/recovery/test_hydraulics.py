@@ -2,8 +2,6 @@
 cover, or with a word why not.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

@@ -2,8 +2,6 @@
 what the estimates would be. `python -m tools.studies.held_study` has every held number of every
 rig."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

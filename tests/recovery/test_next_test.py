@@ -1,7 +1,5 @@
 """The next test: what it is said to tell is what it tells when the virtual rig runs it."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from pathlib import Path

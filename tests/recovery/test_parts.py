@@ -2,8 +2,6 @@
 intervals that cover.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

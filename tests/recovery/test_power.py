@@ -1,7 +1,5 @@
 """The power study in small: its plant is an oracle of the model; its verdicts are of users."""
 
-from __future__ import annotations
-
 import pytest
 
 from tools.power.machine import WAVES

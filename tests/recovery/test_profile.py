@@ -1,7 +1,5 @@
 """Profile likelihoods: a parabola where the interval is right, open where the logs set no end."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Numbers of a pump, its check valves and an accumulator come back from simulated, noisy logs."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

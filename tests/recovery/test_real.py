@@ -1,8 +1,6 @@
 """Recordings by others, read from where the user keeps them (EHBENCH_DATA); without it, that is
 said."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """A machine on an accumulator that its rig file does not know: the log's supply pressure drives the
 replay."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """What a fit does not make again: parts of a plant that no value changes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """Sensors that are off, slow or turned, and drivers whose zero is not zero: what is known of them
 is taken out, what is not is estimated with the parameters, which stay right."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

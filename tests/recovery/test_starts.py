@@ -2,8 +2,6 @@
 sensor of speed are followed as well as the model can.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

@@ -2,8 +2,6 @@
 also where the chambers ring and leak.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The study of intervals, in small: over random rigs they hold the truth as often as they say."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

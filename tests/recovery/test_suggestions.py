@@ -1,8 +1,6 @@
 """`identify --suggest`: the cure of a built fault comes first, a sound fit gets none, and what is
 written fits. `tools/studies/suggestion_study.py` has every fault of every rig."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from functools import cache

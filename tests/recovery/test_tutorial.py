@@ -1,7 +1,5 @@
 """The tutorial, run as a reader would: its files written, its commands given, its results found."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

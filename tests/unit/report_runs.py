@@ -1,8 +1,6 @@
 """Run folders as commands leave them, for tests of the report: their tables stand in
 ``report_runs.json``."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

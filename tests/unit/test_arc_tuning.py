@@ -1,7 +1,5 @@
 """Tuning of adaptive robust control: the largest bandwidths that keep the demanded margins."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

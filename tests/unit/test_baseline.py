@@ -1,7 +1,5 @@
 """The black box beside a model: it follows what is linear, and speaks only where it may."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

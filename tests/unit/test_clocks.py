@@ -1,7 +1,5 @@
 """Time as recorders write it: forms of dates, a column of time for each channel, counts of days."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta
 
 import numpy as np

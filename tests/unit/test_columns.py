@@ -1,7 +1,5 @@
 """Maps of columns: what they make of numbers, of bad samples, and where they are named."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -274,7 +272,6 @@ def test_a_rate_stands_for_a_time_that_is_rounded(tmp_path):
 
 
 # --- recipes
-# -------------------------------------------------------------------------------------------------
 
 
 def raw_log(path: Path) -> None:
@@ -365,7 +362,6 @@ def test_a_python_user_names_the_map_by_its_file(tmp_path):
 
 
 # --- drafts
-# -------------------------------------------------------------------------------------------------
 
 
 def test_a_raw_file_is_taken_at_the_first_go(tmp_path, monkeypatch):
@@ -552,7 +548,6 @@ def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
 
 
 # --- conversion
-# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("to", ["parquet", "mat"])
@@ -596,7 +591,6 @@ def test_without_pyarrow_parquet_is_not_written(tmp_path, monkeypatch):
 
 
 # --- flowmeter readings
-# -------------------------------------------------------------------------------------------------
 
 READINGS = ROOT / "datasets/boom_four_valve/flowmeter/sh.csv"
 

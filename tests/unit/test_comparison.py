@@ -1,7 +1,5 @@
 """What a fit should compare, by what its logs show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The kernel decorators and their cache."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Standard errors against closed forms and brute force: every interval rests on them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cylinder geometry, chambers, end stops and friction against closed forms."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -2,8 +2,6 @@
 taken, what lies a fifth outside is not.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,8 +2,6 @@
 back, or their channel is refused by name.
 """
 
-from __future__ import annotations
-
 import datetime
 import decimal
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Exported C and functional mock-up units against trials of ehbench, bit for bit."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MATLAB files, linear models and mechanisms, read by other programs."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

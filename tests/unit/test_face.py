@@ -1,7 +1,5 @@
 """What `import ehbench` gives, in any order of use, and how it shows itself."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

@@ -1,7 +1,5 @@
 """A validation reads its logs as the fit of its rig found their sensors to be."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A module imports only from lower floors; inside a package no imports form a cycle."""
 
-from __future__ import annotations
-
 import ast
 from functools import cache
 from graphlib import CycleError, TopologicalSorter

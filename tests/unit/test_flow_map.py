@@ -1,7 +1,5 @@
 """The flow map type: kernel against SciPy, exact inverse, shape, ranges, file."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Working functions: what a circuit can do, and a choice without gap, contradiction or chatter."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Logs with gaps: what is bridged, where they are cut, what is left out and told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Products and ratios that the data know where they do not know each parameter."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is held out goes by samples: windows, copies, formats, shifted time; scored windows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

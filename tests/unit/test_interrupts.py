@@ -1,7 +1,5 @@
 """Signals that end the process come when nothing is left half done by it, and none gets lost."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The registry of controllers: what every law has to say of itself."""
 
-from __future__ import annotations
-
 import pytest
 
 from ehbench.control import LAW_NAMES

@@ -1,7 +1,5 @@
 """A function fits on a page: as many lines as the gates in pyproject.toml allow."""
 
-from __future__ import annotations
-
 import ast
 import tomllib
 from collections.abc import Iterator

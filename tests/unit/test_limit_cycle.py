@@ -1,7 +1,5 @@
 """A limit cycle is told from ringing, from noise and from what the reference asks for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pressures recorded at the end of their sensor's range."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 bench over UDP, Modbus and CAN, and either end killed.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -2,8 +2,6 @@
 responders. Everything is on loopback or on a virtual clock.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import sys

@@ -2,8 +2,6 @@
 foreign files.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re
@@ -249,7 +247,6 @@ def test_frame_has_units_and_losses(tmp_path):
 
 
 # --- CSV
-# --------------------------------------------------------------------------------------------------
 
 
 def csv(tmp_path: Path, text: str, encoding: str = "utf-8") -> Path:
@@ -299,7 +296,6 @@ def test_csv_and_mcap_tell_the_same(tmp_path):
 
 
 # --- files by others
-# ---------------------------------------------------------------------------------------------
 
 MIXED = (
     "uint8 K=3\nbool on\nfloat32 p  # pressure\nint16 count\nfloat64 angle\n"

@@ -1,7 +1,5 @@
 """The catalogue of messages: every entry is used, and every use has its entry and its fields."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import pickle

@@ -1,7 +1,5 @@
 """One grammar of numbers for all text: what a cell means, and where it may mean two things."""
 
-from __future__ import annotations
-
 import pytest
 
 from ehbench.config.recipe.columns import ColumnMap, Columns, MappedColumn

@@ -1,7 +1,5 @@
 """The fit of an oscillation, against least squares by differences of projections."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares

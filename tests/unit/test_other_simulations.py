@@ -1,7 +1,5 @@
 """Files that two recorders wrote of one run, by their clocks or by a shift."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

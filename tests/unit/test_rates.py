@@ -2,8 +2,6 @@
 the rows of all others.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

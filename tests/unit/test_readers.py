@@ -2,8 +2,6 @@
 units, rates, the wall clock.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import sys

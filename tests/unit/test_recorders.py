@@ -1,7 +1,5 @@
 """Drafts of files in the style of real recorders: no wrong column is certain, nothing vanishes."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures of others beside a model's own: what a recipe may say, and the table in the report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

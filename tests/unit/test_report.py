@@ -1,7 +1,5 @@
 """Reports are built from saved folders alone, the same bytes each time, and show what failed."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -281,11 +279,8 @@ def test_labels_are_moved_apart_in_order(count):
     moved = np.array(spread(places, 0.03, 0.0, 1.0))
     rank = np.argsort(places, kind="stable")
     gap = min(0.03, 1.0 / max(count - 1, 1))
-    assert (
-        np.all(np.diff(moved[rank]) >= gap - 1e-9)
-        and moved.min() >= -1e-9
-        and moved.max() <= 1 + 1e-9
-    )
+    assert np.all(np.diff(moved[rank]) >= gap - 1e-9) and moved.min() >= -1e-9
+    assert moved.max() <= 1 + 1e-9
 
 
 def test_labels_with_room_stay():
@@ -330,11 +325,8 @@ def test_numbers_are_short(value, said):
 
 
 def test_intervals_and_units():
-    assert (
-        interval(266.52, 276.13) == "266.5 … 276.1"
-        and interval(None, 2.0) == "–"
-        and interval(2.0, 2.0) == "2 … 2"
-    )
+    assert interval(266.52, 276.13) == "266.5 … 276.1" and interval(None, 2.0) == "–"
+    assert interval(2.0, 2.0) == "2 … 2"
     assert [
         pretty(u) for u in ("m^3/(s*Pa)", "gpm/V/MPa^0.5", "degC", "deg/s", "us", "dimensionless")
     ] == [
@@ -402,11 +394,8 @@ def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch)
     assert re.findall(r">([^<>\s][^<>]*)</text>", short) == re.findall(
         r">([^<>\s][^<>]*)</text>", whole[0]
     )
-    assert (
-        short.count("<use ") == whole[0].count("<use ")
-        and "font-family=" in short
-        and "DejaVu Sans, Verdana, sans-serif" in short
-    )
+    assert short.count("<use ") == whole[0].count("<use ") and "font-family=" in short
+    assert "DejaVu Sans, Verdana, sans-serif" in short
     for pattern in (r'<use [^>]*?x="([^"]*)" y="([^"]*)"', r'<text [^>]*?x="([^"]*)" y="([^"]*)"'):
         old, new = (np.array(re.findall(pattern, one), float) for one in (whole[0], short))
         assert np.abs(old - new).max() <= 0.051

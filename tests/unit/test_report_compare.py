@@ -1,7 +1,5 @@
 """What differs between two runs."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -37,11 +35,8 @@ def test_what_differs_is_told_and_by_how_many_intervals(pair):
     # the halves that point to one another: 4.8 MPa up from the first, 3 MPa down from the second
     assert one.intervals == pytest.approx(18.7 / math.hypot(4.8, 3.0))
     told = "\n".join(answer(compare(*pair), rig_of(pair[0])).lines(200, whole=True))
-    assert (
-        "271.3 ± 4.8" in told
-        and "290.0 ± 3.0" in told
-        and re.search(r"bulk_modulus .* MPa .* 3\.3\b", told)
-    )
+    assert "271.3 ± 4.8" in told and "290.0 ± 3.0" in told
+    assert re.search(r"bulk_modulus .* MPa .* 3\.3\b", told)
     assert "99999999" in told and "MPa" in told
 
 

@@ -2,8 +2,6 @@
 follow the numbers.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -299,11 +297,8 @@ def test_tables_and_figures_take_a_campaigns_titles(runs, tmp_path):
         + '"locus_extend_resistive" = "Fig. B.11"\n'
     )
     text = build(runs, load_recipe(path))
-    assert (
-        "<strong>Table B.4</strong>" in text
-        and "<strong>Table B.1</strong>" in text
-        and "<strong>Fig. B.11</strong>" in text
-    )
+    assert "<strong>Table B.4</strong>" in text and "<strong>Table B.1</strong>" in text
+    assert "<strong>Fig. B.11</strong>" in text
     path.write_text(
         lead + '"locus_retract_resistive" = "Fig. B.13"\n"steps/trial_none_open_loop" = "Alone"\n'
     )
@@ -415,11 +410,8 @@ def test_zeros_of_a_locus_are_found_from_its_poles():
 
 def test_cases_know_their_files(runs):
     (case,) = cases_of(Saved(runs[3]))
-    assert (
-        case.cylinder == "boom"
-        and case.energy() is None
-        and case.row["tracking"]["max_error"] == 1e-4
-    )
+    assert case.cylinder == "boom" and case.energy() is None
+    assert case.row["tracking"]["max_error"] == 1e-4
     cases = cases_of(Saved(runs[2]))
     assert all(one.energy() is not None for one in cases) and len(groups_of(cases)) == 1
 

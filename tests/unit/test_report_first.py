@@ -1,7 +1,5 @@
 """The first screen of a report, its words and its colours."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """What captions say of trials after a stop and at rest."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Interactive pages: the numbers of a log, whole or by their extremes, in one file."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

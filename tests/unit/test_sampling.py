@@ -1,7 +1,5 @@
 """Which samples a study has, what its keys mean, and what its samples say together."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 number as it is, and another one where it is a third more or a third less.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import contextmanager
 from pathlib import Path

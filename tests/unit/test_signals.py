@@ -1,7 +1,5 @@
 """Signals: ringing against closed forms, correlations against known processes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

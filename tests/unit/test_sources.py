@@ -1,7 +1,5 @@
 """What results and compiled code are named by."""
 
-from __future__ import annotations
-
 import os
 
 from ehbench.runs.rundir import PACKAGE

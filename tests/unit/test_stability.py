@@ -2,8 +2,6 @@
 crosses the axis, and against dense sweeps of the response with its exact delay.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from pathlib import Path

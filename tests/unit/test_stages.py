@@ -1,7 +1,5 @@
 """Every stage is whole: a recipe model of its own, a command, a section in the report."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

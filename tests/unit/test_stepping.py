@@ -2,8 +2,6 @@
 `run_on`.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from pathlib import Path

@@ -1,8 +1,6 @@
 """What residuals say of a model: built faults are named first or second, sound models cry at
 nothing. `tools/studies/structure_study.py` has the long tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a run found, on a terminal and for scripts."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Time stamps that jitter: which rows are missing, what becomes of the others, and what is told."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

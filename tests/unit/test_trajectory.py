@@ -1,7 +1,5 @@
 """Trajectories: boundary conditions, integrals, continuity, limits; shaping of a commanded step."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -129,7 +127,8 @@ def test_velocity_steps():
     )
     assert table[-1, tr.X] == pytest.approx(0.02 + full * (0.15 + 0.14 - 0.1), abs=1e-12)
     values, counts = np.unique(table[:, tr.V], return_counts=True)
-    assert values == pytest.approx([-full, 0.0, 0.3 * full, 0.7 * full]) and counts.tolist() == [
+    assert values == pytest.approx([-full, 0.0, 0.3 * full, 0.7 * full])
+    assert counts.tolist() == [
         100,
         401,
         500,

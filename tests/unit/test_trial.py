@@ -1,7 +1,5 @@
 """Trials: what is commanded, where a limit stops, what is recorded."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import asdict
@@ -288,7 +286,6 @@ def test_progress_rises_to_one(rig):
 
 
 # --- measures
-# --------------------------------------------------------------------------------------------------
 
 
 def second_order(t, omega, zeta):
@@ -334,7 +331,6 @@ def test_tracking():
 
 
 # --- closed loop: what a recipe may say
-# -------------------------------------------------------------------------------------
 
 OPEN = 'stage = "trial"\nrig = "x.toml"\n'
 TOML = f"""{OPEN}[motion]
@@ -589,7 +585,6 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
 
 
 # --- a user's class
-# --------------------------------------------------------------------------------------------------
 
 HEAD = "class C:\n    channels = ['press.x']\n"
 START = "    def start(self, rig, tick, sample): pass\n"
@@ -707,7 +702,6 @@ def test_a_class_may_do_without_a_motion(rig, tmp_path):
 
 
 # --- sets
-# --------------------------------------------------------------------------------------------------
 
 
 def test_a_set_names_each_of_its_lists_without_doubles(tmp_path):

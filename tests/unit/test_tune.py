@@ -2,8 +2,6 @@
 draws as asked.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -86,11 +84,8 @@ def test_demands_are_kept_and_no_neighbour_is_better(tuned, motions):
     law = Law(tuned.washout, tuned.off_gain, tuned.delay)
     counted = [p for p in tuned.points if p.counts]
     for p in counted:
-        assert (
-            p.margins.gain_margin >= 2.0
-            and p.margins.phase_margin >= math.radians(30)
-            and p.margins.bandwidth >= math.pi
-        )
+        assert p.margins.gain_margin >= 2.0 and p.margins.phase_margin >= math.radians(30)
+        assert p.margins.bandwidth >= math.pi
     assert min(p.damping_ratio_closed for p in counted) == tuned.damping_ratio
 
     def worst(at):
@@ -207,9 +202,8 @@ def test_draws_follow_the_covariance():
     # 20 000 draws: means to 0.7 % of a deviation, deviations and correlation to about 1 %; clipping
     # at 2 σ moves them by 2 %
     assert table[:, 0].min() == 6e8
-    assert table[:, 1].mean() == pytest.approx(2500, abs=5) and table[:, 1].std() == pytest.approx(
-        200, rel=0.03
-    )
+    assert table[:, 1].mean() == pytest.approx(2500, abs=5)
+    assert table[:, 1].std() == pytest.approx(200, rel=0.03)
     assert np.corrcoef(table.T)[0, 1] == pytest.approx(-0.8, abs=0.02)
     alone = draw_parameters(drawn, names, None, 20000, np.random.default_rng(1))
     assert abs(np.corrcoef(alone.T)[0, 1]) < 0.03
@@ -268,9 +262,8 @@ def test_result_is_plain_and_feeds_the_controller(tuned, tmp_path):
     rundir.write_json(tmp_path / "tuning.json", tuned.as_json())
     back = json.loads((tmp_path / "tuning.json").read_text())
     assert back["feedback_gain"] == pytest.approx(tuned.feedback_gain, rel=1e-8)
-    assert len(back["points"]) == len(tuned.points) and len(back["points"][0]["curve"]) == len(
-        back["gains"]
-    )
+    assert len(back["points"]) == len(tuned.points)
+    assert len(back["points"][0]["curve"]) == len(back["gains"])
     packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **tuned.controller())
     assert packed.washout == tuned.washout and packed.off_gain == tuned.off_gain
     assert packed.feedback_gain[EXTEND_RESISTIVE] == tuned.feedback_gain["extend_resistive"]
@@ -328,12 +321,10 @@ def test_recipe_file(tmp_path):
         'phase_margin = "40 deg"\nbandwidth = "1 Hz"\n'
     )
     read = load_recipe(path)
-    assert isinstance(read, TuneRecipe) and float(read.phase_margin) == pytest.approx(
-        math.radians(40)
-    )
-    assert float(read.washout) == pytest.approx(2 * math.pi * 0.6) and float(
-        read.off_gain
-    ) == pytest.approx(300e-6 / 60 / 1e5)
+    assert isinstance(read, TuneRecipe)
+    assert float(read.phase_margin) == pytest.approx(math.radians(40))
+    assert float(read.washout) == pytest.approx(2 * math.pi * 0.6)
+    assert float(read.off_gain) == pytest.approx(300e-6 / 60 / 1e5)
     path.write_text('stage = "tune"\nrig = "x"\nwashot = "0.6 Hz"\n')
     with pytest.raises(InputError, match="did you mean 'washout'"):
         load_recipe(path)

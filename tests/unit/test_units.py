@@ -1,7 +1,5 @@
 """Conversion at the door, against numbers known from elsewhere."""
 
-from __future__ import annotations
-
 import math
 import re
 import time

@@ -1,7 +1,5 @@
 """Validation: the verdict and its reasons, what counts, what is only shown, and what is refused."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

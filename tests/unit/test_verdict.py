@@ -1,8 +1,6 @@
 """The verdict on the exact model and on wrong ones, whatever the command: steps, sine, chirp, slow
 ramps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

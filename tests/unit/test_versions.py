@@ -3,8 +3,6 @@ that change need a new schema of their stage (`ehbench/runs/versions.py`).
 
 After such a change:  python -m tests.unit.test_versions"""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

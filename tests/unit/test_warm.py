@@ -1,7 +1,5 @@
 """What is compiled after an install is what trials then run."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

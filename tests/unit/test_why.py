@@ -1,7 +1,5 @@
 """Where a number of a run is from, and that no change of what it was made from goes unmarked."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from importlib import import_module
