@@ -38,7 +38,7 @@ STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "validation": (5, (*_SIMULATED, "diagnosis", "validation")),
     "tuning": (1, ("plant", "control", "tuning")),
     "arc_tuning": (2, ("plant", "control", "tuning")),
-    "trial": (1, _TRIAL),
+    "trial": (2, _TRIAL),
     "trials": (1, _TRIAL),
     "study": (2, ("sampling",)),
     "export": (1, ("plant", "control", "trial")),

@@ -104,7 +104,7 @@ def test_keys_are_the_stable_ones(runs):
         *(f"trial_{load}_{name}" for load in ("none", "50_lb") for name in names),
     ]
     assert {"sankey_50_lb_arc", "estimates_50_lb_four_way", "energy_70"} <= set(cycles)
-    assert list(arc) == ["trial_boom", "estimates_boom"]
+    assert list(arc) == ["trial_boom", "estimates_boom", "load"]
 
 
 def test_the_page_is_whole(runs):
@@ -118,7 +118,7 @@ def test_the_page_is_whole(runs):
     figures = (json.loads((run / "figures/index.json").read_text())["figures"] for run in runs)
     assert {item["about"]["kind"] for items in figures for item in items} == {
         *("function", "equivalents", "damping", "locus", "step_response", "draws", "compare"),
-        *("energy", "trajectories", "trial", "estimates", "sankey"),
+        *("energy", "trajectories", "trial", "estimates", "sankey", "load"),
     }
 
 

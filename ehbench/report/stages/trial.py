@@ -23,6 +23,7 @@ from ehbench.report.content import (
 )
 from ehbench.report.energy_tables import saving_blocks
 from ehbench.report.figures import channels, sankey, tip
+from ehbench.report.figures import load_plane as plane
 from ehbench.report.figures import trial as figures
 from ehbench.report.index import FigureIndex, FigureKey
 from ehbench.report.saved import Saved
@@ -51,6 +52,11 @@ def draw(run: Saved, index: FigureIndex) -> None:
             channels.trial(path, run.rig, record, cylinder, drawn)
     for case in cases[:1]:
         draw_sankey(index, case, "sankey", run.title, FigureKey("sankey"))
+        if all(f"{case.cylinder}.{word}" in record for word in ("v", "p_head", "p_rod")):
+            about = FigureKey("load", cylinder=case.cylinder)
+            caption = Template("trial").text("load")
+            path = index.add("load", f"Load and speed: {run.title}", caption, about)
+            plane.load_plane(path, run.rig, record, case.cylinder)
 
 
 def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title: str) -> None:
@@ -99,7 +105,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         ["seed", str(facts.get("seed", 0))],
     ]
     inside: list[Block] = [Text(page.text("stopped", reason=stopped), "bad")] if stopped else []
-    for kind in ("tip", "trial", "estimates"):
+    for kind in ("tip", "trial", "load", "estimates"):
         inside += pictures(FigureKey(kind))
     if not cases:
         parts = [Part("Trial", [*inside, Grid(["", ""], rows)]), *_link_parts(run, facts)]
