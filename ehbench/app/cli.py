@@ -531,6 +531,17 @@ def convert(
     _say(answer, Says(quiet=not as_json, as_json=as_json))
 
 
+@app.command(epilog="Example:  ehbench quantities damping")
+def quantities(
+    text: Annotated[str, typer.Argument(help="A part of a name or meaning; none: all.")] = "",
+    as_json: AsJson = False,
+) -> None:
+    """List the names that recipes, rig files and maps of columns use, with units and meaning."""
+    from ehbench.app import lookup
+
+    _say(lookup.quantities(text), Says(as_json=as_json))
+
+
 @app.command(epilog="Example:  ehbench wire recipes/rigs/slide_servo.toml --csv")
 def wire(
     rig: Annotated[Path, typer.Argument(help="A rig file, or a run with one.")],

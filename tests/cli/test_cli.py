@@ -52,6 +52,15 @@ def test_help_names_every_command_and_the_exit_codes():
         assert re.search(rf"\b{code} \w", text)
 
 
+def test_quantities_lists_what_a_word_leads_to(inside):
+    done = inside("quantities", "Damping", "--json")
+    rows = {row["name"]: row for row in json.loads(done.stdout)["quantities"]}
+    assert done.returncode == 0 and rows["joint_damping"]["unit"] == "N*m*s/rad"
+    assert "bulk_modulus" not in rows
+    assert inside("quantities", "presure").returncode == 2
+    assert len(json.loads(inside("quantities", "--json").stdout)["quantities"]) > 200
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_help_has_an_example(inside, command):
     done = inside(command, "--help")
