@@ -31,16 +31,11 @@ from ehbench.trial.preparation import Stop
 from ehbench.trial.running import Facts
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from tests.shared import RECIPES, RIGS, shipped
 from tests.tables import rows
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-STEP = {
-    "valve": "press.servo",
-    "kind": "step",
-    "amplitude": "4 V",
-    "start": "0.1 s",
-    "stop": "0.6 s",
-}
+VALVE = {"valve": "press.servo"}
+STEP = VALVE | {"kind": "step", "amplitude": "4 V", "start": "0.1 s", "stop": "0.6 s"}
 
 
 def refused(says):
@@ -54,51 +49,50 @@ def refused(says):
 
 @pytest.fixture(scope="module")
 def rig():
-    return load_rig(RECIPES / "rigs" / "slide_servo.toml")
+    return shipped("slide_servo")
 
 
 def recipe(*command, **given):
-    return TrialRecipe(
-        stage="trial", rig="x.toml", command=command, **({"duration": "1 s"} | given)
-    )
+    given = {"duration": "1 s"} | given
+    return TrialRecipe(stage="trial", rig="x.toml", command=command, **given)
 
 
 def played(rig, *command, duration=1.0, rate=1000):
     return command_table(recipe(*command), rig, np.arange(round(duration * rate) + 1) / rate)[:, 0]
 
 
-def test_a_valve_without_command_rests(rig):
-    assert np.array_equal(command_table(recipe(), rig, np.arange(5.0)), np.zeros((5, 1)))
+RAMP = {"kind": "ramp", "offset": "1 V", "amplitude": "2 V", "start": "0.2 s", "stop": "0.4 s"}
 
 
-def test_the_sample_at_the_switching_time_has_the_new_command(rig):
-    u = played(rig, {**STEP, "offset": "1 V"})
-    assert u[99] == 1.0 and u[100] == 5.0 and u[599] == 5.0 and u[600] == 1.0
+@pytest.mark.parametrize(
+    ("commands", "volts"),
+    [
+        ([], {0: 0.0, 999: 0.0}),
+        # the sample at the switching time has the new command
+        ([{**STEP, "offset": "1 V"}], {99: 1.0, 100: 5.0, 599: 5.0, 600: 1.0}),
+        # entries for one valve add up
+        ([STEP, VALVE | {"kind": "constant", "offset": "-1 V"}], {0: -1.0, 300: 3.0}),
+        # a ramp arrives and stays
+        ([STEP | RAMP], {200: 1.0, 300: 2.0, 400: 3.0, -1: 3.0}),
+    ],
+)
+def test_a_command_is_what_its_entries_say(rig, commands, volts):
+    u = played(rig, *commands)
+    assert {at: u[at] for at in volts} == pytest.approx(volts)
 
 
 def test_none_is_the_word_for_no_payload(tmp_path):
     assert recipe(payload="none").payload is None
     assert recipe(payload="100 kg").payload == "100 kg"
-    written = (RECIPES / "rigs" / "slide_servo.toml").read_text()
+    written = (RIGS / "slide_servo.toml").read_text()
     (tmp_path / "rig.toml").write_text(written.replace('payload."100 kg"', "payload.none"))
     with pytest.raises(InputError, match="'none' means no payload"):
         load_rig(tmp_path / "rig.toml")
 
 
-def test_entries_for_one_valve_add_up(rig):
-    u = played(rig, STEP, {"valve": "press.servo", "kind": "constant", "offset": "-1 V"})
-    assert u[0] == -1.0 and u[300] == 3.0
-
-
-def test_a_ramp_arrives_and_stays(rig):
-    ramp = {"kind": "ramp", "offset": "1 V", "amplitude": "2 V", "start": "0.2 s", "stop": "0.4 s"}
-    u = played(rig, STEP | ramp)
-    assert u[[200, 300, 400, -1]] == pytest.approx([1.0, 2.0, 3.0, 3.0])
-
-
 def test_a_sine_has_its_frequency_and_window(rig):
     window = {"start": "0.2 s", "stop": "0.8 s"}
-    u = played(rig, STEP | {"kind": "sine", "amplitude": "2 V", "frequency": "5 Hz"} | window)
+    u = played(rig, VALVE | {"kind": "sine", "amplitude": "2 V", "frequency": "5 Hz"} | window)
     t = np.arange(1001) / 1000
     inside = (t > 0.1995) & (t < 0.7995)
     assert u[inside] == pytest.approx(2 * np.sin(2 * np.pi * 5 * (t[inside] - 0.2)), abs=1e-9)
@@ -106,7 +100,7 @@ def test_a_sine_has_its_frequency_and_window(rig):
 
 
 def test_a_multisine_has_its_lines_and_its_amplitude_and_its_seed(rig):
-    wave = {"valve": "press.servo", "kind": "multisine", "amplitude": "2 V", "lines": 10}
+    wave = VALVE | {"kind": "multisine", "amplitude": "2 V", "lines": 10}
     wave |= {"frequency": "2 Hz", "frequency_max": "20 Hz"}
     u = played(rig, wave, duration=2.0)[:-1]
     assert np.abs(u).max() == pytest.approx(2.0)
@@ -124,7 +118,7 @@ def test_a_file_is_played_as_it_was_recorded(rig, tmp_path):
     write_log(tmp_path / "other.mcap", Record(t, {"press.x": np.zeros(6)}))
 
     def table(name, rows):
-        entry = {"valve": "press.servo", "kind": "file", "file": name, "start": "0.1 s"}
+        entry = VALVE | {"kind": "file", "file": name, "start": "0.1 s"}
         given = recipe(entry).model_copy(update={"path": tmp_path / "trial.toml"})
         return command_table(given, rig, np.arange(rows) / 1000)[:, 0]
 
@@ -172,27 +166,26 @@ def test_a_trial_on_the_bench_has_only_what_a_machine_measures(rig):
     assert (facts.on, facts.seed, facts.rate) == ("virtual bench", 4, 1000.0)
 
 
-LIMIT_CASES = [
-    ({"pressure_max": "60 bar"}, "press.p_rod", lambda x, s: x > s),
-    ({"pressure_min": "13 bar"}, "press.p_head", lambda x, s: x < s),
-    ({"stroke_margin": "175 mm"}, "press.x", lambda x, s: x > s),
-    ({"speed_max": "150 mm/s"}, "press.v", lambda x, s: abs(x) > s),
-    ({"command_max": "3 V"}, "press.servo.command", lambda x, s: abs(x) > s),
-]
+LIMITS = {
+    "pressure_max": ("60 bar", "press.p_rod", lambda x, s: x > s),
+    "pressure_min": ("13 bar", "press.p_head", lambda x, s: x < s),
+    "stroke_margin": ("175 mm", "press.x", lambda x, s: x > s),
+    "speed_max": ("150 mm/s", "press.v", lambda x, s: abs(x) > s),
+    "command_max": ("3 V", "press.servo.command", lambda x, s: abs(x) > s),
+}
 
 
 @pytest.mark.parametrize("on", ("model", "bench"))
-@pytest.mark.parametrize(
-    ("limit", "channel", "beyond"), LIMIT_CASES, ids=[next(iter(case[0])) for case in LIMIT_CASES]
-)
-def test_a_limit_stops_within_one_tick(rig, on, limit, channel, beyond):
-    amplitude = "-6 V" if "pressure" in next(iter(limit)) else "4 V"
-    given = {"limits": {**limit, "ramp": "0 s"}, "on": on, "posture": {"press": "200 mm"}}
+@pytest.mark.parametrize("limit", LIMITS)
+def test_a_limit_stops_within_one_tick(rig, on, limit):
+    bound, channel, beyond = LIMITS[limit]
+    amplitude = "-6 V" if "pressure" in limit else "4 V"
+    given = {"limits": {limit: bound, "ramp": "0 s"}, "on": on, "posture": {"press": "200 mm"}}
     record, facts = run_trial(rig, recipe(STEP | {"amplitude": amplitude}, **given))
     stop = facts.stop
     assert stop is not None, (channel, np.ptp(record[channel]))
     row = round(stop.t * 1000)
-    assert (stop.limit, stop.channel) == (next(iter(limit)), channel)
+    assert (stop.limit, stop.channel) == (limit, channel)
     assert beyond(stop.value, stop.bound)
     if channel != "press.servo.command":
         assert record[channel][row] == stop.value
@@ -201,7 +194,7 @@ def test_a_limit_stops_within_one_tick(rig, on, limit, channel, beyond):
     assert not record["press.servo.command"][row:].any(), "valves rest from the very tick"
     assert facts.after is not None and facts.after.seconds <= RUN_OUT
     assert record.t[-1] == pytest.approx(stop.t + facts.after.seconds)
-    assert next(iter(limit)) in facts.stopped and facts.stopped.startswith(record.meta["stopped"])
+    assert limit in facts.stopped and facts.stopped.startswith(record.meta["stopped"])
     json.dumps(facts.as_json(), allow_nan=False)
 
 
@@ -267,16 +260,11 @@ def test_a_limit_reached_before_the_start_is_refused(rig):
         run_trial(rig, recipe(STEP, limits={"stroke_margin": "20 mm"}, posture={"press": "10 mm"}))
 
 
-@pytest.mark.parametrize(
-    ("bench", "says"),
-    [
-        ("bench/crane_proportional", "other cylinders"),
-        ("datasets/slide_servo", "no bench file"),
-    ],
-)
-def test_the_bench_of_another_rig_is_refused(rig, bench, says):
-    with refused(says):
-        run_trial(rig, recipe(STEP, on="bench", bench=str(RECIPES / f"{bench}.toml")))
+def test_the_bench_of_another_rig_is_refused(rig):
+    named = {"bench/crane_proportional": "other cylinders", "datasets/slide_servo": "no bench file"}
+    for bench, says in named.items():
+        with refused(says):
+            run_trial(rig, recipe(STEP, on="bench", bench=str(RECIPES / f"{bench}.toml")))
 
 
 def test_progress_rises_to_one(rig):
@@ -414,10 +402,9 @@ KINDS = {
 def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
     for short, whole in KINDS.items():
         motion = motion.replace(short, whole)
+    text = f"{OPEN}[motion]\n{motion}\n[controller]\n"
     with refused(says):
-        run_trial(
-            rig, closed(tmp_path, 'kind = "open_loop"', f"{OPEN}[motion]\n{motion}\n[controller]\n")
-        )
+        run_trial(rig, closed(tmp_path, 'kind = "open_loop"', text))
 
 
 @pytest.mark.parametrize(
@@ -428,17 +415,12 @@ def test_a_motion_that_cannot_be_is_refused(rig, tmp_path, motion, says):
         ('posture = { press = "3 kg" }', "'kg' cannot be turned into m"),
     ],
 )
-@pytest.mark.parametrize(
-    "rest",
-    [TOML.split("\n", 2)[2] + 'kind = "open_loop"\n', 'duration = "1 s"\n'],
-    ids=["closed", "open"],
-)
 @pytest.mark.parametrize("on", ["model", "bench"])
-def test_a_machine_that_cannot_be_is_refused_with_its_line(rig, tmp_path, line, says, rest, on):
-    text = f'stage = "trial"\nrig = "x.toml"\non = "{on}"\n{line}\n{rest}'
-    with refused(says) as error:
-        run_trial(rig, closed(tmp_path, "", text))
-    assert error.value.file.endswith("trial.toml") and error.value.line == 4
+def test_a_machine_that_cannot_be_is_refused_with_its_line(rig, tmp_path, line, says, on):
+    for rest in (TOML.split("\n", 2)[2] + 'kind = "open_loop"\n', 'duration = "1 s"\n'):
+        with refused(says) as error:
+            run_trial(rig, closed(tmp_path, "", f'{OPEN}on = "{on}"\n{line}\n{rest}'))
+        assert error.value.file.endswith("trial.toml") and error.value.line == 4
 
 
 def test_a_waypoint_that_cannot_be_is_refused_with_its_line(rig, tmp_path):
@@ -467,9 +449,7 @@ def test_every_gain_of_a_law_can_be_written_in_a_recipe(rig, tmp_path):
             if unit == "dimensionless":
                 lines[-1] = f"{name} = {value!r}"
         again = run_trial(rig, closed(tmp_path, law + "\n".join(lines), short))[1].measures["gains"]
-        assert again == {
-            name: pytest.approx(moved.get(name, value), rel=1e-12) for name, value in first.items()
-        }
+        assert again == pytest.approx(first | moved, rel=1e-12)
 
 
 NEEDS = """
@@ -502,21 +482,19 @@ def test_levels_are_shares_speeds_and_rows(rig, tmp_path):
 
 
 def test_cycles_repeat_the_way_and_the_last_one_is_known(rig, tmp_path):
-    text = TOML.replace('["100 mm", "200 mm"]', '["100 mm", "200 mm", "100 mm"]')
-    again = text.replace(
-        "[controller]", 'hold = ["0.3 s", "0.2 s", "0.4 s"]\ncycles = 3\n[controller]'
-    )
-    once = again.replace("cycles = 3", "cycles = 1")
+    def cycles(text, count):
+        return text.replace("[controller]", f"cycles = {count}\n[controller]")
+
+    held = 'hold = ["0.3 s", "0.2 s", "0.4 s"]\n[controller]'
+    text = TOML.replace('"200 mm"]', '"200 mm", "100 mm"]').replace("[controller]", held)
+    again, once = cycles(text, 3), cycles(text, 1)
     made, one = (table_of(rig, closed(tmp_path, 'kind = "arc"', t)) for t in (again, once))
     way = len(one.table) - 1
     assert one.last_cycle == 0 and made.last_cycle == pytest.approx(2 * way - 300, abs=2)
     last = made.table[made.last_cycle :]
     assert last[0, 0] == last[-1, 0] == 0.1 and not last[[0, -1], 1:].any()
     assert last[:, 0].max() == pytest.approx(0.2) and len(last) == pytest.approx(way - 300, abs=3)
-    for wrong in (
-        TOML.replace("[controller]", "cycles = 2\n[controller]"),
-        again.replace("= 3", "= 0"),
-    ):
+    for wrong in (cycles(TOML, 2), cycles(text, 0)):
         with pytest.raises(InputError, match="cycles"):
             closed(tmp_path, 'kind = "arc"', wrong)
 
@@ -572,10 +550,8 @@ def test_gains_come_from_a_tune_run_and_what_is_written_goes_first(rig, tmp_path
     plain = packed('kind = "pressure_feedback"\ngains = "run"')
     assert (plain.washout, plain.off_gain, plain.low_pressure) == (5.0, 2e-12, 3e5)
     assert np.flatnonzero(plain.feedback_gain).tolist() == [1] and plain.feedback_gain[1] == 3e-12
-    over = packed(
-        'kind = "pressure_feedback"\n'
-        'gains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }'
-    )
+    more = 'gains = { from = "run", washout = "0 Hz", low_pressure = "1 bar" }'
+    over = packed(f'kind = "pressure_feedback"\n{more}')
     assert (over.washout, over.low_pressure, over.feedback_gain[1]) == (0.0, 1e5, 3e-12)
     loose = packed('kind = "open_loop"\ngains = "run"')
     assert (loose.washout, loose.off_gain) == (0.0, 0.0) and not loose.feedback_gain.any()
@@ -591,38 +567,29 @@ START = "    def start(self, rig, tick, sample): pass\n"
 STEPS = "    def step(self, t, sample, desired): return {}\n"
 STEP_IS = HEAD + START + "    def step(self, t, sample, desired):"
 BODY = START + STEPS
+FAILS_AT_START = START.replace("pass", "\n        rig.nothing")
+CODE = [
+    (1, "trial.not_python", "class C(:\n"),
+    (2, "raised ZeroDivisionError: division by zero .in the line: 1/0", "import json\n1/0\n"),
+    (None, "trial.no_class", "class D: pass\n"),
+    (None, "trial.no_method", HEAD + STEPS),
+    (None, "trial.no_observed", f"class C:\n{BODY}"),
+    (None, "trial.unmeasured", f"class C:\n    channels = ['boom.x']\n{BODY}"),
+    (None, "trial.note_quantity", f"{HEAD}    notes = ['press.wow']\n{BODY}"),
+    (None, "trial.note_count", f"{HEAD}    notes = ['press.force']\n{BODY}"),
+    (None, "trial.code_raised", f"{HEAD}    def __init__(self, gain): pass\n{BODY}"),
+    (4, "C.start raised AttributeError", HEAD + FAILS_AT_START + STEPS),
+    (5, r"IndexError at t = 0 s.*\[\]", f"{STEP_IS}\n        return [][int(t > 0.1)]\n"),
+    (None, "trial.unknown_command", f"{STEP_IS} return {{'press.valve': 1.0}}\n"),
+    (None, "trial.no_commands", f"{STEP_IS} return [1.0, 2.0]\n"),
+    (5, "C.step raised SystemExit at t = 0", f"{STEP_IS}\n        raise SystemExit\n"),
+    (1, "raised SystemExit", "raise SystemExit\n"),
+    (None, "trial.command_not_finite", f"{STEP_IS} return [float('nan')]\n"),
+    (None, "trial.no_commands", f"{STEP_IS} return None\n"),
+]
 
 
-@pytest.mark.parametrize(
-    ("line", "says", "code"),
-    [
-        (1, "trial.not_python", "class C(:\n"),
-        (2, "raised ZeroDivisionError: division by zero .in the line: 1/0", "import json\n1/0\n"),
-        (None, "trial.no_class", "class D: pass\n"),
-        (None, "trial.no_method", HEAD + STEPS),
-        (None, "trial.no_observed", f"class C:\n{BODY}"),
-        (None, "trial.unmeasured", f"class C:\n    channels = ['boom.x']\n{BODY}"),
-        (None, "trial.note_quantity", f"{HEAD}    notes = ['press.wow']\n{BODY}"),
-        (None, "trial.note_count", f"{HEAD}    notes = ['press.force']\n{BODY}"),
-        (None, "trial.code_raised", f"{HEAD}    def __init__(self, gain): pass\n{BODY}"),
-        (
-            4,
-            "C.start raised AttributeError",
-            f"{HEAD}{START.replace('pass', chr(10) + '        rig.nothing')}{STEPS}",
-        ),
-        (
-            5,
-            r"C.step raised IndexError at t = 0 s.*\[\]",
-            f"{STEP_IS}\n        return [][int(t > 0.1)]\n",
-        ),
-        (None, "trial.unknown_command", f"{STEP_IS} return {{'press.valve': 1.0}}\n"),
-        (None, "trial.no_commands", f"{STEP_IS} return [1.0, 2.0]\n"),
-        (5, "C.step raised SystemExit at t = 0", f"{STEP_IS}\n        raise SystemExit\n"),
-        (1, "raised SystemExit", "raise SystemExit\n"),
-        (None, "trial.command_not_finite", f"{STEP_IS} return [float('nan')]\n"),
-        (None, "trial.no_commands", f"{STEP_IS} return None\n"),
-    ],
-)
+@pytest.mark.parametrize(("line", "says", "code"), CODE)
 def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
     (tmp_path / "mine.py").write_text(code)
     with refused(says) as error:
@@ -632,21 +599,15 @@ def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
     assert left == ["mine.py", "trial.toml"], "not even bytecode"
 
 
-@pytest.mark.parametrize(
-    ("more", "says"),
-    [
-        ('rules = { dwell = "1 s" }', "trial.code_given_rules"),
-        ('gains = { from = "run" }', "trial.code_given_tuning"),
-        ('gains = "run"', "trial.code_given_tuning"),
-    ],
-)
-def test_what_a_class_would_not_see_is_refused(rig, tmp_path, more, says):
+def test_what_a_class_would_not_see_is_refused(rig, tmp_path):
     (tmp_path / "mine.py").write_text(HEAD + BODY)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "tuning.json").write_text('{"cylinder": "press"}')
-    with refused(says) as error:
-        run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{more}\n'), allow_code=True)
-    assert error.value.file.endswith("trial.toml") and error.value.line == 9
+    tuned = ('gains = { from = "run" }', 'gains = "run"')
+    for more in ('rules = { dwell = "1 s" }', *tuned):
+        with refused("trial.code_given_tuning" if more in tuned else "trial.code_given_rules") as e:
+            run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{more}\n'), allow_code=True)
+        assert e.value.file.endswith("trial.toml") and e.value.line == 9
 
 
 def test_code_runs_only_when_allowed(rig, tmp_path):
