@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.plant.model import simulate
 
-RIGS = Path(__file__).parents[1] / "recipes" / "rigs"
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 5e-5, "v": 1e-3, "p_head": 1.5e4, "p_rod": 1.5e4}
 NOISE |= {"command": 0.0, "p_supply": 9e3, "p_tank": 8e3}
 # by rig: (cylinder, valves driven by the positive part, by the negative part, start)
@@ -28,9 +26,7 @@ DRIVES = {
 
 
 def shape(kind: str, t: np.ndarray) -> np.ndarray:
-    """A command of size one that returns to rest: ``steps``, ``quick steps`` in half of their time,
-    ``sine``, ``chirp``, ``ramps``.
-    """
+    """A command of size one that returns to rest; ``quick steps`` take half the time."""
     if kind in ("steps", "quick steps"):
         turns = [(0.3, 1.0), (0.9, 0.0), (1.5, -1.0), (2.1, 0.0), (2.7, 0.6), (3.3, 0.0)]
         made, share = np.zeros_like(t), 0.5 if kind == "quick steps" else 1.0

@@ -11,8 +11,8 @@ import pytest
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.stages.dry_run import DryRun
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
 
 

@@ -1,6 +1,4 @@
-"""The command line as a user meets it: help with examples, exit codes, messages, nothing
-half-written.
-"""
+"""The command line as a user meets it: help, exit codes, messages, nothing half-written."""
 
 import json
 import os
@@ -16,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from ehbench.app import cli
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 COMMANDS = tuple(str(one.name or one.callback.__name__) for one in cli.app.registered_commands)
 
 

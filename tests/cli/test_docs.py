@@ -1,6 +1,4 @@
-"""The docs say what the models say: every key of a rig file and of a recipe with its symbol, unit,
-range and default; every example loads, every snippet runs, every name is there.
-"""
+"""The docs say what the models say: every key, example, snippet and name."""
 
 import importlib
 import re
@@ -20,9 +18,9 @@ from ehbench.config import recipe, rig
 from ehbench.config.recipe import load_rig
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import SURENESS, Q
+from tests.shared import ROOT
 from tools import reference
 
-ROOT = Path(__file__).parents[2]
 FILES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in FILES}
 WHOLE = {f"docs/{name}": page for name, page in reference.WHOLE_PAGES.items()}
@@ -65,9 +63,7 @@ def test_pages_made_as_a_whole_are_current(page):
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
 def test_every_key_stands_in_a_table_and_no_other(model):
-    """Of a model and those that it inherits from, as the pages have them and as pydantic takes
-    them.
-    """
+    """Of a model and those that it inherits from, as pydantic takes them."""
     written = {
         key.strip("`")
         for base in model.__mro__

@@ -2,12 +2,12 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 from matplotlib import pyplot
 
-ROOT = Path(__file__).parents[2]
+from tests.shared import ROOT
+
 FOLDER = ROOT / "docs" / "notebooks"
 BOOKS = sorted(FOLDER.glob("*.ipynb"))
 

@@ -12,9 +12,9 @@ from ehbench.config.recipe import kind_of, load_recipe
 from ehbench.report.terminal import MOST_STEPS, MOST_WORDS, answer, report_answer
 from ehbench.stages import Stage, stage_of
 from ehbench.vocabulary.commands import COMMANDS
+from tests.shared import ROOT
 from tests.unit import report_runs as runs
 
-ROOT = Path(__file__).parents[2]
 LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
 LINE = re.compile(r'ehbench |[\w"] = |^ +".+",$', re.MULTILINE)
 

@@ -4,7 +4,6 @@ import json
 import os
 import struct
 import time
-from pathlib import Path
 from zlib import crc32
 
 import numpy as np
@@ -23,8 +22,8 @@ from ehbench.data.record import Record
 from ehbench.runs import rundir
 from ehbench.trial import run_trial
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError, SimulationError
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
 OPEN = f"stage = 'trial'\nrig = '{RIG}'\n"
 STEP = "[[command]]\nvalve = 'press.servo'\nkind = 'step'\namplitude = '2 V'\n"

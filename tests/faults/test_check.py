@@ -1,6 +1,4 @@
-"""`ehbench check` on recipes: every mistake that the files alone show, with its place, and nothing
-run or written.
-"""
+"""`ehbench check` on recipes: every mistake that files show, with its place, nothing run."""
 
 import shutil
 from pathlib import Path
@@ -12,8 +10,8 @@ from ehbench.app import inspection
 from ehbench.data import read
 from ehbench.data.logs import write_log
 from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 STEPS, ARC, OWN = "trials/velocity_steps.toml", "trials/arc_slow.toml", "trials/own_controller.toml"
 CHAIN, TUNING, FIT = "thesis/steps_simulated.toml", "thesis/tuning.toml", "thesis/hydraulics.toml"
 JUDGED, MAPS, ALL = "thesis/validation.toml", "thesis/flow_maps.toml", "thesis/campaign.toml"
@@ -34,9 +32,7 @@ BOOM = '"../../datasets/thesis_arm/steps/boom_50lb.mcap"'
 
 @pytest.fixture
 def recipes(tmp_path, monkeypatch) -> Path:
-    """A copy of the shipped recipes that are named here, beside the datasets, in a folder without
-    runs.
-    """
+    """The shipped recipes that are named here, beside the datasets, without runs."""
     for name in ("bench", "rigs", "slide_servo", "thesis", "trials"):
         shutil.copytree(ROOT / "recipes" / name, tmp_path / "recipes" / name)
     (tmp_path / "datasets").symlink_to(ROOT / "datasets")

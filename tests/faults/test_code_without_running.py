@@ -1,15 +1,14 @@
 """A check looks at code without running any; what a class imports belongs to its run."""
 
 import sys
-from pathlib import Path
 
 import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.trial.code import files_of, source_of
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
 CLASS = (
     "class C:\n    channels = ['press.x']\n    def start(self, rig, tick, sample): pass\n"

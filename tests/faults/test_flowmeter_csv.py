@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps.readings import FlowMapOptions
@@ -23,8 +22,8 @@ from ehbench.flow_maps.tables import (
 )
 from ehbench.physics.flow_map import collect, table
 from ehbench.vocabulary.errors import InputError, UnitError
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0
 HEADER = "valve,command [V],pressure_drop [kPa],flow [gpm]"
 
@@ -196,7 +195,7 @@ def fitted(rig: Rig, parts, **options):
 
 def fit_rows(write, rows: list[str], rig: Rig | None = None):
     path = write(SERVO_HEADER + "\n" + "\n".join(rows) + "\n", "servo.csv")
-    return fitted(rig or load_rig(RIGS / "slide_servo.toml"), [read_flowmeter(path)])
+    return fitted(rig or shipped("slide_servo"), [read_flowmeter(path)])
 
 
 def test_rows_copied_by_mistake_are_told_once_a_file_with_their_lines(write):
@@ -238,7 +237,7 @@ def test_flows_that_one_slip_makes_large_are_an_outlier_and_no_unit(write):
 
 
 def test_no_limit_of_the_supply_no_doubt_about_flows(write):
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     endless = rig.model_copy(
         update={"supply": rig.supply.model_copy(update={"flow_limit": math.inf})}
     )
@@ -252,7 +251,7 @@ def test_what_the_reader_doubts_reaches_the_map(write):
         + "\n".join(servo_rows("supply->head", 1))
     )
     part = read_flowmeter(path, supply_pressure=1.4e7)
-    (one,) = fitted(load_rig(RIGS / "slide_servo.toml"), [part])
+    (one,) = fitted(shipped("slide_servo"), [part])
     # by the file's name alone: a result must not depend on where the data lie
     assert one.warnings[0].startswith("hect.csv: the largest drop is 7 kPa")
     assert "/" not in one.warnings[0]
@@ -260,7 +259,7 @@ def test_what_the_reader_doubts_reaches_the_map(write):
 
 def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write):
     fits = fit_rows(write, servo_rows("supply->head", 1) + servo_rows("supply->rod", -1, 2))
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     by_sign = {one.sign: one for one in fits}
     assert sorted(by_sign) == [-1, 1] and set(signs(fits).values()) == {-1, 1}
     opened = by_sign[-1]
@@ -311,7 +310,7 @@ WILD = {
 @pytest.mark.parametrize("name", WILD)
 def test_a_wild_reading_is_refused_with_its_line_or_left_out_and_named(write, name):
     row, words = WILD[name]
-    path, rig = write(sheet(l30=row), "sh.csv"), load_rig(RIGS / "boom_four_valve.toml")
+    path, rig = write(sheet(l30=row), "sh.csv"), shipped("boom_four_valve")
 
     def taken(leave_out: bool) -> PreparedReadings:
         data = read_flowmeter(path, supply_pressure=6.9e6, leave_out=leave_out)
@@ -365,7 +364,7 @@ def warm_sheet(kelvin, effect: float = 0.0, seed: int = 3) -> str:
     ],
 )
 def test_oil_that_warms_with_drop_or_command_is_told(write, kelvin, key, fields):
-    rig = load_rig(RIGS / "boom_four_valve.toml")
+    rig = shipped("boom_four_valve")
     data = read_flowmeter(write(warm_sheet(kelvin, 0.004), "sh.csv"))
     about = [text for text in fitted(rig, [data])[0].warnings if "oil" in text]
     assert [note.key for note in about[:1]] == ([f"flow_maps.{key}"] if key else [])

@@ -5,7 +5,6 @@ import hashlib
 import json
 import re
 import shutil
-from pathlib import Path
 from xml.etree import ElementTree
 
 import matplotlib.pyplot as plt
@@ -17,8 +16,8 @@ from ehbench.report.style import canvas
 from ehbench.report.svg import sound
 from ehbench.runs import rundir
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
 OPEN = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 10 10">'
 LINK = 'xmlns:xlink="http://www.w3.org/1999/xlink"'

@@ -12,7 +12,7 @@ import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
-from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.config.recipe import load_recipe
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
@@ -22,8 +22,8 @@ from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
 CRANE = ["bulk_modulus", "arm.joint_damping"]
@@ -36,7 +36,7 @@ def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: 
 
 @cache
 def rig(name="crane_proportional"):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 def steps(samples, out, back):
@@ -566,7 +566,7 @@ def test_a_share_that_is_none_is_refused_with_its_line(tmp_path, raw, says):
 
 
 def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
-    slide = load_rig(RIGS / "slide_servo.toml")
+    slide = shipped("slide_servo")
     x = np.linspace(0.15, 0.2, 50)
 
     def said(values: np.ndarray) -> str:

@@ -21,8 +21,8 @@ from ehbench.data.logs import LogWriter, write_log
 from ehbench.data.record import Record
 from ehbench.runs import rundir
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SLOW = """
 import time
 class Slow:

@@ -16,8 +16,8 @@ from ehbench.trial import run_trial
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.quantities import VOCABULARY
+from tests.shared import RIGS
 
-ROOT = Path(__file__).parents[2]
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "rig_file.md").read_text(
     encoding="utf-8"
 )
@@ -40,7 +40,6 @@ def refused(tmp_path: Path, text: str) -> InputError:
     return caught.value
 
 
-RIGS = ROOT / "recipes" / "rigs"
 SLIDE, THESIS, PUMP = (
     (RIGS / f"{name}.toml").read_text("utf-8")
     for name in ("slide_servo", "thesis_arm", "pump_cylinder")

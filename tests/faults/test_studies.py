@@ -24,8 +24,8 @@ from ehbench.sampling.cluster import Bundle, Cluster, ClusterSettings
 from ehbench.sampling.pools import PoolSettings, Processes, Threads
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 QUICK = ClusterSettings(connect=0.5)
 # what makes samples here: number 5 may die, 6 may hang, and each says in which process it was made
 MAKERS = """

@@ -1,15 +1,13 @@
 """TOML that is no rig and no recipe in ways that no editor writes: one sentence, with its line."""
 
-from pathlib import Path
-
 import pytest
 
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 SLIDE = (ROOT / "recipes" / "rigs" / "slide_servo.toml").read_text(encoding="utf-8")
 HEAD = 'stage = "trial"\nrig = "rig.toml"\n'
 

@@ -34,16 +34,14 @@ from ehbench.vocabulary.units import parse
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import foreign  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[2]
-RIGS = ROOT / "recipes" / "rigs"
+from tests.shared import RIGS, ROOT
+
 SMALL = 40  # rows of a table in the corpus
 
 
 @dataclass(frozen=True)
 class Kind:
-    """``make(rng)`` gives an input, ``take(input, folder)`` hands it to the program, ``share`` is
-    its part of all inputs.
-    """
+    """``make(rng)`` gives an input, ``take(input, folder)`` hands it over; ``share`` of all."""
 
     make: Callable[[Random], Any]
     take: Callable[[Any, Path], None]

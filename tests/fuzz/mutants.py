@@ -245,9 +245,7 @@ def _records(data: bytes) -> list[bytes]:
 
 
 def mcap_mutant(corpus: Sequence[bytes], rng: Random) -> bytes:
-    """A log with bytes that are wrong, records that are missing, doubled or moved, or texts in it
-    that are odd, with checksums that are right.
-    """
+    """A log with wrong bytes, records lost, doubled or moved, odd texts; checksums right."""
     kind = rng.randrange(4)
     data = rng.choice(corpus)
     if kind <= 1:

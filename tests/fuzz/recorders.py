@@ -80,9 +80,7 @@ CLOCKS: dict[str, Callable[[datetime], str]] = {
 
 
 def spelled(rng: Random) -> Written:
-    """A table of time and force in a random dialect; some of its cells are grouped, quoted,
-    have another minus sign or stand for no value.
-    """
+    """A table of time and force in a random dialect, some cells odd or without a value."""
     step = rng.choice((0.001, 0.01, 0.1, 1.0))
     time = np.arange(ROWS) * step
     top = rng.choice((9.0, 90.0, 900.0, 2_000.0, 90_000.0, 3e6))
@@ -113,9 +111,7 @@ def spelled(rng: Random) -> Written:
 
 
 def columns_odd(rng: Random) -> Written:
-    """A table with sentinels, a wrapped angle, several time columns, double names, empty cells,
-    line breaks in its header.
-    """
+    """A table with sentinels, wrapped angles, several times, double names, empty cells."""
     time = np.arange(40) / rng.choice((10.0, 1000.0))
     heads = ["Time", rng.choice(("p3_bar", "PT-101 [PSI]", "valve (mA)", "x\n[mm]", "angle °", ""))]
     columns = [time, 50.0 + 10.0 * np.sin(time)]

@@ -1,6 +1,4 @@
-"""A closed loop for tests: a compiled controller on the model or on the virtual bench, tick by
-tick.
-"""
+"""A compiled controller on the model or on the virtual bench, tick by tick."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -79,9 +77,7 @@ def on_model(y, reference, law, plant, line, steps, trace, flows):
 
 @allocating_kernel
 def on_bench(bench, reference, law, tick, steps, trace):
-    """Run a controller on the virtual bench; the log is what it measured, the truth follows in its
-    last columns.
-    """
+    """Run on the virtual bench: the log is what it measured, then the truth."""
     state, sample = bench.state, bench.sample
     channels = sample.shape[0]
     for i in range(reference.shape[0]):
@@ -145,9 +141,7 @@ def valve_lag(model, number):
 
 
 def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
-    """Gains of the controller with defaults for a model; ``options`` are of its site and of what it
-    does not know.
-    """
+    """Gains with defaults for a model; ``options`` of its site and of what it does not know."""
     supply = model.plant.supply
     packed = pack_rules(
         ax.circuit.area_rod, supply.pressure, allow_seventh=seventh, **(rules or {})
@@ -177,9 +171,7 @@ def _run(reference, law, trace, names, tick, flows=None):
 
 
 def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None):
-    """A trial of the controller on a model that starts at rest in a posture; ``memory`` is that
-    before the first tick unless given.
-    """
+    """A trial on a model from rest in a posture; ``memory`` is that before the first tick."""
     y, count = model.trim(model.posture(posture)), len(reference)
     channels, tick = sample_size(len(model.layout.cylinders)), float(gains.tick)
     memory = arc.memory_of(ax) if memory is None else memory

@@ -27,9 +27,7 @@ TICK = 1.0e-3
 
 
 class Told(NamedTuple):
-    """What the controller is told: samples of the past, the newest first, and where between the
-    last two of them it looks.
-    """
+    """What the controller is told: past samples, the newest first, and where it looks."""
 
     past: np.ndarray
     share: float
@@ -47,9 +45,7 @@ class Drive(NamedTuple):
 
 @allocating_kernel
 def follow(y, reference, told, drive, plant, line, column, strokes):
-    """Run from a state, along a reference of steady speed, and keep the strokes, which a sample has
-    in ``column``.
-    """
+    """Run from a state along a steady speed, and keep the strokes (``column`` of a sample)."""
     past, share, last = told.past, told.share, told.past.shape[0] - 1
     k, work = np.empty((5, y.shape[0])), np.empty(plant.at.work)
     sample, given = past[0].copy(), drive.command.copy()
@@ -141,9 +137,7 @@ class Bench:
         return strokes
 
     def grows(self, at, gains, delay, push=2.0e-4, louder=1.0):
-        """Whether what a push leaves swings more and more: the second differences of stroke over
-        the last third of the time against those of the third before.
-        """
+        """Whether a push swings more and more: the last third of the time against that before."""
         ends = (self.stroke(at, gains, delay, one, louder=louder) for one in (push, -push))
         apart = next(ends) - next(ends)
         swing = np.diff(apart, 2)
@@ -152,9 +146,7 @@ class Bench:
         return bool(np.linalg.norm(late) > np.linalg.norm(early))
 
     def onset(self, at, gains, first=2.0e-4, most=0.03):
-        """The delay [s] at which a swing begins to grow, to 3 %: the first of a rising row, then
-        bisection; inf beyond ``most``.
-        """
+        """Delay [s] at which a swing begins to grow, to 3 %, by bisection; inf beyond ``most``."""
         delay, before = first, 0.0
         while not self.grows(at, gains, delay):
             delay, before = 1.2 * delay, delay

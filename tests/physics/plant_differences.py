@@ -22,9 +22,7 @@ STEPS |= {".sway_speed": 1e-5, ".sway": 1e-6}
 
 @dataclass(frozen=True)
 class _Offsets:
-    """The plant about an operating point, moved by offsets z of (x, v, p_head, p_rod, states of
-    valves, commands).
-    """
+    """The plant moved by offsets z of (x, v, p_head, p_rod, valves' states, commands)."""
 
     model: Model
     point: OperatingPoint

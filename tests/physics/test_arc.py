@@ -1,15 +1,11 @@
-"""The adaptive robust controller: what its proof promises, on a nominal rig; what it does on the
-rigs, and on the bench.
-"""
+"""The adaptive robust controller: its proof on a nominal rig; the rigs, and the bench."""
 
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import TICK, axis_of, gains_of, run_bench, run_model
 
-from ehbench.config.recipe import load_rig
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point
@@ -27,24 +23,18 @@ from ehbench.vocabulary.codes import (
     RETRACT_OVERRUNNING_REGENERATION,
     SATURATED,
 )
-from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.quantities import quantity
+from tests.shared import refused, shipped
 
-sys.path.append(str(Path(__file__).parent))
-from closed_loop import TICK, axis_of, gains_of, run_bench, run_model  # noqa: E402
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 LOW, HIGH = 0.05, 0.20  # strokes of the thesis's boom [m]
 RESOLUTION = 2.54e-5  # of the cylinder's quadrature encoder [m]
 
 
 @cache
 def thesis(valve="cartridges"):
-    """The thesis's arm, its boom on five cartridges or on a standard valve: the stick's spool, as
-    fast as a cartridge.
-    """
-    rig = load_rig(RIGS / "thesis_arm.toml")
+    """The thesis's arm, its boom on five cartridges or on a spool as fast as they are."""
+    rig = shipped("thesis_arm")
     if valve == "standard":
         spool = rig.cylinder_named("stick").valve[0].model_copy(update={"dynamics": "eq_2_12"})
         own = [
@@ -110,10 +100,8 @@ def functions(run):
 
 @cache
 def nominal(payload):
-    """A one-joint crane whose valve has no lag, and the same with ``payload`` [kg] as a point at
-    its end.
-    """
-    rig = load_rig(RIGS / "crane_proportional.toml")
+    """A one-joint crane whose valve has no lag, and the same with ``payload`` [kg] at its end."""
+    rig = shipped("crane_proportional")
     ideal = [
         c.model_copy(
             update={"valve": tuple(v.model_copy(update={"dynamics": None}) for v in c.valve)}
@@ -144,9 +132,7 @@ def nominal(payload):
 
 
 def nominal_run(payload, estimates, adapt, span=1.6, **gains):
-    """Sampled at 5 kHz, so that a held command is near enough a continuous one; the reference
-    oscillates from t = 0.
-    """
+    """At 5 kHz, so that a held command is near a continuous one; the reference oscillates."""
     design, loaded, ax = nominal(payload)
     tick = 2.0e-4
     t = np.arange(round(span / tick)) * tick
@@ -305,10 +291,8 @@ def test_estimates_stay_inside_whatever_the_sensors_say():
 
 @pytest.mark.parametrize("rig", ["thesis_arm", "crane_proportional", "slide_servo"])
 def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
-    """Equivalent mass and gravity force with and without 7 kg at the end of the last link, from the
-    laws of the arm.
-    """
-    design = Model.of(load_rig(RIGS / f"{rig}.toml"))
+    """Mass and gravity force with and without 7 kg at the tip, from the laws of the arm."""
+    design = Model.of(shipped(rig))
     ax = axis_of(design, len(design.layout.cylinders) // 2, {})
     n, j = len(design.layout.joints), ax.cylinder.joint
     q = ax.mechanism.posture + 0.1
@@ -370,9 +354,7 @@ def test_functions_do_not_chatter(payload):
 
 @pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_saves_pump_energy(payload):
-    """Against the standard valve over one closed cycle, tracking no worse than its sensors tell;
-    bounds: 34.5 and 69 %.
-    """
+    """Over a closed cycle against the standard valve; bounds: 34.5 and 69 %."""
 
     def energy(run):
         return run.flows[:, -1].sum() * TICK * float(thesis()[0].supply.pressure)
@@ -399,9 +381,7 @@ def test_off_side_pressure_follows_its_set_point():
 
 
 def test_saturation_is_said_and_leaves_no_wind_up():
-    """A reference twice as fast as the pump: the valves end, the estimates keep still, and the
-    stroke comes home without overshoot.
-    """
+    """A reference twice as fast as the pump: estimates keep still, and no overshoot."""
     rig, design, ax = thesis()
     reference = point_to_point(
         [LOW, HIGH], speed=0.5, acceleration=4.0, jerk=100.0, tick=TICK, hold=[0.3, 2.5]
@@ -441,9 +421,7 @@ def test_the_same_trial_twice_gives_the_same_bytes():
 
 
 def test_sees_only_its_channels():
-    """Channels that it does not observe change nothing; NaN in one that it observes reaches
-    the commands.
-    """
+    """Channels that it does not observe change nothing; NaN in an observed one shows."""
     _, design, ax = thesis()
     reference = slow()[:2500]
     channels = 6 * len(design.layout.cylinders) + 2
@@ -473,10 +451,8 @@ def test_sees_only_its_channels():
     ],
 )
 def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
-    """The same defaults on a slide with a fast spool, a crane with a spool with overlap, four
-    separate valves.
-    """
-    rig = load_rig(RIGS / f"{name}.toml")
+    """The same defaults on a fast spool, a spool with overlap, four separate valves."""
+    rig = shipped(name)
     design = Model.of(rig)
     cylinder = design.layout.cylinders[0]
     ax = axis_of(design, 0, {cylinder: f"{0.5 * (low + high)} m"})
@@ -502,7 +478,7 @@ def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
 
 
 def test_an_inclined_slide_weighs_its_load():
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     rig = rig.model_copy(
         update={"mechanism": rig.mechanism.model_copy(update={"incline": Value(0.5)})}
     )
@@ -531,10 +507,8 @@ def test_an_inclined_slide_weighs_its_load():
 @pytest.mark.slow
 @pytest.mark.parametrize("load", [None, "bucket"])
 def test_on_the_bench(load):
-    """Valves known from their data sheets only, so the flows are wrong by some per cent: under 3 mm
-    all the same.
-    """
-    rig = load_rig(RIGS / "boom_four_valve.toml")
+    """Valves known from their data sheets only, flows some per cent off: under 3 mm."""
+    rig = shipped("boom_four_valve")
     design = Model.of(rig)
     ax = axis_of(design, 0, {"boom": "0.225 m"})
     reference = point_to_point(
@@ -574,7 +548,7 @@ def test_on_the_bench(load):
 )
 def test_bad_gains_are_refused(options, key):
     _, design, ax = thesis()
-    with pytest.raises(InputError, check=lambda error: error.key == f"control.{key}"):
+    with refused(f"control.{key}"):
         gains_of(design, ax, **options)
 
 

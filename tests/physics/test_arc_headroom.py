@@ -4,12 +4,11 @@ that is to come, the off-side stands higher, for the edge passes more at a small
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.control.arc import ARC, Choice, carried, provide_headroom
 from ehbench.control.functions import METERING, SUPPLY_HEAD
 from ehbench.control.measured import Pressures
@@ -20,17 +19,15 @@ from ehbench.flow_maps.tables import prepare_readings, run_readings
 from ehbench.physics.flow_map import collect
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.codes import FUNCTIONS, SATURATED
+from tests.shared import RECIPES, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-ARM = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+ARM = shipped("thesis_arm")
 LOW = float(ARM.supply.pressure) / 20.0
 
 
 @cache
 def maps():
-    """The measured map of the edge from supply to head, which at 15 bar passes a tenth more than at
-    50; that to the rod end shall be such an edge.
-    """
+    """The edge from supply to head passes a tenth more at 15 bar than at 50; so shall the rod's."""
     readings = read_flowmeter(RECIPES.parent / "datasets" / "thesis_arm" / "flowmeter" / "hepc.csv")
     (one,) = run_readings(prepare_readings(ARM, [readings]))
     return collect([one.map, replace(one.map, valve="repc")])
@@ -74,9 +71,7 @@ def test_a_motion_that_the_edge_would_not_carry_is_followed(payload):
 
 
 def test_room_is_made_ahead():
-    """The off-side is up before the edge is at its end: later, what its oil takes to be pressed
-    would be taken from the motion.
-    """
+    """The off-side is up before the edge is at its end, or its oil would slow the motion."""
     record, plain = (ran(None, given, 0.9).record for given in (None, 0.0))
     raised = np.flatnonzero(record["boom.pressure_set"] > 2.0 * LOW)
     ended = np.flatnonzero(plain["boom.limits"].astype(int) & SATURATED)
@@ -115,9 +110,7 @@ class Still:
         self.choice = Choice(FUNCTIONS.index(function), 0, load, False, 0.0, False)
 
     def plan(self, smaller=0.0):
-        """(off-side pressure [Pa] at which the drop is smaller by so much [Pa], the largest speed
-        [m/s] there, by the balance of forces).
-        """
+        """(off-side pressure [Pa] for a drop smaller by so much [Pa], the largest speed [m/s])."""
         circuit, path, load = self.circuit, METERING[self.choice.function], self.choice.load
         head, rod = circuit.area_head, circuit.area_rod
         low = self.p.tank + float(self.law.gains.low_pressure)
@@ -165,7 +158,7 @@ def test_who_gets_nothing_raised():
     """An orifice, which passes less at a smaller drop; a motion that the supply's edge does not
     meter; a pump that keeps the drop; a reserve of none.
     """
-    four = load_rig(RECIPES / "rigs" / "boom_four_valve.toml")
+    four = shipped("boom_four_valve")
     assert Still(prepared(rig=four), "extend_resistive", 3000.0).raised(0.0, 10.0) == 0.0
     for function in ("hold", "extend_overrunning", "retract_overrunning"):
         assert Still(prepared(), function, -3000.0).raised(-10.0, 10.0) == 0.0

@@ -1,22 +1,18 @@
-"""What adaptive robust control learns in motion: flow maps that are wrong, and payloads that are
-picked up, put down or wrongly told at the first tick.
-"""
-
-from pathlib import Path
+"""What it learns in motion: wrong maps, payloads picked up, put down or wrongly told."""
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe
 from ehbench.control import functions
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
 from ehbench.trial import prepare, run
 from ehbench.trial.controllers import Laws
+from tests.shared import RECIPES, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-RIG = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+RIG = shipped("thesis_arm")
 BENCH = RECIPES / "bench" / "thesis_arm.toml"
 SPEEDS = {"slow": ("60 mm/s", "0.3 m/s^2", "6 m/s^3"), "fast": ("180 mm/s", "1 m/s^2", "20 m/s^3")}
 LESS = {"less fast": ("165 mm/s", "1 m/s^2", "20 m/s^3")}
@@ -50,9 +46,7 @@ def prepared(payload="none", speed="slow", on="model", **given):
 
 
 def other_valves(factor, shift):
-    """The machine whose valves pass ``factor`` as much as the rig file says and open by ``shift``
-    [V] later.
-    """
+    """Valves that pass ``factor`` as much as the file says and open ``shift`` [V] later."""
     values = {}
     for name, value in RIG.parameters().items():
         if name.startswith("boom.") and name.endswith(".compensated_gain"):
@@ -64,9 +58,7 @@ def other_valves(factor, shift):
 
 @pytest.mark.parametrize(("factor", "shift"), [(0.9, 0.0), (1.1, 0.0), (1.0, 0.3), (1.0, -0.3)])
 def test_wrong_maps_are_mended_within_one_cycle(factor, shift):
-    """Every edge that was used, to a third of its first error; the tracking is the better for
-    it.
-    """
+    """Every edge that was used, to a third of its first error; the tracking is better."""
     alone = {"adapt_oil": False}  # which makes up for such maps by itself
     on = run(prepared("50 lb", gains=alone), other_valves(factor, shift)).facts.measures
     given = prepared("50 lb", gains=alone | {"adapt_maps": False})
@@ -99,9 +91,7 @@ def test_wrong_maps_are_mended_on_the_virtual_bench(shift):
 
 
 def plain_bench(factor):
-    """The virtual bench with edges like the rig file's but for their ``factor``, behind valves with
-    a hysteresis of 0.05 V.
-    """
+    """Edges like the rig file's but for their ``factor``, behind a hysteresis of 0.05 V."""
     bench = load_recipe(BENCH)
     assert isinstance(bench, BenchRecipe)
     edges = {}
@@ -122,9 +112,7 @@ def plain_bench(factor):
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_gain_and_deadband_are_told_apart_on_the_virtual_bench(factor):
-    """A gain that is wrong is not taken for a deadband, whatever the hysteresis adds: every edge to
-    a third of the first error.
-    """
+    """Whatever the hysteresis adds: every edge to a third of the first error."""
     measures = run(prepared("50 lb", on="bench"), plain_bench(factor)).facts.measures
     first = max(one["error_before"] for one in measures["maps"].values())
     assert first > 0.08
@@ -148,9 +136,7 @@ def test_a_hysteresis_that_is_known_is_not_taken_for_a_wrong_map(monkeypatch):
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_a_hysteresis_that_nobody_knows_cancels(factor):
-    """Speeding up counts like slowing down, so that less is left of a wrong gain than half of the
-    hysteresis is in flow.
-    """
+    """Less is left of a wrong gain than half of the hysteresis is in flow."""
     machine = plain_bench(factor)
     command, drop = np.array([3.0]), np.array([2.0e6])
     late = machine.static_flow("boom.hepc", command, drop)
@@ -193,9 +179,7 @@ def test_maps_are_judged_in_the_mean_of_both_directions():
 
 @pytest.mark.parametrize("change", [{"delay": "5 ms"}, {"valve_lag": 2.0}, {"flow": 0.9}])
 def test_learning_maps_costs_no_margin_on_the_virtual_bench(change):
-    """With late samples, slow valves or other flow the loaded boom does not swing, and follows no
-    worse than with the maps as they are given.
-    """
+    """Late samples, slow valves, other flow: no swing, and no worse than with the given maps."""
     oil = "flow" not in change  # planned flows make up for a share that lacks by themselves
     with_maps, without = (
         run(prepared("50 lb", on="bench", machine=change, gains=gains)).facts.measures

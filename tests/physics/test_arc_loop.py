@@ -1,22 +1,15 @@
-"""The margins of the adaptive robust controller: the linear check says where the model begins to
-swing.
-"""
+"""Margins of adaptive robust control: the linear check says where the model swings."""
 
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from delayed_loop import Bench
 
-from ehbench.config.recipe import load_rig
 from ehbench.tune.arc_loop import Sampled, Sensing
+from tests.shared import shipped
 
-sys.path.append(str(Path(__file__).parent))
-from delayed_loop import Bench  # noqa: E402
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GAINS = {
     "defaults": ({}, {}),
     "livelier": ({"lag_budget": 0.6}, {"robust_limit": 0.3}),
@@ -27,7 +20,7 @@ GAINS = {
 
 @cache
 def bench(name, cylinder):
-    return Bench(load_rig(RIGS / f"{name}.toml"), cylinder, shares=(0.06,))
+    return Bench(shipped(name), cylinder, shares=(0.06,))
 
 
 @pytest.mark.slow
@@ -36,9 +29,7 @@ def bench(name, cylinder):
     ("name", "cylinder"), [("thesis_arm", "boom"), ("boom_four_valve", "boom")]
 )
 def test_the_delay_margin_is_where_the_model_begins_to_swing(name, cylinder, gains):
-    """Within 20 %, at the point with the least margin, on the noise-free model with its neighbours
-    free on their oil.
-    """
+    """Within 20 %, at the point with the least margin, its neighbours free on their oil."""
     rig = bench(name, cylinder)
     unsure, given = GAINS[gains]
     packed = rig.gains(unsure, **given)
@@ -72,9 +63,7 @@ def test_a_response_is_that_of_the_equations_solved_at_each_frequency():
 
 
 def test_margins_are_those_of_the_closed_loop():
-    """At the delay margin a pole of the whole sampled loop stands on the circle, at its frequency;
-    likewise for the gain.
-    """
+    """At the margin a pole of the sampled loop stands on the circle, at its frequency."""
     rig = bench("thesis_arm", "boom")
     loop = rig.loop(rig.points[0], rig.gains())
     margins = loop.margins(Sensing())

@@ -1,17 +1,13 @@
-"""What adaptive robust control learns of its oil: other oil is told from late samples, slow valves
-and wrong flows, and what is planned goes by it.
-"""
-
-from pathlib import Path
+"""What it learns of its oil: told from late samples, slow valves and wrong flows, and used."""
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.trial import prepare, run
+from tests.shared import RECIPES, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-RIG = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+RIG = shipped("thesis_arm")
 DESIGN = float(RIG.oil.bulk_modulus)
 
 

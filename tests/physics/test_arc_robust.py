@@ -1,23 +1,17 @@
-"""Adaptive robust control with its defaults on machines that are not the one it was designed on: it
-does not swing.
-"""
+"""Its defaults on machines that are not the design: they do not swing."""
 
-import sys
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from delayed_loop import Bench
 
 from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import run_trial
 from ehbench.tune.arc_loop import Sensing
+from tests.shared import RECIPES, shipped
 
-sys.path.append(str(Path(__file__).parent))
-from delayed_loop import Bench  # noqa: E402
-
-RECIPES = Path(__file__).parents[2] / "recipes"
 # rig → (cylinder, strokes, payload)
 RIGS = {
     "thesis_arm": ("boom", ("50 mm", "200 mm", "50 mm"), "50 lb"),
@@ -126,9 +120,7 @@ def test_without_that_they_swing_in_motion():
 
 
 def test_a_load_that_swings_at_rest_is_left_to_calm_down():
-    """Bandwidths that are too high for a late machine: after the stop valves do not keep up a
-    swing by turns of two working functions.
-    """
+    """Bandwidths too high for a late machine: after the stop valves keep up no swing."""
     late, gains = MACHINES["5 ms more delay"], {"bandwidth_limit": "0 rad/s"}
     record, facts = trial_of("thesis_arm", "100 lb", late, "180 mm/s", gains=gains)
     stop = record.t[record["boom.v_desired"] != 0.0][-1]
@@ -142,13 +134,11 @@ def test_a_load_that_swings_at_rest_is_left_to_calm_down():
 @cache
 def bench(name, *about):
     """A rig, its operating points and the controller designed for it."""
-    return Bench(load_rig(RECIPES / "rigs" / f"{name}.toml"), *about)
+    return Bench(shipped(name), *about)
 
 
 def test_bandwidths_go_by_the_load():
-    """The margin with 100 lb is that with 50 lb, which do not feel the limit; without it it is far
-    from that.
-    """
+    """The margin with 100 lb is that with 50 lb; without the limit it is far from that."""
 
     def margin(payload, **given):
         rig = bench("thesis_arm", "boom", 2, (0.7,), (payload,))
@@ -201,9 +191,7 @@ UNITS = {"lag_budget": "rad", "observer_bandwidth": "rad/s", "adaptation": "rad/
 
 @cache
 def _stated(name, which):
-    """(stated, computed) delay margin [s] at the worst point of these loads, of the design model
-    under gains of `LIVELY`.
-    """
+    """(stated, computed) delay margin [s] at the worst point, of the design model."""
     gains = LIVELY[which]
     unsure = {key: v for key, v in gains.items() if key in ("lag_budget", "adaptation")}
     given = {key: v for key, v in gains.items() if key not in unsure}
@@ -229,9 +217,7 @@ def test_the_stated_delay_margin_is_kept_by_the_virtual_rig(name, gains):
 
 
 def test_beyond_its_delay_margin_the_virtual_rig_swings():
-    """Twice the computed margin: it swings in motion, and the trial says so; at rest it is left to
-    calm down.
-    """
+    """Twice the margin: it swings in motion, and the trial says so; at rest it calms down."""
     _, computed = _stated("thesis_arm", "livelier")
     told = {"lag_budget": "0.6 rad", "robust_limit": 0.3}
     facts = facts_of("thesis_arm", "50 lb", _later(2.0 * computed), **told)

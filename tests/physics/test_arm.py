@@ -17,9 +17,7 @@ SIZES = (1, 2, 3, 6)
 
 
 def random_body(rng):
-    """Mass, centre of mass and a full, physically possible inertia tensor: that of six point
-    masses.
-    """
+    """Mass, centre and a physically possible inertia tensor: that of six point masses."""
     points, weights = rng.normal(scale=0.3, size=(6, 3)), rng.uniform(0.5, 3.0, 6)
     com = weights @ points / weights.sum()
     arms = points - com
@@ -39,9 +37,7 @@ def random_chain(n, rng):
 
 
 def mujoco_model(given):
-    """The same chain in MuJoCo: bodies are link-end frames, with the joint where the link
-    begins.
-    """
+    """The same chain in MuJoCo: bodies are link-end frames, the joint at their begin."""
 
     def text(values):
         return " ".join(repr(float(v)) for v in values)

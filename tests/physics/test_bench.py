@@ -1,12 +1,11 @@
 """The virtual bench: what it must share with the model, and what it must add."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe
 from ehbench.data.logs import write_log
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.drawing import speed_filter
@@ -18,16 +17,12 @@ from ehbench.plant.model import Model
 from ehbench.trial import run_trial
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
+from tests.shared import ROOT, shipped
 from tools.datasets import main, make
 
-ROOT = Path(__file__).parents[2]
 # pump_cylinder sinks by its pump's slip: how quiet it is stands in test_parts_circuit
 RIGS = ("thesis_arm", "slide_servo", "crane_proportional", "boom_four_valve")
 GPM = 3.785411784e-3 / 60
-
-
-def rig_of(name):
-    return load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
 
 
 def bench_file(name):
@@ -35,9 +30,7 @@ def bench_file(name):
 
 
 def plain(rig, **given):
-    """A bench file with every richness switched off that a file can switch off, on an orifice
-    rig.
-    """
+    """A bench file with all richness off that a file can switch off, on an orifice rig."""
     edges = {}
     for c, v, e in rig.edges():
         curve = {
@@ -106,7 +99,7 @@ def drive(bench, commands):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_a_shipped_bench_starts_quiet_and_stays_so(name):
-    bench = VirtualMachine(rig_of(name), bench_file(name))
+    bench = VirtualMachine(shipped(name), bench_file(name))
     bench.start()
     n = len(bench.layout.joints)
     first = bench.state[: bench.size].copy()
@@ -124,7 +117,7 @@ def test_a_shipped_bench_starts_quiet_and_stays_so(name):
 
 @pytest.mark.parametrize("name", RIGS)
 def test_a_bench_without_a_file_is_plausible(name):
-    rig = rig_of(name)
+    rig = shipped(name)
     bench = VirtualMachine(rig)
     bench.start()
     table = bench.model.rest_commands(300)
@@ -145,7 +138,7 @@ def test_a_bench_without_a_file_is_plausible(name):
 
 @pytest.mark.parametrize("name", ("slide_servo", "crane_proportional", "boom_four_valve"))
 def test_with_all_richness_off_the_bench_is_the_model(name):
-    rig = rig_of(name)
+    rig = shipped(name)
     # the model takes its valves to order 8, the bench to order 4: small enough for 80 Hz valves to
     # agree
     step = 1.25e-4
@@ -169,7 +162,7 @@ def test_with_all_richness_off_the_bench_is_the_model(name):
 
 
 def test_lossless_chambers_give_back_what_they_take():
-    rig = rig_of("slide_servo").with_values({"carriage.damping": 0.0})
+    rig = shipped("slide_servo").with_values({"carriage.damping": 0.0})
     bench = VirtualMachine(rig, plain(rig, air_fraction="0.5 %"), rate=4000.0, step=1.25e-4)
     bench.start({"press": "200 mm"})
     bench.state[1] = 0.05
@@ -181,7 +174,7 @@ def test_lossless_chambers_give_back_what_they_take():
 
 
 def test_friction_and_damping_only_take_energy():
-    bench = VirtualMachine(rig_of("thesis_arm"), bench_file("thesis_arm"), rate=4000.0)
+    bench = VirtualMachine(shipped("thesis_arm"), bench_file("thesis_arm"), rate=4000.0)
     bench.start()
     plant, n = bench.model.plant, 3
     bench.state[n : 2 * n] = 0.3, 0.4, -0.5
@@ -236,7 +229,7 @@ def test_hysteresis_is_a_backlash():
 
 
 def test_every_cartridge_is_tuned_to_its_calibration_and_none_is_like_another():
-    bench = VirtualMachine(rig_of("thesis_arm"), bench_file("thesis_arm"))
+    bench = VirtualMachine(shipped("thesis_arm"), bench_file("thesis_arm"))
     edges = [f"boom.{name}" for name in ("hect", "hepc", "regen", "repc", "rect")]
     middle = []
     for edge in edges:
@@ -258,7 +251,7 @@ def test_every_cartridge_is_tuned_to_its_calibration_and_none_is_like_another():
 
 
 def test_noise_has_the_stated_spread_and_no_memory():
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     noise, step = 5e3, 4e3
     sensors = {
         "all": {
@@ -284,7 +277,7 @@ def test_noise_has_the_stated_spread_and_no_memory():
 
 
 def test_delay_and_lag_are_late_by_what_they_say():
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     table = np.zeros((300, 1))
     table[20:] = 3.0
 
@@ -333,7 +326,7 @@ def test_the_speed_filter_gives_the_slope_of_a_ramp_and_its_own_gain_at_a_sine(z
 
 
 def test_the_pump_droops_and_gives_in_above_its_limit():
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     bench = VirtualMachine(rig, bench_file("slide_servo"))
     bench.start({"press": "20 mm"})
     place, limit, droop = bench.bench.at, bench.bench.supply.flow_limit, bench.bench.fluid.droop
@@ -349,7 +342,7 @@ def test_the_pump_droops_and_gives_in_above_its_limit():
 
 
 def test_the_step_is_fine_enough():
-    rig, file = rig_of("thesis_arm"), bench_file("thesis_arm")
+    rig, file = shipped("thesis_arm"), bench_file("thesis_arm")
     runs = []
     for step in (2.5e-4, 6.25e-5):
         bench = VirtualMachine(rig, file, step=step)
@@ -383,7 +376,7 @@ def trial(seed, **given):
 
 
 def test_the_seed_makes_the_bytes(tmp_path):
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
         record, facts = run_trial(rig, trial(seed))
         assert facts.on == "virtual bench" and record.meta["on"] == "virtual bench"
@@ -395,11 +388,11 @@ def test_the_seed_makes_the_bytes(tmp_path):
 @pytest.mark.parametrize("name", (*RIGS, "pump_cylinder"))
 def test_a_dataset_is_recorded_again_byte_for_byte(name, tmp_path):
     made = make(ROOT / "recipes" / "datasets" / f"{name}.toml", tmp_path)
-    shipped = ROOT / "datasets" / name
+    stored = ROOT / "datasets" / name
     files = sorted(p.relative_to(made) for p in made.rglob("*") if p.is_file())
-    assert files == sorted(p.relative_to(shipped) for p in shipped.rglob("*") if p.is_file())
+    assert files == sorted(p.relative_to(stored) for p in stored.rglob("*") if p.is_file())
     stale = [
-        str(path) for path in files if (made / path).read_bytes() != (shipped / path).read_bytes()
+        str(path) for path in files if (made / path).read_bytes() != (stored / path).read_bytes()
     ]
     assert not stale, "run `make datasets`"
 
@@ -436,5 +429,5 @@ def test_a_wrong_bench_file_is_refused_with_its_line(tmp_path, text, line, says)
         f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text
     )
     with pytest.raises(InputError, match=says) as error:
-        VirtualMachine(rig_of("slide_servo"), load_recipe(path))
+        VirtualMachine(shipped("slide_servo"), load_recipe(path))
     assert error.value.file == str(path) and error.value.line == line

@@ -1,15 +1,13 @@
 """Working functions in trials: no hunting at rest, stalls are told, choosing by power pays."""
 
-from pathlib import Path
-
 import pytest
 
 from ehbench.config.recipe import TrialRecipe, load_rig
 from ehbench.trial import prepare, run, run_trial
 from ehbench.trial.cases import account
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RECIPES, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
 LIFT = load_rig(RECIPES / "choice" / "lift.toml")
 
 
@@ -32,9 +30,7 @@ def lifting(controller, payload="1200 kg", **more):
 
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_at_rest_nothing_hunts(on):
-    """50 lb and the adaptive law: leakage, and on the bench counts of the sensor, change the
-    function no more than once a second while no speed is desired.
-    """
+    """50 lb at rest: leakage and sensor counts change the function once a second at most."""
     recipe = TrialRecipe.model_validate(
         {
             "stage": "trial",
@@ -52,7 +48,7 @@ def test_at_rest_nothing_hunts(on):
             },
         }
     ).model_copy(update={"path": RECIPES / "rigs" / "x.toml"})
-    rig = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+    rig = shipped("thesis_arm")
     if on == "model":
         leaks = {"boom.leakage_internal": 2e-13, "boom.leakage_head": 3e-13}
         rig = rig.with_values(leaks)

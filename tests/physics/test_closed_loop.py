@@ -1,6 +1,4 @@
-"""Controllers closed over model and bench: every law on every rig, only observed channels, limits,
-the same bytes.
-"""
+"""Controllers closed over model and bench: every law, only its channels, limits, same bytes."""
 
 import math
 from pathlib import Path
@@ -147,9 +145,7 @@ LONG = {  # most of the stroke, fast: cylinder, from, to [m], speed [m/s], paylo
 @pytest.mark.parametrize("loaded", [False, True])
 @pytest.mark.parametrize("name", LONG)
 def test_the_adaptive_law_does_not_swing_along_the_stroke(name, loaded, on):
-    """At constant speed, the oil's spring changing: no ripple in the speed, and one change of
-    function for each of the motion.
-    """
+    """At constant speed: no ripple in the speed, one change of function for each motion."""
     cylinder, low, high, speed, payload = LONG[name]
     slope = f"{5 * speed} m/s^2"
     motion = strokes(cylinder, low, high, low, speed=speed, acceleration=slope)
@@ -261,9 +257,7 @@ def test_the_gains_of_feedback_are_saved_by_function_and_with_its_shaping():
 
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_what_a_weak_pump_cannot_give_saturates_is_said_and_leaves_no_wind_up(on):
-    """A reference twice as fast as the pump: its pressure falls, the valves end, and the stroke
-    comes home without overshoot.
-    """
+    """A reference twice as fast as the pump: its pressure falls; no overshoot after it."""
     weak = ARM.with_values({"supply.flow_limit": 1e-4})
     motion = strokes("boom", 0.06, 0.14, speed=0.12, hold=["0.3 s", "3 s"])
     record, facts = moved(ARC, rig=weak, motion=motion, payload="50 lb", on=on)
@@ -292,9 +286,7 @@ ANGLES = {"swing.q", "stick.q", "boom.q", "boom.qd", "boom.x", "boom.v"}
 @pytest.mark.parametrize(("law", "given"), [(FEEDBACK, PRESSURES), (ARC, PRESSURES | ANGLES)])
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
-    """What reaches the kernel is NaN outside of what it observes, and no command or telemetry is
-    touched by it.
-    """
+    """What reaches the kernel is NaN outside of what it observes, and the log is not touched."""
     seen, through = [], Session._through
 
     def watched(self, first, stop):
@@ -353,9 +345,7 @@ class Mine:
 
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_a_users_class_does_what_the_compiled_law_does(tmp_path, on):
-    """The same law through Python and compiled: every channel the same, bit for bit; and it is
-    given NaN elsewhere.
-    """
+    """Through Python and compiled: every channel the same, bit for bit; NaN elsewhere."""
     (tmp_path / "mine.py").write_text(CODE)
     gains = {"feedback_gain": "8e-11 m^3/(s*Pa)", "washout": "1 Hz", "off_gain": "2e-11 m^3/(s*Pa)"}
     given = {"on": on, "path": tmp_path / "trial.toml", "payload": "50 lb", "duration": "2 s"}
@@ -379,9 +369,7 @@ class Mine:
 
 
 def own(folder, answer, channels=("boom.x",), start="pass", **given):
-    """(record, facts) of a trial under a user's class of a few words, the cross-port valve
-    unused.
-    """
+    """(record, facts) of a trial under a short class, the cross-port valve unused."""
     text = ANSWER.format(channels=list(channels), start=start, answer=answer)
     (folder / "mine.py").write_text(text)
     law = {"class": "mine:Mine", "unused": ["boom.regen"]}
@@ -422,9 +410,7 @@ def test_seven_numbers_leave_an_unused_valve_at_rest(tmp_path):
 
 
 def test_full_speed_is_what_pump_and_valves_give():
-    """A weak pump: its flow over the area. The arm's cartridges: 8 gpm less what their compensators
-    take. A spool: as it runs wide open.
-    """
+    """A weak pump's flow over the area; the cartridges' 8 gpm; a spool as it runs wide open."""
     weak = controllers.design(recipe(FEEDBACK), ARM.with_values({"supply.flow_limit": 1e-4}), None)
     assert full_speed(weak, 1, 3.4e5) == pytest.approx(1e-4 / weak.circuit.area_head, rel=1e-12)
     made = controllers.design(recipe(FEEDBACK), ARM, None)
@@ -574,9 +560,7 @@ def test_a_case_that_fails_stops_the_set():
 
 
 def test_notes_have_the_columns_they_are_named_by():
-    """The order of telemetry is the law's own: the reference comes first, and each edge's flow and
-    limits last.
-    """
+    """The reference first, each edge's flow and limits last."""
     record, _ = run_trial(ARM, recipe(FEEDBACK))
     law = closed(recipe(FEEDBACK))
     assert law.channels == pf.LAW.channels("boom", tuple(f"boom.{edge}" for edge in EDGES))

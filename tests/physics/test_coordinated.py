@@ -1,14 +1,10 @@
-"""Several cylinders at once: what their laws count on, and that one compiled call runs them as
-ticks do.
-"""
-
-from pathlib import Path
+"""Several cylinders at once: what laws count on; one compiled call runs them as ticks do."""
 
 import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.control.coupling import among_others, joint_motion, loads_among
 from ehbench.parts.cylinder import joint_of, linkage_of
 from ehbench.physics.arm import bias, mass_matrix, work_size
@@ -19,9 +15,9 @@ from ehbench.runs.rundir import read_json
 from ehbench.trial import prepare, run
 from ehbench.trial.coordination import COORDINATION, joints_of
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RECIPES, refused, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-ARM = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+ARM = shipped("thesis_arm")
 TICK = 1e-3
 
 
@@ -233,9 +229,9 @@ def test_what_a_controller_says_must_fit_the_cylinders(controller, motion, key, 
 
 def test_a_law_of_a_cylinder_that_does_not_move_is_refused(tmp_path):
     controller = {"kind": "arc", "cylinders": {"swing": {"kind": "arc"}}}
-    slide = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+    slide = shipped("slide_servo")
     line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
-    with pytest.raises(InputError, check=lambda error: error.key == "trial.law_without_motion"):
+    with refused("trial.law_without_motion"):
         prepare(trial(tmp_path, line, controller), slide)
 
 
@@ -260,15 +256,13 @@ def crane_tip(rig):
 
 
 def test_one_joint_follows_no_line_and_a_slide_follows_its_own(tmp_path):
-    crane = load_rig(RECIPES / "rigs" / "crane_proportional.toml")
-    with pytest.raises(
-        InputError, check=lambda error: error.key == "trial.out_of_reach"
-    ) as refused:
+    crane = shipped("crane_proportional")
+    with refused("trial.out_of_reach") as caught:
         prepare(
             trial(tmp_path, path([["3.4 m", "0 m", "-0.6 m"], ["3.4 m", "0 m", "0.4 m"]])), crane
         )
-    assert refused.value.fields["reason"].key == "trial.one_line"
-    slide = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+    assert caught.value.fields["reason"].key == "trial.one_line"
+    slide = shipped("slide_servo")
     line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
     (press,) = prepare(trial(tmp_path, line), slide).loop.driven
     assert press.references.table[[0, -1], 0] == pytest.approx([0.1, 0.2], abs=1e-9)

@@ -2,21 +2,19 @@
 can be read.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import Fault, Limits, TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import Fault, Limits, TrialRecipe, load_recipe
 from ehbench.data import read_log
 from ehbench.machines.protocol import Stamp
 from ehbench.trial.preparation import prepare
 from ehbench.trial.running import run
 from ehbench.trial.session import Session
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 
 SLOW = Limits.model_validate({"command_rate": "1 V/s"})
-ROOT = Path(__file__).parents[2]
 START = 2.0  # s: the boom moves at full speed
 
 
@@ -29,7 +27,7 @@ def recipe(on="model", **changes) -> TrialRecipe:
 
 def prepared(*faults, on="model", **changes):
     given = tuple(Fault.model_validate({"start": f"{START} s", **item}) for item in faults)
-    rig = load_rig(ROOT / "recipes/rigs/thesis_arm.toml")
+    rig = shipped("thesis_arm")
     return prepare(recipe(on, fault=given, **changes), rig)
 
 

@@ -23,8 +23,8 @@ from ehbench.identification.hydraulics import (
 from ehbench.plant.model import Model, simulate
 from ehbench.validation import validate_rig
 from ehbench.vocabulary.quantities import GAUGES
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MASS, DAMPING = 250.0, 800.0
 T = np.arange(1601) * 1e-3
 TABLE = """[cylinder.friction]
@@ -49,7 +49,7 @@ def stepped(level: float) -> np.ndarray:
 def slide(law: str = "coulomb", tmp_path: Path | None = None) -> Rig:
     """The shipped slide, with 200 N of friction where a law is asked for."""
     if tmp_path is None:
-        return load_rig(RIGS / "slide_servo.toml")
+        return shipped("slide_servo")
     text = (RIGS / "slide_servo.toml").read_text()
     text = text.replace(
         'friction_coulomb = { value = "0 N"', 'friction_coulomb = { value = "200 N"'

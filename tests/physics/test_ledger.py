@@ -1,6 +1,4 @@
-"""The energy ledger: it closes, agrees with an independent count, and from a log alone says
-honestly what it cannot explain.
-"""
+"""The energy ledger: it closes, agrees with an independent count, and a log's is honest."""
 
 import json
 import math
@@ -33,8 +31,8 @@ from ehbench.plant.valves import follow_valves
 from ehbench.trial import run_trial
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 from ehbench.vocabulary.fields import Value
+from tests.shared import ROOT, shipped
 
-ROOT = Path(__file__).parents[2]
 # on a constant-pressure supply; the ledger of a pump at a cylinder is in test_parts_circuit
 NAMES = tuple(
     sorted(
@@ -52,10 +50,8 @@ def refused(key: str, kind: type[Exception] = LogError):
 
 
 def rig_of(name: str, lossy: bool = True) -> Rig:
-    """A shipped rig, made to leak, to rub and to open its relief valves below the supply's
-    pressure.
-    """
-    rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
+    """A shipped rig that leaks, rubs and relieves below the supply's pressure."""
+    rig = shipped(name)
     pressure, values = 0.9 * float(rig.supply.pressure), {"supply.tank_pressure": 2e5}
     lost = {"leakage_internal": 3e-12, "leakage_head": 1e-13, "leakage_rod": 2e-13}
     lost |= {"friction_coulomb": 80.0, "friction_viscous": 300.0, "relief_pressure": pressure}
@@ -65,9 +61,7 @@ def rig_of(name: str, lossy: bool = True) -> Rig:
 
 
 def lively(model: Model, samples: int, seed: int = 0, hold: int = 120) -> np.ndarray:
-    """Commands [V]: into the retracted end for a quarter of the time, then random levels held
-    ``hold`` samples, all valves.
-    """
+    """Commands [V]: into the retracted end, then random levels held ``hold`` samples."""
     rng = np.random.default_rng(seed)
     table = model.rest_commands(samples)
     first, order, rest = samples // 4, model.layout.valves, table[0].copy()
@@ -108,9 +102,7 @@ def made(model) -> Record:
 
 
 def test_closes_on_every_rig(model, made):
-    """To 0.1 % of pump energy, and, integrated anew, to 1e-5: what RK4 leaves over at 500 µs. No
-    part hides in another.
-    """
+    """To 0.1 % of pump energy; integrated anew to 1e-5, what RK4 leaves over at 500 µs."""
     exact, samples = ledger_of_model(model, made), ledger_of_model(model, made, "samples")
     assert exact.pump > 1000.0 and exact.notes == ()
     for row in exact.rows:
@@ -125,9 +117,7 @@ def test_closes_on_every_rig(model, made):
 
 
 def test_all_losses_took_part_and_are_losses(model, made):
-    """Relief, end stops, leakage and friction take more than a rounding; nothing that only takes
-    gives.
-    """
+    """More than a rounding each, and nothing that only takes gives."""
     ledger = ledger_of_model(model, made)
     for c in model.rig.cylinder:
         for key in ("leakage", "relief", "friction", "end_stop"):
@@ -139,9 +129,7 @@ def test_all_losses_took_part_and_are_losses(model, made):
 
 
 def test_regeneration_edges_take_part():
-    """Head to rod and back through one edge, on the thesis's arm: drawn less than the cylinder was
-    filled with.
-    """
+    """Head to rod and back through one edge: drawn less than the cylinder was filled with."""
     model = Model.of(rig_of("thesis_arm", lossy=False))
     table, order = model.rest_commands(1501), model.layout.valves
     table[100:700, order.index("boom.regen")] = table[100:700, order.index("boom.hepc")] = 6.0
@@ -207,9 +195,7 @@ def test_a_locked_cylinder_uses_nothing(model):
 
 
 def test_a_load_that_rings_on_locked_oil_pays_from_what_it_had(model):
-    """No pump: kinetic energy goes to the oil and back, and is lost to damping alone; closed to
-    1e-6 of what it was.
-    """
+    """No pump: kinetic energy goes to the oil and back, and is lost to damping alone."""
     plain = Model.of(rig_of(model.rig.name, lossy=False))
     y = plain.trim(plain.posture(None), low_side=0.4 * plain.plant.supply.pressure)
     n = len(plain.layout.joints)
@@ -225,9 +211,7 @@ def test_a_load_that_rings_on_locked_oil_pays_from_what_it_had(model):
 
 
 def test_stored_energy_is_the_chamber_law_integrated():
-    """``(p + u) dV = d(V u)`` of the oil that ``V/β ṗ = Q`` lets into a closed volume, and ``u ≈
-    p²/2β``.
-    """
+    """``(p + u) dV = d(V u)`` of oil that ``V/β ṗ = Q`` lets in, and ``u ≈ p²/2β``."""
     beta, volume = 2.71e8, 1e-3
     p = np.linspace(0.0, 2e7, 20001)
     inflow = volume / beta * np.diff(p)
@@ -238,9 +222,7 @@ def test_stored_energy_is_the_chamber_law_integrated():
 
 
 def test_records_at_other_rates_close_as_well(model):
-    """200 Hz, commands held between samples: integrated anew it closes to 0.1 %, which the samples
-    alone cannot.
-    """
+    """200 Hz: integrated anew it closes to 0.1 %, which the samples alone cannot."""
     record = trial(model, lively(model, 401, seed=5, hold=24), 5e-3, near_the_end(model.rig))
     exact, samples = ledger_of_model(model, record), ledger_of_model(model, record, "samples")
     assert abs(exact.residual.energy) < 1e-3 * exact.pump
@@ -321,10 +303,8 @@ class Own:
 
 
 def cycle(name: str, law: dict, tmp_path: Path, speed: float = 0.04) -> tuple[Rig, str, Record]:
-    """Up by 50 mm and down again on the model, from a third of the stroke of a rig's last cylinder
-    but the last of three.
-    """
-    rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
+    """Up by 50 mm and down again on the model, from a third of a cylinder's stroke."""
+    rig = shipped(name)
     item = rig.cylinder[min(1, len(rig.cylinder) - 1)]
     x = float(item.stroke) / 3.0
     motion = {"kind": "point_to_point", "cylinder": item.name, "hold": "0.5 s"}
@@ -338,9 +318,7 @@ def cycle(name: str, law: dict, tmp_path: Path, speed: float = 0.04) -> tuple[Ri
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", NAMES)
 def test_closes_under_every_controller_and_says_which_function_spent_it(name, law, tmp_path):
-    """To 0.1 % of pump energy (issue 3); what the working functions spent adds up to the rows,
-    which a rounding parts.
-    """
+    """To 0.1 % of pump energy; what functions spent adds up to the rows but for rounding."""
     rig, cylinder, record = cycle(name, LAWS[law], tmp_path)
     ledger = ledger_of_model(Model.of(rig), record)
     assert abs(ledger.residual.energy) < 1e-3 * ledger.pump
@@ -493,9 +471,7 @@ def keys(ledger: Ledger) -> set[str]:
 
 
 def mapped(seed: int, share: float) -> tuple[dict[str, ValveMaps], dict[str, ValveMaps]]:
-    """(true maps, identified maps) of the four-valve boom: the second wrong by a factor drawn from
-    ``share``, which it states.
-    """
+    """(true maps, maps wrong by a factor drawn from ``share``, which they state) of the boom."""
     rng = np.random.default_rng(seed)
     true, found = {}, {}
     knots, drop_max = np.array([1.0, 2.0, 3.0, 5.0, 7.0, 10.0]), 1.7e7
@@ -518,9 +494,7 @@ def mapped(seed: int, share: float) -> tuple[dict[str, ValveMaps], dict[str, Val
 
 
 def test_intervals_cover_what_maps_say_of_themselves():
-    """Maps wrong by one common factor each: intervals from ``flow_std`` cover, and are not wider
-    than twice what is needed.
-    """
+    """Intervals from ``flow_std`` cover, and are not wider than twice what is needed."""
     rig = rig_of("boom_four_valve", lossy=False)
     miss = []
     for seed in range(12):
@@ -549,10 +523,8 @@ def test_readings_outside_of_a_map_are_said():
 def on_bench(
     name: str, commands, duration: float = 4.0
 ) -> tuple[Rig, VirtualMachine, Record, np.ndarray]:
-    """A trial on the virtual bench: its rig, the bench, what it logged, and its true states at each
-    sample.
-    """
-    rig = load_rig(ROOT / "recipes" / "rigs" / f"{name}.toml")
+    """A trial on the virtual bench: rig, bench, what it logged, its true states."""
+    rig = shipped(name)
     bench = VirtualMachine(rig, load_recipe(ROOT / "recipes" / "bench" / f"{name}.toml"), seed=7)
     t = np.arange(round(1000 * duration) + 1) * 1e-3
     table = bench.model.rest_commands(t.size)
@@ -621,9 +593,7 @@ def test_the_pump_energy_of_the_bench_lies_in_its_interval():
 
 
 def test_a_log_without_some_channels():
-    """Speed and supply may be missing, and are named; pressures, position and finite numbers may
-    not.
-    """
+    """Speed and supply may be missing, and are named; pressures and position may not."""
     model = Model.of(rig_of("crane_proportional", lossy=False))
     record = trial(model, lively(model, 801, hold=200))
     full = measured(record, model)
@@ -652,9 +622,7 @@ def test_a_log_without_some_channels():
 
 
 def test_a_measured_pump_flow_is_used():
-    """Then the supply line has a balance of its own, and a leak before the valves shows up
-    there.
-    """
+    """A leak before the valves shows up in the balance of the supply line."""
     model = Model.of(rig_of("slide_servo", lossy=False))
     record = trial(model, lively(model, 801, hold=200))
     log = measured(record, model)
@@ -691,10 +659,8 @@ def up_and_down(rig: Rig, cylinder: str, stroke: float, force: float) -> Record:
 
 
 def test_bounds_are_those_of_the_spec():
-    """A closed cycle under a load on the head end: 34.5 % and 69 % below the standard valve on the
-    thesis's areas (SPEC 4).
-    """
-    rig = load_rig(ROOT / "recipes" / "rigs" / "thesis_arm.toml")
+    """A closed cycle under a load on the head end: 34.5 % and 69 % less (SPEC 4)."""
+    rig = shipped("thesis_arm")
     found = bounds(rig, up_and_down(rig, "boom", 0.1, 3000.0), "boom")
     pressure, head, rod = float(rig.supply.pressure), *rig.cylinder_named("boom").areas()
     assert found.closed and found.carries == "head"
@@ -719,9 +685,7 @@ def test_bounds_are_those_of_the_spec():
 
 
 def test_bounds_against_a_trial():
-    """A boom raised and lowered on four valves draws what the bound of the standard valve says, and
-    what its own flows say.
-    """
+    """A boom on four valves draws what the bound and what its own flows say."""
     model = Model.of(rig_of("boom_four_valve", lossy=False))
     table, order = model.rest_commands(4001), model.layout.valves
     for rows, pair in (
@@ -790,9 +754,7 @@ def overlaps(monkeypatch):
 
 @pytest.mark.slow
 def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_path, request):
-    """Every label of the Sankey picture and of the bars stands free and inside; same ledger, same
-    bytes, which one rig shows: those of others are laid out, and not painted.
-    """
+    """Every label stands free and inside; same ledger, same bytes, which one rig shows."""
     from ehbench.report.figures.energy_bars import bars
     from ehbench.report.figures.sankey import sankey
 
@@ -816,9 +778,7 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
 
 
 def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
-    """Of a load that sinks, the pump and the oil give little beside it, one below the other; the
-    pump's label has a line more.
-    """
+    """Of a sinking load, pump and oil give little beside it; the pump's label has two lines."""
     from ehbench.report.figures.sankey import sankey
 
     model = Model.of(rig_of("thesis_arm", lossy=False))

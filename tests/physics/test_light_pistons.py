@@ -2,16 +2,14 @@
 of their own.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from ehbench.config.recipe import load_rig
 from ehbench.plant.model import Model
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 COULOMB, MASS, TURNING = 7000.0, 20.0, 2.0e-3  # [N], [kg], [m/s]
 OPEN, SHUT, LAST = 0.2, 0.9, 1.4  # [s]
 
@@ -102,7 +100,7 @@ def test_a_light_piston_moves_as_its_friction_lets_it(tmp_path, text):
 @pytest.mark.parametrize("mass", ["2 kg", "5 kg"])
 def test_a_light_piston_comes_to_rest_in_its_end_stop(mass):
     """It swung for ever: the damping of the stop grows with its depth, and so does its rate."""
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     model = Model.of(rig.with_values({"carriage.mass": float(mass.split()[0])}))
     commands = model.rest_commands(3001)
     commands[:, 0] = 3.0

@@ -1,16 +1,12 @@
-"""The linear development model against the compiled plant, closed forms, energy, and the compiled
-controller at small signals.
-"""
+"""The linear model against the plant, closed forms, energy, the compiled controller."""
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from plant_differences import plant_model
 
-from ehbench.config.recipe import load_rig
 from ehbench.control import pressure_feedback
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
@@ -26,8 +22,8 @@ from ehbench.tune.loop import Law, close, damping_ratio, dominant
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING
 from ehbench.vocabulary.errors import InputError
+from tests.shared import refused, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 MACHINES = [
     ("thesis_arm", "boom", None),
     ("thesis_arm", "boom", "50 lb"),
@@ -39,7 +35,7 @@ MACHINES = [
 
 
 def machine(rig, cylinder, payload=None, **values):
-    given = load_rig(RIGS / f"{rig}.toml")
+    given = shipped(rig)
     model = Model.of(given.with_values(values) if values else given, None, payload)
     index = model.layout.cylinders.index(cylinder)
     return model, index, circuit_of(model, index)
@@ -246,9 +242,7 @@ def test_valves_made_faster_keep_their_damping():
     ],
 )
 def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp, feedback):
-    """A push on the mass of the running machine: its speed, tick by tick, against the linear
-    loop.
-    """
+    """A push on the running machine: its speed by ticks against the linear loop."""
     model, index, circuit = machine("boom_four_valve", "boom", None)
     plant, off, tick = model.plant, 4e-11, 1e-3
     low = plant.supply.pressure / 20
@@ -316,7 +310,7 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
 def test_refusals():
     model, index, circuit = machine("crane_proportional", "lift")
     here = equivalent(model, index, np.array([0.3]))
-    with pytest.raises(InputError, check=lambda error: error.key == "tune.unable"):
+    with refused("tune.unable"):
         operating_point(
             model,
             circuit,

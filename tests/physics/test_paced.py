@@ -1,20 +1,18 @@
 """Steps chosen by the guard: at the error of fixed ones, fewer of them, the same each time."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.plant.integrate import STEP
 from ehbench.plant.many import Replay, map_threads, replay_many, run_many
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of
 from ehbench.vocabulary.errors import SimulationError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SHIPPED = [path.stem for path in sorted(RIGS.glob("*.toml"))]
 FINE = STEP / 8.0
 ERROR = 2.0e-5  # share of a state's range, which counts as no less than SMALL of its scale
@@ -47,8 +45,8 @@ LATE = {
 def made(name: str) -> Model:
     """A shipped rig, or the sliding mass with one of PARTS."""
     if name not in PARTS:
-        return Model.of(load_rig(RIGS / f"{name}.toml"))
-    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+        return Model.of(shipped(name))
+    plain = shipped("slide_servo").as_toml()
     (cylinder,) = plain["cylinder"]
     if name == "late series":
         (valve,) = cylinder["valve"]
@@ -127,7 +125,7 @@ def test_the_steps_of_another_run_are_taken_again(name):
 
 
 def test_many_runs_on_threads_equal_single_runs():
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     models = [Model.of(rig.with_values({"bulk_modulus": 1e9 * (1 + i)})) for i in range(9)]
     jobs = [(m, m.trim(m.posture(None)), commands(m, 200 + i)) for i, m in enumerate(models)]
     alone = [m.run(start, table, step=AUTO) for m, start, table in jobs]

@@ -1,13 +1,12 @@
 """Pump, check valve and accumulator against their closed forms, and in the energy sum."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.ledger import ledger_of_model
@@ -26,9 +25,9 @@ from ehbench.signals.series import ringing
 from ehbench.trial import run_trial
 from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 
-ROOT = Path(__file__).parents[2]
-RIG = load_rig(ROOT / "recipes" / "rigs" / "pump_cylinder.toml")
+RIG = shipped("pump_cylinder")
 MAPS = np.zeros(1)
 
 
@@ -156,9 +155,7 @@ def test_a_pilot_opens_against_the_flow_where_it_overcomes_drop_and_spring():
 
 
 def test_oil_goes_back_through_piloted_valves_only():
-    """Lowering, the rod end gives its surplus to the charge line through the valve that the load
-    pilots; the other stays shut.
-    """
+    """Lowering, the rod's surplus goes through the valve that the load pilots."""
     u = np.zeros(1201)
     u[100:] = -5.0
     record = trial(RIG, u, posture="300 mm")
@@ -193,9 +190,7 @@ def test_the_gas_follows_its_polytrope(n):
 
 @pytest.mark.parametrize("n", [1.0, 1.3])
 def test_the_energy_of_the_gas_is_its_work(n):
-    """In the limit of stiff oil ``∫ p dV`` of the polytrope, less the work on the atmosphere; with
-    soft oil its compression besides, by quadrature.
-    """
+    """``∫ p dV`` of the polytrope less that on the atmosphere; soft oil by quadrature."""
     first, last = 4e5 + ATMOSPHERE, 3e6 + ATMOSPHERE
     gas = 1e-3 * (first / last) ** (1.0 / n)
     work = (
@@ -301,9 +296,7 @@ def test_trim_is_an_equilibrium_where_nothing_slips(payload):
 
 
 def test_checks_that_open_and_shut_within_a_step_are_not_stepped_over():
-    """A load that is shaken turns the pressures over within less than a step, and a piloted check
-    opens in a fiftieth of that.
-    """
+    """A shaken load turns pressures over in less than a step; a check opens in 1/50 of that."""
     t = np.arange(2001) * 1e-3
     shaken = 3.0 * np.sin(2.0 * math.pi * (0.5 + 3.75 * t) * t)
     model = Model.of(RIG)
@@ -382,9 +375,7 @@ def test_a_check_valve_holds_up_its_own_chamber_alone(end):
 
 
 def test_check_valves_that_stand_open_leave_a_creep_at_rest():
-    """Fed at one end and let out at the other, a cylinder starts where ``Q_head/A1 = Q_out/A2``,
-    so that its pressures stay.
-    """
+    """It starts where ``Q_head/A1 = Q_out/A2``, so that its pressures stay."""
     tables = RIG.as_toml()
     (own,) = tables["cylinder"]
     small = {"law": "check", "orifice_gain": "0.5 L/min/bar^0.5"}
@@ -402,9 +393,7 @@ def test_check_valves_that_stand_open_leave_a_creep_at_rest():
 
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_log_that_empties_its_accumulator_is_told(seen):
-    """By the recording, else by the model; not where the recording drives the model, nor at the
-    precharge itself under noise.
-    """
+    """Not where the recording drives the model, nor at the precharge itself under noise."""
     precharge, t = float(RIG.supply.accumulator.precharge), np.arange(1001) * 1e-3
     noise = 1e4 * np.random.default_rng(2).standard_normal(t.size)
     full = precharge * np.interp(t, [0.0, 1.0], [2.0, 1.0])

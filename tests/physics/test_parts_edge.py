@@ -1,14 +1,12 @@
 """Edge laws against their closed forms, what they do to a design, what logs tell of them."""
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from plant_differences import plant_model
+from with_parts import noisy, recovered, steps
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Edge, Rig
 from ehbench.control.valve_level import edge_order
 from ehbench.flow_maps.step_readings import step_readings
@@ -21,17 +19,14 @@ from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.codes import FAINT, REVERSED
 from ehbench.vocabulary.fields import Value
+from tests.shared import shipped
 
-sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import noisy, recovered, steps  # noqa: E402
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
 
 
 def with_law(name: str = "slide_servo", **update) -> Rig:
     """A shipped rig with every edge on another law; numbers in SI."""
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     given = {k: v if isinstance(v, str) else Value(v) for k, v in update.items()}
 
     def changed(edge: Edge) -> Edge:
@@ -185,9 +180,7 @@ OPEN = (
 
 @pytest.mark.parametrize("law", OPEN, ids=lambda law: law["law"])
 def test_an_underlap_shifts_the_flow_by_itself(law):
-    """``Q(u) = Q0(u + underlap)``, nothing from ``−underlap`` on; the inverse is exact, and 0 for a
-    flow that passes at rest.
-    """
+    """``Q(u) = Q0(u + underlap)``; the inverse is exact, and 0 for a flow that passes at rest."""
     wide = law | ({"opening_max": 4.3} if "opening_max" in law else {})
     plant = Model.of(with_law(**law, underlap=0.3)).plant
     edge, bare, maps = plant.edges[0], Model.of(with_law(**wide)).plant.edges[0], plant.maps
@@ -236,9 +229,7 @@ def test_an_underlapped_cylinder_rests_where_its_edges_leave_its_pressures():
 
 
 def test_step_readings_are_of_one_open_edge_alone():
-    """Within an underlap two edges are open at a chamber, so that no reading is of one of them;
-    beyond, a reading is the edge's own flow.
-    """
+    """Within an underlap no reading is of one edge; beyond, a reading is the edge's own flow."""
     command = np.repeat([0.0, 0.1, 1.5, -0.1, -1.5], 500)
     record = simulate(underlapped(), {"press.servo": command}, 1e-3 * (command.size - 1))
     model = Model.of(underlapped())
@@ -300,14 +291,12 @@ def test_a_preload_takes_its_pressure_of_the_drop(law):
 
 def preloaded() -> Rig:
     """The sliding mass, its rod's way back held shut to 30 bar."""
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     return rig.with_values({"press.servo_rod_tank.cracking_pressure": CRACKING})
 
 
 def test_the_ledger_closes_with_a_preload():
-    """What the spring takes, ``p_c ∫Q dt``, is part of the edge's throttling; the rod's pressure
-    stands above it while oil returns.
-    """
+    """What the spring takes, ``p_c ∫Q dt``, is part of the edge's throttling."""
     command = {"press.servo": steps((4.0, -5.0, 2.0))[:801]}
     record = simulate(preloaded(), command, 0.8)
     ledger = ledger_of_model(Model.of(preloaded()), record)

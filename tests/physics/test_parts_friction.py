@@ -1,9 +1,6 @@
-"""Laws of friction of a cylinder: their closed forms, in motion on a rig, in the ledger, in the
-linear model.
-"""
+"""Laws of friction: closed forms, in motion, in the ledger, in the linear model."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,8 +25,8 @@ from ehbench.plant.model import Model, simulate
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TABLES = {
     "stribeck": {"friction_static": "160 N", "stribeck_speed": "20 mm/s"},
 }
@@ -44,7 +41,7 @@ VISCOUS, COULOMB, STATIC, DIP = 300.0, 80.0, 160.0, 0.02
 
 def rig_with(law: str, name: str = "slide_servo", **more) -> Rig:
     """A shipped rig with a law of friction in each cylinder."""
-    plain = load_rig(RIGS / f"{name}.toml").as_toml()
+    plain = shipped(name).as_toml()
     for cylinder in plain["cylinder"]:
         cylinder |= {"friction_viscous": "300 N*s/m", "friction_coulomb": "80 N"}
         cylinder["friction"] = {"law": law} | TABLES[law] | more
@@ -146,9 +143,7 @@ def test_beyond_break_away_it_slides():
 
 
 def test_the_rod_rings_on_its_bristles():
-    """Before it slides: ``m ẍ = −σ0 x − (σ1 + viscous + damping) ẋ`` of the slide on its bristles
-    and oil.
-    """
+    """Before it slides: ``m ẍ = −σ0 x − (σ1 + viscous + damping) ẋ``, on its oil as well."""
     model = Model.of(rig_with("lugre"))
     layout, row = model.layout, model.plant.cylinders[0]
     y = model.trim(model.posture(None))

@@ -1,10 +1,8 @@
 """Forces on the rod: closed forms, the energy they give and take, and what logs tell of them."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from with_parts import jacobian, recovered, slide, steps, swing
 
 from ehbench.config.rig import Force, Rig
 from ehbench.control.law import DesignPoint
@@ -16,9 +14,7 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.errors import InputError, LogError
-
-sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import jacobian, recovered, slide, steps, swing  # noqa: E402
+from tests.shared import refused
 
 CONSTANT = {"kind": "constant", "force": "4 kN"}
 DIRECTION = {"kind": "by_direction", "force_extending": "-900 N", "force_retracting": "500 N"}
@@ -170,6 +166,6 @@ def test_a_law_with_a_model_of_the_cylinder_refuses_what_that_lacks():
     site = DesignPoint(
         None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=pushed(CONSTANT).cylinder[0].unmodelled
     )
-    with pytest.raises(InputError, check=lambda error: error.key == "control.arc_lacks_part"):
+    with refused("control.arc_lacks_part"):
         LAWS["arc"].pack(site, {}, None, None)
     assert slide().cylinder[0].unmodelled == ()

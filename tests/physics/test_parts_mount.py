@@ -1,11 +1,10 @@
 """A mount that gives way: closed forms, energy, linear models; and a guard that sees leakage."""
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from with_parts import jacobian, linear_models_agree, slide, steps, swing
 
 from ehbench.config.rig import Rig
 from ehbench.control.axis import Mechanism, axis_of, hydraulic_frequency
@@ -20,9 +19,6 @@ from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.fields import Value
-
-sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import jacobian, linear_models_agree, slide, steps, swing  # noqa: E402
 
 SOFT = {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"}
 SEALS = {"friction_coulomb": Value(200.0), "friction_viscous": Value(400.0)}

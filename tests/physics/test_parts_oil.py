@@ -1,12 +1,10 @@
 """Oil with free air: softer as its pressure falls, energy that closes, and what logs tell of it."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from plant_differences import plant_model
 from scipy.integrate import solve_ivp
+from with_parts import jacobian, recovered, slide, steps
 
 from ehbench.config.recipe import BenchRecipe
 from ehbench.config.rig import Rig
@@ -17,9 +15,6 @@ from ehbench.plant.model import Model, simulate
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.fields import Value
-
-sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import jacobian, recovered, slide, steps  # noqa: E402
 
 
 def airy(share: float = 0.02, exponent: float | None = 1.3) -> Rig:

@@ -1,11 +1,10 @@
 """A load that sways: closed forms, energy, linear models."""
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from with_parts import jacobian, linear_models_agree, slide, steps, swing
 
 from ehbench.config.rig import Rig
 from ehbench.ledger import ledger_of_log, ledger_of_model
@@ -13,9 +12,6 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.sway import Sway
 from ehbench.plant.model import Model, simulate
 from ehbench.vocabulary.fields import Value
-
-sys.path.insert(0, str(Path(__file__).parent))
-from with_parts import jacobian, linear_models_agree, slide, steps, swing  # noqa: E402
 
 SOFT = {"mass": "80 kg", "stiffness": "300 N/mm", "damping": "400 N*s/m"}
 SEALS = {"friction_coulomb": Value(200.0), "friction_viscous": Value(400.0)}

@@ -1,9 +1,6 @@
-"""Elements between a valve's command and its opening: closed forms, series, the ledger, the linear
-model.
-"""
+"""Elements between a command and its opening: closed forms, series, ledger, linear model."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,8 +19,8 @@ from ehbench.plant.valves import felt_commands, follow_valves
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SPOOL = {"natural_frequency": "80 Hz", "damping_ratio": 0.8}
 OMEGA, ZETA = 2 * math.pi * 80.0, 0.8
 KINDS = {
@@ -41,7 +38,7 @@ AMPLIFIER = 2 * math.pi * 60.0
 
 def rig_with(*series: str, **more) -> Rig:
     """The sliding mass with elements in series in its valve."""
-    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    plain = shipped("slide_servo").as_toml()
     (cylinder,) = plain["cylinder"]
     (valve,) = cylinder["valve"]
     plain["dynamics"] = KINDS | more
@@ -70,7 +67,7 @@ def steps(rig: Rig) -> tuple[Model, np.ndarray, Record]:
 
 
 def test_one_name_and_a_list_of_one_are_the_same():
-    one = step_of(load_rig(RIGS / "slide_servo.toml"))
+    one = step_of(shipped("slide_servo"))
     listed = step_of(rig_with("spool"))
     assert all((one[name] == listed[name]).all() for name in one.channels)
 
@@ -90,9 +87,7 @@ def test_a_first_order_valve_is_an_exponential():
 
 
 def test_a_whole_delay_is_a_pure_shift():
-    """Of the command alone, and of the response of what is behind it, wherever it stands; a machine
-    that is ticked says the same.
-    """
+    """Of the command alone and of what is behind it; a ticked machine says the same."""
     bus = {"kind": "delay", "delay": "5 ms"}
     record = step_of(rig_with("whole", whole=bus))
     assert (record["press.servo.opening"] == np.where(record.t > 0.0149, 1.0, 0.0)).all()
@@ -105,9 +100,7 @@ def test_a_whole_delay_is_a_pure_shift():
 
 
 def test_a_delay_between_ticks_is_one_of_many_short_ticks():
-    """Against ticks of 0.1 ms, of which it is a whole number: the mean over a step of 500 µs leaves
-    what the spool does not smooth.
-    """
+    """Against ticks of 0.1 ms: the mean over 500 µs leaves what the spool does not smooth."""
     rig = rig_with("bus", "spool")
     record = step_of(rig)
     fine = simulate(
@@ -199,9 +192,7 @@ def test_openings_follow_from_commands(series):
 
 @pytest.mark.parametrize("series", SERIES)
 def test_the_linear_model_has_every_element(series):
-    """Equations and differences of the plant agree, the steady gain is one, and the lag is that of
-    the low frequencies.
-    """
+    """Equations and differences agree, the steady gain is one, the lag that of low frequency."""
     model = Model.of(rig_with(*series))
     circuit = circuit_of(model, 0)
     here = equivalent(model, 0, np.array([0.2]))
@@ -284,7 +275,7 @@ def test_a_rig_with_a_series_is_written_and_read_again(tmp_path):
 
 def with_limit(limit: str, name: str = "slide_servo") -> Rig:
     """A shipped rig whose drives give no more than a limit."""
-    plain = load_rig(RIGS / f"{name}.toml").as_toml()
+    plain = shipped(name).as_toml()
     for cylinder in plain["cylinder"]:
         cylinder["valve"] = [one | {"drive_limit": limit} for one in cylinder["valve"]]
     return Rig.model_validate(plain)
@@ -334,4 +325,4 @@ def test_a_drive_s_limit_is_a_parameter_of_the_rig(tmp_path):
     assert (valve.lowest, valve.highest) == (-3.0, 3.0) == less.cylinder[0].valve[0].given
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(less.as_toml()))
     assert load_rig(tmp_path / "rig.toml").cylinder[0].valve[0].given == (-3.0, 3.0)
-    assert "lift.drive.drive_limit" not in load_rig(RIGS / "pump_cylinder.toml").parameters()
+    assert "lift.drive.drive_limit" not in shipped("pump_cylinder").parameters()

@@ -1,6 +1,4 @@
-"""The plant's proofs: conservation, order of convergence, the linear formula, mirror symmetry,
-equilibrium, violence.
-"""
+"""The plant's proofs: conservation, order, linear formula, mirror, equilibrium, violence."""
 
 import math
 from pathlib import Path
@@ -89,9 +87,7 @@ class Ledger:
         self.into = into
 
     def cylinders(self):
-        """(row, x, v, [(inflow through edges, pressure, volume, the other pressure, sign, area,
-        leak) of head and rod]).
-        """
+        """(row, x, v, (inflow, pressure, volume, signed area, leak) of head and rod)."""
         tank = self.model.plant.tank_pressure
         for index, row in enumerate(self.model.plant.cylinders):
             joint = self.model.plant.cylinders[index].joint
@@ -135,9 +131,7 @@ def test_oil_volume_is_conserved_in_every_chamber(ledger):
 
 
 def test_pump_tank_and_machine_balance(ledger):
-    """All the pump gives is in the tank, leaked, or stored: displaced and compressed oil; tolerance
-    as above.
-    """
+    """What the pump gives is in the tank, leaked, or stored; tolerance as above."""
     plant = ledger.model.plant
     pumped = integral(ledger.pump, ledger.step)
     stored = (
@@ -294,9 +288,7 @@ def test_natural_frequency_is_that_of_the_linear_formula(rig):
 
 
 def slide(flip: bool) -> Model:
-    """A loaded through-rod slide, or its mirror image: head and rod exchanged, the other end of the
-    stroke, the other slope.
-    """
+    """A loaded through-rod slide, or its mirror image: ends, stroke and slope exchanged."""
     rig = load_rig(RIGS[0].with_name("slide_servo.toml"))
     body, cylinder = rig.mechanism, rig.cylinder[0]
     area, dead = 1.2e-3, 2.0e-4
@@ -452,9 +444,7 @@ def test_chambers_hold_the_cavitation_floor_and_the_relief_pressure():
 
 
 def test_the_stop_holds_full_supply_pressure():
-    """Driven against its stop with the valve full open, a piston sinks in by STOP_DEPTH at most:
-    supply·area_head/STOP.
-    """
+    """A piston sinks into its stop by STOP_DEPTH at most: supply·area_head/STOP."""
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row = model.plant.cylinders[0]
     log = model.run(model.trim(np.array([0.38])), np.full((1500, 1), 10.0))
@@ -465,9 +455,7 @@ def test_the_stop_holds_full_supply_pressure():
 
 
 def test_the_order_of_cylinders_does_not_matter(rig):
-    """The same machine with its cylinders listed backwards moves alike; sums round in another
-    order: 1e-9 of each range.
-    """
+    """Listed backwards they move alike; sums round in another order: 1e-9 of each range."""
     back = rig.model_copy(update={"cylinder": rig.cylinder[::-1]})
     one, two = Model.of(rig), Model.of(back)
     table = gentle(one, 1500)
@@ -494,9 +482,7 @@ def test_a_cylinder_by_any_other_name_moves_alike(rig):
 
 
 def test_the_guard_sees_relief_and_cavitation():
-    """An open relief valve adds RELIEF_GAIN·β/V to the fastest rate, outflow β·|inflow|/(V·(p −
-    floor)).
-    """
+    """Relief adds RELIEF_GAIN·β/V to the fastest rate, outflow β·|inflow|/(V·(p − floor))."""
     model = Model.of(load_rig(RIGS[0].with_name("slide_servo.toml")))
     row, command = model.plant.cylinders[0], np.zeros(1)
     work, dy = np.empty(200), np.empty(model.layout.states)

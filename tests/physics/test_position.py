@@ -1,12 +1,11 @@
 """The position controller: closed form on an ideal actuator, and untuned on every shipped rig."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.control.functions import METERING, PATH_FLOWS, path_drop
 from ehbench.control.measured import pressures
 from ehbench.control.registry import tick
@@ -15,9 +14,9 @@ from ehbench.parts.sample import LINE, OF, entry, line_entry
 from ehbench.trial import prepare, run_trial
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE, RETRACT_RESISTIVE, SATURATED
 from ehbench.vocabulary.errors import InputError
+from tests.shared import shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-SLIDE = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+SLIDE = shipped("slide_servo")
 MOTION = {
     "kind": "point_to_point",
     "cylinder": "press",
@@ -90,9 +89,7 @@ def test_the_integral_takes_away_what_a_valve_that_passes_less_leaves():
 
 
 def test_the_integral_does_not_wind_up():
-    """A cylinder that sticks for 4 s: the correction stays at its end, and once the cylinder is
-    free the error comes back without going far to the other side.
-    """
+    """Stuck for 4 s, then free: the error comes back without going far to the other side."""
     most, k, corner = 0.04, 8.0, 2.0
     sticks = lambda t, v: 0.0 if t < 4.0 else v
     gains = {
@@ -147,7 +144,7 @@ def test_it_works_untuned_on_every_shipped_rig(name, on):
         "speed": f"{speed} m/s",
         "acceleration": f"{5 * speed} m/s^2",
     }
-    rig = load_rig(RECIPES / "rigs" / f"{name}.toml")
+    rig = shipped(name)
     record, facts = run_trial(rig, recipe(motion, payload=payload, on=on))
     gains, tracking = facts.measures["gains"], facts.measures["tracking"]
     assert not facts.stopped and 2.0 < gains["position_bandwidth"] < 6.0

@@ -1,15 +1,11 @@
-"""Pressure feedback closed over the plant: it damps, does not change the steady speed, and sees
-pressures only.
-"""
+"""Pressure feedback over the plant: it damps, keeps the steady speed, sees pressures only."""
 
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
 from ehbench.control import trajectory as tr
@@ -20,10 +16,9 @@ from ehbench.plant.integrate import rk4
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import allocating_kernel
 from ehbench.vocabulary import codes
-from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.quantities import quantity
+from tests.shared import refused, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
 COLUMN = {name: index for index, name in enumerate(pf.TELEMETRY)}
 
@@ -40,9 +35,7 @@ class Law(NamedTuple):
 
 @allocating_kernel
 def closed_loop(y, reference, plant, law, samples, notes, commands):
-    """The plant under `pressure_feedback.step`; channels not ``law.given`` are NaN to the
-    controller.
-    """
+    """The plant under `pressure_feedback.step`; channels not ``law.given`` are NaN to it."""
     k = np.empty((5, y.shape[0]))
     work = np.empty(plant.at.work)
     seen = np.empty(samples.shape[1])
@@ -64,7 +57,7 @@ class Trial:
     def __init__(
         self, rig, cylinder, reference, *, at=None, payload=None, values=None, given=None, **gains
     ) -> None:
-        made = load_rig(RIGS / f"{rig}.toml").with_values(values or {})
+        made = shipped(rig).with_values(values or {})
         self.model = Model.of(made, payload=payload)
         plant, names = self.model.plant, self.model.layout
         self.index = names.cylinders.index(cylinder)
@@ -113,9 +106,7 @@ class Trial:
 
 
 def swing(v: np.ndarray) -> tuple[float, float]:
-    """(peak over the mean of the last third as a share of it, rms about a straight line over the
-    second half, likewise).
-    """
+    """(peak over the mean of the last third, rms about a line over the second half), shares."""
     steady = v[-v.size // 3 :].mean()
     half = v[v.size // 2 :]
     line = np.polynomial.Polynomial.fit(np.arange(half.size), half, 1)(np.arange(half.size))
@@ -154,9 +145,7 @@ def step(name, gain, washout=WASHOUT, **more):
 
 @pytest.mark.parametrize("name", STEPS)
 def test_a_step_is_damped(name):
-    """Against the same step in open loop: less overshoot, and the swing is gone within half the
-    time.
-    """
+    """Less overshoot than in open loop, and the swing is gone within half the time."""
     gain = STEPS[name][2]
     (open_loop, _), (fed, v_d) = step(name, 0.0), step(name, gain)
     (over, ring), (over_fed, ring_fed) = swing(open_loop.v[300:]), swing(fed.v[300:])
@@ -193,9 +182,7 @@ def test_with_washout_the_steady_speed_is_that_of_the_open_loop(name, share):
     "name", ["arm lifts", "arm lowers", "four valves lift", "four valves lower"]
 )
 def test_without_washout_the_load_biases_the_steady_speed(name):
-    """The metered chamber takes A v + V Ṗ/β_e = A v_d − K_p P at steady speed: both rigs lift and
-    lower on the head end.
-    """
+    """The metered chamber takes A v + V Ṗ/β_e = A v_d − K_p P at steady speed."""
     trial, v_d = step(name, 2e-11, washout=0.0)
     row = trial.model.plant.cylinders[trial.index]
     slope = np.polyfit(np.arange(300) * TICK, trial.p_head[-300:], 1)[0]
@@ -207,9 +194,7 @@ def test_without_washout_the_load_biases_the_steady_speed(name):
 
 @pytest.mark.parametrize("name", ["arm lifts 50 lb", "four valves lower"])
 def test_position_and_velocity_do_not_reach_it(name):
-    """All channels but the four pressures as NaN or as they are: the same commands and notes, bit
-    for bit.
-    """
+    """All channels but four pressures NaN or as they are: the same commands, bit for bit."""
     masked, full = (step(name, STEPS[name][2], given=given)[0] for given in (None, True))
     assert np.isfinite(masked.samples).all() and np.isfinite(masked.commands).all()
     assert (masked.commands == full.commands).all() and (masked.notes == full.notes).all()
@@ -268,9 +253,7 @@ CHOSEN = {
 
 @pytest.mark.parametrize("function", CHOSEN)
 def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function):
-    """In every function: K_p Δp less into the chamber that meters, which is a leak to its mean
-    pressure, so it takes energy.
-    """
+    """K_p Δp less into the metered chamber: a leak to its mean pressure, which takes energy."""
     v_d, p_head, p_rod = CHOSEN[function]
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     inflow = []
@@ -317,9 +300,7 @@ def test_the_off_side_is_driven_to_its_set_point(function):
 
 
 def test_washouts_forget_a_step_and_two_forget_a_ramp():
-    """Against ``s/(s + ω)`` and its square: e^(−ω t) and (1 − ω t) e^(−ω t) of a step, Ṗ/ω and
-    nothing of a ramp.
-    """
+    """e^(−ω t) and (1 − ω t) e^(−ω t) of a step, Ṗ/ω and nothing of a ramp."""
     omega, t = 7.0, TICK * np.arange(400)
     for corners, step_back, ramp_back in (
         ((omega, 0.0), np.exp(-omega * t), 1 / omega),
@@ -338,9 +319,7 @@ def test_washouts_forget_a_step_and_two_forget_a_ramp():
 
 @pytest.mark.parametrize("corner", [0.5, 20.0, 300.0])
 def test_a_washout_turns_the_phase_as_its_transfer_function_does(corner):
-    """Gain and phase at 10 Hz against jω/(jω + ω_w): bilinear, so right to (ω_w T)²/12 and (ω
-    T)²/12.
-    """
+    """At 10 Hz against jω/(jω + ω_w): bilinear, right to (ω_w T)²/12 and (ω T)²/12."""
     omega, t = 2 * math.pi * 10.0, TICK * np.arange(4000)
     wave = np.exp(1j * omega * t)
     alone = Alone(feedback_gain=1e-10, washout=corner)
@@ -366,9 +345,7 @@ def test_a_change_of_function_brings_no_bump():
 
 
 def test_each_channel_it_is_given_is_used():
-    """A pressure withheld turns up as NaN in the commands: the mask of the other tests would show
-    in them.
-    """
+    """A pressure withheld turns up as NaN in the commands."""
     for gap in range(4):
         pressures = [2e6, 5e5, 7e6, 0.0]
         pressures[gap] = math.nan
@@ -400,9 +377,7 @@ def test_a_shaped_step_starts_smoothly():
 
 
 def test_beyond_what_the_supply_gives_it_saturates_says_so_and_comes_back():
-    """A speed twice the largest, then a slow one: flagged while it lasts, and no memory of it
-    afterwards.
-    """
+    """A speed twice the largest, then a slow one: flagged while it lasts, and forgotten."""
     speeds = tr.velocity_steps([0.4, 0.03], duration=[0.3, 0.9], tick=TICK)
     trial = Trial("thesis_arm", "boom", speeds, at="0.03 m", feedback_gain=8e-11, washout=WASHOUT)
     limits = trial.note("limits").astype(int)
@@ -436,5 +411,5 @@ def test_channels_have_words_and_masks_have_four():
     ],
 )
 def test_wrong_gains_are_refused(wrong, key):
-    with pytest.raises(InputError, check=lambda error: error.key == f"control.{key}"):
+    with refused(f"control.{key}"):
         Alone(**wrong)

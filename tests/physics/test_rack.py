@@ -15,8 +15,8 @@ from ehbench.physics.cylinder import RACK, joint_angle, joint_range, linkage
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.plausibility import off_pins
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SLIDE = (RIGS / "slide_servo.toml").read_text()
 RADIUS, INERTIA, DAMPING = 0.125, 250.0 * 0.125**2, 800.0 * 0.125**2
 JOINT = f"""[mechanism]
@@ -62,7 +62,7 @@ def run(rig: Rig) -> Record:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_rack_on_its_pinion_is_a_slide_of_the_mass_it_feels(sign, tmp_path):
     """``m = I/r²`` and ``b = B/r²``: the same strokes and pressures, the angle by the radius."""
-    rack, slide = run(turned(tmp_path, sign)), run(load_rig(RIGS / "slide_servo.toml"))
+    rack, slide = run(turned(tmp_path, sign)), run(shipped("slide_servo"))
     for word in ("x", "v", "p_head", "p_rod"):
         one, other = rack[f"press.{word}"], slide[f"press.{word}"]
         assert np.abs(one - other).max() < 1e-6 * np.ptp(other), word

@@ -4,12 +4,11 @@ written at once.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.control import LAW_NAMES
 from ehbench.data import read
 from ehbench.data.logs import write_log
@@ -19,9 +18,9 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.plant.model import Model
 from ehbench.trial import account, prepare, run, session
 from ehbench.vocabulary.errors import InputError
+from tests.shared import shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
-RIG = load_rig(RECIPES / "rigs" / "slide_servo.toml")
+RIG = shipped("slide_servo")
 STEP = {
     "valve": "press.servo",
     "kind": "step",
@@ -150,9 +149,7 @@ def test_a_change_that_cannot_be_is_refused(given, message, tmp_path):
 
 
 class Plain:
-    """A machine that only knows the protocol, as hardware would: the model without what a
-    simulation can do beside it.
-    """
+    """A machine that only knows the protocol, as hardware would: the model without the rest."""
 
     def __init__(self) -> None:
         self._model = SimulatedMachine(Model.of(RIG))

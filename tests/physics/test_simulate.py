@@ -1,6 +1,4 @@
-"""Time: accuracy against SciPy, replay of a recording, alignment of commands and samples, start,
-errors, determinism.
-"""
+"""Time: accuracy against SciPy, replay, alignment, start, errors, determinism."""
 
 import math
 from dataclasses import replace
@@ -53,9 +51,7 @@ def step_of(rig: Rig) -> dict[str, np.ndarray]:
 
 
 def test_a_ten_second_trial_is_within_1e_5_of_scipy(arm):
-    """At 500 µs every logged state of the thesis arm stays within 1e-5 of its range of Radau at
-    rtol 1e-9.
-    """
+    """Every state of the thesis arm within 1e-5 of its range of Radau at rtol 1e-9."""
     model, table = thesis_trial(arm)
     errors = radau_error(model, table)
     assert len(errors) > 15
@@ -63,9 +59,7 @@ def test_a_ten_second_trial_is_within_1e_5_of_scipy(arm):
 
 
 def test_valves_follow_their_second_order_step_response(arm):
-    """Cartridge valve from rest on a held step: 1 − e^(−ζωt)(…) of thesis 2.12 to 1e-9 of the step
-    at 500 µs.
-    """
+    """1 − e^(−ζωt)(…) of thesis 2.12 to 1e-9 of the step at 500 µs."""
     model = Model.of(arm)
     valve = model.layout.valves.index("boom.hepc")
     table = model.rest_commands(60)
@@ -80,9 +74,7 @@ def test_valves_follow_their_second_order_step_response(arm):
 
 
 def test_valves_that_arrive_stay_without_subnormal_tails(arm):
-    """A shut valve's tail ends at exactly its command: nothing small is left in a log's last
-    second.
-    """
+    """A shut valve's tail ends at exactly its command: nothing small is left."""
     model = Model.of(arm)
     table = model.rest_commands(3000)
     table[:100] = [4.0 if name.startswith("boom") else 0.0 for name in model.layout.valves]
@@ -115,9 +107,7 @@ def test_replay_of_a_simulation_is_that_simulation(rig, payload):
 
 
 def test_replay_needs_no_more_than_a_machine_measures(rig):
-    """From joint angle or stroke, pressures and commands alone the replay starts where the machine
-    stood.
-    """
+    """From angle or stroke, pressures and commands the replay starts where it stood."""
     made = simulate(rig, step_of(rig), 1.0)
     for position in ("q", "x") if rig.mechanism.kind == "chain" else ("x",):
         measured = (position, "p_head", "p_rod", "command", "p_supply", "p_tank")
@@ -188,9 +178,7 @@ def test_the_start_carries_the_load_from_noisy_pressures(metered):
 
 
 def test_noise_on_recorded_commands_is_no_motion(arm):
-    """Rest is found although the recorded commands jitter: the start is a mean over all samples
-    before the step.
-    """
+    """Rest is found all the same: the start is a mean over all samples before the step."""
     made = simulate(arm, step_of(arm), 1.0)
     rng = np.random.default_rng(5)
     model = Model.of(arm)
@@ -215,9 +203,7 @@ def test_uneven_recordings_are_refused(arm):
 
 
 def test_postures_by_angle_stroke_and_name(rig):
-    """A stroke in text, the joint angle it means and the joint's own name are one posture; what is
-    not named is mid-stroke.
-    """
+    """A stroke, its joint angle and the joint's own name are one posture; mid-stroke else."""
     model = Model.of(rig)
     cylinder = rig.cylinder[-1]
     stroke = 0.3 * float(cylinder.stroke)
@@ -282,9 +268,7 @@ def test_numbers_that_run_away_are_reported_with_their_time(arm):
 
 
 def test_rate_and_step_change_the_log_not_the_motion(arm):
-    """A trial logged at 100 Hz and integrated at 250 µs ends where the 1 kHz, 500 µs one ends, to
-    1e-5 of its travel.
-    """
+    """100 Hz and 250 µs end where 1 kHz and 500 µs end, to 1e-5 of the travel."""
     fine = simulate(arm, {"swing.servo": 2.0}, 1.0)
     coarse = simulate(arm, {"swing.servo": 2.0}, 1.0, rate=100.0, step=2.5e-4)
     assert coarse.t.size == 101 and coarse.sample_time == pytest.approx(0.01)
@@ -292,9 +276,7 @@ def test_rate_and_step_change_the_log_not_the_motion(arm):
 
 
 def test_flows_and_speeds_of_a_record_agree(metered):
-    """Steady extension, slow or fast: the flows into the head end are area·v once the pressures
-    have settled, to 5 %.
-    """
+    """Steady extension: flows into the head end are area·v, to 5 %."""
     rig = metered
     on, judged = np.arange(1001) > 100, 0
     for share in (0.25, 0.5):

@@ -1,11 +1,9 @@
 """The boom with a cartridge out of service: the four that are left move it as far as they can."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import Motion, TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import Motion, TrialRecipe, load_recipe
 from ehbench.data import read_log
 from ehbench.trial.preparation import prepare
 from ehbench.trial.running import run
@@ -14,8 +12,7 @@ from ehbench.vocabulary.codes import (
     HOLD,
     RETRACT_OVERRUNNING_THROUGH_ROD,
 )
-
-ROOT = Path(__file__).parents[2]
+from tests.shared import ROOT, shipped
 
 
 @pytest.mark.parametrize(
@@ -57,7 +54,7 @@ def test_the_load_moves_without_a_cartridge(tmp_path, valve, function, largest):
         }
     )
     log = tmp_path / "log.mcap"
-    result = run(prepare(recipe, load_rig(ROOT / "recipes/rigs/thesis_arm.toml")), log=log)
+    result = run(prepare(recipe, shipped("thesis_arm")), log=log)
     assert result.facts.stop is None
     assert result.facts.measures["tracking"]["max_error"] < largest
     frame = read_log(log)

@@ -1,12 +1,9 @@
 """Supplies that follow the load: pressures in closed form, ledgers that close, the bench too."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import ehbench
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import LoadSensing, LowRail, Rig
 from ehbench.data.record import Record
 from ehbench.ledger import bounds, ledger_of_log, ledger_of_model
@@ -14,9 +11,9 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import Value
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
-SLIDE = load_rig(RIGS / "slide_servo.toml")
+SLIDE = shipped("slide_servo")
 SET = float(SLIDE.supply.pressure)
 MARGIN, LAG, RAIL = 1.5e6, 0.05, 0.4 * SET
 SENSING = SLIDE.with_supply(
@@ -44,9 +41,7 @@ def rails() -> Record:
 
 
 def test_the_pressure_follows_the_load_with_its_lag(sensing):
-    """ṗ = (p_head + margin − p)/lag while the valve is open, exact for a load pressure that runs
-    straight from sample to sample.
-    """
+    """ṗ = (p_head + margin − p)/lag while open, exact for a load pressure that runs straight."""
     p, head, tick = sensing["p_supply"], sensing["press.p_head"], 1e-3
     assert p[:100] == pytest.approx(TANK + MARGIN, rel=1e-9)
     at = slice(102, 300)  # the spool has left its overlap
@@ -127,9 +122,7 @@ def test_the_ledger_closes_and_pays_each_oil_at_its_pressure(kind, request):
 
 
 def test_the_low_rail_has_rows_of_its_own():
-    """What it gave is its pressure times the oil that it was taken from, on the model as in a log;
-    the pump's row is the rest, and each store closes by itself.
-    """
+    """Its pressure times the oil taken from it; the pump's row is the rest; each store closes."""
     t = np.arange(401) / 1000.0
     command = np.where(t < 0.2, 4.0, -4.0)
     record = ehbench.simulate(RAILS, {"press.servo": command}, 0.4, posture={"press": "100 mm"})

@@ -1,22 +1,19 @@
 """The tip of a mechanism, and the search for joint coordinates that bring it somewhere."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.parts.cylinder import joint_range_of
 from ehbench.physics.arm import energy, work_size
 from ehbench.physics.tip import FOUND, Chain, polish, reach, tip_frames, tip_jacobian, tip_of
 from ehbench.plant.model import Model
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NAMES = ("thesis_arm", "crane_proportional", "boom_four_valve", "slide_servo")
 
 
 def chain_of(name):
-    plant = Model.of(load_rig(RIGS / f"{name}.toml")).plant
+    plant = Model.of(shipped(name)).plant
     low, high = np.array([sorted(joint_range_of(row)) for row in plant.cylinders]).T
     return Chain(plant.kind, plant.links, plant.gravity, low, high)
 

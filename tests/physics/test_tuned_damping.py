@@ -1,12 +1,11 @@
 """Gains chosen on linear models, tried on the non-linear one: it damps as promised."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TuneRecipe, load_rig
+from ehbench.config.recipe import TuneRecipe
 from ehbench.control import pressure_feedback as pf
 from ehbench.control.functions import pack_rules
 from ehbench.control.records import blank
@@ -19,15 +18,13 @@ from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.operating_point import circuit_of, state_of
 from ehbench.tune.study import NONE, prepare_tuning
 from ehbench.vocabulary.codes import FUNCTIONS
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 TICK = 1e-3
 
 
 class Running:
-    """A rig at an operating point under tuned pressure feedback: the running machine and the
-    running controller.
-    """
+    """A rig at an operating point, running under tuned pressure feedback."""
 
     def __init__(self, rig, tuning, result):
         point = result.point
@@ -85,9 +82,7 @@ class Running:
         return np.concatenate([y, *(memory.ends[name] for name in pf.END.names)])
 
     def speeds(self, y):
-        """∂(x, v)/∂(q, q̇) of the cylinder in a state of all: what swings is judged as speed, as
-        the promise is.
-        """
+        """∂(x, v)/∂(q, q̇) of the cylinder: what swings is judged as speed."""
         row, j, n = (
             self.plant.cylinders[self.index],
             int(self.plant.cylinders[self.index].joint),
@@ -100,9 +95,7 @@ class Running:
         return turn
 
     def modes(self, ticks):
-        """(poles [rad/s], share of each that lies in this cylinder, its valves and its
-        controller).
-        """
+        """(poles [rad/s], share of each in this cylinder, its valves and its controller)."""
         pushes = np.diag(self.sizes)
         columns = [(self.after(p, ticks) - self.after(-p, ticks)) / 2.0 for p in pushes]
         first, last = (
@@ -154,7 +147,7 @@ def test_the_running_machine_is_damped_as_promised(name, cylinder, payloads, unl
     Nor are most of the arm's with 100 lb: slow pairs feel its weight change with the posture, which
     a model about a steady speed has not (docs/explanation/tuning.md).
     """
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     recipe = TuneRecipe(
         stage="tune",
         rig="x",

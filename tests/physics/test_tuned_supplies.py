@@ -1,17 +1,15 @@
-"""Tuning on supplies that follow the load: operating points, linear models, and promises that the
-running machine keeps.
-"""
+"""Tuning on supplies that follow the load: points, linear models, promises kept."""
 
 import math
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from delayed_loop import Bench
 from plant_differences import plant_model
+from test_tuned_damping import Running, _dominant
 
-from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe, load_rig
+from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe
 from ehbench.config.rig import LoadSensing, LowRail
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
@@ -25,12 +23,8 @@ from ehbench.tune.gains import tune_pressure_feedback
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 from ehbench.tune.study import prepare_tuning
-from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
-
-sys.path.append(str(Path(__file__).parent))
-from delayed_loop import Bench  # noqa: E402
-from test_tuned_damping import RIGS, Running, _dominant  # noqa: E402
+from tests.shared import RIGS, refused, shipped
 
 FOLLOWING = ("load sensing", "two rails")
 LAG = 0.05
@@ -45,7 +39,7 @@ CYLINDERS = {
 @cache
 def rig_on(kind, name, rail=0.35):
     """A shipped rig on another supply; ``rail`` as a share of its highest pressure."""
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     most = float(rig.supply.pressure)
     if kind == "load sensing":
         margin = Value(0.1 * most)
@@ -74,9 +68,7 @@ def points(rig, cylinder, shares=(0.5,), strokes=(0.15, 0.85)):
 @pytest.mark.parametrize("name", CYLINDERS)
 @pytest.mark.parametrize("kind", FOLLOWING)
 def test_equations_agree_with_differences_about_a_steady_motion(kind, name):
-    """All rates of the point's own states are none, the supply's too, and the matrices those of the
-    plant to 1e-7 of a row: differences are good to 1e-8.
-    """
+    """States at rest, and matrices to 1e-7 of a row: differences are good to 1e-8."""
     count = 0
     for model, point in points(rig_on(kind, name), CYLINDERS[name]):
         plant, names = model.plant, model.layout
@@ -102,9 +94,7 @@ def test_equations_agree_with_differences_about_a_steady_motion(kind, name):
 
 
 def test_the_supply_stands_a_margin_above_what_it_feeds():
-    """Up to its highest pressure; where it feeds nothing, above tank. Only a pressure that follows
-    has a state.
-    """
+    """Up to its highest pressure; where it feeds nothing, above tank."""
     rig = rig_on("load sensing", "thesis_arm")
     most, margin = float(rig.supply.pressure), 0.1 * float(rig.supply.pressure)
     for model, point in points(rig, "boom"):
@@ -149,9 +139,7 @@ def test_points_near_the_change_of_rails_are_told():
 
 
 def test_what_valves_are_opened_by_has_no_kink_at_the_steady_motion():
-    """The measured pressure of a load-sensing pump, as long as half its margin is there; below,
-    that half. The choice of functions counts on all of it.
-    """
+    """The measured pressure, as long as half its margin is there; below, that half."""
     rig = rig_on("load sensing", "slide_servo")
     model, margin = Model.of(rig), 0.1 * float(rig.supply.pressure)
     circuit, head = circuit_of(model, 0), 3e6
@@ -162,9 +150,7 @@ def test_what_valves_are_opened_by_has_no_kink_at_the_steady_motion():
 
 
 def test_what_others_hold_is_felt_where_they_move_as_well():
-    """The pressure is then theirs and the margin wherever it is the higher, and follows this load
-    no more; the plant that is sampled holds it too.
-    """
+    """The pressure is theirs and the margin where it is higher; the sampled plant holds it."""
     rig = rig_on("load sensing", "thesis_arm")
     margin = 0.1 * float(rig.supply.pressure)
     recipe = TuneRecipe(
@@ -196,7 +182,7 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
     alone = recipe.model_copy(update={"also_moving": ()})
     without = prepare_tuning(rig, None, alone)
     assert min(site.point.p_supply for site in without.motions) < held + 0.9 * margin
-    with pytest.raises(InputError, check=lambda error: error.key == "tune.tuned_also_moving"):
+    with refused("tune.tuned_also_moving"):
         prepare_tuning(rig, None, recipe.model_copy(update={"also_moving": ("stick",)}))
 
 
@@ -251,9 +237,7 @@ def test_the_delay_margin_is_where_the_model_begins_to_swing(kind, name):
 
 
 def test_load_sensing_costs_gain_margin_on_a_stiff_rig():
-    """By a tenth below the margin nothing swings on the model, by a fifth above it does: with
-    valves that are opened by the drop as it is measured.
-    """
+    """A tenth below the margin nothing swings, a fifth above it does: valves by measured drop."""
     rig = Bench(rig_on("load sensing", "slide_servo"), "press", postures=2, shares=(0.06,))
     gains = rig.gains(drop_corner=0.0)
     told = [(rig.loop(at, gains).margins(Sensing()).gain, at) for at in rig.points]
@@ -266,9 +250,7 @@ def test_load_sensing_costs_gain_margin_on_a_stiff_rig():
 @pytest.mark.parametrize("name", ["crane_proportional", "slide_servo", "boom_four_valve"])
 @pytest.mark.parametrize("kind", FOLLOWING)
 def test_defaults_keep_their_gain_margin_where_drops_are_small(kind, name):
-    """At least that of the same rig on constant pressure, and 2; opened by the drop as it is
-    measured, the valves leave less than that. The delay margin is kept as well.
-    """
+    """At least that on constant pressure, and 2; by the measured drop it is less."""
 
     def margins(rig, **given):
         loads = (next(iter(rig.payload)),)
@@ -277,7 +259,7 @@ def test_defaults_keep_their_gain_margin_where_drops_are_small(kind, name):
         found = [bench.loop(at, gains).margins(Sensing()) for at in bench.points]
         return min(one.gain for one in found), min(one.delay for one in found)
 
-    constant, following = load_rig(RIGS / f"{name}.toml"), rig_on(kind, name)
+    constant, following = shipped(name), rig_on(kind, name)
     (usual, _), (kept, late) = margins(constant), margins(following)
     measured, before = margins(following, drop_corner=0.0)
     assert kept > 1.5 * max(usual, 2.0)
@@ -307,9 +289,7 @@ def followed(kind, name, **given):
 @pytest.mark.parametrize("name", ["crane_proportional", "slide_servo", "boom_four_valve"])
 @pytest.mark.parametrize("kind", FOLLOWING)
 def test_what_keeps_the_gain_margin_costs_no_tracking(kind, name):
-    """What is planned of a change of load counts at once, so the valves are opened as well as by
-    the measured drop.
-    """
+    """What is planned of a change of load counts at once."""
     measured = followed(kind, name, drop_corner="0 Hz")
     assert followed(kind, name) < 1.05 * measured + 1e-5
 
@@ -328,7 +308,7 @@ def test_a_calm_pressure_is_on_the_rail_that_the_measured_one_is_on(chamber):
 def test_a_bench_has_the_supply_of_its_trial():
     """With a bench file of its own as well."""
     sensing = {"load_sensing": {"load_margin": "16 bar", "load_lag": "50 ms"}}
-    rig = load_rig(RIGS / "boom_four_valve.toml")
+    rig = shipped("boom_four_valve")
     record = run(prepare(trial("bench", supply=sensing), rig)).record
     assert record["p_supply"].max() < 0.8 * float(rig.supply.pressure)
 
@@ -394,5 +374,5 @@ def test_a_trial_on_another_supply_than_the_tuned_says_so():
     (note,) = notes(rig, supply=wider)
     supply = note.fields["supply"]
     assert supply.startswith("load sensing, pressure 160 bar, load_margin 16 bar (here 50)")
-    (note,) = notes(load_rig(RIGS / "boom_four_valve.toml"))
+    (note,) = notes(shipped("boom_four_valve"))
     assert note.fields["supply"].fields == {"tuned": "load sensing", "kind": "constant pressure"}

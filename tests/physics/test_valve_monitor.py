@@ -1,7 +1,5 @@
 """A valve that fails in motion is found by the flows of both chambers, and the load moves on."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,15 +9,14 @@ from ehbench.config.recipe import (
     Motion,
     TrialRecipe,
     load_recipe,
-    load_rig,
 )
 from ehbench.config.recipe.trial import Controller
 from ehbench.trial.preparation import prepare
 from ehbench.trial.running import run
 from ehbench.trial.session import Session
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 
-ROOT = Path(__file__).parents[2]
 START = 2.0  # s: the boom rises at full speed
 
 
@@ -40,7 +37,7 @@ def result_of(payload: str | None = None, **changes):
     controller = Controller(kind="arc", monitor=True)
     updates = {"motion": motion, "controller": controller, "payload": payload, **changes}
     recipe = loaded.model_copy(update=updates)
-    return run(prepare(recipe, load_rig(ROOT / "recipes/rigs/thesis_arm.toml"))).facts
+    return run(prepare(recipe, shipped("thesis_arm"))).facts
 
 
 @pytest.mark.parametrize(
@@ -85,7 +82,7 @@ def test_a_monitor_without_a_sensor_of_speed_is_refused(monitor, refused):
     loaded = load_recipe(ROOT / "recipes/trials/arc_fast_bench.toml")
     controller = Controller(kind="open_loop", monitor=monitor)
     recipe = loaded.model_copy(update={"controller": controller, "on": "model", "bench": None})
-    trial = prepare(recipe, load_rig(ROOT / "recipes/rigs/thesis_arm.toml"))
+    trial = prepare(recipe, shipped("thesis_arm"))
     trial.machine.unmeasured = ("boom.v",)
     if not refused:
         Session(trial, trial.machine, False)

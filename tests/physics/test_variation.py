@@ -1,20 +1,16 @@
-"""A machine that is not its design: each change does to the model and to the virtual bench what it
-says, and nothing else.
-"""
-
-from pathlib import Path
+"""A machine that is not its design: each change does what it says, and nothing else."""
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.machines.registry import open_machine
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.sample import OF, entry
 from ehbench.parts.valve import valve_lag
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RECIPES, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
 # a rig whose bench file says its friction and oil, and one whose bench draws them
 RIGS = {"thesis_arm": "boom", "crane_proportional": "lift"}
 CHANGES = {
@@ -48,7 +44,7 @@ def machine(name, on, change):
             "path": RECIPES / "trial.toml",
         }
     )
-    return open_machine(recipe, load_rig(RECIPES / "rigs" / f"{name}.toml"), None)
+    return open_machine(recipe, shipped(name), None)
 
 
 def plant_of(one):

@@ -1,12 +1,10 @@
 """What the tests of a rig's parts share: a rig with a part, its linear form, noise, a fit."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from plant_differences import plant_model
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
@@ -15,15 +13,15 @@ from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
 NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
 
 
 def slide(**parts: Any) -> Rig:
     """The sliding mass, its cylinder with further tables."""
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     cylinder = rig.cylinder[0].model_copy(update=parts)
     return rig.model_copy(update={"cylinder": (cylinder,)})
 
@@ -46,9 +44,7 @@ def jacobian(model: Model) -> np.ndarray:
 
 
 def linear_models_agree(rig: Rig, way: int, own: tuple[str, ...]) -> None:
-    """Fail unless a steady motion of a cylinder whose further states are ``own`` has one linear
-    model, from the equations and from differences of the plant.
-    """
+    """Fail unless equations and differences give one linear model with the states ``own``."""
     model = Model.of(rig)
     here, circuit = equivalent(model, 0, np.array([0.2])), circuit_of(model, 0)
     function = int(np.flatnonzero(circuit.able)[1 + way])

@@ -17,7 +17,7 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, p
 from ehbench.plant.model import simulate
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.errors import InputError
-from tests.virtual_logs import RIGS
+from tests.shared import RIGS
 
 RIG = RIGS / "slide_servo.toml"
 TRUE = {"bulk_modulus": 720e6, "spool.natural_frequency": 2.0 * math.pi * 60.0}

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from ehbench import workflow
-from ehbench.config.recipe import Sensor, load_rig
+from ehbench.config.recipe import Sensor
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
@@ -19,7 +19,7 @@ from ehbench.preprocessing.sensors import lagged
 from ehbench.runs.rundir import read_json
 from ehbench.validation import prepare_validation, run_validation
 from ehbench.vocabulary.errors import InputError
-from tests.virtual_logs import RIGS
+from tests.shared import RIGS, shipped
 from tools.studies.closed_loop_study import SLOPE, TRUE, closed_loop_log, fitted, rigs
 
 STIFF, LEAKS = "bulk_modulus", "press.leakage_internal"
@@ -75,7 +75,7 @@ def test_what_is_tied_is_as_recorded(how, same):
 
 def test_the_angle_of_a_boom_is_tied_through_its_pins():
     """By stroke or by angle, on every joint, paced or not."""
-    model = Model.of(load_rig(RIGS / "crane_proportional.toml"))
+    model = Model.of(shipped("crane_proportional"))
     t = np.arange(301) * 1e-3
     table = model.rest_commands(t.size)
     table[50:] = 3.0
@@ -148,7 +148,7 @@ def test_a_given_motion_is_taken_as_much_earlier_as_its_sensor_is_late():
 
 
 def test_motion_of_a_chain_needs_every_joint():
-    rig = load_rig(RIGS / "thesis_arm.toml")
+    rig = shipped("thesis_arm")
     t = np.arange(300) * 1e-3
     channels = {"boom.q": 0.1 * t, "boom.sr.command": np.where(t > 0.1, 5.0, 0.0)}
     record = tied(Record(t, channels, {"payload": "none"}), "motion")

@@ -5,7 +5,6 @@ the same intervals, said in words, whatever the clock, the gaps and the end of t
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,8 @@ from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.time_base import parts_of
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"v": 2e-3, "p_head": 1.5e4, "p_rod": 1.5e4, "x": 1e-5, "p_supply": 6e3}
 TRUTH = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
 START = {"bulk_modulus": 5e8, "carriage.damping": 1600.0}
@@ -31,7 +30,7 @@ RATE = 10_000.0
 
 @cache
 def rig(name="slide_servo"):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 @cache
@@ -108,9 +107,7 @@ def test_means_tell_what_samples_tell(time):
 
 
 def test_a_step_may_be_taken_at_any_sample():
-    """A command that changes in the middle of a mean acts there, not at an end of it: by half a
-    mean too late, the bulk modulus would be off by many standard errors.
-    """
+    """A command that changes within a mean acts there: half a mean late is many errors off."""
     fit = identify(logs(2), decimate=33)
     for name, truth in TRUTH.items():
         assert abs(fit[name].value - truth) < 3.5 * fit[name].std  # pyright: ignore[reportOperatorIssue]
@@ -145,9 +142,7 @@ def test_means_of_a_simulation_are_means_of_its_samples():
 
 
 def test_how_many_is_by_the_fastest_of_the_machine():
-    """The slide's valve is of 80 Hz, so a mean lasts a twentieth of 12.5 ms, whole samples; of a
-    cutoff, a twentieth of its period.
-    """
+    """A twentieth of the 12.5 ms of an 80 Hz valve, whole samples; of a cutoff, of its period."""
     record = clean()
     frequency = fastest(Model.of(rig()), record)
     assert frequency == pytest.approx(80.0, rel=1e-6)
@@ -207,9 +202,7 @@ def test_short_logs_and_what_is_left_over_at_the_end():
 
 
 def test_uneven_clocks_and_gaps():
-    """Times off by a fifth of a sample are put right before means are taken; a log with a gap is
-    two, each with means of its own.
-    """
+    """Times a fifth of a sample off are put right first; a log with a gap is two."""
     rng, record = np.random.default_rng(3), noisy(clean(), 5)
     off = replace(record, t=record.t + 0.2 / RATE * rng.uniform(-1.0, 1.0, record.t.size))
     (log,) = prepared([("log", off)]).logs

@@ -21,7 +21,8 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.fields import Value
-from tests.virtual_logs import RIGS, noisy
+from tests.shared import RIGS
+from tests.virtual_logs import noisy
 from tools.studies.recovery_study import BEDS, Trial, bed, logs_of, offered, tried
 
 # numbers of a rig file that no fit offers, and why

@@ -1,6 +1,4 @@
-"""Flow maps from noisy readings of valves whose laws are no splines: the fit must come back within
-its own intervals.
-"""
+"""Flow maps from noisy readings of valves that are no splines: within the fit's intervals."""
 
 import json
 from dataclasses import replace
@@ -94,9 +92,7 @@ def refused(key, data):
 
 
 def compare(found, law, least=1.8, scale=1.0):
-    """(share of the hull above ``least`` [V] where the 95 % interval holds the truth, rms and
-    largest error of rated flow).
-    """
+    """(share above ``least`` [V] whose interval holds the truth, rms, largest error) of rated."""
     command, drop = np.meshgrid(np.linspace(least, 10, 100), np.linspace(DROPS[0], DROPS[-1], 60))
     at = found.map.inside(drop, command)
     error = (found.map.flow(drop, command) - scale * law(drop, command))[at]
@@ -347,9 +343,7 @@ BAR, LPM = 1e5, 1e-3 / 60.0
 
 
 def kinked(drop, command):
-    """Compensated cartridge with a sharp compensator: an orifice up to 6 bar, above it nearly
-    level.
-    """
+    """A sharp compensator: an orifice up to 6 bar, above it nearly level."""
     level = 4 * LPM * np.maximum(command - 1.5, 0.0)
     return level * np.sqrt(np.minimum(drop / (6 * BAR), 1.0)) * (1 - 0.001 * drop / BAR)
 
@@ -457,9 +451,7 @@ def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, comm
 
 
 def test_the_lower_end_of_a_soft_deadband_hangs_on_no_grid(monkeypatch):
-    """How many points of the profile lie about its least, and how far apart, the last bits of the
-    readings decide.
-    """
+    """How many points of the profile lie about its least, and how far apart, is chance."""
     data = readings(soft, 30, commands=np.arange(11.0), trials=2, drops=DROPS[::2])
     profile, ends = shapes._profile, []
     for share in (0.0, 0.01, 0.02):

@@ -3,18 +3,16 @@ moving it a little does where the search begins.
 """
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5}
 
 
@@ -37,7 +35,7 @@ def pulses(samples: int, size: float) -> np.ndarray:
 
 def compensated(drop: float) -> Rig:
     """The sliding mass behind compensators, all of one drop but the first, of this one [Pa]."""
-    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    plain = shipped("slide_servo").as_toml()
     for k, edge in enumerate(plain["cylinder"][0]["valve"][0]["edge"]):
         edge.pop("flow_gain")
         own = f"{drop if k == 0 else 2e5} Pa"
@@ -50,9 +48,7 @@ DROP = "press.servo_supply_head.compensation_drop"
 
 @pytest.mark.parametrize(("truth", "start"), [(2e5, 1e5), (6e6, 1e5)])
 def test_a_compensators_drop_is_told_by_its_range(truth, start):
-    """Below every drop that the logs have it changes nothing: then it is known to be so low; and
-    from there it is found where it matters.
-    """
+    """Below every drop of the logs it changes nothing, and is known to be so low."""
     made = simulate(compensated(truth), {"press.servo": pulses(801, 2.0)}, 0.8)
     given = FitOptions(
         start={DROP: start, "bulk_modulus": 7e8},
@@ -75,11 +71,9 @@ def test_a_compensators_drop_is_told_by_its_range(truth, start):
 
 
 def test_a_damping_is_told_by_its_range_where_it_rings_on():
-    """More than 20 cycles: a start a thousand times too low damps nothing, and a little more as
-    little.
-    """
+    """A start a thousand times too low damps nothing, and a little more as little."""
     name = "carriage.damping"
-    rig = load_rig(RIGS / "slide_servo.toml").with_values({name: 60.0})
+    rig = shipped("slide_servo").with_values({name: 60.0})
     made = simulate(rig, {"press.servo": pulses(1001, 2.0)}, 1.0)
     given = FitOptions(start={name: 0.05}, lower={name: 0.01}, workers=1)
     fit = identify_hydraulics(rig, [("log", noisy(made, 2))], ["bulk_modulus", name], given)
@@ -95,7 +89,7 @@ def test_a_parameter_that_its_range_alone_tells_needs_no_other(truth):
     never reaches the range is told.
     """
     name = "supply.flow_limit"
-    rig = load_rig(RIGS / "slide_servo.toml").with_values({name: truth})
+    rig = shipped("slide_servo").with_values({name: truth})
     levels = np.repeat([0.0, 1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0, 0.0], 150)
     logs = [
         (f"log {i}", noisy(simulate(rig, {"press.servo": f * levels}, 1e-3 * (levels.size - 1)), i))
@@ -113,14 +107,14 @@ def test_a_parameter_that_its_range_alone_tells_needs_no_other(truth):
 
 def test_no_product_has_a_parameter_that_ran_into_its_bound():
     """Where it is taken for known, what the logs know of others is no scale of it."""
-    made = simulate(load_rig(RIGS / "slide_servo.toml"), {"press.servo": pulses(401, 2.0)}, 0.4)
+    made = simulate(shipped("slide_servo"), {"press.servo": pulses(401, 2.0)}, 0.4)
     asked = ["bulk_modulus", "press.volume_head", "press.volume_rod"]
     found = {}
     for upper in (4e9, 8e8):
         given = FitOptions(
             start={"bulk_modulus": 6e8}, lower={"bulk_modulus": 1e8}, upper={"bulk_modulus": upper}
         )
-        rig = load_rig(RIGS / "slide_servo.toml")
+        rig = shipped("slide_servo")
         found[upper] = identify_hydraulics(rig, [("log", noisy(made, 4))], asked, given)
     assert any("bulk_modulus" in one.powers for one in found[4e9].groups)
     assert found[8e8]["bulk_modulus"].status == "at_bound"
@@ -141,7 +135,7 @@ def test_more_freedom_ends_no_worse_on_a_model_that_does_not_hold():
     """A saturated valve, friction and a lag that the model does not have: however the parameters
     are started, those of a part of them never follow the log better than all.
     """
-    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    plain = shipped("slide_servo").as_toml()
     for edge in plain["cylinder"][0]["valve"][0]["edge"]:
         edge |= {"law": "saturating", "opening_max": "1.5 V"}
     values = {"bulk_modulus": 3e8, "carriage.damping": 2500.0, "press.friction_coulomb": 500.0}
@@ -157,7 +151,7 @@ def test_more_freedom_ends_no_worse_on_a_model_that_does_not_hold():
         "carriage.damping": 364.0,
         "spool.natural_frequency": 458.0,
     }
-    machine, last = load_rig(RIGS / "slide_servo.toml"), math.inf
+    machine, last = shipped("slide_servo"), math.inf
     for count in (3, 4):
         some = list(start)[:count]
         given = FitOptions(start={n: start[n] for n in some}, workers=1)

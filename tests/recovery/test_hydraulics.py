@@ -1,17 +1,13 @@
-"""Known parameters come back from simulated, noisy logs: started far off, with intervals that
-cover, or with a word why not.
-"""
+"""Parameters come back from simulated, noisy logs, with intervals that cover, or a word."""
 
 import json
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import (
     CHANNELS,
@@ -28,8 +24,8 @@ from ehbench.plant.model import Model, simulate
 from ehbench.runs import rundir
 from ehbench.signals.series import ringing
 from ehbench.vocabulary.errors import InputError, InsufficientData
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
 SLIDE = ["bulk_modulus", "carriage.damping"]
 
@@ -41,7 +37,7 @@ def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: 
 
 @cache
 def rig(name):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 def pulses(samples, *spans):
@@ -53,9 +49,7 @@ def pulses(samples, *spans):
 
 @cache
 def clean(name, payload=None, drive=None, samples=801):
-    """A noise-free log of a rig: out and back with a pause, each a fraction of the log long;
-    ``drive`` picks valves and volts.
-    """
+    """A noise-free log: out and back with a pause; ``drive`` picks valves and volts."""
     a, b, c, d = (round(share * samples) for share in (0.07, 0.3, 0.55, 0.8))
     commands = {
         valve: pulses(samples, (a, b, out), (c, d, back)) for valve, (out, back) in drive or ()
@@ -64,9 +58,7 @@ def clean(name, payload=None, drive=None, samples=801):
 
 
 def noisy(record, seed, pole=0.0, share=1.0):
-    """What sensors would say: the measurable channels with noise, white or of first order with
-    ``pole``.
-    """
+    """The measurable channels with noise, white or of first order with ``pole``."""
     from scipy.signal import lfilter
 
     rng, channels = np.random.default_rng(seed), {}
@@ -204,9 +196,7 @@ def test_a_fit_is_the_same_however_many_threads():
 
 
 def test_a_sample_is_the_state_at_its_time():
-    """The command at t acts from t on and the sample at t is the state at t: shifting the samples
-    by one is seen.
-    """
+    """The command at t acts from t on: shifting the samples by one is seen."""
     right = slide_logs(4)
     shifted = edited(
         right,
@@ -299,9 +289,7 @@ def gains_of(fit):
 
 
 def test_a_gain_that_is_wrongly_held_is_named():
-    """One gain 4 % off the datasheet's: the warning names a recipe line, which puts it right; with
-    the right gains nothing is said.
-    """
+    """One gain 4 % off: the warning's recipe line puts it right; right gains, no word."""
     machine, wrong = rig("slide_servo"), "press.servo_rod_tank.flow_gain"
     gain = float(machine.parameters()[wrong])
     off, logs = machine.with_values({wrong: 0.96 * gain}), slide_logs(15)
@@ -357,9 +345,7 @@ def test_more_freedom_ends_no_worse():
 
 
 def a_map(valve, most):
-    """A flow map that grows with opening and root of the drop up to ``most`` [m³/s] at 10 V and
-    10 MPa.
-    """
+    """A map that grows with opening and root of the drop up to ``most`` at 10 V, 10 MPa."""
     knots = np.linspace(1.0, 10.0, 5)
     steps = np.outer(np.ones(5), np.linspace(1.0, 6.0, 6)) * most / 30.0
     hull = (np.array([1.0, 10.0]), np.array([1e5, 1e5]), np.array([1e7, 1e7]))
@@ -370,9 +356,7 @@ def a_map(valve, most):
 
 
 def test_a_measured_map_has_a_factor():
-    """The level of a map of another specimen comes back as its factor; the law's own gain, which
-    does nothing then, is refused, and so is the factor where there is no map.
-    """
+    """The level of another specimen's map comes back as its factor; the law's gain is refused."""
     machine, maps = rig("boom_four_valve"), {"boom.sh": a_map("sh", 1.2e-3)}
     t = np.arange(801) * 1e-3
     out, back = (t > 0.06) & (t < 0.24), (t > 0.44) & (t < 0.64)
@@ -523,9 +507,7 @@ def test_a_sample_that_is_no_number_is_named():
 
 
 def test_what_follows_an_empty_chamber_does_not_count():
-    """A stop that empties a chamber: those samples are left out until the next command, and the
-    user is told.
-    """
+    """Those samples are left out until the next command, and the user is told."""
     first, *rest = slide_logs(13)
 
     def emptied(channel, values, record):

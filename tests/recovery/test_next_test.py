@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 
 from ehbench import workflow
-from ehbench.config.recipe import load_rig
 from ehbench.guidance.next_test import WAVES, Drive, entries_of
 from ehbench.runs import rundir
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 
-ROOT = Path(__file__).parents[2]
 RECIPE = ROOT / "recipes" / "slide_servo" / "hydraulics.toml"
 
 
@@ -45,9 +44,7 @@ def width(ends):
 def test_every_command_of_a_test_opens_its_valve(amplitude):
     """Of the crane's ±10 V the first 1.5 V are overlap: a share counts of the rest."""
     drive = Drive("lift", {"lift.spool": 1.0}, {"lift.spool": -0.8})
-    entries = entries_of(
-        load_rig(ROOT / "recipes" / "rigs" / "crane_proportional.toml"), drive, "steps", amplitude
-    )
+    entries = entries_of(shipped("crane_proportional"), drive, "steps", amplitude)
     assert len(entries) == sum(map(len, WAVES["steps"]))
     for share in (1.0, -0.8):
         said = [one["amplitude"] for one in entries if one["amplitude"] * share > 0.0]

@@ -1,20 +1,16 @@
-"""Numbers of single parts come back from simulated, noisy logs: started 1.5 to 2 times off, with
-intervals that cover.
-"""
+"""Numbers of single parts come back, started 1.5 to 2 times off, with intervals that cover."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 5e-4, "v": 5e-4, "p_head": 3e3, "p_rod": 3e3, "q": 1e-5, "x": 1e-5}
 
 
@@ -31,7 +27,7 @@ def noisy(record: Record, seed: int) -> Record:
 
 def slide(**cylinder: Any) -> Rig:
     """The sliding mass with more in its cylinder."""
-    plain = load_rig(RIGS / "slide_servo.toml").as_toml()
+    plain = shipped("slide_servo").as_toml()
     (own,) = plain["cylinder"]
     return Rig.model_validate(plain | {"cylinder": [own | cylinder]})
 
@@ -39,9 +35,7 @@ def slide(**cylinder: Any) -> Rig:
 def held(
     rig: Rig, factors: dict[str, float], drives: list[np.ndarray], seed: int = 0, **options: Any
 ) -> list[bool]:
-    """Fit logs of a rig from starts that are ``factors`` off: whether each interval holds the
-    truth.
-    """
+    """Fit logs from starts ``factors`` off: whether each interval holds the truth."""
     truth = {name: float(rig.parameters()[name]) for name in factors}
     logs = [
         (f"log {i}", noisy(simulate(rig, {"press.servo": u}, (u.size - 1) / 1000), i))

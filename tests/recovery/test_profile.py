@@ -1,26 +1,24 @@
 """Profile likelihoods: a parabola where the interval is right, open where the logs set no end."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.config.recipe import load_rig
 from ehbench.data.record import Record
 from ehbench.guidance.profile import LEVEL_95, profile
 from ehbench.identification.hydraulics import FitOptions, prepare_fit
 from ehbench.plant.model import simulate
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 
-ROOT = Path(__file__).parents[2]
 NOISE = {"v": 1e-3, "p_head": 6e4, "p_rod": 6e4, "x": 1e-5, "p_supply": 6e3}
 
 
 @pytest.fixture(scope="module")
 def prepared():
-    rig = load_rig(ROOT / "recipes" / "rigs" / "slide_servo.toml")
+    rig = shipped("slide_servo")
     u = np.zeros(801)
     u[60:240], u[440:640] = 3.0, -3.0
     made, rng = simulate(rig, {"press.servo": u}, 0.8), np.random.default_rng(4)

@@ -4,14 +4,12 @@ replay."""
 import re
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ehbench import simulate
 from ehbench.app import inspection
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
@@ -20,15 +18,15 @@ from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
 from ehbench.plant.model import Model
 from ehbench.plant.ties import RECORDED, SUPPLY
 from ehbench.validation import validate_rig
+from tests.shared import RIGS, shipped
 
 VOLUMES = ("volume_head", "volume_rod")
 STIFF, LOSS = "bulk_modulus", "carriage.damping"
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
 
 def rig(**supply: object) -> Rig:
     """The slide, its supply changed."""
-    tables = load_rig(RIGS / "slide_servo.toml").as_toml()
+    tables = shipped("slide_servo").as_toml()
     return Rig.model_validate(tables | {"supply": {**tables["supply"], **supply}})
 
 

@@ -1,6 +1,4 @@
-"""Frequency response: a known system is found again within intervals that hold, and data that do
-not carry a response are refused.
-"""
+"""Frequency response: a known system within intervals that hold; poor data refused."""
 
 import json
 import math

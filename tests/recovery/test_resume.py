@@ -1,6 +1,4 @@
-"""A search that is stopped at any of its steps goes on, and ends with the same bytes as one that
-was not.
-"""
+"""A search that is stopped at any of its steps goes on, and ends with the same bytes."""
 
 import json
 import sys
@@ -13,8 +11,8 @@ from ehbench import workflow
 from ehbench.identification import journal as journals
 from ehbench.identification.journal import Journal, journal_of, place_of
 from ehbench.vocabulary.errors import InsufficientData
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RECIPE = f"""
 stage = "identify"
 what = "hydraulics"

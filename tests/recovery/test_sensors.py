@@ -3,7 +3,6 @@ is taken out, what is not is estimated with the parameters, which stay right."""
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from ehbench import workflow
-from ehbench.config.recipe import Sensor, load_rig
+from ehbench.config.recipe import Sensor
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
@@ -22,8 +21,8 @@ from ehbench.report import terminal
 from ehbench.runs.rundir import read_json
 from ehbench.validation import prepare_validation, run_validation
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 PARAMETERS = ["bulk_modulus", "carriage.damping"]
 TRUE = {"bulk_modulus": 8e8, "carriage.damping": 1100.0}
 NOISE = {"v": 1e-3, "p_head": 15e3, "p_rod": 15e3, "x": 2e-5, "p_supply": 9e3, "command": 0.0}
@@ -31,7 +30,7 @@ NOISE = {"v": 1e-3, "p_head": 15e3, "p_rod": 15e3, "x": 2e-5, "p_supply": 9e3, "
 
 @cache
 def rig(name="slide_servo"):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 @cache

@@ -5,12 +5,10 @@ sensor of speed are followed as well as the model can.
 import math
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
@@ -22,8 +20,8 @@ from ehbench.preprocessing.initial_states import (
 )
 from ehbench.preprocessing.plausibility import moving_at_first
 from ehbench.signals.series import first_of, fit_percent, rms
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
 SLIDE = ["bulk_modulus", "carriage.damping"]
 COMPARED = ["press.v", "press.p_head", "press.p_rod"]
@@ -31,7 +29,7 @@ COMPARED = ["press.v", "press.p_head", "press.p_rod"]
 
 @cache
 def rig(name):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 def measured(record, seed, drop=()):

@@ -1,12 +1,10 @@
-"""Flow maps from step logs without a flowmeter hold the law of the edge that the oil went through,
-also where the chambers ring and leak.
-"""
+"""Flow maps from step logs without a flowmeter, also where chambers ring and leak."""
 
 import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.config.recipe import load_recipe
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.flow_maps.step_readings import step_readings
@@ -15,7 +13,8 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model, simulate
 from ehbench.vocabulary.errors import InputError, InsufficientData
-from tests.virtual_logs import RIGS, noisy
+from tests.shared import RIGS, shipped
+from tests.virtual_logs import noisy
 from tools import datasets
 
 LEVELS = [1.5, 2.0, 2.5, 3.0, 4.0, 5.0]
@@ -24,7 +23,7 @@ LEAKS = {"boom.leakage_internal": 2e-12, "boom.leakage_head": 1e-12}
 
 @pytest.fixture(scope="module")
 def rig():
-    return load_rig(RIGS / "boom_four_valve.toml").with_values(LEAKS)
+    return shipped("boom_four_valve").with_values(LEAKS)
 
 
 def steps(rig, seed):
@@ -101,9 +100,7 @@ def test_logs_that_tell_no_flow_are_refused(rig, logs):
 
 
 def recorded(folder, seed):
-    """What a virtual bench of some seed records of the boom stepped out through `sh` and `rt`, and
-    the bench itself.
-    """
+    """What a virtual bench records of the boom stepped out through `sh` and `rt`, and the bench."""
     told = [f'stage = "dataset"\nbench = "bench.toml"\nseed = {seed}']
     (folder / "bench.toml").write_text(
         f'stage = "bench"\nrig = "{RIGS}/boom_four_valve.toml"\nseed = {seed}\n'
@@ -127,9 +124,7 @@ def recorded(folder, seed):
                 ]
     (folder / "d.toml").write_text("\n".join(told) + "\n")
     made = datasets.make(folder / "d.toml", folder)
-    bench = VirtualMachine(
-        load_rig(RIGS / "boom_four_valve.toml"), load_recipe(folder / "bench.toml")
-    )
+    bench = VirtualMachine(shipped("boom_four_valve"), load_recipe(folder / "bench.toml"))
     return [str(made / f"s{index}.mcap") for index in range(2)], bench
 
 

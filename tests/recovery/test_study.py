@@ -16,9 +16,7 @@ fitted = cache(study.fitted)  # two tests look at the first cases
     [(2, "white", False, 9), (2, "ar1", False, 9), (3, "ar1", False, 3), (2, "white", True, 3)],
 )
 def test_intervals_of_random_rigs_hold_the_truth(logs, noise, gain, rigs):
-    """With a true coverage of 92 % fewer than 80 % of 34 intervals hold once in a hundred
-    studies; the seeds are fixed.
-    """
+    """At a true coverage of 92 % fewer than 80 % of 34 hold once in a hundred studies."""
     found = [fitted(study.Case(seed, logs, noise, gain)) for seed in range(rigs)]
     assert not any(one.failure for one in found)
     assert {one.kind for one in found} == {kind.file for kind in study.KINDS}

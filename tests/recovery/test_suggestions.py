@@ -11,7 +11,6 @@ import pytest
 import tomli_w
 
 from ehbench import workflow
-from ehbench.config.recipe import load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
@@ -20,7 +19,7 @@ from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, p
 from ehbench.parts.sway import Sway
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.errors import InputError
-from tests.virtual_logs import RIGS
+from tests.shared import RIGS, shipped
 from tools.studies.structure_study import Fault, faults, log_of, spoilt
 from tools.studies.suggestion_study import recipe_of, right, suggested
 
@@ -32,7 +31,7 @@ SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation",
 
 
 def rig_of(name="slide_servo"):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 def built(kind):
@@ -41,9 +40,7 @@ def built(kind):
 
 @cache
 def cured(kind):
-    """What is suggested where a fault was built in, and what was told meanwhile; a test or two look
-    at it.
-    """
+    """What is suggested where a fault was built in, and what was told meanwhile."""
     told, length = [], LONG if kind in ("saturation", "delay") else SHORT
     recipe = recipe_of("slide_servo", rig_of(), built(kind), 7, STEPS, length)
     return suggest(*recipe, lambda text, share: told.append(text), 3600.0, 1), told

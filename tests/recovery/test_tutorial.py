@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from ehbench import workflow
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 STEPS = re.compile(
     r"```(?:toml|python)\n(?P<text>.*?)```|^    ehbench (?P<words>[^\n]+)$", re.S | re.M

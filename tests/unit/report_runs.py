@@ -22,8 +22,8 @@ from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.results import functions_of
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 _TABLES = Path(__file__).with_name("report_runs.json").read_text(encoding="utf-8")
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 FOUR = {"boom.q": 0.5, "boom.qd": 1.0, "boom.p_head": 2e6, "boom.p_rod": 1e6}
@@ -227,9 +227,7 @@ def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
 
 
 def locus(name: str, parameter: str, crossing: float | None) -> dict:
-    """A pair that leaves (−4, ±40) and crosses the axis at ±60, a real pole, and a slow one near
-    the origin.
-    """
+    """A pair from (−4, ±40) that crosses the axis at ±60, a real pole, and a slow one."""
     values = sorted({0.0, 1e-10, 8e-10, *np.geomspace(1e-12, 2e-9, 30).tolist()})
     poles = [
         [
@@ -259,7 +257,7 @@ def locus(name: str, parameter: str, crossing: float | None) -> dict:
     }
 
 
-RIG = load_rig(RIGS / "thesis_arm.toml")
+RIG = shipped("thesis_arm")
 USES = [asdict(item) for item in functions_of(RIG, circuit_of(Model.of(RIG), 1))]
 
 

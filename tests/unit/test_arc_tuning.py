@@ -2,23 +2,20 @@
 
 import json
 from functools import cache
-from pathlib import Path
 
 import pytest
 
-from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, load_recipe
 from ehbench.runs.rundir import write_json
 from ehbench.trial import prepare
 from ehbench.tune.arc import ARC_SEARCH, CHOSEN, Search, tune_arc
 from ehbench.tune.study import prepare_tuning
-from ehbench.vocabulary.errors import InsufficientData
-
-RECIPES = Path(__file__).parents[2] / "recipes"
+from tests.shared import RECIPES, refused, shipped
 
 
 @cache
 def rig():
-    return load_rig(RECIPES / "rigs" / "boom_four_valve.toml")
+    return shipped("boom_four_valve")
 
 
 @cache
@@ -60,7 +57,7 @@ def test_more_delay_costs_bandwidth_and_too_much_is_said():
 
 def test_motions_that_the_controller_leaves_are_left_out():
     """With regeneration at hand it does not feed the rod end from the supply on the way down."""
-    arm = load_rig(RECIPES / "rigs" / "thesis_arm.toml")
+    arm = shipped("thesis_arm")
 
     def search(*functions):
         given = {"functions": functions, "cylinder": "boom", "payloads": ("none",), "postures": 1}
@@ -70,7 +67,7 @@ def test_motions_that_the_controller_leaves_are_left_out():
 
     both = search("retract_overrunning", "retract_overrunning_regeneration")
     assert {one.point.function for one in both.plants} == {"retract_overrunning_regeneration"}
-    with pytest.raises(InsufficientData, check=lambda error: error.key == "tune.other_function"):
+    with refused("tune.other_function"):
         search("retract_overrunning")
 
 

@@ -17,8 +17,8 @@ from ehbench.data.flowmeter import read_flowmeter  # noqa: E402
 from ehbench.data.readers import open_source  # noqa: E402
 from ehbench.signals.series import lowpass  # noqa: E402
 from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RIG = ROOT / "recipes/rigs/slide_servo.toml"
 LOG = ROOT / "datasets/slide_servo/steps/press_no_load.mcap"
 

@@ -5,22 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.guidance.comparison import comparison_of
 from ehbench.identification.hydraulics import prepare_fit
-from tests.virtual_logs import RIGS, virtual_log
+from tests.shared import shipped
+from tests.virtual_logs import virtual_log
 
 
 def compared(log):
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     return comparison_of(prepare_fit(rig, [("log", log)], ["bulk_modulus"]))
 
 
 def spoilt(kind):
-    """A log of the slide, as it is, with a rate that is noise, or with a command that a controller
-    makes of the recorded position.
-    """
-    log, rng = virtual_log("slide_servo", load_rig(RIGS / "slide_servo.toml"), "steps", 3), {}
+    """A log of the slide as it is, with a noisy rate, or a command made of the position."""
+    log, rng = virtual_log("slide_servo", shipped("slide_servo"), "steps", 3), {}
     noise = np.random.default_rng(5).standard_normal(log.t.size)
     if kind == "noisy rate":
         rng["press.v"] = 0.3 * noise

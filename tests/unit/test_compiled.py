@@ -27,9 +27,7 @@ def test_a_kernel_cannot_allocate():
 
 
 def test_the_cache_is_that_of_these_sources(tmp_path, monkeypatch):
-    """A changed kernel file gives another folder, a file without kernels does not: callers are
-    compiled again where they must.
-    """
+    """A changed kernel file gives another folder, a file without kernels does not."""
     monkeypatch.setattr(compiled, "PACKAGE", tmp_path)
     folders = set()
     for mark in ("kernel", "allocating_kernel"):

@@ -97,9 +97,7 @@ class Chambers(NamedTuple):
 def rates(
     v=0.0, into=(0.0, 0.0), p=(1e6, 2e6), leaks=(0.0, 0.0, 0.0), volumes=(4e-4, 9e-4), areas=AREAS
 ):
-    """(ṗ_head, ṗ_rod) [Pa/s] for the speed, what the edges bring to each end, the pressures, and
-    leakages internal, head and rod.
-    """
+    """(ṗ_head, ṗ_rod) [Pa/s] for speed, inflows, pressures, and three leakages."""
     nodes, row = table(4, NODE), table(1, CYLINDER)[0]
     nodes.state = (-1, -1, 0, 1)
     nodes[1].pressure = 1e5
@@ -180,9 +178,7 @@ def test_volume_guard_keeps_the_rate_finite():
 
 @pytest.mark.parametrize("outflow", [1e-6, 1e-4, 5e-4])
 def test_cavitation_floor_holds(outflow):
-    """A chamber drained for half a second at up to 8 gpm stays at the floor, at the default step of
-    500 µs.
-    """
+    """Drained for half a second at up to 8 gpm it stays at the floor, at 500 µs."""
     volume = 4e-4  # the thesis's smallest chamber
     path = rk4(
         lambda p: np.array([cylinder.chamber_rate(-outflow, p[0], volume, BULK, FLOOR)]),
@@ -210,9 +206,7 @@ def test_cavitated_chamber_is_reversible():
 
 
 def test_cavitation_rate_is_continuous():
-    """In pressure over the top of the band and in flow through zero, so that RK4 meets kinks but no
-    jumps.
-    """
+    """Over the top of the band and through zero flow: RK4 meets kinks but no jumps."""
     top = FLOOR + cylinder.CAVITATION_BAND
     for p, flow in ((top, -1e-4), (FLOOR, -1e-4), (FLOOR + 1e4, 0.0)):
         values = [

@@ -1,6 +1,4 @@
-"""The limits by which readings and foreign logs are judged: what lies a fifth inside of each is
-taken, what lies a fifth outside is not.
-"""
+"""Limits on readings and foreign logs: a fifth inside is taken, a fifth outside is not."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""Known numbers, written by the library of each format in every encoding that it offers, are read
-back, or their channel is refused by name.
-"""
+"""Known numbers in every encoding of each format's library are read back or refused."""
 
 import datetime
 import decimal

@@ -10,13 +10,13 @@ import pytest
 
 from ehbench import trial, workflow
 from ehbench.app import inspection
-from ehbench.config.recipe import ExportRecipe, TrialRecipe, load_rig
+from ehbench.config.recipe import ExportRecipe, TrialRecipe
 from ehbench.export import FORMATS, Export, c99, compiler
 from ehbench.export.source import write_sources
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import EhbenchError
+from tests.shared import RECIPES, shipped
 
-RECIPES = Path(__file__).parents[2] / "recipes"
 CC = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler is here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
@@ -33,7 +33,7 @@ CASES = {
 
 def prepared(name: str, law: str = "", seconds: float = 0.5):
     """A short trial of the last cylinder of a rig, out and back."""
-    rig = load_rig(RECIPES / "rigs" / f"{name}.toml")
+    rig = shipped(name)
     stroke, cylinder = float(rig.cylinder[-1].stroke), rig.cylinder[-1].name
     keys = {"stage": "trial", "rig": "rig.toml", "duration": f"{seconds} s"}
     if law:

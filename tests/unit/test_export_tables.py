@@ -3,7 +3,6 @@
 import io
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,8 @@ from ehbench.export.matlab import matlab_files
 from ehbench.export.mechanism import mjcf, urdf
 from ehbench.physics import arm
 from ehbench.plant.model import Model
+from tests.shared import RIGS, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 SLIDE = RIGS / "slide_servo.toml"
 FITTED = {"bulk_modulus": {"interval": [8.7e8, 9.4e8], "status": "estimated"}}
 
@@ -107,7 +106,7 @@ def test_python_control_has_the_same_models(slide):
 )  # fmt: skip
 def test_mujoco_weighs_the_mechanism_alike(name, payload, write):
     mujoco = pytest.importorskip("mujoco")
-    rig = load_rig(RIGS / f"{name}.toml").with_payload(payload)
+    rig = shipped(name).with_payload(payload)
     model = mujoco.MjModel.from_xml_string(write(rig).decode())
     model.opt.gravity[:] = 0.0, 0.0, -float(rig.gravity)
     data, plant = mujoco.MjData(model), Model.of(rig).plant

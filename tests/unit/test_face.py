@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,8 @@ import ehbench
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Outcome
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 EXAMPLES = {
     name: found[1]
     for name in ehbench.__all__
@@ -136,7 +135,7 @@ def test_a_run_has_one_blas_thread_and_gives_the_others_back(workspace, undrawn)
 
 
 def test_simulate_gives_a_frame_with_units():
-    rig = ehbench.load_rig(ROOT / "recipes/rigs/slide_servo.toml")
+    rig = ehbench.shipped("slide_servo")
     command = np.zeros(201)
     command[100:] = 2.0
     frame = ehbench.simulate(
@@ -147,7 +146,7 @@ def test_simulate_gives_a_frame_with_units():
 
 
 def test_a_rig_shows_itself_in_one_line_and_as_a_table():
-    rig = ehbench.load_rig(ROOT / "recipes/rigs/thesis_arm.toml")
+    rig = ehbench.shipped("thesis_arm")
     assert repr(rig) == str(rig)
     assert repr(rig).startswith("<Rig 'thesis_arm': 3 joints, 3 cylinders, 7 valves, ")
     page = rig._repr_html_()

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.preprocessing.sensors import ATMOSPHERE
 from ehbench.stages.fitted_sensors import inherited, tables_of
+from tests.shared import shipped
 
-ROOT = Path(__file__).parents[2]
 CHANNELS = ("boom.q", "boom.p_head", "boom.p_rod", "boom.sh.command", "boom.sr.command")
 
 
@@ -44,7 +43,7 @@ def run(tmp_path) -> Path:
 
 
 def test_what_a_fit_found_of_its_sensors_is_taken_over(run):
-    rig = load_rig(ROOT / "recipes/rigs/boom_four_valve.toml")
+    rig = shipped("boom_four_valve")
     sensors, said = inherited(run, (), CHANNELS, rig)
     by = {one.channel: one for one in sensors}
     assert set(by) == set(CHANNELS)  # not of the stroke, which these logs do not have
@@ -64,7 +63,7 @@ def test_what_a_fit_found_of_its_sensors_is_taken_over(run):
 
 
 def test_a_table_of_the_recipe_goes_before_it_and_none_is_none(run, tmp_path):
-    rig = load_rig(ROOT / "recipes/rigs/boom_four_valve.toml")
+    rig = shipped("boom_four_valve")
     own = (Sensor.model_validate({"channel": "boom.q", "offset": "1 deg"}),)
     sensors, said = inherited(run, own, CHANNELS, rig)
     assert sensors[0] is own[0] and [one.channel for one in sensors].count("boom.q") == 1

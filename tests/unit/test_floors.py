@@ -44,9 +44,7 @@ def top(path: Path) -> str:
 
 @cache
 def imports(path: Path) -> set[str]:
-    """Dotted names inside the package that a file imports, anywhere in it; annotations only are
-    exempt from nothing.
-    """
+    """Dotted names inside the package that a file imports, anywhere in it."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

@@ -2,14 +2,12 @@
 
 import json
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from ehbench.config.recipe import load_rig
 from ehbench.flow_maps.spline import Axis, OneColumn, Spline, full, pivoted
 from ehbench.flow_maps.tables import _fitted_flow
 from ehbench.physics.flow_map import (
@@ -29,8 +27,8 @@ from ehbench.physics.flow_map import (
 )
 from ehbench.plant.model import simulate
 from ehbench.vocabulary.errors import InputError
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0
 
 
@@ -79,7 +77,7 @@ def test_a_map_that_falls_is_inverted_up_to_its_largest_flow():
 
 
 def test_an_edge_with_a_leaky_map_lets_its_cylinder_sink():
-    rig = load_rig(RIGS / "boom_four_valve.toml")
+    rig = shipped("boom_four_valve")
     maps = {"boom.ht": ValveMaps(a_map(valve="ht", leakage=(2e-6, 0.0)))}
     sunk = simulate(rig, {}, 0.5, flow_maps=maps)["boom.x"]
     held = simulate(rig, {}, 0.5, flow_maps={"boom.ht": ValveMaps(a_map(valve="ht"))})["boom.x"]

@@ -1,12 +1,11 @@
 """Working functions: what a circuit can do, and a choice without gap, contradiction or chatter."""
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import circuit_of
 
-from ehbench.config.recipe import load_rig
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
 from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
@@ -15,8 +14,8 @@ from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
 from ehbench.vocabulary import codes
 from ehbench.vocabulary.errors import InputError
+from tests.shared import refused, shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 PLAIN = {
     "hold",
     "extend_resistive",
@@ -30,25 +29,13 @@ A1, A2, PS = 2.0268e-3, 1.0688e-3, 6.9e6
 FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (ROD, TANK, 4))
 
 
-def shipped(rig: str, cylinder: str) -> fn.Circuit:
-    made = load_rig(RIGS / f"{rig}.toml")
-    plant = Model.of(made).plant
-    index = [c.name for c in made.cylinder].index(cylinder)
-    row = plant.cylinders[index]
-    areas = row.area_head, row.area_rod
-    return fn.circuit(
-        index,
-        *areas,
-        plant.edges,
-        plant.maps,
-        np.column_stack([plant.valves.lowest, plant.valves.highest]),
-    )
+def shipped_circuit(rig: str, cylinder: str) -> fn.Circuit:
+    model = Model.of(shipped(rig))
+    return circuit_of(model, model.layout.cylinders.index(cylinder))
 
 
 def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e-5) -> fn.Circuit:
-    """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or what ``gain``
-    says.
-    """
+    """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or ``gain``."""
     edges = table(len(rows), EDGE)
     edges.law, edges.forward, edges.reverse = law, -1, -1
     edges.gain, edges.deadband, edges.compensation_drop = gain, 1.0, 2e5
@@ -66,9 +53,7 @@ def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS):
 
 
 def test_the_table_balances_the_oil():
-    """Into the head end flows Q1, out of the rod end Q2, and at steady speed no path of a function
-    runs backwards.
-    """
+    """Q1 into the head end, Q2 out of the rod end, no path backwards at steady speed."""
     into_head = np.array([1, -1, 0, 0, -1, 1])
     out_of_rod = np.array([0, 0, -1, 1, -1, 1])
     for function in range(1, len(codes.FUNCTIONS)):
@@ -98,7 +83,7 @@ def test_oil_drawn_from_the_supply():
     ],
 )
 def test_what_the_shipped_rigs_can_do(rig, cylinder, expected, one_command):
-    c = shipped(rig, cylinder)
+    c = shipped_circuit(rig, cylinder)
     assert set(fn.available(c)) == expected
     assert [fn.coupled(c, f) for f in range(8)] == [
         one_command and f in (1, 2, 4, 5) for f in range(8)
@@ -190,9 +175,7 @@ def test_a_spare_function_holds_its_planned_pressures(name):
 @pytest.mark.parametrize("name", CIRCUITS)
 @pytest.mark.parametrize("seventh", [False, True])
 def test_every_state_has_one_function_and_it_suits(name, seventh):
-    """Over the whole grid of directions, pressures, supplies, last functions and dwell: no gap and
-    no contradiction.
-    """
+    """Over directions, pressures, supplies, last functions, dwell: no gap, no contradiction."""
     c = CIRCUITS[name]
     rules = fn.pack_rules(c.area_rod, PS, allow_seventh=seventh)
     seen = set()
@@ -338,9 +321,7 @@ def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
 
 
 def test_no_chatter_on_noisy_pressures():
-    """Noise on a load and a drop that creep through their thresholds: as many switches as without
-    it.
-    """
+    """Load and drop creep through their thresholds: as many switches as without noise."""
     rng, n = np.random.default_rng(5), 20_000
     c = circuit(FIVE)
     rod = np.full(n, 5e5)
@@ -378,9 +359,7 @@ def test_direction_changes_at_once_and_small_speeds_hold():
 
 
 def test_head_and_rod_mirror():
-    """Equal areas, head and rod exchanged, motion reversed: the mirrored function, in every state
-    of the grid.
-    """
+    """Equal areas, ends exchanged, motion reversed: the mirrored function in every state."""
     mirror = {0: 0, 1: 4, 2: 5, 3: 6, 4: 1, 5: 2, 6: 3}
     c = circuit(FIVE, areas=(A1, A1))
     rules = fn.pack_rules(A1, PS)
@@ -411,9 +390,9 @@ def test_rules_that_make_no_sense_are_refused(wrong):
 def test_circuits_that_are_none_are_refused():
     c = circuit(FIVE)
     ranges = np.tile([0.0, 10.0], (5, 1))
-    with pytest.raises(InputError, check=lambda error: error.key == "control.no_edge"):
+    with refused("control.no_edge"):
         fn.circuit(1, A1, A2, c.edges, c.maps, ranges)
-    with pytest.raises(InputError, check=lambda error: error.key == "control.foreign_edges"):
+    with refused("control.foreign_edges"):
         fn.circuit(0, A1, A2, np.zeros((3, 4)), c.maps, ranges)
 
 

@@ -1,7 +1,5 @@
 """Logs with gaps: what is bridged, where they are cut, what is left out and told."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,7 @@ from ehbench.data.logs import write_log
 from ehbench.data.record import Record, recovered
 from ehbench.data.record import lost as lost_of
 from ehbench.preprocessing.time_base import parts_of
-
-ROOT = Path(__file__).parents[2]
+from tests.shared import ROOT
 
 T = np.arange(0.0, 3.0, 0.001)
 

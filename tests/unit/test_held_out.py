@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_recipe, load_rig
+from ehbench.config.recipe import load_recipe
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
@@ -13,16 +13,16 @@ from ehbench.validation import PreparedValidation, prepare_log, read_validation,
 from ehbench.validation.held_out import FittedSamples, overlaps
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
-from tests.virtual_logs import RIGS, virtual_log
+from tests.shared import RIGS, ROOT, shipped
+from tests.virtual_logs import virtual_log
 
-ROOT = Path(__file__).parents[2]
 LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
 FILES = {"rig": RIGS / "slide_servo.toml"}
 
 
 @pytest.fixture(scope="module")
 def rig():
-    return load_rig(RIGS / "slide_servo.toml")
+    return shipped("slide_servo")
 
 
 @pytest.fixture(scope="module")

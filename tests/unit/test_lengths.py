@@ -3,9 +3,9 @@
 import ast
 import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.shared import ROOT
+
 MODULES = sorted(p for p in (ROOT / "ehbench").rglob("*.py") if "__pycache__" not in p.parts)
 GATES = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["ehbench"]
 

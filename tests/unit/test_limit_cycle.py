@@ -1,16 +1,14 @@
 """A limit cycle is told from ringing, from noise and from what the reference asks for."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.trial import run_trial
 from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import short_measures
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 T = np.arange(8000) / 1000.0
 STROKE = 0.25
 RAMP = 0.05 + 0.02 * T
@@ -105,7 +103,7 @@ def _trial(**gains):
             "controller": {"kind": "arc", "gains": gains},
         }
     )
-    return run_trial(load_rig(RIGS / "thesis_arm.toml"), recipe)[1]
+    return run_trial(shipped("thesis_arm"), recipe)[1]
 
 
 def test_a_trial_that_swings_says_so_and_a_sound_one_does_not():

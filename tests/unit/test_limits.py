@@ -1,7 +1,6 @@
 """Pressures recorded at the end of their sensor's range."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,8 @@ from ehbench.identification.simulator import prepare
 from ehbench.plant.model import Model
 from ehbench.preprocessing.plausibility import at_limit
 from ehbench.validation.residuals import pair_of
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 LOG = ROOT / "datasets/slide_servo/steps/press_no_load.mcap"
 RIG = ROOT / "recipes/rigs/slide_servo.toml"
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from ehbench.app.linking import moved_to, serve
-from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read_log
 from ehbench.links.layout import WRITERS, Layout, write_files
 from ehbench.links.opening import Address, open_machine
@@ -25,9 +25,9 @@ from ehbench.links.responder import ALIVE, ARMED, HEADER, REASONS, RUNNING, STOP
 from ehbench.links.transport import REASON, SEQUENCE, STATE, TOKEN, UdpLink
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 
-ROOT = Path(__file__).parents[2]
-RIG = load_rig(ROOT / "recipes/rigs/slide_servo.toml")
+RIG = shipped("slide_servo")
 LAYOUT = Layout.of(RIG)
 # a watchdog that a busy computer does not meet
 TEXT = """stage = "trial"

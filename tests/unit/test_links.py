@@ -5,13 +5,12 @@ responders. Everything is on loopback or on a virtual clock.
 import math
 import struct
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import Fault, TrialRecipe, load_rig
+from ehbench.config.recipe import Fault, TrialRecipe
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import identify_hydraulics
@@ -37,10 +36,10 @@ from ehbench.links.serve import ServedTarget
 from ehbench.links.transport import STATE, TOKEN, VirtualLink
 from ehbench.trial import prepare, run, running
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT, shipped
 from tools.studies import link_study
 
-ROOT = Path(__file__).parents[2]
-RIG = load_rig(ROOT / "recipes/rigs/slide_servo.toml")
+RIG = shipped("slide_servo")
 LAYOUT = Layout.of(RIG)
 MOTION = {
     "kind": "point_to_point",

@@ -1,7 +1,5 @@
 """Files that two recorders wrote of one run, by their clocks or by a shift."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -9,8 +7,8 @@ from ehbench.config.recipe import load_recipe
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import InputError
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 RECIPE = """
 stage = "validate"
 rig = "RIG"
@@ -25,9 +23,7 @@ BEGAN = 51000.25  # s after midnight at which the faster recorder began
 
 
 def place(t):
-    """What the slower recorder saw, t [s] after the faster began: linear, so that straight lines
-    between its samples are exact.
-    """
+    """What the slower recorder saw: linear, so that straight lines between samples are exact."""
     return 0.1 + 0.02 * t
 
 

@@ -10,12 +10,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from recorder_files import RECORDINGS  # noqa: E402
 
 from ehbench.app import inspection, mapping  # noqa: E402
-from ehbench.config.recipe import load_columns, load_rig  # noqa: E402
+from ehbench.config.recipe import load_columns  # noqa: E402
 from ehbench.config.rig import Rig  # noqa: E402
 from ehbench.data.readers import open_source  # noqa: E402
 from ehbench.signals.oddities import oddities  # noqa: E402
-
-RIGS = Path(__file__).parents[2] / "recipes/rigs"
+from tests.shared import shipped
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +24,7 @@ def unpictured(monkeypatch) -> None:
 
 def rig_of(two_cylinders: bool) -> Rig:
     """The crane, or one with two cylinders whose signals carry the names of the joints."""
-    rig = load_rig(RIGS / "crane_proportional.toml")
+    rig = shipped("crane_proportional")
     if not two_cylinders:
         return rig
     (lift,) = rig.cylinder

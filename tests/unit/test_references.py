@@ -1,21 +1,17 @@
 """Figures of others beside a model's own: what a recipe may say, and the table in the report."""
 
-from pathlib import Path
-
 import pytest
 from pydantic import ValidationError
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.recipe.validate import Reference
 from ehbench.report.saved import Table
 from ehbench.report.stages.validation import others_rows
 from ehbench.report.template import Template
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+from tests.shared import RIGS, shipped
 
 
 def test_figures_of_others_stand_beside_the_model_s_own():
-    page = Template("validation", load_rig(RIGS / "slide_servo.toml"))
+    page = Template("validation", shipped("slide_servo"))
     others = [
         {"name": "ARX", "channel": "press.p_head", "measure": "rms_error", "source": "paper"}
         | {"value": 3e5},

@@ -20,8 +20,8 @@ from ehbench.report.svg import shrink
 from ehbench.report.words import interval, number, pretty, with_error
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.terms import Z95
+from tests.shared import RIGS
 from tests.unit.report_runs import (
-    RIGS,
     Page,
     a_map,
     facts,
@@ -375,9 +375,7 @@ def points(path: str) -> list[tuple[float, float]]:
 
 
 def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch):
-    """Text stays text, every line and marker stays where it was to a tenth of a point, and nothing
-    points to nothing.
-    """
+    """Text stays text, lines and markers stay to a tenth of a point, links lead somewhere."""
     whole = []
     monkeypatch.setattr(style, "shrink", lambda svg: whole.append(svg) or shrink(svg))
     t = np.linspace(0.0, 9.0, 400)

@@ -1,6 +1,4 @@
-"""Tunings and trials under a controller in the report: drawn from files alone, sentences that
-follow the numbers.
-"""
+"""Tunings and trials in the report: drawn from files alone, sentences follow the numbers."""
 
 import json
 import re
@@ -32,11 +30,11 @@ from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
+from tests.shared import shipped
 from tests.unit.report_runs import (
     DAMPED,
     LEAN,
     PAIR,
-    RIGS,
     STEP,
     TRACKED,
     USES,
@@ -270,7 +268,7 @@ def test_model_or_virtual_bench_is_in_the_titles(runs):
     ],
 )
 def test_payload_at_the_end_of_the_last_link(rig, payload, mass):
-    found = payload_at_end(load_rig(RIGS / f"{rig}.toml"), payload)
+    found = payload_at_end(shipped(rig), payload)
     assert found == (None if mass is None else pytest.approx(mass, rel=1e-12))
 
 
@@ -432,9 +430,7 @@ def cycle_ledger(
     source: str = "model",
     four_way: bool = False,
 ) -> dict:
-    """A ledger of a closed cycle with what each function drew: way [m], drawn, bound and
-    compression [J].
-    """
+    """A ledger of a closed cycle: way [m], drawn, bound and compression [J] by function."""
     half, spool = (20.0 if source == "log" else None), "spool, " if four_way else ""
     total = sum(item[1] for item in drawn.values())
     edges = {
@@ -551,9 +547,7 @@ def test_a_way_that_ends_with_other_oil_saves_nothing(tmp_path):
 
 
 def test_what_was_saved_and_what_ate_the_rest(tmp_path):
-    """Against the four-way valve that ran, against the bound of the functions that ran, and by
-    cause, which add up.
-    """
+    """Against the four-way valve, against the bound, and by cause, which add up."""
     rig, cases = cycles(tmp_path, six=cycle_ledger(SIX), spool=cycle_ledger(SPOOL, four_way=True))
     six, spool = energy_tables.savings_of(cases)
     assert six.reference == spool.reference == spool.used == 3360.0
@@ -585,9 +579,7 @@ def test_what_was_saved_and_what_ate_the_rest(tmp_path):
 
 
 def test_a_log_tells_its_unexplained_row_with_its_interval(tmp_path):
-    """From measured channels alone, without a four-way valve to compare with: against what such a
-    valve must draw.
-    """
+    """Without a four-way valve to compare with: against what such a valve must draw."""
     rig, cases = cycles(tmp_path, six=cycle_ledger(SIX, "log"))
     (item,) = energy_tables.savings_of(cases)
     assert item.reference is None and item.half == pytest.approx(20.0)
@@ -649,9 +641,7 @@ def test_estimates_outside_and_at_their_bounds_are_said(runs):
 
 
 def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(unpainted, tmp_path):
-    """A speed that hardly rings has a rough damping ratio; one that misses what was asked by far
-    wins nothing.
-    """
+    """A rough damping ratio is marked; what misses the request by far wins nothing."""
     hardly = DAMPED | {"ringing": "damped too well to ring", "damping_ratio_fitted": 0.68}
     stuck = STEP | {"steady_error": -1.0, "steady_speed": 1e-15, "overshoot": None}
     laws = {
@@ -683,9 +673,7 @@ def test_three_controllers_stand_in_one_comparison_with_error_and_damping_each(u
 
 
 def test_a_root_locus_is_filled_in_exactly():
-    """``s (s + 1)(s + 4) + K (s + 0.2)``, twice on the way of K² as well: every point between is a
-    root, every branch goes on.
-    """
+    """``s (s + 1)(s + 4) + K (s + 0.2)``, over K and K²: every point between is a root."""
     for power in (1, 2):
         values = np.geomspace(0.1, 60.0, 25)
         poles = np.array([np.roots([1.0, 5.0, 4.0 + k**power, 0.2 * k**power]) for k in values])

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.report import build, terminal
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.content import Findings, Headline, SectionContent, StageReport
@@ -24,7 +23,8 @@ from ehbench.report.stages.validation import silence
 from ehbench.report.words import estimate, shown
 from ehbench.runs.rundir import write_json
 from ehbench.vocabulary.codes import LIMITS, LIMITS_MEAN
-from tests.unit.report_runs import RIGS, fill_reported
+from tests.shared import shipped
+from tests.unit.report_runs import fill_reported
 
 FOLLOWS = {"follows": []}
 
@@ -202,7 +202,7 @@ def test_the_policy_lets_the_pages_own_script_run_and_no_other(folders):
 
 
 def test_a_rigs_table_has_the_interval_of_the_fit_that_a_value_came_from(tmp_path):
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     name, value = next((n, v) for n, v in rig.parameters().items() if float(v) > 0.0)
     ends = [0.9 * float(value), 1.1 * float(value)]
     fit = Table({"name": name, "value": value.value, "interval": ends}, tmp_path)

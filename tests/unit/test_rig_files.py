@@ -1,6 +1,4 @@
-"""Every shipped rig loads, survives being written and read, and says where its numbers come
-from.
-"""
+"""Every shipped rig loads, survives writing and reading, and names its sources."""
 
 import math
 from pathlib import Path

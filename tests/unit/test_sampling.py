@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import StudyRecipe, load_rig
+from ehbench.config.recipe import StudyRecipe
 from ehbench.sampling import statistics
 from ehbench.sampling.design import Design, Factor, Fitted
 from ehbench.sampling.journal import Journal
@@ -14,8 +14,7 @@ from ehbench.sampling.keys import Key, changed_rig, changed_table
 from ehbench.sampling.outputs import _parquet
 from ehbench.sampling.sample import Sample
 from ehbench.vocabulary.errors import InputError
-
-ROOT = Path(__file__).parents[2]
+from tests.shared import shipped
 
 
 def study(**given) -> StudyRecipe:
@@ -114,7 +113,7 @@ def test_a_design_that_cannot_be_is_refused(given, key):
 
 @pytest.fixture(scope="module")
 def rig():
-    return load_rig(ROOT / "recipes/rigs/thesis_arm.toml")
+    return shipped("thesis_arm")
 
 
 def test_a_rig_takes_parameters_factors_and_places_of_its_file(rig):

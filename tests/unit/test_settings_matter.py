@@ -4,13 +4,12 @@ number as it is, and another one where it is a third more or a third less.
 
 import math
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace as Stub
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe, load_rig
+from ehbench.config.recipe import TrialRecipe
 from ehbench.data.record import Record
 from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import FlowMapOptions, Noise, few, readings_table, sort_readings
@@ -33,9 +32,9 @@ from ehbench.trial.limit_cycle import LIMIT_CYCLE, limit_cycle
 from ehbench.trial.measures import MEASURES, short_measures, step_measures, tracking_measures
 from ehbench.trial.motion import MOTION, limits_of
 from ehbench.vocabulary.errors import EhbenchError
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
-RIG, SLIDE = (load_rig(RIGS / f"{name}.toml") for name in ("boom_four_valve", "slide_servo"))
+RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
 
 
 USUAL = Averaging()
@@ -228,9 +227,7 @@ def products(error, power=1.0):
 
 
 def means(rate, count=10_000, rig=SLIDE):
-    """How many samples make a mean, of the slide, whose valve is of 80 Hz, or of a slower machine;
-    0 for none.
-    """
+    """How many samples make a mean, of the slide or of a slower machine; 0 for none."""
     t = np.arange(count) / rate
     stroke = {f"{rig.cylinder[0].name}.x": 0.2 + 0.01 * np.sin(6.0 * t)}
     built = means_of(Model.of(rig), Record(t, stroke))

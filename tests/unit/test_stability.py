@@ -4,17 +4,15 @@ crosses the axis, and against dense sweeps of the response with its exact delay.
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TuneRecipe, load_rig
+from ehbench.config.recipe import TuneRecipe
 from ehbench.tune.loop import Law, _open_loops
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
 from ehbench.tune.study import prepare_tuning
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+from tests.shared import shipped
 
 
 def chain(gain: float, *poles: float) -> OpenLoop:
@@ -27,9 +25,7 @@ def chain(gain: float, *poles: float) -> OpenLoop:
 
 
 def crossing(a: np.ndarray, way: np.ndarray, factors: np.ndarray) -> float:
-    """Place of the first of some factors on the loop with which a pole grows, between them by
-    halving; inf if there is none.
-    """
+    """The first factor on the loop with which a pole grows, by halving; inf if none."""
 
     def grows(places: np.ndarray) -> np.ndarray:
         closed = a - np.multiply.outer(factor(places), way)
@@ -80,9 +76,7 @@ def test_margins_of_a_late_integrator_by_hand(late):
 
 
 def late_loops(count: int) -> Iterator[tuple[OpenLoop, np.ndarray, np.ndarray]]:
-    """Stable loops with a delay of their input, each with its poles and residues; poles are real
-    and in pairs, some almost cancelled.
-    """
+    """Stable loops with a delayed input, each with its poles and residues, some cancelled."""
     rng = np.random.default_rng(7)
     while count > 0:
         real = -(10.0 ** rng.uniform(0.0, 3.0, rng.integers(1, 4)))
@@ -111,9 +105,7 @@ def late_loops(count: int) -> Iterator[tuple[OpenLoop, np.ndarray, np.ndarray]]:
 
 
 def swept(reply: np.ndarray) -> tuple[float, float]:
-    """(gain, phase) margins from a dense response: least −1/re where im turns, least angle where
-    the size passes 1.
-    """
+    """(gain, phase) margins from a dense response: −1/re where im turns, angle at size 1."""
     ends = []
     for level in (reply.imag, np.abs(reply) - 1.0):
         at = np.flatnonzero((level[1:] > 0.0) != (level[:-1] > 0.0))
@@ -149,9 +141,7 @@ def test_a_loop_may_leave_at_standstill_or_never(gain, margin):
 
 
 def rig_loops(count: int, delays: tuple[float, ...] = (0.0, 1e-3)) -> Iterator[OpenLoop]:
-    """Stable loops of two rigs at random operating points, laws and gains, most without control of
-    the off-side.
-    """
+    """Stable loops of two rigs at random operating points, laws and gains."""
     rng = np.random.default_rng(3)
     recipe = TuneRecipe(
         stage="tune",
@@ -166,7 +156,7 @@ def rig_loops(count: int, delays: tuple[float, ...] = (0.0, 1e-3)) -> Iterator[O
     motions = [
         motion
         for name in ("boom_four_valve", "thesis_arm")
-        for motion in prepare_tuning(load_rig(RIGS / f"{name}.toml"), None, recipe).motions
+        for motion in prepare_tuning(shipped(name), None, recipe).motions
     ]
     while count > 0:
         law = Law(

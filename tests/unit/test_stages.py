@@ -1,7 +1,5 @@
 """Every stage is whole: a recipe model of its own, a command, a section in the report."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import tomli_w
@@ -15,9 +13,8 @@ from ehbench.report.stages import SECTIONS
 from ehbench.stages import REGISTRY, Stage
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.vocabulary.commands import COMMANDS
+from tests.shared import RIGS, shipped
 from tests.virtual_logs import virtual_log
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 
 STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
 KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}
@@ -42,7 +39,7 @@ def test_a_force_that_differs_between_logs_is_a_key_of_their_entry(tmp_path):
     text = (RIGS / "slide_servo.toml").read_text()
     force = '\n[[cylinder.force]]\nkind = "channel"\nchannel = "press.force"\n'
     (tmp_path / "rig.toml").write_text(text + force)
-    log = virtual_log("slide_servo", load_rig(RIGS / "slide_servo.toml"), "steps", 1, 1.0)
+    log = virtual_log("slide_servo", shipped("slide_servo"), "steps", 1, 1.0)
     write_log(tmp_path / "log.mcap", log)
     table = {
         "stage": "identify",

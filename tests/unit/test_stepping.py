@@ -1,18 +1,15 @@
-"""Machines and controllers stepped from Python: `ehbench.open_machine`, `open_controller`,
-`run_on`.
-"""
+"""Machines and controllers stepped from Python: `open_machine`, `open_controller`, `run_on`."""
 
 import copy
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import ehbench
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RECIPES
 
-RECIPES = Path(__file__).parents[2] / "recipes"
 RIG = RECIPES / "rigs" / "slide_servo.toml"
 OWN = RECIPES / "trials" / "own_controller.toml"
 MOTION = """
@@ -33,9 +30,7 @@ LAWS = {
 
 
 class Integrator:
-    """A plant that shares nothing with ehbench: a cylinder whose speed follows its valve at once,
-    ``v = gain·u``.
-    """
+    """A plant that shares nothing with ehbench: ``v = gain·u`` of its valve at once."""
 
     name, latency, gain = "integrator", 0.0, 0.05
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.diagnosis import Case, ask
 from ehbench.diagnosis.faults import hypotheses
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
 from ehbench.validation import validate_rig
-from tests.virtual_logs import RIGS, clean_log, noisy, virtual_log
+from tests.shared import shipped
+from tests.virtual_logs import clean_log, noisy, virtual_log
 from tools.studies.structure_study import Fault, asked, faults, log_of
 
 # a step out and a step back, and a sweep, of so many seconds each
@@ -21,7 +21,7 @@ QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}
 
 
 def rig_of(name: str):
-    return load_rig(RIGS / f"{name}.toml")
+    return shipped(name)
 
 
 BUILT = {

@@ -8,8 +8,7 @@ import pytest
 
 from ehbench.report import terminal
 from ehbench.vocabulary.text import folded
-
-ROOT = Path(__file__).parents[2]
+from tests.shared import ROOT
 
 
 @pytest.fixture(scope="module")

@@ -285,9 +285,7 @@ def second_order(t, omega, zeta):
 @pytest.mark.parametrize("zeta", [0.05, 0.1, 0.3])
 @pytest.mark.parametrize(("speed", "reached"), [(0.08, 0.076), (-0.05, -0.05)])
 def test_a_step_is_read_off_as_its_formula_says(zeta, speed, reached):
-    """Overshoot e^(−πζ/√(1−ζ²)), and the time after which the response stays within 5 %, on 1 ms
-    samples.
-    """
+    """Overshoot e^(−πζ/√(1−ζ²)), and when the response stays within 5 %, on 1 ms samples."""
     t, omega = 0.5 + np.arange(4000) * 1e-3, 2 * np.pi * 4.0
     y = second_order(t - t[0], omega, zeta)
     found = step_measures(t, reached * y, speed, share=0.3)
@@ -431,9 +429,7 @@ def test_a_waypoint_that_cannot_be_is_refused_with_its_line(rig, tmp_path):
 
 
 def test_every_gain_of_a_law_can_be_written_in_a_recipe(rig, tmp_path):
-    """By the very name it is saved under, with the value it is saved with: the same gains come
-    back.
-    """
+    """By the name and value it is saved with: the same gains come back."""
     from ehbench.vocabulary.quantities import quantity
 
     fed = 'kind = "pressure_feedback"\n[controller.gains]\nfeedback_gain = "3e-12 m^3/(s*Pa)"\n'

@@ -1,16 +1,13 @@
-"""Gains of the pressure feedback: demands kept, the worst case at its best, loci and margins right,
-draws as asked.
-"""
+"""Gains of the pressure feedback: demands kept, worst case best, loci, margins, draws."""
 
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TuneRecipe, load_recipe, load_rig
+from ehbench.config.recipe import TuneRecipe, load_recipe
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
 from ehbench.report.saved import Table
@@ -30,14 +27,13 @@ from ehbench.tune.loop import (
 )
 from ehbench.tune.study import prepare_tuning
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS
-from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
-
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
+from tests.shared import refused, shipped
 
 
 def rig(name="boom_four_valve", **values):
-    return load_rig(RIGS / f"{name}.toml").with_values(values)
+    return shipped(name).with_values(values)
 
 
 def gains(rig, recipe):
@@ -62,9 +58,7 @@ def motions():
 
 
 def test_thesis_boom_reaches_its_target_with_one_gain(unlocused):
-    """What is wanted of the linear models: 0.5 at worst, against 0.05 to 0.2 of the thesis's six
-    functions in open loop.
-    """
+    """0.5 at worst, against 0.05 to 0.2 of the thesis's six functions in open loop."""
 
     t = gains(rig("thesis_arm"), recipe(cylinder="boom", postures=3, payloads=("none", "50 lb")))
     assert t.met and t.damping_ratio >= 0.5 and len(set(t.feedback_gain.values())) == 1
@@ -175,9 +169,7 @@ def test_steps_and_bias(tuned):
 
 
 def test_bias_without_washout_is_the_steady_error(motions):
-    """The linear loop settles where flow in = A·v: A v_d − K p = A v with p carrying the load
-    at v.
-    """
+    """Flow in = A·v: A v_d − K p = A v with p carrying the load at v."""
     motion = next(s for s in motions if s.counts and s.point.function == "extend_resistive")
     gain, point = 2e-11, motion.point
     bias = module._bias(motion.loop(Law(0.0, 4e-11, 1e-3)), point, gain)
@@ -207,7 +199,7 @@ def test_draws_follow_the_covariance():
     assert np.corrcoef(table.T)[0, 1] == pytest.approx(-0.8, abs=0.02)
     alone = draw_parameters(drawn, names, None, 20000, np.random.default_rng(1))
     assert abs(np.corrcoef(alone.T)[0, 1]) < 0.03
-    with pytest.raises(InputError, check=lambda error: error.key == "tune.wrong_correlation"):
+    with refused("tune.wrong_correlation"):
         draw_parameters(
             drawn, names, (names, [[1.0, 2.0], [2.0, 1.0]]), 2, np.random.default_rng(1)
         )
@@ -309,7 +301,7 @@ def test_bad_input(name, fields, key):
 
 
 def test_nothing_to_tune_on():
-    with pytest.raises(InsufficientData, check=lambda error: error.key == "tune.no_points"):
+    with refused("tune.no_points"):
         gains(rig(), recipe(functions=("extend_overrunning",)))
 
 

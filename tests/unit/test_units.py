@@ -147,9 +147,7 @@ IN_PINT = {"%": "percent", "gpm": "gallon/minute", "lpm": "liter/minute", "cc": 
 
 
 def test_units_are_as_pint_has_them():
-    """Factor and zero of every unit for every quantity, and which units a quantity cannot have;
-    pint counts a cycle and a radian alike as one.
-    """
+    """Factor and zero of every unit; pint counts a cycle and a radian alike as one."""
     import pint
 
     registry = pint.UnitRegistry()

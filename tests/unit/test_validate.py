@@ -2,12 +2,11 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import Thresholds, load_recipe, load_rig
+from ehbench.config.recipe import Thresholds, load_recipe
 from ehbench.data.record import Record
 from ehbench.plant.model import simulate
 from ehbench.runs.rundir import write_json
@@ -20,16 +19,14 @@ from ehbench.validation import (
     validate_rig,
 )
 from ehbench.vocabulary.errors import InputError
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}
 T = np.arange(2401) * 1e-3
 
 
 def recorded(rig, valves: dict[str, float], payload: str | None = None, seed: int = 1) -> Record:
-    """What a rig with sensors would record of a step there and back: no openings or flows, noise on
-    what is measured.
-    """
+    """What sensors record of a step there and back: no openings or flows, noise."""
     made = simulate(
         rig,
         {v: np.where((T >= 0.3) & (T < 1.4), a, 0.0) for v, a in valves.items()},
@@ -62,7 +59,7 @@ BOOM = {"boom.hepc": 4.0, "boom.rect": 8.0}
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_rig(RIGS / "thesis_arm.toml")
+    return shipped("thesis_arm")
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +84,7 @@ def rejected(arm, boom, swing) -> Validation:
 
 
 def test_the_true_rig_is_accepted(accepted):
-    """Noise is all that is left: fits as high as the noise allows, residuals of the noise's size,
-    ringing alike.
-    """
+    """Noise is all that is left: fits and residuals of its size, ringing alike."""
     assert accepted.accepted and accepted.verdict == "accepted" and not accepted.reasons
     boom, swing = accepted.logs
     assert boom.passed and boom.status == "held_out"
@@ -123,9 +118,7 @@ def test_a_wrong_bulk_modulus_is_rejected_for_the_right_reasons(rejected):
 
 
 def test_the_numbers_are_the_textbook_ones(arm, boom):
-    """Fit, bias and largest error against their definitions, with an offset put on a channel by
-    hand.
-    """
+    """Fit, bias and largest error, with an offset put on a channel by hand."""
     shifted = Record(boom.t, boom.channels | {"boom.p_head": boom["boom.p_head"] - 3e5}, boom.meta)
     result = validate_rig(arm, [("boom", shifted)])
     channel = next(c for c in result.logs[0].channels if c.channel == "boom.p_head")
@@ -197,9 +190,7 @@ def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
 
 
 def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):
-    """With the true rig only white noise is left; one lag in twenty lies outside of a 95 % band,
-    and 15 % is allowed.
-    """
+    """One lag in twenty lies outside of a 95 % band, and 15 % is allowed."""
     asked = Thresholds(whiteness=True, independence=True)
     assert validate_rig(arm, [("boom", boom)], thresholds=asked).accepted
     wrong = validate_rig(
@@ -241,9 +232,7 @@ def test_a_log_without_motion_is_marked(arm, boom):
 
 
 def test_constant_and_noisy_channels_have_no_fit(arm, boom):
-    """A stuck sensor has no fit, nor has one that only shows noise: both are said, neither is
-    judged.
-    """
+    """A stuck sensor and one that only shows noise: both are said, neither is judged."""
     stuck = Record(boom.t, boom.channels | {"boom.p_rod": np.full(boom.t.shape, 7e5)}, boom.meta)
     result = validate_rig(arm, [("boom", stuck)])
     channel = result.logs[0].channels[-1]
@@ -269,9 +258,7 @@ def test_rates_are_taken_from_positions_where_they_were_not_recorded(arm, boom):
 
 
 def test_a_stroke_sensor_stands_in_for_a_joint_encoder(arm, boom):
-    """A machine that measures strokes only is judged on stroke and speed, by the thresholds asked
-    of position and rate.
-    """
+    """Stroke and speed are judged by the thresholds asked of position and rate."""
     result = validate_rig(arm, [("boom", without(boom, "q", "qd"))])
     assert {c.channel for c in result.logs[0].channels} == {
         "boom.x",
@@ -381,7 +368,7 @@ def test_threads_and_order_do_not_change_the_result(arm, boom, swing, accepted):
     ],
 )
 def test_every_rig_is_accepted_as_itself_and_rejected_as_a_softer_one(name, valves):
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     log = recorded(rig, valves)
     assert validate_rig(rig, [("step", log)]).accepted
     soft = rig.with_values({"bulk_modulus": 0.4 * float(rig.oil.bulk_modulus)})

@@ -1,14 +1,11 @@
-"""Valve level: chamber flows become commands that give exactly those flows, and every limit met is
-told.
-"""
+"""Chamber flows become commands that give exactly those flows; every limit met is told."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_loop import circuit_of
 
-from ehbench.config.recipe import load_rig
 from ehbench.control import functions as fn
 from ehbench.control import valve_level as vl
 from ehbench.control.measured import Pressures
@@ -16,16 +13,14 @@ from ehbench.parts.edge import edge_flow
 from ehbench.physics.flow_map import FlowMap, ValveMaps
 from ehbench.plant.model import Model
 from ehbench.vocabulary import codes
+from tests.shared import shipped
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 GPM = 3.785411784e-3 / 60.0
 FLOOR = 2e4
 
 
 def a_map(seed: int, valve: str, direction: str = "forward") -> FlowMap:
-    """A map with random positive increments: no analytic law; measured from 0.1 to 5 MPa, less at
-    large commands.
-    """
+    """A map with random positive increments, measured from 0.1 to 5 MPa."""
     rng = np.random.default_rng(seed)
     knots = np.array([1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0])
     steps = rng.exponential(0.8 * GPM, (knots.size, 9)) * np.linspace(0.2, 1.0, 9) + 1e-9
@@ -49,21 +44,10 @@ def a_map(seed: int, valve: str, direction: str = "forward") -> FlowMap:
     )
 
 
-def shipped(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
-    made = load_rig(RIGS / f"{rig}.toml")
-    plant = Model.of(made, maps).plant
-    index = [c.name for c in made.cylinder].index(cylinder)
-    row = plant.cylinders[index]
-    areas = row.area_head, row.area_rod
-    measured = [(maps or {}).get(v.edge_name(e)) for _, v, e in made.edges()]
-    return fn.circuit(
-        index,
-        *areas,
-        plant.edges,
-        plant.maps,
-        np.column_stack([plant.valves.lowest, plant.valves.highest]),
-        measured,
-    )
+def of_rig(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
+    model = Model.of(shipped(rig), maps)
+    measured = [(maps or {}).get(v.edge_name(e)) for _, v, e in model.rig.edges()]
+    return circuit_of(model, model.layout.cylinders.index(cylinder), measured)
 
 
 MAPS = {
@@ -73,11 +57,11 @@ MAPS = {
     for seed, name in enumerate(("hect", "hepc", "regen", "repc", "rect"))
 }
 CIRCUITS = {
-    "five, laws": shipped("thesis_arm", "boom"),
-    "five, maps": shipped("thesis_arm", "boom", MAPS),
-    "four": shipped("boom_four_valve", "boom"),
-    "spool": shipped("crane_proportional", "lift"),
-    "servo beside others": shipped("thesis_arm", "stick"),
+    "five, laws": of_rig("thesis_arm", "boom"),
+    "five, maps": of_rig("thesis_arm", "boom", MAPS),
+    "four": of_rig("boom_four_valve", "boom"),
+    "spool": of_rig("crane_proportional", "lift"),
+    "servo beside others": of_rig("thesis_arm", "stick"),
 }
 
 
@@ -116,9 +100,7 @@ def passed(c: fn.Circuit, edge: int, command: np.ndarray, pressures) -> float:
 
 
 def states(c: fn.Circuit, count: int, seed: int):
-    """Random functions of the circuit at pressures at which its drops point the right way, well
-    above the floor.
-    """
+    """Random functions at pressures whose drops point the right way, above the floor."""
     rng = np.random.default_rng(seed)
     able = [f for f in range(1, 8) if c.able[f]]
     for _ in range(count):
@@ -137,9 +119,7 @@ def states(c: fn.Circuit, count: int, seed: int):
 
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_the_commands_give_the_flows(name):
-    """At the measured drops every edge that decides its command passes what it is asked for, to
-    rounding.
-    """
+    """Every edge that decides its command passes what it is asked for, to rounding."""
     c = CIRCUITS[name]
     kept = 0
     for function, v, pressures in states(c, 2000, 1):
@@ -256,7 +236,7 @@ def test_leaving_the_measured_range_is_told():
         assert bool(int(given.limits[edge - c.first]) & codes.OUTSIDE) == outside
     # the reverse direction of a valve that was not measured that way
     one_way = {**MAPS, "regen": ValveMaps(MAPS["regen"].forward)}
-    other = shipped("thesis_arm", "boom", one_way)
+    other = of_rig("thesis_arm", "boom", one_way)
     pressures = (1e6, 2e6, 7e6, 0.0)
     limits = [
         Given(k, 3, 2e-5, 1e-5, pressures).limits[k.paths[fn.ROD_HEAD] - k.first]
@@ -283,9 +263,7 @@ def test_a_driver_that_cannot_go_to_zero_rests_at_its_lowest():
 
 @pytest.mark.parametrize("name", CIRCUITS)
 def test_a_withheld_channel_poisons_the_commands(name):
-    """NaN in a pressure or flow that a function uses comes out as NaN in each command that it
-    decides.
-    """
+    """NaN in a used pressure or flow comes out as NaN in each command that it decides."""
     c = CIRCUITS[name]
     used = {
         fn.SUPPLY_HEAD: (0, 2),

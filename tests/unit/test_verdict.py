@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import Thresholds, load_rig
+from ehbench.config.recipe import Thresholds
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
@@ -17,7 +17,8 @@ from ehbench.validation import validate_rig
 from ehbench.validation.checks import beyond_noise
 from ehbench.validation.residuals import pair_of
 from ehbench.validation.transients import stands, why_not_judged
-from tests.virtual_logs import DRIVES, RIGS, clean_log, commands_of, noisy, virtual_log
+from tests.shared import shipped
+from tests.virtual_logs import DRIVES, clean_log, commands_of, noisy, virtual_log
 
 CHANNELS = {"slide_servo": ("x", "v", "p_head", "p_rod"), "pump_cylinder": ("x", "v", "p_head")}
 # far narrower than the defaults: what a wrong model must not reach
@@ -46,7 +47,7 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", DRIVES)
 @pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
 def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     made = clean_log(name, rig, kind)
     for seed in (1, 2):
         verdict = judged(name, rig, noisy(made, seed), STRICT)
@@ -58,7 +59,7 @@ def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
 def test_a_command_in_small_stairs_makes_no_ringing(kind, every):
     """Each stair is a step that stands for less than a few periods."""
     for name in ("slide_servo", "crane_proportional", "thesis_arm"):
-        rig = load_rig(RIGS / f"{name}.toml")
+        rig = shipped(name)
         log = virtual_log(name, rig, kind, 1, commands=held(name, kind, every))
         verdict = judged(name, rig, log, STRICT)
         assert verdict.accepted, verdict.reasons
@@ -72,7 +73,7 @@ def test_a_command_in_small_stairs_makes_no_ringing(kind, every):
 @pytest.mark.parametrize("name", DRIVES)
 def test_wrong_models_are_rejected(name):
     """Oil 20 % off, twice the damping, a gain a fifth off: the steps tell each of them."""
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     known = rig.parameters()
     damping = [n for n in known if n.endswith((".damping", ".joint_damping"))]
     gains = [n for n in known if n.endswith(("flow_gain", "compensated_gain", "displacement"))]
@@ -88,7 +89,7 @@ def test_wrong_models_are_rejected(name):
 
 
 def test_a_sweep_is_judged_by_its_response():
-    rig = load_rig(RIGS / "crane_proportional.toml")
+    rig = shipped("crane_proportional")
     log = virtual_log("crane_proportional", rig, "chirp", 3)
     sound = judged("crane_proportional", rig, log)
     sweeps = {one.channel: one for one in sound.logs[0].sweeps}
@@ -129,7 +130,7 @@ def ringing_slide(seed: int, until: float = 3.9) -> tuple[Rig, Record]:
     gains = {"supply_head": 3.2e-8, "rod_tank": 5.5e-8, "supply_rod": 8.3e-8, "head_tank": 6.7e-8}
     values = {f"press.servo_{edge}.flow_gain": gain for edge, gain in gains.items()}
     values |= {"bulk_modulus": 6.36e8, "carriage.damping": 456.0, "spool.natural_frequency": 143.0}
-    rig = load_rig(RIGS / "slide_servo.toml").with_values(values)
+    rig = shipped("slide_servo").with_values(values)
     log = virtual_log("slide_servo", rig, "steps", seed, until, 0.15)
     kept = {channel: y[::5] for channel, y in log.channels.items()}
     return rig, replace(log, t=log.t[::5], channels=kept)
@@ -198,7 +199,7 @@ def test_noise_is_told_from_motion():
 
 
 def test_a_position_that_strays_is_told_though_nobody_asks():
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     log = virtual_log("slide_servo", rig, "steps", 1)
     fast = rig.with_values(
         {
@@ -216,7 +217,7 @@ def test_a_position_that_strays_is_told_though_nobody_asks():
 
 def test_a_level_that_is_off_is_told_in_the_readers_unit():
     """A head pressure 20 bar high, in psi; nothing of a sound model."""
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     rig = rig.model_copy(update={"display": {"p_head": "psi"}})
     log = virtual_log("slide_servo", rig, "steps", 1)
     high = replace(log, channels=log.channels | {"press.p_head": log["press.p_head"] + 2e6})
@@ -233,7 +234,7 @@ def test_a_level_that_is_off_is_told_in_the_readers_unit():
 
 def test_a_channel_that_nobody_asked_for_is_not_missed():
     """A position by default; a pressure that a threshold asks for is."""
-    rig = load_rig(RIGS / "slide_servo.toml")
+    rig = shipped("slide_servo")
     log = virtual_log("slide_servo", rig, "steps", 1)
     kept = {c: y for c, y in log.channels.items() if c.endswith((".v", "p_head", "command"))}
     bare = [("log", replace(log, channels=kept))]
@@ -249,14 +250,14 @@ def test_a_channel_that_nobody_asked_for_is_not_missed():
 def test_model_of_the_stairs_is_the_rigs():
     """The helper drives only valves that the rig has."""
     for name, (up, down, _) in DRIVES.items():
-        rig = load_rig(RIGS / f"{name}.toml")
+        rig = shipped(name)
         assert {*up, *(down or {})} <= set(Model.of(rig).layout.valves)
 
 
 @pytest.mark.parametrize(("damping", "judges"), [(1.0, False), (3.0, True)])
 def test_ringing_judges_a_model_that_leaves_more_than_noise(damping, judges):
     name = "slide_servo"
-    rig = load_rig(RIGS / f"{name}.toml")
+    rig = shipped(name)
     log = virtual_log(name, rig, "steps", 3)
     wrong = rig.with_values(
         {"carriage.damping": damping * float(rig.parameters()["carriage.damping"])}

@@ -15,8 +15,8 @@ import pytest
 from ehbench import workflow
 from ehbench.runs import versions
 from ehbench.runs.versions import METHODS, Versions
+from tests.shared import ROOT
 
-ROOT = Path(__file__).parents[2]
 STORED = Path(__file__).with_name("versions.json")
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
 RECIPES = {

@@ -1,6 +1,4 @@
-"""Every unit of the vocabulary converts both ways, and every float field of a rig or recipe has
-a row.
-"""
+"""Every unit converts both ways, and every float field of a rig or recipe has a row."""
 
 from typing import get_args
 

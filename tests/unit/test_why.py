@@ -20,8 +20,8 @@ from ehbench.report.why import origin
 from ehbench.runs import rundir, versions
 from ehbench.runs.versions import METHODS, Versions
 from ehbench.vocabulary.errors import InputError
+from tests.shared import RIGS
 
-RIGS = Path(__file__).parents[2] / "recipes" / "rigs"
 RECIPE = """stage = "identify"
 what = "hydraulics"
 rig = "rig.toml"

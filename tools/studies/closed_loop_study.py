@@ -26,7 +26,7 @@ from ehbench.plant.integrate import run
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED
 from ehbench.vocabulary.fields import Value
-from tests.virtual_logs import RIGS
+from tests.shared import RIGS
 
 MINUTES = 1e-6 / 60.0 / 1e5  # mL/min/bar [m^3/(s·Pa)]
 TRUE = {

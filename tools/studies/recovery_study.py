@@ -34,7 +34,8 @@ from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.plant.model import Model, simulate
 from ehbench.signals.series import rms
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
-from tests.virtual_logs import DRIVES, NOISE, RIGS, commands_of, noisy, shape
+from tests.shared import RIGS
+from tests.virtual_logs import DRIVES, NOISE, commands_of, noisy, shape
 
 SHIPPED = (
     "slide_servo",

@@ -20,7 +20,8 @@ from ehbench.data.record import Record
 from ehbench.diagnosis import Case, Structure, ask
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.observations import commanded
-from tests.virtual_logs import DRIVES, RIGS, commands_of, noisy
+from tests.shared import RIGS
+from tests.virtual_logs import DRIVES, commands_of, noisy
 
 KINDS = ("steps", "chirp")
 LONG = 4.0  # [s] of each log

@@ -24,7 +24,8 @@ from ehbench.data.record import Record
 from ehbench.guidance.suggestions import ROUNDS, Suggestions, suggest
 from ehbench.identification.hydraulics import PreparedFit, prepare_fit
 from ehbench.vocabulary.fields import Value
-from tests.virtual_logs import DRIVES, RIGS
+from tests.shared import RIGS
+from tests.virtual_logs import DRIVES
 from tools.studies.structure_study import ALSO, KINDS, LONG, Fault, faults, log_of
 
 # parameters of the recipe itself
