@@ -539,7 +539,7 @@ def quantities(
     """List the names that recipes, rig files and maps of columns use, with units and meaning."""
     from ehbench.app import lookup
 
-    _say(lookup.quantities(text), Says(as_json=as_json))
+    _say(lookup.look_up(text), Says(as_json=as_json))
 
 
 @app.command(epilog="Example:  ehbench wire recipes/rigs/slide_servo.toml --csv")

@@ -12,7 +12,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, meant
 
 
-def quantities(text: str = "") -> Answer:
+def look_up(text: str = "") -> Answer:
     """Names for recipes, rig files and maps of columns: those whose name or meaning holds
     ``text``, in any case; all by default.
 
