@@ -68,6 +68,7 @@ class Session(Host):
         allow_code: let recipes run Python code.
         unvalidated: let a controller be tuned on a rig that no validation accepted.
         ask: (what is about to happen, a token) → what a person typed; a machine moves only then.
+        live: the address of a trial's live view → whether it may draw on the terminal.
         finished: outcomes by recipe file: each recipe is run once.
         under_way: the recipes that wait for the one at work.
     """
@@ -75,6 +76,7 @@ class Session(Host):
     allow_code: bool = False
     unvalidated: bool = False
     ask: Callable[[str, str], str] | None = None
+    live: Callable[[str], bool] | None = None
     finished: dict[Path, Outcome] = field(default_factory=dict)
     under_way: tuple[Path, ...] = ()
 
@@ -94,6 +96,7 @@ class Session(Host):
             allow_code=self.allow_code,
             unvalidated=self.unvalidated,
             ask=self.ask,
+            live=self.live,
         )
 
     def outcome_of(self, path: Path) -> Outcome:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from inspect import Parameter, Signature
 from io import TextIOWrapper
 from pathlib import Path
@@ -133,6 +134,7 @@ On = Annotated[
 ]
 Arm = Annotated[bool, _option("--arm", help="Let the machine move: a token is asked for.")]
 Token = Annotated[str | None, _option("--token", help="The token, in a script that lets it move.")]
+Live = Annotated[bool, _option("--live", help="Watch it here and on a page, in real time.")]
 
 # options of commands that run a recipe, with their defaults; the first four are those of all
 _OPTIONS: dict[str, tuple[Any, Any]] = {
@@ -154,6 +156,7 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
     "on": (On, None),
     "arm": (Arm, False),
     "token": (Token, None),
+    "live": (Live, False),
 }
 
 
@@ -244,6 +247,7 @@ def _runner(command: Command) -> Callable[..., None]:
             arm, token = more.pop("arm"), more.pop("token")
             more["ask"] = (lambda about, expected: token) if token is not None else None
             more["ask"] = _typed if arm and token is None else more["ask"]
+            more["live"] = partial(_announced, says.quiet) if more["live"] else None
         suggest, seconds = more.pop("suggest", False), more.pop("seconds", 0.0)
         if suggest:
             read = workflow.expect_stage(recipe, command.name)
@@ -624,8 +628,9 @@ def _run_recipe(
 
         recipe = moved_to(recipe, on)
     _say_first(says.quiet)
-    # to draw a bar would hold up a machine in real time
-    with _progress(says.quiet or "://" in getattr(recipe, "on", "")) as report_progress:
+    # to draw a bar would hold up a machine in real time, and a live view draws itself
+    timed = settings.get("live") is not None or "://" in getattr(recipe, "on", "")
+    with _progress(says.quiet or timed) as report_progress:
         session = workflow.Session(out=out, progress=report_progress, **settings)
         if recipe is None:
             built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
@@ -645,6 +650,12 @@ def _typed(about: str, token: str) -> str:
     """What a person types who lets a machine move."""
     print(about, file=sys.stderr)
     return typer.prompt(f"type {token} to let it move", err=True)
+
+
+def _announced(quiet: bool, url: str) -> bool:
+    """Say where a live view is; whether it may draw on the terminal."""
+    print(message("app.live", url=url), file=sys.stderr)
+    return not quiet and sys.stderr.isatty()
 
 
 _WARMING: list[subprocess.Popen] = []  # it ends by itself, at the latest soon after the run

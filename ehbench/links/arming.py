@@ -20,7 +20,7 @@ from ehbench.links.quality import QUALITY, measure
 from ehbench.runtime.realtime import punctual
 from ehbench.trial.preparation import RUN_OUT, Prepared
 from ehbench.trial.running import Result, run
-from ehbench.trial.session import SESSION
+from ehbench.trial.session import SESSION, Watcher
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
@@ -105,6 +105,7 @@ def run_remote(
     ask: Ask | None,
     log: Path | None = None,
     progress: Progress | None = None,
+    watcher: Watcher | None = None,
 ) -> Remote:
     """Run a prepared trial on the machine at the other end of a URL.
 
@@ -114,6 +115,7 @@ def run_remote(
         ask: gets the token from a person; without it the trial ends after the dry run.
         log: as for `ehbench.trial.run`.
         progress: told the share done.
+        watcher: sees each row.
 
     Raises:
         InputError: what `rehearsed` refuses; a link that does not keep time; the wrong token.
@@ -130,16 +132,14 @@ def run_remote(
         watchdog = machine.watchdog
     dry, distances = rehearsed(prepared, watchdog)
     token = token_of(prepared, url)
-    farthest = max(distances.values(), default=0.0)
-    shown = prepared.rig.shown("x", farthest)
+    shown = prepared.rig.shown("x", max(distances.values(), default=0.0))
     about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
     if ask is None:
         raise InputError(message("links.unarmed", about=about, token=token))
     if ask(about, token).strip().upper() != token:
         raise InputError(message("links.wrong_token", token=token))
     with punctual() as refused:
-        fast = address.mode == "buffered"
-        result = run(prepared, machine, log=log, progress=progress, fast=fast)
+        result = run(prepared, machine, log, progress, address.mode == "buffered", watcher)
     ticks, warnings, late, counted = result.record.t.size, [], 0, {}
     if isinstance(machine, LinkMachine):
         gaps = result.record.channels.get("missed_ticks", np.zeros(1))  # none of a table

@@ -100,6 +100,7 @@ class Inputs:
         allow_code: whether recipes may run Python code.
         unvalidated: whether a controller may be tuned on a rig that no validation accepted.
         ask: gets a token from a person before a machine moves, see `ehbench.links.arming`.
+        live: see `ehbench.live.view.View`; None without a live view.
     """
 
     recipe: Recipe
@@ -109,6 +110,7 @@ class Inputs:
     allow_code: bool = False
     unvalidated: bool = False
     ask: Callable[[str, str], str] | None = None
+    live: Callable[[str], bool] | None = None
 
     def existing(self, name: str) -> Path:
         """The file or folder that the recipe names.

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
@@ -35,6 +36,7 @@ class PreparedOne(Prepared):
     state: RigState
     trial: Ready
     ask: Callable[[str, str], str] | None = None
+    live: Callable[[str], bool] | None = None
 
 
 class TrialStage(Stage[TrialRecipe, PreparedOne]):
@@ -63,7 +65,8 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
             payload=recipe.payload or "none",
         )
         seeds, named = {"trial": recipe.seed}, (*state.inputs, *files)
-        return PreparedOne(recipe, named, does, state, prepared, inputs.ask, seeds=seeds)
+        asked = inputs.ask, inputs.live
+        return PreparedOne(recipe, named, does, state, prepared, *asked, seeds=seeds)
 
     def default_place(self, prepared: PreparedOne, root: Path) -> Path:
         """As `Stage.default_place`; a machine does nothing twice, so each of its trials has a
@@ -90,17 +93,21 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
 
     def work(self, prepared: PreparedOne, folder: Path, progress: Progress | None) -> Work:
         from ehbench import trial
+        from ehbench.live.view import View
+        from ehbench.machines.paced import PacedMachine
 
-        state = prepared.state
+        state, ready, live = prepared.state, prepared.trial, prepared.live
         log, on, more, late = folder / "log.mcap", prepared.recipe.on, {}, []
-        if on in PLACES:
-            result = trial.run(prepared.trial, log=log, progress=progress)
-        else:
-            from ehbench.links.arming import run_remote
+        with nullcontext() if live is None else closing(View(ready, live)) as view:
+            if on in PLACES:
+                machine = ready.machine if view is None else PacedMachine.of(ready.machine)
+                result = trial.run(ready, machine, log, progress, watcher=view)
+            else:
+                from ehbench.links.arming import run_remote
 
-            remote = run_remote(prepared.trial, on, prepared.ask, log, progress)
-            result, late = remote.result, remote.warnings
-            more = {"link": remote.link, "dry_run": remote.dry_run}
+                remote = run_remote(ready, on, prepared.ask, log, progress, view)
+                result, late = remote.result, remote.warnings
+                more = {"link": remote.link, "dry_run": remote.dry_run}
         write_rig(folder, state.rig, state.flow_maps)
         facts, ledger, warnings = trial.account(prepared.trial, result)
         if ledger is not None:

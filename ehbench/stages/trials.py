@@ -14,6 +14,7 @@ from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.trial import PLACES, length_of, measure_types, prepared_case, time_is_known
+from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
@@ -45,6 +46,8 @@ class TrialsStage(Stage[TrialSetRecipe, PreparedSet]):
     def prepare(self, recipe: TrialSetRecipe, inputs: Inputs) -> PreparedSet:
         from ehbench import trial
 
+        if inputs.live is not None:
+            raise InputError(message("stages.live_of_set"), file=recipe.path)
         planned = recipe.cases()
         for _, _, entry in planned:
             trial.refuse_code(entry, inputs.allow_code)

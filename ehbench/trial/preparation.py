@@ -15,6 +15,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.control.functions import RULES, pack_rules
 from ehbench.control.records import blank
+from ehbench.control.trajectory import Reference
 from ehbench.machines.protocol import (
     Machine,
     carry_of,
@@ -186,6 +187,14 @@ class Prepared:
         loop = self.loop
         return {} if loop is None else {item.design.cylinder: loop.low_side for item in loop.driven}
 
+    @property
+    def telemetry(self) -> tuple[str, ...]:
+        """Channels that the controllers leave, but for the notes of a user's class."""
+        if self.loop is None or self.loop.laws is None:
+            cylinder = None if self.loop is None else self.loop.design.cylinder
+            return tuple(f"{cylinder}.{name}_desired" for name in Reference._fields if cylinder)
+        return tuple(name for part in self.loop.laws.parts for name in part.channels)
+
     def law(self, machine: Machine) -> Laws | UserCode | None:
         """The controllers at their beginning, for one run on a machine; None for open loop.
 
@@ -212,7 +221,7 @@ class Prepared:
             sample,
             self.limits.copy(),
             machine.strokes,
-            self._checks(machine, t.size),
+            self.checks(machine, t.size),
             np.zeros(3, dtype=np.int64),
             np.zeros(2),
         )
@@ -239,7 +248,7 @@ class Prepared:
             sample[machine.channels.index(channel)] += float(error)
         return rows
 
-    def _checks(self, machine: Machine, rows: int) -> Checks:
+    def checks(self, machine: Machine, rows: int) -> Checks:
         """What every sample is compared with, from the first on."""
         loop, absent = self.loop, unmeasured_of(machine)
         measured = np.array([name not in absent for name in machine.channels])

@@ -27,7 +27,7 @@ from ehbench.trial.measures import (
     tracking_measures,
 )
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
-from ehbench.trial.session import LiveLog, Session
+from ehbench.trial.session import LiveLog, Session, Watcher
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS
 from ehbench.vocabulary.codes import SATURATED
@@ -152,6 +152,7 @@ def run(
     log: Path | None = None,
     progress: Progress | None = None,
     fast: bool = True,
+    watcher: Watcher | None = None,
 ) -> Result:
     """Run a prepared trial.
 
@@ -162,12 +163,13 @@ def run(
             default.
         progress: told the share done, from 0 to 1.
         fast: advance many rows at a time where the machine can; the same bits either way.
+        watcher: sees each row as it is logged; a log is then written beside the trial.
 
     Raises:
         EhbenchError: as `run_trial`.
     """
     with closing(prepared.machine if machine is None else machine) as at_work:
-        session = Session(prepared, at_work, fast)
+        session = Session(prepared, at_work, fast, watcher)
         meta = _meta(prepared, at_work)
         if log is None:
             session.run(None, progress)
@@ -178,7 +180,8 @@ def run(
             names = list(session.channels(slice(0, 0)))
             rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
             files = {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
-            with closing(LiveLog(log, names, meta, files, in_real_time(at_work))) as live:
+            beside = in_real_time(at_work) or watcher is not None
+            with closing(LiveLog(log, names, meta, files, beside)) as live:
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)

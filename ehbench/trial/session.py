@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -67,6 +67,14 @@ DEMANDS = (
 )
 
 
+class Watcher(Protocol):
+    """Who watches a trial, without holding it up."""
+
+    def show(self, session: Session, row: int) -> None:
+        """Take in a row that has just been logged."""
+        ...
+
+
 class Session:
     """A trial on a machine, from its start to its last row.
 
@@ -74,14 +82,21 @@ class Session:
         prepared: the trial.
         machine: that it runs on; the session starts it.
         fast: advance many rows at a time where the machine can.
+        watcher: sees each row.
 
     Raises:
         InputError: a posture that the machine cannot take; a limit reached before the start; a
             user's class that cannot be loaded.
     """
 
-    def __init__(self, prepared: Prepared, machine: Machine, fast: bool = True) -> None:
-        self.prepared, self.machine = prepared, machine
+    def __init__(
+        self,
+        prepared: Prepared,
+        machine: Machine,
+        fast: bool = True,
+        watcher: Watcher | None = None,
+    ) -> None:
+        self.prepared, self.machine, self.watcher = prepared, machine, watcher
         self._truth, self._hidden = truth_of(machine), hidden_of(machine)
         self._known = self._truth or self._hidden
         self._logged = [
@@ -106,7 +121,7 @@ class Session:
         self._halted, self._next_look = 0, sys.maxsize
         self._sent = machine.commands.rest.copy()  # the last command that the machine got
         stamp = stamp_of(machine)
-        self._missed, self._real_time = 0.0, in_real_time(machine)
+        self.missed, self._real_time = 0.0, in_real_time(machine)
         if self._real_time:
             self.rows = self.rows._replace(t=self.rows.t.copy())  # measured as samples come
         stamped = stamp is not None and self._bind is None
@@ -214,6 +229,8 @@ class Session:
             upto = stop if row < 0 else row
             if upto > first:
                 self._sent = self.rows.commands[upto - 1].copy()
+                if self.watcher is not None:
+                    self.watcher.show(self, upto - 1)
             return row, upto
         rows, advance, step, packed = self.rows, self._advance, self._step, self._packed
         now, until = time.monotonic, time.monotonic() + SESSION.wait
@@ -227,6 +244,8 @@ class Session:
                 rows.checks.stamp[4] = now() - begun
             if self._tick(i) if advance is None else advance(i, i + 1) >= 0:
                 return i, i
+            if self.watcher is not None:
+                self.watcher.show(self, i)
             if now() > until:
                 return -1, i + 1
         return -1, stop
@@ -246,7 +265,7 @@ class Session:
         if self.stamps is not None:
             if i >= len(self.stamps):
                 self.stamps = np.concatenate([self.stamps, np.zeros_like(self.stamps)])
-            self.stamps[i] = *rows.checks.stamp[:3], self._missed
+            self.stamps[i] = *rows.checks.stamp[:3], self.missed
         self._sent = rows.commands[i].copy()
         rows.sample[:] = self.machine.tick(rows.commands[i])
         stamp, applied = stamp_of(self.machine), applied_of(self.machine)
@@ -254,7 +273,7 @@ class Session:
             rows.commands[i] = applied
         if stamp is not None:
             step = stamp.sequence - rows.checks.stamp[1]
-            self._missed = max(step - 1.0, 0.0)
+            self.missed = max(step - 1.0, 0.0)
             if self._real_time and i + 1 < rows.t.size:
                 nominal = 1.0 / self.machine.rate
                 measured = stamp.time if step > 0.0 else rows.t[i] + nominal
@@ -300,6 +319,10 @@ class Session:
             span = slice(self._halted, self.end)
             known = still if sound else None
             self.after = self.prepared.aftermath(self.machine, self.rows, span, known)
+
+    def telemetry(self, row: int) -> list[np.ndarray]:
+        """A row of each controller's telemetry."""
+        return [part.telemetry[row] for part in _parts(self.law)]
 
     @property
     def true_strokes(self) -> np.ndarray | None:

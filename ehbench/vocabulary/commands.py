@@ -49,7 +49,7 @@ COMMANDS = (
         "Run a trial on the model, the virtual bench or a machine, or a set of trials; exit 5 when "
         "a limit stops one.",
         "recipes/trials/arc_slow.toml",
-        ("allow_code", "on", "arm", "token"),
+        ("allow_code", "on", "arm", "token", "live"),
     ),
     Command(
         "study",

@@ -21,7 +21,7 @@ FLOORS = [
     {"ledger", "sampling"},
     {"diagnosis", "flow_maps", "frequency_response"},
     {"identification", "validation", "tune", "trial", "report"},
-    {"guidance", "export", "links"},
+    {"guidance", "export", "links", "live"},
     {"stages"},
     {"workflow"},
     {"app"},

@@ -1,0 +1,47 @@
+"""What a trial and its live view share: the layout of their memory, and what is known before.
+
+This module loads fast: the view's process needs little else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ehbench.vocabulary.settings import setting
+
+WAITING, RUNNING, STOPPING, ENDED = range(4)  # states of a trial
+STATE, TIME, LATE, LIMIT = range(4)  # where the board has state, time [s], late ticks, limit
+HEADER = 4
+HOST = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """Numbers of a live view."""
+
+    frames: float = setting(20.0, "Hz", "frames a second", "smooth to the eye")
+    end: float = setting(2.0, "s", "until a view that does not end is killed", "forty frames")
+
+
+VIEW = ViewSettings()
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a view must know beside the numbers of the board.
+
+    ``names`` of the numbers behind the board's header; ``units`` by word: name, and what an SI
+    value is multiplied by; ``stops``, the names of all limits, and those of the recipe as
+    ``limits`` [SI]; ``following`` and ``strokes`` [m] by cylinder; ``pressure`` [Pa] of the supply.
+    """
+
+    title: str
+    machine: str
+    duration: float
+    rate: float
+    names: tuple[str, ...]
+    units: dict[str, tuple[str, float]]
+    stops: tuple[str, ...]
+    limits: dict[str, float]
+    following: dict[str, float]
+    strokes: dict[str, float]
+    pressure: float

@@ -1,0 +1,124 @@
+"""The live view of a trial as the trial sees it.
+
+A trial copies a row of numbers into shared memory: it never waits for the view, and a view that
+ends changes nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+import mmap
+import os
+import secrets
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from tempfile import TemporaryFile
+
+import numpy as np
+
+from ehbench.live.board import (
+    ENDED,
+    HEADER,
+    HOST,
+    LATE,
+    LIMIT,
+    RUNNING,
+    STATE,
+    STOPPING,
+    TIME,
+    VIEW,
+    Facts,
+)
+from ehbench.machines.rows import LIMITS
+from ehbench.trial.preparation import Prepared
+from ehbench.trial.session import Session
+from ehbench.vocabulary.quantities import VOCABULARY
+from ehbench.vocabulary.units import from_si
+
+SHOWN = ("x", "v", "p_head", "p_rod", "command", "following_error")  # words with a unit of a view
+
+
+def facts_of(prepared: Prepared) -> Facts:
+    """What there is to know of a prepared trial."""
+    rig, recipe, machine = prepared.rig, prepared.recipe, prepared.machine
+    units = {}
+    for word in SHOWN:
+        unit = rig.unit_of(word)
+        units[word] = (unit, float(from_si(1.0, unit, VOCABULARY[word])))
+    limits = zip(LIMITS, prepared.limits.tolist(), strict=True)
+    cylinders = [item.name for item in rig.cylinder]
+    checks = prepared.checks(machine, 1)
+    follows = np.isfinite(checks.desired[0])
+    bounds = np.where(follows, checks.following, np.inf).tolist()
+    return Facts(
+        recipe.title or recipe.path.stem,
+        recipe.on,
+        prepared.duration,
+        machine.rate,
+        (
+            *machine.channels,
+            *(f"{name}.command" for name in machine.commands.names),
+            *prepared.telemetry,
+        ),
+        units,
+        LIMITS,
+        {name: bound for name, bound in limits if math.isfinite(bound)},
+        dict(zip(cylinders, bounds, strict=True)),
+        dict(zip(cylinders, machine.strokes.tolist(), strict=True)),
+        float(rig.supply.pressure),
+    )
+
+
+class View:
+    """The live view of a trial as the trial sees it: a process of its own draws a page on loopback,
+    and the terminal.
+
+    Args:
+        prepared: the trial.
+        announce: gets the address of the page; says whether the view may draw on the terminal.
+    """
+
+    def __init__(self, prepared: Prepared, announce: Callable[[str], bool]) -> None:
+        facts = facts_of(prepared)
+        self._gaps, size = 0.0, 8 * (HEADER + len(facts.names))
+        token = secrets.token_urlsafe(12)
+        with socket.create_server((HOST, 0)) as door, TemporaryFile() as memory:
+            memory.truncate(size)
+            self.numbers = np.frombuffer(mmap.mmap(memory.fileno(), size))
+            self.url = f"http://{HOST}:{door.getsockname()[1]}/{token}/"
+            files = memory.fileno(), door.fileno()
+            given = [*files, token, announce(self.url), os.getpid(), asdict(facts)]
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "ehbench.live.viewer", json.dumps(given)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=files,
+                start_new_session=True,  # signals of the terminal are the trial's
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            )
+
+    def show(self, session: Session, row: int) -> None:
+        """As `Watcher.show`."""
+        numbers, rows, machine = self.numbers, session.rows, session.machine
+        self._gaps += session.missed
+        numbers[TIME], numbers[LATE] = rows.t[row], self._gaps + getattr(machine, "missed", 0)
+        first = HEADER
+        for values in (rows.samples[row], rows.commands[row], *session.telemetry(row)):
+            last = min(first + values.size, numbers.size)  # notes of a class stay away
+            numbers[first:last] = values[: last - first]
+            first = last
+        if session.stop is not None:
+            numbers[LIMIT] = LIMITS.index(session.stop.limit)
+        numbers[STATE] = RUNNING if session.stop is None else STOPPING
+
+    def close(self) -> None:
+        """End the view."""
+        self.numbers[STATE] = ENDED
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(VIEW.end)
+        self.process.kill()
+        self.process.wait()
