@@ -62,12 +62,8 @@ class FitSettings:
     settle: int = setting(20, "", "turns after which no reading comes back", "half of the turns")
     lag_turns: int = setting(4, "", "largest number of turns for the hysteresis", "few needed")
     lag: float = setting(4.0, "", "standard errors from which a hysteresis is taken off", "chance")
-    lag_share: float = setting(
-        5e-4, "", "the same, share of the largest command", "drivers are no better"
-    )
-    leak_gain: float = setting(
-        10.83, "", "−2 log likelihood by which two leaks surely differ", "χ² at 99.9 %"
-    )
+    lag_share: float = setting(5e-4, "", "the same, of the largest command", "drivers")
+    leak_gain: float = setting(10.83, "", "−2 log likelihood between two leaks", "χ² at 99.9 %")
 
 
 SETTINGS = FitSettings()

@@ -29,24 +29,11 @@ class ReadingSettings:
     """Numbers of what is known of readings before a map is fitted to them."""
 
     spans: int = setting(24, "", "largest number of spans along the root of the drop", "seldom met")
-    effect: float = setting(
-        0.1, "", "least change of flow with the command, share of the largest", "else no valve"
-    )
-    sweep: float = setting(
-        0.15, "", "least share of the readings on the way up, and down", "else an order"
-    )
-    outlier: float = setting(
-        5.0, "", "standard deviations from which a reading is an outlier", "none of 10⁶ by chance"
-    )
-    outliers: float = setting(
-        0.05, "", "largest share of outliers; more are no accidents", "slips of the pen are rare"
-    )
-    noise: float = setting(
-        1e-4,
-        "",
-        "least noise, share of the rated flow: weights stay finite",
-        "best meters have 1e-3",
-    )
+    effect: float = setting(0.1, "", "smallest change of flow, of the largest", "else no valve")
+    sweep: float = setting(0.15, "", "smallest share of readings either way", "else an order")
+    outlier: float = setting(5.0, "", "standard deviations of an outlier", "1 in 10⁶ by chance")
+    outliers: float = setting(0.05, "", "largest share of outliers", "slips of the pen are rare")
+    noise: float = setting(1e-4, "", "smallest noise, of the rated flow", "best meters: 1e-3")
 
 
 SETTINGS = ReadingSettings()
@@ -395,22 +382,16 @@ def measure_noise(
             inside, dof = residual, np.where(use, np.maximum(1.0 - leverage, 0.1), 0.0)
         else:
             dof_all += int(round(dof.sum()))
-        if dof.sum() > 0:
-            methods[name] = _growing(inside[use] ** 2, dof[use], flow[use])
+        if not dof.sum() > 0:
+            continue
+        best, dof = (np.inf, 0.0, 0.0), dof[use]  # the likeliest floor and share
+        for ratio in (0.0, *np.geomspace(1.0, 1e4, 25)):
+            shape = 1.0 + ratio * flow[use] ** 2
+            floor2 = max(float(np.sum(inside[use] ** 2 / shape) / dof.sum()), 1e-300)
+            score = float(dof.sum() * np.log(floor2) + dof @ np.log(shape))
+            best = min(best, (score, floor2**0.5, (ratio * floor2) ** 0.5))
+        methods[name] = float(best[1]), float(best[2])
     return Noise(methods, dof_all)
-
-
-def _growing(square: np.ndarray, dof: np.ndarray, flow: np.ndarray) -> tuple[float, float]:
-    """(floor, share) of a standard deviation √(floor² + (share·flow)²) by maximum likelihood from
-    squared deviations.
-    """
-    best = (np.inf, 0.0, 0.0)
-    for ratio in (0.0, *np.geomspace(1.0, 1e4, 25)):
-        shape = 1.0 + ratio * flow**2
-        floor2 = max(float(np.sum(square / shape) / dof.sum()), 1e-300)
-        score = float(dof.sum() * np.log(floor2) + dof @ np.log(shape))
-        best = min(best, (score, floor2**0.5, (ratio * floor2) ** 0.5))
-    return float(best[1]), float(best[2])
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,41 +23,20 @@ from ehbench.vocabulary.settings import setting
 class ShapeSettings:
     """Gains in −2 log likelihood, and other numbers, by which a map gets its shape."""
 
-    graded_gain: float = setting(
-        4.0, "", "gain of a curve that bends more at low drops", "two standard deviations"
-    )
-    bend_gain: float = setting(
-        45.0, "", "gain of a curve that bends sharply at a drop", "smooth laws gain less"
-    )
-    lone_gain: float = setting(
-        30.0, "", "gain of a map without a cell that stands alone", "some hundred cells gain less"
-    )
+    graded_gain: float = setting(4.0, "", "a curve that bends more at low drops", "two deviations")
+    bend_gain: float = setting(45.0, "", "a sharp bend at a drop", "smooth laws gain less")
+    lone_gain: float = setting(30.0, "", "a map without a lone cell", "chance gains less")
     lone: float = setting(0.05, "", "largest share of cells that stand alone", "slips are rare")
-    kink_gain: float = setting(
-        24.0, "", "gain of a kink between two commands", "smooth openings gain less"
-    )
+    kink_gain: float = setting(24.0, "", "a kink between two commands", "smooth openings: less")
     look_gain: float = setting(-5.0, "", "gain of a rough kink worth a closer look", "kink_gain")
-    fall_gain: float = setting(
-        45.0, "", "gain of a flow that falls above an opening", "rising flows gain less"
-    )
+    fall_gain: float = setting(45.0, "", "a flow that falls above an opening", "rising: less")
     kinks: int = setting(3, "", "largest number of kinks", "lands of a spool")
-    kink_commands: int = setting(
-        7, "", "commands that pass flow from which a kink differs from a bend", "two on each side"
-    )
-    kink_gap: float = setting(
-        0.01,
-        "",
-        "share of the commands' range that a kink needs between two commands",
-        "its digits",
-    )
-    repeats: int = setting(
-        12, "", "degrees of freedom of repeats that measure the noise", "to some 20 %"
-    )
+    kink_commands: int = setting(7, "", "open commands that show a kink", "two on each side")
+    kink_gap: float = setting(0.01, "", "gap of a kink, share of the range", "its digits")
+    repeats: int = setting(12, "", "degrees of freedom that measure the noise", "to some 20 %")
     level_95: float = setting(3.841, "", "rise of −2 log likelihood at 95 %", "χ², one number")
     level_999: float = setting(10.83, "", "rise of −2 log likelihood at 99.9 %", "χ², one number")
-    width: float = setting(
-        5e-4, "", "least half interval of a deadband, share of the largest command", "drivers"
-    )
+    width: float = setting(5e-4, "", "half interval of a deadband, of the range", "drivers")
 
 
 SETTINGS = ShapeSettings()
@@ -392,12 +371,21 @@ def find_deadband(
     narrowest = SETTINGS.width * float(readings.levels[-1])
     grid, rise = _profile(readings, shape, cells, window, soft=False)
     best = int(np.argmin(rise))
-    value = round(_lowest(grid, rise, best), 4)
+    value = float(grid[best])
+    if 0 < best < grid.size - 1:  # of the parabola through the lowest and its neighbours
+        left, right = rise[best - 1] - rise[best], rise[best + 1] - rise[best]
+        value += float(0.5 * (grid[1] - grid[0]) * (left - right) / max(left + right, 1e-300))
+    value = round(value, 4)
     weight = np.exp(-0.5 * rise)
     spread = weight @ (grid - value) ** 2 / weight.sum() + (grid[1] - grid[0]) ** 2 / 12
     # an extrapolation is worth less
     level = SETTINGS.level_999 if window.flows_at_lowest else SETTINGS.level_95
-    lower, upper = (_level_crossing(grid[best::way], rise[best::way], level) for way in (-1, 1))
+    ends = []
+    for x, y in ((grid[best::-1], rise[best::-1]), (grid[best:], rise[best:])):
+        j = int(np.argmax(y > level))  # 0 where it does not reach the level
+        part = (level - y[j - 1]) / (y[j] - y[j - 1]) if j else 0.0
+        ends.append(float(x[j - 1] + (x[j] - x[j - 1]) * part if j else x[-1]))
+    lower, upper = ends
     low, high = max(min(lower, value - narrowest), 0.0), max(upper, value + narrowest)
     interval = (round(low, 4), round(high, 4))
     result = Deadband(value, float(np.sqrt(spread)), interval, at_bound=lower <= 0.0)
@@ -458,25 +446,6 @@ def _profile(
             break
         low, high = grid[max(near[0] - 1, 0)], grid[min(near[-1] + 1, 14)]
     return grid, rise
-
-
-def _lowest(x: np.ndarray, y: np.ndarray, at: int) -> float:
-    """Where the parabola through the least of y and its neighbours is least; the end of the grid if
-    that is least.
-    """
-    if not 0 < at < x.size - 1:
-        return float(x[at])
-    left, right = y[at - 1] - y[at], y[at + 1] - y[at]
-    return float(x[at] + 0.5 * (x[1] - x[0]) * (left - right) / max(left + right, 1e-300))
-
-
-def _level_crossing(x: np.ndarray, rise: np.ndarray, level: float) -> float:
-    """The first x along the array where ``rise`` reaches ``level``; its last x if it does not."""
-    above = np.flatnonzero(rise > level)
-    if not above.size:
-        return float(x[-1])
-    j = above[0]
-    return float(x[j - 1] + (x[j] - x[j - 1]) * (level - rise[j - 1]) / (rise[j] - rise[j - 1]))
 
 
 def let_fall(shape: Shape, cells: Cells) -> Shape:

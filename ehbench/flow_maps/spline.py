@@ -25,36 +25,19 @@ from ehbench.vocabulary.settings import setting
 class SplineSettings:
     """Numbers of the spline under a flow map."""
 
-    spans: int = setting(
-        12, "", "largest number of spans along the opening", "finer ones follow the noise"
-    )
-    room: float = setting(
-        1e-6, "", "narrowest first span, share of the commands above the deadband", "arithmetic"
-    )
-    bend: float = setting(
-        1e-4, "", "share of the penalty left where the flow bends sharply with the drop", "free"
-    )
-    soft: float = setting(
-        1e-9, "", "share of the penalty left over the first spans of a soft start", "free"
-    )
-    sharp: float = setting(
-        1e-7, "", "share of the penalty left at a kink in the opening", "free within its digits"
-    )
-    slope: float = setting(
-        1e-4, "", "least slope, share of the rated flow over the command range", "invertible"
-    )
-    narrow: float = setting(
-        0.01, "", "half the width of a kink's span, share of the gap between two commands", "a jump"
-    )
+    spans: int = setting(12, "", "largest number of spans along the opening", "noise")
+    room: float = setting(1e-6, "", "narrowest first span, share of the commands", "arithmetic")
+    bend: float = setting(1e-4, "", "penalty left at a sharp bend in the drop", "free")
+    soft: float = setting(1e-9, "", "penalty left over the spans of a soft start", "free")
+    sharp: float = setting(1e-7, "", "penalty left at a kink in the opening", "free in its digits")
+    slope: float = setting(1e-4, "", "smallest slope, rated flow over the range", "invertible")
+    narrow: float = setting(0.01, "", "half width of a kink's span, of the gap", "a jump")
 
 
 SETTINGS = SplineSettings()
 
 
-@cache
-def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights of Gauss's rule on −1…1."""
-    return np.polynomial.legendre.leggauss(count)
+_gauss = cache(np.polynomial.legendre.leggauss)  # nodes and weights on −1…1
 
 
 class Axis:
@@ -154,7 +137,10 @@ class Spline:
         rising: float = np.inf,
     ) -> None:
         self.deadband, self.top = deadband, float(above[-1])
-        inner = _inner_breaks(above)
+        # a spline of degree 2 rings without end if its knots are the places read
+        inner = 0.5 * (above[1:] + above[:-1])
+        if inner.size >= SETTINGS.spans:
+            inner = np.quantile(inner, np.linspace(0, 1, SETTINGS.spans + 1)[1:-1])
         if soft:
             inner = np.append(above[0], inner)
         kinks = tuple(kink for kink in kinks if max(above[0], deadband) < kink < self.top)
@@ -293,7 +279,7 @@ class Spline:
                 )
                 if above is not None:
                     return self.floor + above, determinant, tied
-        return self.floor + self._by_nnls(whole, right), determinant, wrong
+        return self.floor + self.by_nnls(whole, right), determinant, wrong
 
     def _tied(self, band: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
         """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which some do not grow along u: each of
@@ -322,10 +308,8 @@ class Spline:
             raise np.linalg.LinAlgError(message("flow_maps.not_definite"))
         return np.append(solved, 0.0)[unknown]
 
-    def _by_nnls(self, band: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """What `solve` looks for, above the floor, by an active set: slow, but it comes to an
-        end.
-        """
+    def by_nnls(self, band: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """What `solve` looks for, above the floor, by an active set: slow, but it always ends."""
         from scipy.optimize import nnls
 
         steps = self.over_steps(self.over_steps(full(band)).T)
@@ -383,16 +367,6 @@ def _pairs(rows: int, columns: int) -> _Pairs:
     shape = rows * columns, 3 * rows + 3
     line = second - first
     return _Pairs((i, j), (k, m), line, first, second, source, first * shape[1] + line, shape)
-
-
-def _inner_breaks(above: np.ndarray) -> np.ndarray:
-    """Breaks between commands: a spline of degree 2 rings without end if its knots are the places
-    read.
-    """
-    inner = 0.5 * (above[1:] + above[:-1])
-    if inner.size < SETTINGS.spans:
-        return inner
-    return np.quantile(inner, np.linspace(0, 1, SETTINGS.spans + 1)[1:-1])
 
 
 def full(band: np.ndarray) -> np.ndarray:

@@ -35,37 +35,12 @@ from ehbench.vocabulary.settings import setting
 class StepSettings:
     """Numbers by which a block of a step log is a reading."""
 
-    steady: float = setting(
-        0.25,
-        "",
-        "largest rms of a drop about its mean, as a share",
-        "an orifice's root is then 1 %",
-    )
-    drop: float = setting(
-        2e-3, "", "least drop, share of the supply's pressure", "below it is the sensors' error"
-    )
-    empty: float = setting(
-        0.5, "", "share of the cavitation pressure below which a chamber is empty", "half its slope"
-    )
+    steady: float = setting(0.25, "", "largest rms of a drop, as a share", "its root is then 1 %")
+    drop: float = setting(2e-3, "", "smallest drop, of the supply's pressure", "sensor errors")
+    empty: float = setting(0.5, "", "empty chamber, of cavitation pressure", "half its slope")
 
 
 SETTINGS = StepSettings()
-
-
-@dataclass(frozen=True)
-class _EdgeOfLog:
-    """An edge as seen from a log: its full name, sign, the channel of its command, the nodes it
-    joins, the opening [V] from which on it may be open."""
-
-    name: str
-    sign: float
-    command: str
-    ends: tuple[int, int]
-    onset: float
-
-    def open_at(self, record: Record, at: int) -> bool:
-        """Whether it may be open at a sample."""
-        return self.command in record and self.sign * record[self.command][at] > self.onset
 
 
 @dataclass(frozen=True)
@@ -211,35 +186,30 @@ def _readings(
 ) -> Iterator[tuple[str, str, float, float, float]]:
     """(edge, direction, command [V], drop [Pa], flow [m³/s]) of each edge that alone feeds or
     drains a chamber; one between both chambers is read once."""
-    at, seen = block.first, set()
-    plant, names = model.plant, model.layout
-    edges = [
-        _EdgeOfLog(
-            name,
-            float(edge.sign),
-            f"{names.valves[edge.valve]}.command",
-            (int(edge.from_node), int(edge.to_node)),
-            min(float(edge.deadband), 0.0),
-        )
-        for edge, name in zip(plant.edges, names.edges, strict=True)
-        if not edge.unmetered
-    ]
+    plant, names, seen = model.plant, model.layout, set()
+    commands = [f"{names.valves[edge.valve]}.command" for edge in plant.edges]
+
+    def may_pass(i: int) -> bool:
+        edge = plant.edges[i]
+        if edge.unmetered or commands[i] not in record:
+            return bool(edge.unmetered)
+        return edge.sign * record[commands[i]][block.first] > min(edge.deadband, 0.0)
+
     for node, inflow in block.inflow.items():
-        joined = [edge for edge in edges if node in edge.ends]
-        fixed = [e for e in model.plant.edges if e.unmetered and node in (e.from_node, e.to_node)]
-        opened = [edge for edge in joined if edge.open_at(record, at)]
-        if fixed or len(opened) != 1 or opened[0].name in seen:
+        joined = [i for i, e in enumerate(plant.edges) if node in (e.from_node, e.to_node)]
+        opened = [i for i in joined if may_pass(i)]
+        if len(opened) != 1 or plant.edges[opened[0]].unmetered or opened[0] in seen:
             continue
-        way = opened[0]
-        seen.add(way.name)
-        item, other = way.ends
-        drops = block.pressure[item] - block.pressure[other]
+        i = opened[0]
+        seen.add(i)
+        start, end = int(plant.edges[i].from_node), int(plant.edges[i].to_node)
+        drops = block.pressure[start] - block.pressure[end]
         weight, _ = _weights(drops.size)
         root = float(weight @ (np.sign(drops) * np.sqrt(np.abs(drops))))
         drop = root * abs(root)
         minimum = SETTINGS.drop * float(model.rig.supply.pressure)
         if abs(drop) < minimum or float(np.std(drops)) > SETTINGS.steady * abs(drop):
             continue
-        flow = inflow if way.ends[1] == node else -inflow
+        flow = float(np.sign(drop)) * (inflow if end == node else -inflow)
         side = "forward" if drop > 0.0 else "reverse"
-        yield way.name, side, float(record[way.command][at]), abs(drop), float(np.sign(drop)) * flow
+        yield names.edges[i], side, float(record[commands[i]][block.first]), abs(drop), flow

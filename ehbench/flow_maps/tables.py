@@ -27,27 +27,15 @@ from ehbench.vocabulary.units import from_si
 class TableSettings:
     """Numbers by which a table of readings is checked."""
 
-    small_flow: float = setting(
-        1e-3, "", "share of the supply's flow below which the unit is wrong", "units differ by 60"
-    )
-    large_flow: float = setting(
-        20.0, "", "share of the supply's flow above which the unit is wrong", "units differ by 60"
-    )
-    overshoot: float = setting(
-        0.01, "", "share of a driver's range that a command may lie outside of it", "converters"
-    )
-    warm_readings: int = setting(8, "", "least number of readings with a temperature", "a slope")
-    warming: float = setting(3.0, "K", "least change of the oil's temperature", "2 % of viscosity")
-    correlation: float = setting(
-        0.6, "", "correlation of the temperature with the drop or command", "not by chance"
-    )
-    warm_flow: float = setting(
-        0.1, "", "share of the rated flow from which a reading's share counts", "its noise"
-    )
+    small_flow: float = setting(1e-3, "", "flow share of a wrong unit", "units differ by 60")
+    large_flow: float = setting(20.0, "", "the same, too large a flow", "units differ by 60")
+    overshoot: float = setting(0.01, "", "commands beyond a driver's range, of it", "converters")
+    warm_readings: int = setting(8, "", "smallest number with a temperature", "a slope")
+    warming: float = setting(3.0, "K", "smallest change of temperature", "2 % of viscosity")
+    correlation: float = setting(0.6, "", "temperature with drop or command", "not by chance")
+    warm_flow: float = setting(0.1, "", "smallest flow that counts, of the rated", "its noise")
     warm_sigmas: float = setting(4.0, "", "standard errors of a change with temperature", "chance")
-    warm_change: float = setting(
-        0.01, "", "least change of the flow with temperature that matters", "as the map's accuracy"
-    )
+    warm_change: float = setting(0.01, "", "change of flow that matters", "a map's accuracy")
 
 
 SETTINGS = TableSettings()
@@ -334,7 +322,7 @@ def points_table(fits: Sequence[FlowMapFit], rig: Rig) -> str:
         assert rows is not None  # maps of a table have their readings
         out = {(outlier.file, outlier.line) for outlier in fit.outliers}
         drop = np.where(np.isnan(rows.pressure_drop), fit.map.drop_max, rows.pressure_drop)
-        flows = rows.flow, _fitted_flow(fit, rows, drop)
+        flows = rows.flow, fitted_flow(fit, rows, drop)
         numbers = [rows.command, fit.sign * rows.command + 0.0, from_si(drop, drop_unit, drop_row)]
         numbers += [from_si(values, flow_unit, flow_row) for values in flows]
         places = zip(rows.file.astype(str).tolist(), rows.line.tolist(), strict=True)
@@ -344,12 +332,9 @@ def points_table(fits: Sequence[FlowMapFit], rig: Rig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _fitted_flow(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarray:
-    """What the fit makes of each reading [m³/s]: the map, on the side of the hysteresis from which
-    the command came.
-    """
-    level = np.asarray(fit.map.flow(drop, rows.command))
-    fitted = rows.flow - fit.residuals
+def fitted_flow(fit: FlowMapFit, rows: FlowmeterData, drop: np.ndarray) -> np.ndarray:
+    """The fitted flow [m³/s] of each reading, on the side of the hysteresis that it was read on."""
+    level, fitted = np.asarray(fit.map.flow(drop, rows.command)), rows.flow - fit.residuals
     # a residual of zero is of a reading too small for its meter
     aside = (fit.residuals != 0.0) & (np.abs(fitted - level) > 1e-6 * fit.map.rated_flow)
     return np.where(np.isfinite(fitted) & aside, fitted, level)

@@ -29,17 +29,11 @@ class ResponseSettings:
     """Numbers of frequency responses."""
 
     averages: int = setting(4, "", "least number of segments", "fewer leave no useful error")
-    usual_averages: int = setting(
-        8, "", "averages of the shortest log where no length of segment is given", "a compromise"
-    )
+    usual_averages: int = setting(8, "", "usual averages of the shortest log", "a compromise")
     samples: int = setting(16, "", "least samples of a segment", "8 frequencies")
-    no_power: float = setting(
-        1.0e-8, "", "share of the largest power below which a frequency is not excited", "windows"
-    )
+    no_power: float = setting(1.0e-8, "", "power of no excitation, of the largest", "windows")
     late: float = setting(0.1, "", "share of a segment from which a delay lowers the gain", "10 %")
-    curved: float = setting(
-        2.0, "", "ratio of residual to error from which a phase is no straight line", "χ²"
-    )
+    curved: float = setting(2.0, "", "residual of a curved phase over its error", "χ²")
     line: int = setting(4, "", "frequencies from which a slope is fitted", "two more than needed")
     shown: float = setting(1.5, "", "shown beyond the highest frequency that counts", "half as far")
 
@@ -240,7 +234,10 @@ def signals_of(
     if count < SETTINGS.averages:
         fields = {"segment": seconds, "count": count, "least": SETTINGS.averages}
         raise InsufficientData(message("frequency_response.few_segments", **fields))
-    averages = sum(_independent(n, size, choice.window) for n in segments)
+    # how many independent segments so many overlapping ones are worth (Welch 1967)
+    taper = _taper(choice.window, size)
+    overlapping = (float(taper[step:] @ taper[: size - step] / (taper @ taper))) ** 2
+    averages = sum(n / (1.0 + 2.0 * (1.0 - 1.0 / max(n, 1)) * overlapping) for n in segments)
     return Signals(tuple(pairs), rate, size, segments, averages, choice, ())
 
 
@@ -248,13 +245,6 @@ def _taper(window: str, size: int) -> np.ndarray:
     from scipy.signal import get_window
 
     return np.asarray(get_window(window, size), float)
-
-
-def _independent(segments: int, size: int, window: str) -> float:
-    """How many independent segments so many overlapping ones are worth (Welch 1967)."""
-    taper, step = _taper(window, size), size - round(OVERLAP[window] * size)
-    shared = float(taper[step:] @ taper[: size - step] / (taper @ taper))
-    return segments / (1.0 + 2.0 * (1.0 - 1.0 / max(segments, 1)) * shared**2)
 
 
 def estimate(signals: Signals) -> Response:
@@ -411,22 +401,16 @@ def _falls_below(
         curves: the curve, its low end, its high end.
         levels: one for each curve.
     """
-    value, early, late = (
-        _first_below(frequency, curve, level) for curve, level in zip(curves, levels, strict=True)
-    )
+    ends: list[float | None] = []
+    for curve, level in zip(curves, levels, strict=True):
+        i = next(iter(np.flatnonzero(curve < level).tolist()), 0)
+        if i:
+            share = (curve[i - 1] - level) / (curve[i - 1] - curve[i])
+            ends.append(float(frequency[i - 1] + share * (frequency[i] - frequency[i - 1])))
+        else:
+            ends.append(None)
+    value, early, late = ends
     return None if value is None or late is None else Estimate(value, early, late)
-
-
-def _first_below(frequency: np.ndarray, curve: np.ndarray, level: float) -> float | None:
-    """The frequency at which a curve that begins above a level first falls below it, by a line
-    between its neighbours.
-    """
-    below = np.flatnonzero(curve < level)
-    if not below.size or below[0] == 0:
-        return None
-    i = int(below[0])
-    share = (curve[i - 1] - level) / (curve[i - 1] - curve[i])
-    return float(frequency[i - 1] + share * (frequency[i] - frequency[i - 1]))
 
 
 def _warnings(

@@ -48,21 +48,17 @@ class Failure:
         """Time [s] since its start."""
         return t - float(self.fault.start)
 
+    @property
+    def share(self) -> float:
+        """How far a slow valve comes in a tick, of its way."""
+        return -math.expm1(-self.tick / max(float(self.fault.duration), 1e-9))
+
     def pulse(self, t: float, width: float) -> bool:
         """Whether t [s] lies in the first ``width`` [s] of one of its periods."""
         return self.since(t) % float(self.fault.period) < width - 0.5 * self.tick
 
 
 Effect = Callable[[Failure, float, float], float]  # (failure, t [s], value as it is) → as it fails
-
-
-def _dropouts(failure: Failure, t: float, value: float) -> float:
-    return failure.last if failure.pulse(t, float(failure.fault.duration)) else value
-
-
-def _slow(failure: Failure, t: float, value: float) -> float:
-    share = -math.expm1(-failure.tick / max(float(failure.fault.duration), 1e-9))
-    return failure.last + share * (value - failure.last)
 
 
 class Kind(NamedTuple):
@@ -81,11 +77,13 @@ KINDS: dict[str, Kind] = {
     "drift": Kind("sensor", lambda f, t, value: value + f.size * f.since(t), True),
     "nan": Kind("sensor", lambda f, t, value: math.nan),
     "zero": Kind("sensor", lambda f, t, value: 0.0),
-    "dropouts": Kind("sensor", _dropouts),
+    "dropouts": Kind(
+        "sensor", lambda f, t, value: f.last if f.pulse(t, float(f.fault.duration)) else value
+    ),
     "spikes": Kind("sensor", lambda f, t, value: value + f.size * f.pulse(t, f.tick), True),
     "stuck_open": Kind("valve", lambda f, t, value: f.size),
     "stuck_closed": Kind("valve", lambda f, t, value: f.rest),
-    "slow": Kind("valve", _slow),
+    "slow": Kind("valve", lambda f, t, value: f.last + f.share * (value - f.last)),
     "supply_lost": Kind("machine"),
     "link_delayed": Kind("machine"),
     "link_lost": Kind("machine"),
@@ -226,19 +224,15 @@ class FaultyMachine:
             i, value = failure.index, float(shown[failure.index])
             if failure.active(t):
                 shown[i] = _effect(failure, t, value)
-                self._derived(failure, shown)
+                owner, _, word = self.channels[i].rpartition(".")
+                if word in ("x", "q"):  # a speed follows from its position, and fails with it
+                    j = self.channels.index(f"{owner}.{'v' if word == 'x' else 'qd'}")
+                    kind = failure.fault.kind
+                    rate = failure.size if kind == "drift" else 0.0
+                    rate += 0.0 if kind in ("stuck", "zero") else shown[j]
+                    shown[j] = math.nan if kind == "nan" else rate
             failure.last = float(shown[i])
         return shown
-
-    def _derived(self, failure: Failure, shown: np.ndarray) -> None:
-        """A speed follows from its position, and fails with it."""
-        kind, name = failure.fault.kind, self.channels[failure.index]
-        for position, speed in ((".x", ".v"), (".q", ".qd")):
-            if name.endswith(position):
-                i = self.channels.index(name.removesuffix(position) + speed)
-                rate = failure.size if kind == "drift" else 0.0
-                still = kind in ("stuck", "zero")
-                shown[i] = math.nan if kind == "nan" else rate + (0.0 if still else shown[i])
 
     def _receive(self, shown: np.ndarray, t: float) -> None:
         """The newest sample that has come over the link by t [s]."""

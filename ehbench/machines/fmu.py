@@ -24,9 +24,7 @@ from ehbench.vocabulary.settings import setting
 class FmuMachineSettings:
     """Numbers of an FMU as a machine."""
 
-    off: float = setting(
-        0.01, "", "share of the stroke by which a start may miss its posture", "a sensor's"
-    )
+    off: float = setting(0.01, "", "error of a start's posture, of the stroke", "a sensor's")
 
 
 SETTINGS = FmuMachineSettings()

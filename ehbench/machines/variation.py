@@ -126,7 +126,19 @@ def _bench(
     slower = change.model_copy(
         update={"friction": 1.0, "flow": 1.0, "deadband": Value(0.0), "supply_pressure": 1.0}
     )
-    machine = VirtualMachine(_varied_rig(base, slower), _bench_with(bench, slower, base), **given)
+    truth, powers, valves = {}, _powers(base), {}
+    for name, text in bench.truth.items():
+        row = VOCABULARY[name.rsplit(".", 1)[-1]]
+        number = _changed(name, float(read_value(text, row)), slower, powers)
+        truth[name] = f"{number!r} {row.unit}"
+    for name, item in bench.valve.items():
+        if item.natural_frequency is not None:
+            frequency = Value(float(item.natural_frequency) / change.valve_lag)
+            item = item.model_copy(update={"natural_frequency": frequency})
+        valves[name] = item
+    late = Value(float(bench.delay) + float(change.delay))
+    bench = bench.model_copy(update={"truth": truth, "valve": valves, "delay": late})
+    machine = VirtualMachine(_varied_rig(base, slower), bench, **given)
     plant = machine.bench
     for name in FRICTION:
         plant.cylinders[name] *= change.friction
@@ -140,20 +152,3 @@ def _bench(
     lines = [True] * (machine.raw - len(chambers))
     plant.sensors.lag[chambers + lines] += float(change.pressure_lag)
     return machine
-
-
-def _bench_with(bench: BenchRecipe, change: MachineChange, rig: Rig) -> BenchRecipe:
-    """A bench file after a change."""
-    truth, powers = {}, _powers(rig)
-    for name, text in bench.truth.items():
-        row = VOCABULARY[name.rsplit(".", 1)[-1]]
-        number = _changed(name, float(read_value(text, row)), change, powers)
-        truth[name] = f"{number!r} {row.unit}"
-    valves = {}
-    for name, item in bench.valve.items():
-        if item.natural_frequency is not None:
-            slower = Value(float(item.natural_frequency) / change.valve_lag)
-            item = item.model_copy(update={"natural_frequency": slower})
-        valves[name] = item
-    late = Value(float(bench.delay) + float(change.delay))
-    return bench.model_copy(update={"truth": truth, "valve": valves, "delay": late})

@@ -36,44 +36,22 @@ RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
 # has none), ``mount_stiffness`` [N/m], ``mount_damping`` [N·s/m]; where among the commands the
 # rates of its joint's coordinate and speed stand when these are given (``tied_position``,
 # ``tied_rate``, −1).
-CYLINDER_COLUMNS = (
-    ("joint", "i8"),
-    ("geometry", "i8"),
-    ("l_a", "f8"),
-    ("l_b", "f8"),
-    ("side", "f8"),
-    ("phase", "f8"),
-    ("retracted_length", "f8"),
-    ("stroke", "f8"),
-    ("area_head", "f8"),
-    ("area_rod", "f8"),
-    ("volume_head", "f8"),
-    ("volume_rod", "f8"),
+CYLINDER = record(
+    *((name, "i8") for name in ("joint", "geometry")),
+    *((name, "f8") for name in ("l_a", "l_b", "side", "phase", "retracted_length", "stroke")),
+    *((name, "f8") for name in ("area_head", "area_rod", "volume_head", "volume_rod")),
     *OIL_COLUMNS,
-    ("leakage_internal", "f8"),
-    ("leakage_head", "f8"),
-    ("leakage_rod", "f8"),
-    ("relief_pressure", "f8"),
-    ("cavitation_pressure", "f8"),
-    ("stop_stiffness", "f8"),
+    *((name, "f8") for name in ("leakage_internal", "leakage_head", "leakage_rod")),
+    *((name, "f8") for name in ("relief_pressure", "cavitation_pressure", "stop_stiffness")),
     ("mobility", "f8"),
-    ("node_head", "i8"),
-    ("node_rod", "i8"),
-    ("friction", "i8"),
-    ("friction_state", "i8"),
-    ("friction_states", "i8"),
+    *((name, "i8") for name in ("node_head", "node_rod")),
+    *((name, "i8") for name in ("friction", "friction_state", "friction_states")),
     *FRICTION,
-    ("mount_state", "i8"),
-    ("mount_stiffness", "f8"),
-    ("mount_damping", "f8"),
-    ("sway_state", "i8"),
-    ("sway_mass", "f8"),
-    ("sway_stiffness", "f8"),
-    ("sway_damping", "f8"),
-    ("tied_position", "i8"),
-    ("tied_rate", "i8"),
+    *(("mount_state", "i8"), ("mount_stiffness", "f8"), ("mount_damping", "f8")),
+    *(("sway_state", "i8"), ("sway_mass", "f8")),
+    *(("sway_stiffness", "f8"), ("sway_damping", "f8")),
+    *(("tied_position", "i8"), ("tied_rate", "i8")),
 )
-CYLINDER = record(*CYLINDER_COLUMNS)
 # fields that are those of the rig file, and those that `linkage` takes before the angle
 CYLINDER_FIELDS = (
     *("stroke", "volume_head", "volume_rod"),
@@ -88,18 +66,13 @@ def linkage_of(row, q):
     return linkage(row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length, q)
 
 
-def _pins(row: Any) -> tuple[Any, Any, Any, Any, Any, Any]:
-    kind, l_a, l_b, sign, phase, retracted = (row[name] for name in PINS_OF)
-    return kind, l_a, l_b, sign, phase, retracted
-
-
 def joint_of(row: Any, x: Any) -> Any:
     """Joint coordinate q [rad], or [m] of a slide, at stroke x [m], scalar or array.
 
     Raises:
         InputError: the pins cannot be that far apart, or that near.
     """
-    return joint_angle(*_pins(row), x)
+    return joint_angle(*(row[name] for name in PINS_OF), x=x)
 
 
 def joint_range_of(row: Any) -> tuple[float, float]:

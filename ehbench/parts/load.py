@@ -17,10 +17,7 @@ from ehbench.runtime.compiled import part_kernel, record
 # (``played``, −1: none). Every kind is a sum of these.
 FORCE = record(
     ("cylinder", "i8"),
-    ("extending", "f8"),
-    ("retracting", "f8"),
-    ("stiffness", "f8"),
-    ("free_length", "f8"),
+    *((name, "f8") for name in ("extending", "retracting", "stiffness", "free_length")),
     ("played", "i8"),
 )
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.config.rig import Chain, Cylinder, Edge, FixedEdge, Joint, Rig, Slide
+from ehbench.config.rig import Cylinder, Edge, FixedEdge, Joint, Rig, Slide
 from ehbench.parts import edge as edges
 from ehbench.parts import friction
 from ehbench.parts import valve as valves
@@ -170,15 +170,9 @@ def _mechanism(rig: Rig, kept: Kept) -> tuple[int, np.recarray, tuple[float, flo
     if isinstance(body, Slide):
         link = arm.pack_slide(float(body.mass), float(body.damping), float(body.incline))
         return arm.SLIDE, table_of([link], arm.LINK), (0.0, 0.0, 1.0)
-    return arm.CHAIN, _links(body, kept), _up(body)
-
-
-def _up(chain: Chain) -> tuple[float, float, float]:
-    return (0.0, 0.0, 1.0) if chain.first_axis == "vertical" else (0.0, 1.0, 0.0)
-
-
-def _links(chain: Chain, kept: Kept) -> np.recarray:
-    return table_of([kept.of(_link, [joint], joint) for joint in chain.joint], arm.LINK)
+    links = table_of([kept.of(_link, [joint], joint) for joint in body.joint], arm.LINK)
+    up = (0.0, 0.0, 1.0) if body.first_axis == "vertical" else (0.0, 1.0, 0.0)
+    return arm.CHAIN, links, up
 
 
 def _link(joint: Joint) -> dict[str, Any]:
@@ -211,6 +205,9 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         relief, pins = item.relief_pressure, pins_of(item)
         joint = names.joints.index(item.joint)
         numbers = {key: float(getattr(item, key)) for key in CYLINDER_FIELDS}
+        pressed = float(rig.supply.pressure)  # a piston into its end stop
+        if rig.supply.accumulator is not None and relief is not None:
+            pressed = max(pressed, float(relief))  # a pump may bring a charge line up to it
         rows.append(
             numbers
             | oil_fields(rig, item.bulk_modulus)
@@ -222,7 +219,7 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
                 "area_rod": rod,
                 "relief_pressure": math.inf if relief is None else float(relief),
                 "cavitation_pressure": float(rig.oil.cavitation_pressure),
-                "stop_stiffness": _stop_pressure(rig, item) * head / STOP_DEPTH,
+                "stop_stiffness": pressed * head / STOP_DEPTH,
                 "mobility": _mobility(kind, bodies.tobytes(), pins, joint, numbers["stroke"]),
                 "node_head": names.node(index, "head"),
                 "node_rod": names.node(index, "rod"),
@@ -240,16 +237,6 @@ def _cylinders(rig: Rig, names: Layout, kind: int, links: np.recarray) -> np.rec
         if item.sway is not None:
             rows[-1] |= {"sway_state": names.state("sway", index)} | item.sway.row()
     return table_of(rows, CYLINDER)
-
-
-def _stop_pressure(rig: Rig, item: Cylinder) -> float:
-    """The most [Pa] that presses a piston into its end stop: the supply's pressure, or on a charge
-    line what a pump may come up to.
-    """
-    supply = float(rig.supply.pressure)
-    if rig.supply.accumulator is None or item.relief_pressure is None:
-        return supply
-    return max(supply, float(item.relief_pressure))
 
 
 def pins_of(item: Cylinder) -> PinNumbers:
@@ -364,9 +351,17 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "unmetered": not edges.edge_law(edge.law).metering,
         }
         rows.append(row | _law(edge, given, packed))
-    rows += [
-        _fixed(names, names.cylinders.index(item.name), edge) for item, edge in rig.fixed_edges()
-    ]
+    for item, edge in rig.fixed_edges():  # without a command
+        cylinder = names.cylinders.index(item.name)
+        row = {
+            "from_node": names.port(cylinder, edge.from_),
+            "to_node": names.port(cylinder, edge.to),
+            "valve": -1,
+            "sign": 1.0,
+            "unmetered": 1,
+            "pilot": -1 if edge.pilot is None else names.port(cylinder, edge.pilot),
+        }
+        rows.append(row | _law(edge, None, []))
     data, offsets = (
         pack(*map(list, zip(*packed, strict=True)))
         if packed
@@ -376,19 +371,6 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1
     return table_of(rows, EDGE), data
-
-
-def _fixed(names: Layout, cylinder: int, edge: FixedEdge) -> dict[str, Any]:
-    """Fields of an edge without a command."""
-    place = {
-        "from_node": names.port(cylinder, edge.from_),
-        "to_node": names.port(cylinder, edge.to),
-        "valve": -1,
-        "sign": 1.0,
-        "unmetered": 1,
-        "pilot": -1 if edge.pilot is None else names.port(cylinder, edge.pilot),
-    }
-    return place | _law(edge, None, [])
 
 
 def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
-from ehbench.control.axis import Axis, Mechanism, axis_of, inertias
+from ehbench.control.axis import Mechanism, axis_of, inertias
 from ehbench.control.functions import Circuit
 from ehbench.control.law import DesignPoint
 from ehbench.parts.cylinder import linkage_arrays
@@ -42,25 +42,15 @@ def design_point_of(
     lag = max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)
     unmodelled = unmodelled_of(model.rig, model.rig.cylinder[circuit.cylinder])
     x = float(linkage_arrays(row, q[int(row.joint) : int(row.joint) + 1])[0][0])
-    heaviest = max(
-        (_at_the_end(axis, model.links(name)) for name in model.rig.payload), default=0.0
-    )
+    # masses at the end of the last link with the inertia that the payloads add about the joint
+    room, masses = np.zeros(work_size(len(plant.links)) + len(plant.links)), [0.0]
+    bare, tip = inertias(axis, q, room)
+    for name in model.rig.payload:
+        loaded = axis._replace(mechanism=mechanism._replace(links=model.links(name)))
+        masses.append(float((inertias(loaded, q, room)[0] - bare) / tip))
     return DesignPoint(
-        axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled, heaviest
+        axis, tick, float(plant.supply.pressure), limit, lag, x, unmodelled, max(masses)
     )
-
-
-def _at_the_end(axis: Axis, links: np.recarray) -> float:
-    """The mass [kg] at the end of the last link that has the inertia about the axis's joint which
-    ``links`` have more than the bare rig, in the axis's posture.
-    """
-    n = len(links)
-    angles, room = axis.mechanism.posture, np.zeros(work_size(n) + n)
-    own, tip = inertias(axis, angles, room)
-    loaded, _ = inertias(
-        axis._replace(mechanism=axis.mechanism._replace(links=links)), angles, room
-    )
-    return float((loaded - own) / tip)
 
 
 def unmodelled_of(rig: Rig, cylinder: Cylinder) -> tuple[str, ...]:

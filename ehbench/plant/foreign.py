@@ -38,9 +38,11 @@ class Binding:
         self.names = {key: tuple(table) for key, table in tables.items()}
         self.variables: dict[str, list[Variable]] = {}
         for key, table in tables.items():
-            self.variables[key] = [
-                self.fmu.variable(name, _channel_unit(key, given)) for given, name in table.items()
-            ]
+            self.variables[key] = []
+            for given, name in table.items():
+                row = parameter_row(given) if key == "parameters" else None
+                unit = row.unit if row else "V" if key == "commands" else quantity(given).unit
+                self.variables[key].append(self.fmu.variable(name, unit))
         self._idle: list[FmuProcess] = []
         self._lock = Lock()
 
@@ -69,12 +71,6 @@ class Binding:
         """(factors, offsets) from the FMU's numbers to SI, of tables one behind the other."""
         items = [item for key in keys for item in self.variables[key]]
         return np.array([i.factor for i in items]), np.array([i.offset for i in items])
-
-
-def _channel_unit(key: str, name: str) -> str:
-    if key == "parameters":
-        return parameter_row(name).unit
-    return "V" if key == "commands" else quantity(name).unit
 
 
 @lru_cache(maxsize=8)

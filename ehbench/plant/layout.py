@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ehbench.config.rig import Cylinder, Rig, Valve
+from ehbench.config.rig import Rig
 from ehbench.parts import friction, valve
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.sway import SWAY
@@ -170,12 +170,15 @@ def layout(rig: Rig) -> Layout:
     names += [f"{c.name}.p_{side}" for c in rig.cylinder for side in SIDES]
     elements: list[Element] = []
     for index, (_, item) in enumerate(rig.valves()):
-        series = _series(rig, item)
+        kinds = ((entry, type(rig.dynamics[entry])) for entry in item.series)
+        laws = ((entry, kind) for entry, kind in kinds if kind in valve.ELEMENTS)
+        series = [(entry, valve.ELEMENTS.index(kind)) for entry, kind in laws]
         for entry, law in series:
             elements.append(Element(index, law, entry, len(names)))
             owner = valves[index] if entry == series[-1][0] else f"{valves[index]}.{entry}"
             names += [f"{owner}.{key}" for key in valve.LAWS[law].states]
-    frictions = tuple(_friction(c) for c in rig.cylinder)
+    given = (type(c.friction) for c in rig.cylinder)
+    frictions = tuple(friction.TABLES.index(k) if k in friction.TABLES else 0 for k in given)
     for cylinder, law in zip(rig.cylinder, frictions, strict=True):
         names += [f"{cylinder.name}.{key}" for key in friction.LAWS[law].states]
         names += [f"{cylinder.name}.p_{line.name}" for line in cylinder.line]
@@ -197,14 +200,3 @@ def layout(rig: Rig) -> Layout:
         state_names=tuple(names),
         _at={name: at for at, name in enumerate(names)},
     )
-
-
-def _series(rig: Rig, item: Valve) -> list[tuple[str, int]]:
-    """(name, number of its law) of each of a valve's elements, from its command to its opening."""
-    kinds = ((entry, type(rig.dynamics[entry])) for entry in item.series)
-    return [(entry, valve.ELEMENTS.index(kind)) for entry, kind in kinds if kind in valve.ELEMENTS]
-
-
-def _friction(item: Cylinder) -> int:
-    """Number of a cylinder's law of friction."""
-    return 0 if item.friction is None else friction.TABLES.index(type(item.friction))

@@ -69,28 +69,30 @@ def posture(
     for row in plant.cylinders:
         q[row.joint] = joint_of(row, 0.5 * row.stroke)
     for name, value in (required or {}).items():
-        joint, index = _joint_called(plant, names, name)
+        if name in names.cylinders:
+            index = names.cylinders.index(name)
+            joint = int(plant.cylinders[index].joint)
+        elif name in names.joints:
+            joint = names.joints.index(name)
+            index = next(iter(np.flatnonzero(plant.cylinders.joint == joint).tolist()), -1)
+        else:
+            raise InputError(
+                f"posture names '{name}', which is no cylinder or joint",
+                hint="there are " + ", ".join(names.cylinders),
+            )
         given = isinstance(value, str)
-        number = _coordinate(rig, plant, index, name, value) if given else float(value)
-        if index >= 0:
-            _must_lie_on_the_stroke(rig, plant, index, name, number)
-        q[joint] = number
+        q[joint] = _coordinate(rig, plant, index, name, value) if given else float(value)
+        if index < 0:
+            continue
+        low, high = sorted(joint_range_of(plant.cylinders[index]))
+        if not low - 1e-9 <= q[joint] <= high + 1e-9:
+            word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
+            first, last, at = (rig.text(word, number, decimals) for number in (low, high, q[joint]))
+            raise InputError(
+                f"posture {name} = {at} lies outside the stroke",
+                hint=f"the stroke allows {first.partition(' ')[0]} to {last}",
+            )
     return q
-
-
-def _joint_called(plant: Plant, names: Layout, name: str) -> tuple[int, int]:
-    """(joint, the cylinder that drives it or −1) of a cylinder's or a joint's name."""
-    if name in names.cylinders:
-        index = names.cylinders.index(name)
-        return int(plant.cylinders[index].joint), index
-    if name in names.joints:
-        joint = names.joints.index(name)
-        drives = np.flatnonzero(plant.cylinders.joint == joint)
-        return joint, int(drives[0]) if drives.size else -1
-    raise InputError(
-        f"posture names '{name}', which is no cylinder or joint",
-        hint="there are " + ", ".join(names.cylinders),
-    )
 
 
 def _coordinate(rig: Rig, plant: Plant, index: int, name: str, text: str) -> float:
@@ -106,18 +108,6 @@ def _coordinate(rig: Rig, plant: Plant, index: int, name: str, text: str) -> flo
                 hint=f"0 to {rig.text('x', row.stroke, 1)}",
             ) from None
         return float(joint_of(row, stroke))
-
-
-def _must_lie_on_the_stroke(rig: Rig, plant: Plant, index: int, name: str, number: float) -> None:
-    low, high = sorted(joint_range_of(plant.cylinders[index]))
-    if low - 1e-9 <= number <= high + 1e-9:
-        return
-    word, decimals = ("x", 1) if plant.kind == SLIDE else ("q", 2)
-    first, last, at = (rig.text(word, value, decimals) for value in (low, high, number))
-    raise InputError(
-        f"posture {name} = {at} lies outside the stroke",
-        hint=f"the stroke allows {first.partition(' ')[0]} to {last}",
-    )
 
 
 def trim(
@@ -145,12 +135,12 @@ def trim(
     gravity_torque(plant.kind, plant.links, plant.gravity, q, torque, np.empty(work_size(n)))
     played = np.zeros(len(names.valves) + len(names.played)) if command is None else command
     for index, row in enumerate(plant.cylinders):
-        low = _given(names.cylinders[index], low_side)
+        name = names.cylinders[index]
+        low = low_side.get(name) if isinstance(low_side, Mapping) else low_side
         x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(
-                f"cylinder '{names.cylinders[index]}' has no lever at this posture, so nothing "
-                "holds the load"
+                f"cylinder '{name}' has no lever at this posture, so nothing holds the load"
             )
         force = torque[row.joint] / lever
         if plant.forces.shape[0]:
@@ -170,7 +160,11 @@ def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
     """
     requested = _asked(moves, mounted(plant), bool(open_at_rest(plant).any()))
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
-    parts += [_of_spans(getattr(plant, name), spans) for name, spans in requested]
+    for name, spans in requested:
+        rows: Any = getattr(plant, name)
+        packed, size = rows.tobytes(), rows.dtype.itemsize
+        starts = range(0, len(packed), size)
+        parts.append(b"".join([packed[at + a : at + b] for at in starts for a, b in spans]))
     return tuple(parts)
 
 
@@ -184,25 +178,12 @@ def _asked(
         idle = {*_IDLE.get(name, ()), *(() if moves else _MOVING.get(name, ()))}
         idle = set() if name == "edges" and opens else idle
         idle |= set(_FRICTION) if name == "cylinders" and not mounts else set()
-        results.append((name, _spans(layout, idle)))
+        counted = np.zeros(layout.itemsize + 1, dtype=np.int8)
+        for field, (kind, first, *_) in (layout.fields or {}).items():
+            counted[first : first + kind.itemsize] = field not in idle
+        ends = np.flatnonzero(np.diff(counted, prepend=0)).tolist()
+        results.append((name, tuple(zip(ends[::2], ends[1::2], strict=True))))
     return tuple(results)
-
-
-def _spans(layout: np.dtype, idle: set[str]) -> tuple[tuple[int, int], ...]:
-    """Where the bytes of other fields than some stand in a row: (from, to) of each run of them."""
-    counted = np.zeros(layout.itemsize + 1, dtype=np.int8)
-    for name, (kind, first, *_) in (layout.fields or {}).items():
-        counted[first : first + kind.itemsize] = name not in idle
-    ends = np.flatnonzero(np.diff(counted, prepend=0)).tolist()
-    return tuple(zip(ends[::2], ends[1::2], strict=True))
-
-
-def _of_spans(rows: Any, spans: tuple[tuple[int, int], ...]) -> bytes:
-    """Some bytes of each row of a table, or of one row."""
-    packed, size = rows.tobytes(), rows.dtype.itemsize
-    return b"".join(
-        [packed[at + a : at + b] for at in range(0, len(packed), size) for a, b in spans]
-    )
 
 
 def mounted(plant: Plant) -> bool:
@@ -225,11 +206,6 @@ def settle_parts(plant: Plant, y: np.ndarray) -> None:
         mount_settle(row, 0.0, y, plant)
         _, lever, _ = linkage_of(row, y[row.joint])
         sway_settle(row, lever * y[plant.at.rates + row.joint], y)
-
-
-def _given(name: str, low_side: LowSide) -> float | None:
-    """Pressure [Pa] of a cylinder's chamber that carries nothing, where it is given."""
-    return low_side.get(name) if isinstance(low_side, Mapping) else low_side
 
 
 def carry(row: np.record, held: tuple[float, float], seen: list[float | None]) -> tuple[float, ...]:

@@ -55,22 +55,14 @@ class InitialStateSettings:
     beginning: float = setting(0.03, "s", "span that shows the state of a motion", "a parabola")
     creep_sigmas: float = setting(3.0, "", "standard errors of a creep at standstill", "chance")
     creep: float = setting(1.0e-3, "", "least creep, share of the fastest speed", "no matter")
-    difference: float = setting(
-        0.3, "", "step of finite differences in prior standard deviations", "linear there"
-    )
+    difference: float = setting(0.3, "", "step of finite differences, of a prior", "linear there")
     sensed: float = setting(0.01, "", "the same of a sensor's number", "which is smooth")
     least_step: float = setting(1.0e-6, "", "least step, share of a number's range", "rounding")
     largest_step: float = setting(2.0e-4, "", "largest step, likewise", "linear there")
-    residual: float = setting(
-        0.2, "", "least share of noise that a line through few independent samples leaves", "finite"
-    )
+    residual: float = setting(0.2, "", "least share of noise that a line leaves", "finite")
     rounds: int = setting(20, "", "largest number of rounds of an estimate", "few needed")
-    gain: float = setting(
-        1.0e-3, "", "share of the cost by which the last round gains", "no matter"
-    )
-    floor: float = setting(
-        5.0e-3, "", "least scale of a channel, share of its spread", "finite weights"
-    )
+    gain: float = setting(1.0e-3, "", "gain of the last round, share of the cost", "no matter")
+    floor: float = setting(5.0e-3, "", "least scale of a channel, of its spread", "finite weights")
 
 
 SETTINGS = InitialStateSettings()
@@ -125,15 +117,10 @@ class InitialState:
         """
         true = self.true(shifts, shared)
         if true is not self.record:  # sensors are put right, and it shows something else
-            if self.moves:
-                return _moving_start(model, true, _firsts(true, self.rest))
-            return model.rest_start(true, self.rest)
+            return replace(self, record=true)._start(model)
         key = model.asked_at_start(self.moves)
         if (result := self._known.get(key)) is None:
-            if self.moves:
-                result = _moving_start(model, self.record, self._firsts)
-            else:
-                result = model.rest_start(self.record, self.rest, self._seen)
+            result = self._start(model)
             result.y.flags.writeable = False
             if len(self._known) >= _CACHED:
                 self._known.clear()
@@ -154,8 +141,17 @@ class InitialState:
 
     @cached_property
     def _firsts(self) -> dict[str, tuple[float, float, float]]:
-        """What the recording shows of its motion."""
-        return _firsts(self.record, self.rest)
+        """`_first` of the recording's readings, by channel."""
+        return {
+            channel: _first(y, self.rest, self.record.sample_time)
+            for channel, y in self.record.channels.items()
+            if not channel.endswith(".command")
+        }
+
+    def _start(self, model: Model) -> Start:
+        if self.moves:
+            return _moving_start(model, self.record, self._firsts)
+        return model.rest_start(self.record, self.rest, self._seen)
 
     def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
         """`at`, from a start of `unmoved`, which stays as it is."""
@@ -239,8 +235,14 @@ def initial_state_of(
         numbers += _of_cylinder(model, record, cylinder, compared, rest, moves)
     given = tied_words(record)
     numbers = [number for number in numbers if number.name.rpartition(".")[2] not in given]
-    if moves:
-        numbers += _of_valves(model, record, live)
+    for index, name in enumerate(model.layout.valves if moves else ()):
+        valve, channel = model.plant.valves[index], f"{name}.command"
+        if name.partition(".")[0] not in live or valve.output < 0 or channel not in record:
+            continue
+        span = float(valve.highest - valve.lowest)
+        if np.ptp(record[channel]) > 0.0 or record[channel][0] != 0.0:
+            std, output = SETTINGS.opening * span, int(valve.output)
+            numbers.append(_uncertain(f"{name}.opening", output, std, span, index))
     numbers += _of_lines(model, record, rest, moves)
     numbers = [number for number in numbers if model.starts(number.name)]
     for term in terms:
@@ -379,20 +381,6 @@ def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
     return 0.0
 
 
-def _of_valves(model: Model, record: Record, live: Sequence[str]) -> list[Uncertain]:
-    """Doubts about the openings of the valves of moving cylinders that have been commanded."""
-    results = []
-    for index, name in enumerate(model.layout.valves):
-        valve, channel = model.plant.valves[index], f"{name}.command"
-        if name.partition(".")[0] not in live or valve.output < 0 or channel not in record:
-            continue
-        span = float(valve.highest - valve.lowest)
-        if np.ptp(record[channel]) > 0.0 or record[channel][0] != 0.0:
-            std = SETTINGS.opening * span
-            results.append(_uncertain(f"{name}.opening", int(valve.output), std, span, index))
-    return results
-
-
 def rate_of(record: Record, cylinder: str) -> np.ndarray | None:
     """A cylinder's recorded joint rate or speed, else that of its position; None without any."""
     for word in ("qd", "v"):
@@ -413,15 +401,6 @@ def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
     coefficients = np.append(line.coef, np.zeros(3))
     noise = rms(y[:count] - line(t)) * math.sqrt(count / max(1, count - order - 1))
     return float(coefficients[0]), float(coefficients[1]), 3.0 * noise / math.sqrt(count)
-
-
-def _firsts(record: Record, rest: int) -> dict[str, tuple[float, float, float]]:
-    """`_first` of the readings of a recording, by channel."""
-    return {
-        channel: _first(y, rest, record.sample_time)
-        for channel, y in record.channels.items()
-        if not channel.endswith(".command")
-    }
 
 
 def _moving_start(

@@ -34,24 +34,12 @@ _RATE_OF = {"qd": "q", "v": "x"}
 class ObservationSettings:
     """Numbers of what a log shows of a cylinder."""
 
-    rate_cutoff: float = setting(
-        20.0, "Hz", "low-pass before a rate is taken from a position", "above swings of a load"
-    )
-    together: float = setting(
-        0.02, "s", "commands that change within it begin one transient", "a few samples"
-    )
-    empty: float = setting(
-        0.01, "", "share of the precharge below which a line has no gas", "gauges"
-    )
-    supply_off: float = setting(
-        0.03, "", "share by which the supply's pressure may be off the model's, rms", "gauges"
-    )
-    clear_cycles: float = setting(
-        1.5, "", "least cycles of a clear ringing", "fewer may be a drift"
-    )
-    clear_damping: float = setting(
-        0.35, "", "largest damping ratio of a clear ringing", "more may be a drift"
-    )
+    rate_cutoff: float = setting(20.0, "Hz", "low-pass of a position before its rate", "swings")
+    together: float = setting(0.02, "s", "span of commands of one transient", "a few samples")
+    empty: float = setting(0.01, "", "slack of the precharge of a line without gas", "gauges")
+    supply_off: float = setting(0.03, "", "rms error of the supply's pressure, of it", "gauges")
+    clear_cycles: float = setting(1.5, "", "least cycles of a clear ringing", "else drift")
+    clear_damping: float = setting(0.35, "", "largest damping of a clear ringing", "else drift")
 
 
 SETTINGS = ObservationSettings()

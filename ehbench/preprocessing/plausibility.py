@@ -36,43 +36,23 @@ class PlausibilitySettings:
 
     coarse: float = setting(0.05, "s", "largest sample time", "no rig is logged slower")
     fine: float = setting(1.0e-5, "s", "least sample time", "no rig is logged faster")
-    periods: float = setting(
-        5.0, "", "largest sample time in periods of a valve", "it shows nothing of the valve"
-    )
-    apart: float = setting(
-        5.0, "", "factor between pressures beyond which the unit is wrong", "units differ by 7"
-    )
-    far_apart: float = setting(
-        50.0, "", "the same where only the supply is known", "chambers may stand far below it"
-    )
-    loaded: float = setting(
-        0.03, "", "share of the supply's force from which a load shows in pressures", "friction"
-    )
-    overshoot: float = setting(
-        0.01, "", "share of a driver's range that a command may lie outside of it", "converters"
-    )
+    periods: float = setting(5.0, "", "largest sample time in periods of a valve", "aliasing")
+    apart: float = setting(5.0, "", "factor of a pressure in a wrong unit", "units differ by 7")
+    far_apart: float = setting(50.0, "", "the same if only the supply is known", "low chambers")
+    loaded: float = setting(0.03, "", "load that shows, of the supply's force", "friction")
+    overshoot: float = setting(0.01, "", "commands beyond a driver's range, of it", "converters")
     still: float = setting(1.0e-4, "", "share of the stroke that is a standstill", "encoders")
     pushed: float = setting(0.1, "", "share of the supply by which pressures push", "friction")
     on: float = setting(0.01, "", "share of a command's range from which it is on", "its noise")
     travel: float = setting(0.02, "", "share of the stroke that is surely a motion", "sensors")
     first: float = setting(0.02, "s", "span of the first samples that show a speed", "short")
-    off_pins: float = setting(
-        0.005, "", "share of the stroke by which stroke and angle may disagree", "assembly"
-    )
+    off_pins: float = setting(0.005, "", "stroke against angle, share of the stroke", "assembly")
     noises: float = setting(6.0, "", "the same in standard deviations of noise", "never by chance")
-    worth: float = setting(
-        0.1, "", "share of a pressure's spread that a position's noise may be worth", "10 %"
-    )
-    ongoing: float = setting(
-        0.1, "", "share of the largest speed above which a log begins in motion", "else it creeps"
-    )
-    against: float = setting(
-        -0.5, "", "correlation below which a sign is turned", "friction leaves more"
-    )
+    worth: float = setting(0.1, "", "a position's noise, of a pressure's spread", "10 %")
+    ongoing: float = setting(0.1, "", "first speed of a motion, of the largest", "else it creeps")
+    against: float = setting(-0.5, "", "correlation of a turned sign", "friction leaves more")
     limit_run: int = setting(4, "", "equal readings in a row at a sensor's limit", "none by chance")
-    limit_share: float = setting(
-        2.0, "", "the same in longest runs of any other value", "coarse counts"
-    )
+    limit_share: float = setting(2.0, "", "the same, in runs of other values", "coarse counts")
     limit_rise: int = setting(2, "", "samples within which a limit is reached", "else it settles")
     limit_steps: float = setting(5.0, "", "least steps over which it is reached", "else it settles")
 
@@ -308,8 +288,17 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
     """What is odd about single channels, and about pairs of them."""
     rig = model.rig
     yield from _stuck(record, rig)
-    yield from _limited(record, rig)
-    yield from _off_pins(record, model)
+    names = [f"{c.name}.{word}" for c in rig.cylinder for word in ("p_head", "p_rod", *GAUGES)]
+    for name in [*names, "p_supply"]:
+        if name in record and (there := at_limit(record[name])).any():
+            first, share = int(np.argmax(there)), 100.0 * float(np.mean(there))
+            level, time = rig.shown(name, record[name][first]), record.t[first]
+            fields = {"channel": name, "level": level, "share": share, "time": time}
+            yield message("preprocessing.limited", **fields)
+    for name, off in off_pins(record, model).items():
+        shown = f"{abs(from_si(off, rig.unit_of('x'), VOCABULARY['x'])):.3g} {rig.unit_of('x')}"
+        way, by = "above" if off > 0.0 else "below", rig.cylinder_named(name).linkage_word
+        yield message("preprocessing.off_pins", cylinder=name, off=shown, way=way, linkage=by)
     yield from _gauges_against(record, rig)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
@@ -396,19 +385,6 @@ def at_limit(y: np.ndarray) -> np.ndarray:
     return result
 
 
-def _limited(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on pressures and forces at the end of their sensors' range."""
-    words = ("p_head", "p_rod", *GAUGES)
-    names = [f"{cylinder.name}.{word}" for cylinder in rig.cylinder for word in words]
-    for name in [*names, "p_supply"]:
-        if name not in record or not (there := at_limit(record[name])).any():
-            continue
-        first = int(np.argmax(there))
-        level, share = rig.shown(name, record[name][first]), 100.0 * float(np.mean(there))
-        time = record.t[first]
-        yield message("preprocessing.limited", channel=name, level=level, share=share, time=time)
-
-
 def off_pins(record: Record, model: Model) -> dict[str, float]:
     """By how much a log's stroke is above that of its angle and the rig file's pins [m], by
     cylinder: its level where that is off, else where it is worst; cylinders that agree left out.
@@ -428,15 +404,6 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
         elif abs(maximum) > 2.0 * allowed:
             results[cylinder.name] = maximum
     return results
-
-
-def _off_pins(record: Record, model: Model) -> Iterator[Message]:
-    """Notes on strokes that disagree with angle and pins."""
-    unit = model.rig.unit_of("x")
-    for name, off in off_pins(record, model).items():
-        shown = f"{abs(from_si(off, unit, VOCABULARY['x'])):.3g} {unit}"
-        way, by = "above" if off > 0.0 else "below", model.rig.cylinder_named(name).linkage_word
-        yield message("preprocessing.off_pins", cylinder=name, off=shown, way=way, linkage=by)
 
 
 def _gauges_against(record: Record, rig: Rig) -> Iterator[Message]:
@@ -517,39 +484,31 @@ def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
     """Cylinders that move at the first sample, by their rate or by what their position does in the
     first samples, of ``rest`` before a command changes.
     """
-    results = []
+    results, span = [], SETTINGS.first / record.sample_time
     for cylinder in rig.cylinder:
-        if not _travels(record, cylinder):
+        known = (word for word in ("qd", "v", "q", "x") if f"{cylinder.name}.{word}" in record)
+        word = next(known, None)
+        if word is None or not _travels(record, cylinder):
             continue
-        for word in ("qd", "v", "q", "x"):
-            channel = f"{cylinder.name}.{word}"
-            if channel in record:
-                shows = _begins_fast if word in ("qd", "v") else _begins_sloped
-                if shows(record[channel], rest, record.sample_time):
-                    results.append(cylinder.name)
-                break
+        y = record[f"{cylinder.name}.{word}"]
+        jumps = np.abs(np.diff(y))
+        if word in ("qd", "v"):
+            count = min(rest, max(1, round(span)))
+            noise = 1.5 * float(np.median(jumps)) / math.sqrt(count)
+            speed, maximum = float(np.mean(y[:count])), float(np.abs(y).max())
+        else:
+            count = min(rest, max(8, round(2.5 * span)))
+            if count < 8:
+                continue
+            noise = 1.5 * float(np.median(jumps)) * math.sqrt(12.0 / count)
+            if noise == 0.0 and jumps.any():  # an encoder that stands between two of its counts
+                noise = 0.5 * float(np.min(jumps[jumps > 0.0]))
+            speed = float(np.polyfit(np.arange(count), y[:count], 1)[0]) * count
+            steps = np.abs(y[count:] - y[:-count])
+            maximum = float(steps.max(initial=0.0 if steps.size else abs(speed)))
+        if abs(speed) > SETTINGS.ongoing * maximum + 4.0 * noise:
+            results.append(cylinder.name)
     return tuple(results)
-
-
-def _begins_fast(speed: np.ndarray, rest: int, tick: float) -> bool:
-    count = min(rest, max(1, round(SETTINGS.first / tick)))
-    noise = 1.5 * float(np.median(np.abs(np.diff(speed)))) / math.sqrt(count)
-    limit = SETTINGS.ongoing * float(np.abs(speed).max()) + 4.0 * noise
-    return abs(float(np.mean(speed[:count]))) > limit
-
-
-def _begins_sloped(place: np.ndarray, rest: int, tick: float) -> bool:
-    count = min(rest, max(8, round(2.5 * SETTINGS.first / tick)))
-    if count < 8:
-        return False
-    jumps = np.abs(np.diff(place))
-    noise = 1.5 * float(np.median(jumps)) * math.sqrt(12.0 / count)
-    if noise == 0.0 and jumps.any():  # an encoder that stands between two of its counts
-        noise = 0.5 * float(np.min(jumps[jumps > 0.0]))
-    way = float(np.polyfit(np.arange(count), place[:count], 1)[0]) * count
-    steps = np.abs(place[count:] - place[:-count])
-    maximum = float(steps.max(initial=0.0 if steps.size else abs(way)))
-    return abs(way) > SETTINGS.ongoing * maximum + 4.0 * noise
 
 
 def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:

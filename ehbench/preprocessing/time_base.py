@@ -25,20 +25,12 @@ from ehbench.vocabulary.text import listed
 class TimeSettings:
     """Numbers of uneven time bases and gaps."""
 
-    even: float = setting(
-        0.01, "", "share of the sample time by which time may be off and count as even", "rounding"
-    )
-    jitter: float = setting(
-        0.25, "", "share of the sample time by which a sample may be early or late", "below a half"
-    )
-    rare: float = setting(
-        0.4, "", "gaps a sample from which the log has another rate", "the median step is a gap"
-    )
+    even: float = setting(0.01, "", "error of an even step, of the sample time", "rounding")
+    jitter: float = setting(0.25, "", "earliest or latest sample, likewise", "below a half")
+    rare: float = setting(0.4, "", "gaps a sample of another rate", "the median step is a gap")
     shortest: float = setting(0.25, "s", "least length of a part between gaps", "it must move")
     share: float = setting(0.1, "", "least length of a part, share of the longest", "it must count")
-    change: float = setting(
-        0.02, "", "share of a command's range by which it changes in a part", "above its noise"
-    )
+    change: float = setting(0.02, "", "change of a command in a part, of its range", "noise")
 
 
 SETTINGS = TimeSettings()

@@ -36,9 +36,7 @@ class ClusterSettings(PoolSettings):
     """How samples are handed to a cluster."""
 
     connect: float = setting(20.0, "s", "wait for the scheduler's answer", "a slow network")
-    chunk: float = setting(
-        0.3, "s", "work in one chunk of samples", "the scheduler takes 1.7 ms for each"
-    )
+    chunk: float = setting(0.3, "s", "work in one chunk of samples", "1.7 ms of overhead")
     largest_chunk: int = setting(5000, "", "samples in one chunk at most", "bytes of a message")
     under_way: int = setting(3, "", "chunks for each thread of the cluster", "no thread runs dry")
 

@@ -6,14 +6,14 @@ A sample depends only on the study's seed and its number, never on where or when
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ehbench.config.recipe import Span, Spread, StudyRecipe
+from ehbench.config.recipe import StudyRecipe
 from ehbench.vocabulary.errors import InputError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened
@@ -161,12 +161,13 @@ class Design:
     def __init__(self, recipe: StudyRecipe, fitted: Fitted | None = None) -> None:
         self.recipe = recipe
         self.listed, self.drawn = _listed(recipe), [] if fitted is None else fitted.drawn()
-        self.drawn += [_drawn(recipe, key, spread) for key, spread in recipe.draw.items()]
-        self.drawn += [
-            _filled(recipe, key, span)
-            for key, span in recipe.sweep.items()
-            if span.low is not None and span.count is None
-        ]
+        for key, spread in recipe.draw.items():
+            law, ends = spread.kind, spread.ends
+            self.drawn.append(_drawn(recipe, ("draw", key), law, ends, spread.relative))
+        for key, span in recipe.sweep.items():
+            if span.low is not None and span.count is None:
+                law, ends = "log_uniform" if span.log else "uniform", (span.low, span.high)
+                self.drawn.append(_drawn(recipe, ("sweep", key), law, ends, span.relative))
         twice = [item.key for item in self.drawn if [d.key for d in self.drawn].count(item.key) > 1]
         if twice:
             raise InputError(message("sampling.drawn_twice", key=twice[0]), **recipe.at("draw"))
@@ -203,29 +204,26 @@ class Design:
         """
         if self.recipe.design == "random" or not self.drawn:
             return None
-        from scipy.special import ndtri
-
-        smallest = np.finfo(float).epsneg  # a normal draw stays finite
-        return ndtri(np.clip(self._shares(), smallest, 1.0 - smallest))
-
-    def _shares(self) -> np.ndarray:
         import warnings
 
+        from scipy.special import ndtri
         from scipy.stats import qmc
 
-        count, size, rng = self.recipe.samples, len(self.drawn), self.recipe.seed
-        if self.recipe.design == "latin_hypercube":
-            return qmc.LatinHypercube(size, rng=np.random.default_rng(rng)).random(count)
+        size, rng = len(self.drawn), np.random.default_rng(self.recipe.seed)
         paired = self.recipe.design == "saltelli"
-        sobol = qmc.Sobol(size * (1 + paired), rng=np.random.default_rng(rng))
+        if self.recipe.design == "latin_hypercube":
+            sampler: Any = qmc.LatinHypercube(size, rng=rng)
+        else:
+            sampler = qmc.Sobol(size * (1 + paired), rng=rng)
         with warnings.catch_warnings():  # the balance of a number that is no power of two
             warnings.simplefilter("ignore")
-            u = sobol.random(count)
-        if not paired:
-            return u
-        a, b = u[:, :size], u[:, size:]
-        mixed = [np.where(np.arange(size) == j, b, a) for j in range(size)]
-        return np.concatenate([a, b, *mixed])
+            u = sampler.random(self.recipe.samples)
+        if paired:
+            a, b = u[:, :size], u[:, size:]
+            mixed = [np.where(np.arange(size) == j, b, a) for j in range(size)]
+            u = np.concatenate([a, b, *mixed])
+        smallest = np.finfo(float).epsneg  # a normal draw stays finite
+        return ndtri(np.clip(u, smallest, 1.0 - smallest))
 
     def inputs(self, index: int) -> list[Any]:
         """A sample's inputs, in the order of the columns: values as a recipe would have them of
@@ -305,36 +303,25 @@ def _listed(recipe: StudyRecipe) -> list[Listed]:
         if span.values:
             results.append(Listed(key, span.values, span.relative))
         elif span.count is not None:
-            results.append(Listed(key, tuple(_grid(recipe, key, span)), span.relative))
+            first, second, unit = _pair(recipe, ("sweep", key), span.low, span.high)
+            whole = isinstance(span.low, int) and isinstance(span.high, int)
+            numbers = (np.geomspace if span.log else np.linspace)(first, second, span.count)
+            values = [
+                int(number)
+                if whole and number.is_integer()
+                else (f"{number!r} {unit}" if unit else number)
+                for number in numbers.tolist()
+            ]
+            results.append(Listed(key, tuple(values), span.relative))
     return results
 
 
-def _grid(recipe: StudyRecipe, key: str, span: Span) -> Iterator[Any]:
-    first, second, unit = _pair(recipe, ("sweep", key), span.low, span.high)
-    assert span.count is not None  # a grid has a count
-    even = np.geomspace if span.log else np.linspace
-    whole = isinstance(span.low, int) and isinstance(span.high, int)
-    for number in even(first, second, span.count).tolist():
-        if whole and number.is_integer():
-            yield int(number)
-        else:
-            yield f"{number!r} {unit}" if unit else number
-
-
-def _filled(recipe: StudyRecipe, key: str, span: Span) -> Drawn:
-    first, second, unit = _pair(recipe, ("sweep", key), span.low, span.high)
-    law = "log_uniform" if span.log else "uniform"
-    return _sound(recipe, Drawn(key, law, first, second, unit, span.relative), ("sweep", key))
-
-
-def _drawn(recipe: StudyRecipe, key: str, spread: Spread) -> Drawn:
-    first, second, unit = _pair(recipe, ("draw", key), *spread.ends, law=spread.kind)
-    result = Drawn(key, spread.kind, first, second, unit, spread.relative)
-    return _sound(recipe, result, ("draw", key))
-
-
-def _sound(recipe: StudyRecipe, item: Drawn, where: tuple[str, str]) -> Drawn:
-    """Refuse numbers that are those of no law."""
+def _drawn(
+    recipe: StudyRecipe, where: tuple[str, str], law: str, ends: Sequence[Any], relative: bool
+) -> Drawn:
+    """What is drawn between or about two numbers; refuses those of no law."""
+    first, second, unit = _pair(recipe, where, *ends, law=law)
+    item = Drawn(where[1], law, first, second, unit, relative)
     valid = {
         "uniform": item.first <= item.second,
         "log_uniform": 0.0 < item.first <= item.second,

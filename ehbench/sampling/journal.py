@@ -74,8 +74,11 @@ class Journal:
         """
         for sample in samples:
             if not self.done[sample.index]:
-                place = self._end
-                self._write(_journal_line(sample))
+                place, row = self._end, {"i": sample.index, "c": sample.code, "s": sample.status}
+                row |= {"m": [value if math.isfinite(value) else None for value in sample.measures]}
+                row |= {"e": sample.message} if sample.message else {}
+                text = json.dumps(row, separators=(",", ":"), ensure_ascii=False)
+                self._write(text.encode() + b"\n")
                 self.done[sample.index], self._places[sample.index] = True, place
         if time.monotonic() - self._synced > 1.0:  # [s] between two syncs
             os.fsync(self._file.fileno())
@@ -111,11 +114,3 @@ class Journal:
                 raise
         if not self.done.any():
             self.path.unlink(missing_ok=True)
-
-
-def _journal_line(item: Sample) -> bytes:
-    numbers = [value if math.isfinite(value) else None for value in item.measures]
-    row = {"i": item.index, "c": item.code, "s": item.status, "m": numbers}
-    if item.message:
-        row["e"] = item.message
-    return json.dumps(row, separators=(",", ":"), ensure_ascii=False).encode() + b"\n"

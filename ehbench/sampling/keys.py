@@ -19,7 +19,7 @@ from ehbench.config.recipe import BenchRecipe, validated
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
 from ehbench.vocabulary.errors import InputError, UnitError
-from ehbench.vocabulary.fields import Value, read_value
+from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import split_number
 
@@ -96,7 +96,18 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         if not names:
             deeper[path] = raw
         for name in names:
-            values[name] = _parameter(name, known[name], raw)
+            old, row, given = known[name], parameter_row(name), raw
+            if isinstance(raw, Factor):
+                given = float(raw) * float(old)
+                given = given if row.unit == "dimensionless" else f"{given!r} {row.unit}"
+            try:
+                new = read_value(given, row)
+            except UnitError as error:
+                raise InputError(f"rig.{name}: {error.message}", hint=error.hint) from None
+            number = float(new)
+            lower = old.lower if old.lower is not None and old.lower <= number else None
+            upper = old.upper if old.upper is not None and old.upper >= number else None
+            values[name] = replace(old, value=number, lower=lower, upper=upper, text=None)
     if deeper:
         table = rig.as_toml()
         for path in deeper:
@@ -105,21 +116,6 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
         path = Path(f"rig '{rig.name}'")
         rig = validated(Rig, changed_table(table, deeper, RIG), "", path)
     return rig.with_values(values) if values else rig
-
-
-def _parameter(name: str, old: Value, raw: Any) -> Value:
-    row = parameter_row(name)
-    if isinstance(raw, Factor):
-        unit = "" if row.unit == "dimensionless" else f" {row.unit}"
-        raw = f"{float(raw) * float(old)!r}{unit}" if unit else float(raw) * float(old)
-    try:
-        new = read_value(raw, row)
-    except UnitError as error:
-        raise InputError(f"rig.{name}: {error.message}", hint=error.hint) from None
-    number = float(new)
-    lower = old.lower if old.lower is not None and old.lower <= number else None
-    upper = old.upper if old.upper is not None and old.upper >= number else None
-    return replace(old, value=number, lower=lower, upper=upper, text=None)
 
 
 # --- tables

@@ -29,15 +29,9 @@ from ehbench.vocabulary.settings import setting
 class PoolSettings:
     """How long a pool waits for a sample."""
 
-    grace: float = setting(
-        2.0, "s", "time beyond its limit after which a sample's process is ended", "a busy machine"
-    )
-    first_grace: float = setting(
-        120.0, "s", "the same for the first sample of a process", "compiling all kernels"
-    )
-    attempts: int = setting(
-        2, "", "processes that a sample may end before it is given up", "one may die by chance"
-    )
+    grace: float = setting(2.0, "s", "time beyond a sample's limit", "a busy machine")
+    first_grace: float = setting(120.0, "s", "the same of the first sample", "all kernels compile")
+    attempts: int = setting(2, "", "processes that a sample may end", "one may die by chance")
 
 
 class Pool(Protocol):

@@ -56,9 +56,9 @@ class Workers:
         protocol, _, place = self.scheduler.rpartition("://")
         try:
             host = urlsplit(f"//{place}").hostname or ""
+            is_here = host == "localhost" or ip_address(host).is_loopback
         except ValueError:
-            host = ""
-        is_here = host == "localhost" or _is_loopback(host)
+            is_here = False
         protocol = protocol or ("tcp" if is_here and self.certificates is None else "tls")
         if protocol not in ENCRYPTED and not (is_here or self.insecure):
             raise InputError(message("sampling.not_encrypted", address=self.scheduler))
@@ -93,22 +93,8 @@ class Workers:
         return cls(count=int(text or 0))
 
 
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
 # status word by exit code
-STATUS = {
-    0: "done",
-    1: "failed",
-    2: "refused",
-    3: "incomplete",
-    4: "rejected",
-    5: "stopped",
-}
+STATUS = dict(enumerate(("done", "failed", "refused", "incomplete", "rejected", "stopped")))
 LATE = "late"  # beyond its time limit, exit code 5
 WHOLE = (0, 3, 4)  # exit codes of samples that came to their end
 

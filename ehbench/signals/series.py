@@ -27,19 +27,11 @@ _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
 class RingingSettings:
     """Numbers of the search for a ringing."""
 
-    samples: int = setting(
-        24, "", "least samples of a window", "four amplitudes, a frequency and a decay"
-    )
+    samples: int = setting(24, "", "least samples of a window", "four for each number sought")
     cycles: float = setting(1.0, "", "least cycles", "else a drift")
-    damped: float = setting(
-        0.6, "", "largest damping ratio", "a step overshoots by 10 %; noise passes for more"
-    )
-    significant: float = setting(
-        40.0, "", "least gain in log likelihood", "noise never reaches it over the whole search"
-    )
-    loud: float = setting(
-        0.1, "", "share of another oscillation's energy from which one rings", "a third in size"
-    )
+    damped: float = setting(0.6, "", "largest damping ratio", "a step overshoots by 10 %")
+    significant: float = setting(40.0, "", "least gain in log likelihood", "noise has less")
+    loud: float = setting(0.1, "", "energy that rings, of another series'", "a third in size")
     grid: int = setting(192, "", "samples of the search on a grid", "enough for 24 cycles")
     astray: float = setting(0.5, "", "change of log ω from a start that is another one", "65 %")
     inside: float = setting(0.05, "", "log ω of a start below half the sampling rate", "inside")

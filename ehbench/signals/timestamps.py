@@ -21,29 +21,15 @@ from ehbench.vocabulary.settings import setting
 class TimestampSettings:
     """Numbers of timestamps that jitter."""
 
-    rms: float = setting(
-        0.25, "", "share of the sample time by which stamps may be off, rms", "below a half"
-    )
+    rms: float = setting(0.25, "", "rms error of stamps, of the sample time", "below a half")
     largest: float = setting(1.0, "", "the same at most", "a row")
     fewest: int = setting(20, "", "timestamps that show a rate", "jitter averages out")
-    coarse: float = setting(
-        0.1, "", "share of the sample time from which the resolution of stamps counts", "rounding"
-    )
-    coarsest: float = setting(
-        4.0, "", "resolution in sample times beyond which stamps show no rate", "rows a step"
-    )
-    lossy: float = setting(
-        0.75, "", "resolution in sample times at which lost rows still show", "steps of 1 or 2"
-    )
-    fewest_long: int = setting(
-        10, "", "long or short steps of rounded stamps that show a rate", "losses are not regular"
-    )
-    rounded: float = setting(
-        0.6, "", "share of their resolution by which rounded stamps are off at most", "a half"
-    )
-    block: int = setting(
-        50, "", "rows that show where the clock's beats lie", "jitter averages out"
-    )
+    coarse: float = setting(0.1, "", "resolution that counts, of the sample time", "rounding")
+    coarsest: float = setting(4.0, "", "the same that hides the rate", "rows a step")
+    lossy: float = setting(0.75, "", "the same at which lost rows show", "steps of 1 or 2")
+    fewest_long: int = setting(10, "", "odd steps of rounded stamps with a rate", "no losses")
+    rounded: float = setting(0.6, "", "error of rounded stamps, of their resolution", "a half")
+    block: int = setting(50, "", "rows that show the clock's beats", "jitter averages out")
 
 
 SETTINGS = TimestampSettings()

@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from ehbench.flow_maps.spline import Axis, OneColumn, Spline, full, pivoted
-from ehbench.flow_maps.tables import _fitted_flow
+from ehbench.flow_maps.tables import fitted_flow
 from ehbench.physics.flow_map import (
     FlowMap,
     UnknownValve,
@@ -394,7 +394,7 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
         np.testing.assert_array_equal(found, tied)
     # the slower way comes to the same
     rest = right - whole @ spline.floor
-    slower = spline._by_nnls(spline.penalised(band, smoothing), rest)
+    slower = spline.by_nnls(spline.penalised(band, smoothing), rest)
     np.testing.assert_allclose(spline.floor + slower, held, rtol=1e-7, atol=1e-9)
 
 
@@ -410,6 +410,6 @@ def test_a_reading_is_compared_on_its_side_of_the_hysteresis():
     flow = level + side + error
     flow[2:] = 0.5 * level[2:]  # below the meter's limit; at a drop of which there is no residual
     fit = SimpleNamespace(map=one, residuals=error)
-    found = _fitted_flow(fit, SimpleNamespace(command=command, flow=flow), drop)
+    found = fitted_flow(fit, SimpleNamespace(command=command, flow=flow), drop)
     np.testing.assert_allclose(found[:2], (level + side)[:2], rtol=1e-9)
     np.testing.assert_array_equal(found[2:], level[2:])

@@ -161,35 +161,6 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     return row
 
 
-def _set_edge(
-    row: np.record, curves: np.recarray, given: _Given, item: tuple[str, Edge, Valve], rig: _Seeded
-) -> None:
-    """Fill an edge's row and its two curves."""
-    name, edge, valve = item
-    full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    rng = _draws(rig.seed, name)
-    row.sign, row.blocked, row.null_width = edge.sign, edge.reverse == "blocked", 0.05 * full
-    row.cracking_pressure = float(edge.cracking_pressure)
-    curves[row.forward] = forward = _curve(given, edge, valve, rng)
-    curves[row.reverse] = _curve(given.reverse(), edge, valve, rng)
-    rated = forward.gain * full * math.sqrt(forward.setting or rig.p_supply)
-    spool = len(valve.edge) > 1
-    row.null = given("null_leakage", (1e-4 if spool else 1e-5) * rated / rig.p_supply)
-
-
-def _set_unmetered(row: np.record, own: np.record, given: _Given, rng: np.random.Generator) -> None:
-    """Fill the row of a pump or of a check valve: like the model's, and none like another."""
-    for key, _ in (*pump.LAW.columns, *check.LAW.columns):
-        row[key] = own[key]
-    row.sign = own.sign
-    size, second = rng.uniform([0.97, 0.7], [1.0, 1.4])
-    size = given("gain_factor", size)
-    row.displacement *= size
-    row.gain *= size
-    row.slip = given("null_leakage", second * own.slip)
-    row.cracking_pressure *= second
-
-
 def _tune(
     valve: Valve, row: np.record, curves: np.recarray, drop: float, width: float
 ) -> tuple[float, float]:
@@ -258,14 +229,6 @@ def build(recipe: BenchRecipe, model: Model, tick: float) -> VirtualPlant:
     )
 
 
-def _copied(rows: np.recarray, columns: np.dtype) -> np.recarray:
-    """The rows of a table in a wider layout."""
-    wide = table(rows.shape[0], columns)
-    for name in rows.dtype.names or ():
-        wide[name] = rows[name]
-    return wide
-
-
 def _bench_cylinders(of: _Seeded) -> np.recarray:
     recipe, p_supply = of.recipe, of.p_supply
     cylinders = of.model.plant.cylinders.copy()
@@ -317,10 +280,26 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
         for key in ("from_node", "to_node", "valve", "law", "unmetered"):
             row[key] = modelled[key]
         row.forward, row.reverse = 2 * index, 2 * index + 1
-        if modelled.law in (PUMP, CHECK):
-            _set_unmetered(row, modelled, given, _draws(of.seed, name))
-        else:
-            _set_edge(row, curves, given, (name, *metering[index]), of)
+        rng, row.sign = _draws(of.seed, name), modelled.sign
+        if modelled.law in (PUMP, CHECK):  # like the model's, and none like another
+            for key, _ in (*pump.LAW.columns, *check.LAW.columns):
+                row[key] = modelled[key]
+            size, second = rng.uniform([0.97, 0.7], [1.0, 1.4])
+            size = given("gain_factor", size)
+            row.displacement *= size
+            row.gain *= size
+            row.slip = given("null_leakage", second * modelled.slip)
+            row.cracking_pressure *= second
+            continue
+        edge, valve = metering[index]
+        full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+        row.blocked, row.null_width = edge.reverse == "blocked", 0.05 * full
+        row.cracking_pressure = float(edge.cracking_pressure)
+        curves[row.forward] = forward = _curve(given, edge, valve, rng)
+        curves[row.reverse] = _curve(given.reverse(), edge, valve, rng)
+        rated = forward.gain * full * math.sqrt(forward.setting or of.p_supply)
+        share = 1e-4 if len(valve.edge) > 1 else 1e-5  # of a spool, of a cartridge
+        row.null = given("null_leakage", share * rated / of.p_supply)
     return edges, curves
 
 
@@ -329,7 +308,10 @@ def _valves(
 ) -> tuple[np.recarray, np.recarray]:
     """(valves with their drivers, the elements of their dynamics)."""
     recipe, rig = of.recipe, of.model.rig
-    valves = _copied(of.model.plant.valves, BENCH_VALVE)
+    modelled = of.model.plant.valves
+    valves = table(modelled.shape[0], BENCH_VALVE)
+    for name in modelled.dtype.names or ():
+        valves[name] = modelled[name]
     elements = of.model.plant.elements.copy()
     for index, (name, (_, valve)) in enumerate(
         zip(of.model.layout.valves, rig.valves(), strict=True)

@@ -30,7 +30,7 @@ from ehbench.plant.build import Maps, links_of
 from ehbench.plant.layout import layout
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
-from ehbench.runtime.compiled import bound, kernel, part_kernel
+from ehbench.runtime.compiled import bound, kernel
 from ehbench.vocabulary.errors import InputError, SimulationError
 
 NAME = "virtual bench"
@@ -51,13 +51,6 @@ class Running(NamedTuple):
     scratch: Scratch
 
 
-@part_kernel
-def _true_strokes(raw, row):
-    """Write each cylinder's stroke [m] among the raw channels of the last tick into ``row``."""
-    for c in range(row.shape[0]):
-        row[c] = raw[A_CYLINDER * c + STROKE]
-
-
 @kernel
 def _advance(first, stop, own, rows, law, noise):
     sample = rows.sample
@@ -68,7 +61,8 @@ def _advance(first, stop, own, rows, law, noise):
             return i
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
-        _true_strokes(own.scratch.raw, rows.truth[i])
+        for c in range(rows.truth.shape[1]):
+            rows.truth[i, c] = own.scratch.raw[A_CYLINDER * c + STROKE]
         bench_tick(
             own.state,
             rows.commands[i],

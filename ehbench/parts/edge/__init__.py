@@ -22,18 +22,10 @@ from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.nodes import node_pressure
 from ehbench.runtime.compiled import choice, kernel, part_kernel, record
 
-LAWS = (
-    orifice.LAW,
-    compensated.LAW,
-    measured.LAW,
-    saturating.LAW,
-    flow_control.LAW,
-    pump.LAW,
-    check.LAW,
-)
+_FILES = (orifice, compensated, measured, saturating, flow_control, pump, check)
+LAWS = tuple(file.LAW for file in _FILES)
 FAULTS = (
-    *(row for law in (orifice, compensated, measured) for row in law.FAULTS),
-    *(row for law in (saturating, flow_control, pump, check) for row in law.FAULTS),
+    *(row for file in _FILES for row in file.FAULTS),
     Fault(
         "deadband",
         ("deadband",),
@@ -94,12 +86,7 @@ def edge_law(name: str) -> EdgeLaw:
 # its ``pilot`` node (−1: none) and ``pilot_ratio``; ``cracking_pressure`` [Pa] also of what is held
 # shut by a spring in series with a metering edge.
 EDGE = record(
-    ("from_node", "i8"),
-    ("to_node", "i8"),
-    ("valve", "i8"),
-    ("law", "i8"),
-    ("blocked", "i8"),
-    ("unmetered", "i8"),
+    *((name, "i8") for name in ("from_node", "to_node", "valve", "law", "blocked", "unmetered")),
     ("sign", "f8"),
     *dict.fromkeys(column for law in LAWS for column in law.columns),
 )

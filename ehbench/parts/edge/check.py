@@ -86,11 +86,8 @@ def pack(edge: Any) -> dict[str, float]:
 LAW = EdgeLaw(
     name="check",
     columns=(
-        ("gain", "f8"),
-        ("cracking_pressure", "f8"),
-        ("opening_range", "f8"),
-        ("pilot", "i8"),
-        ("pilot_ratio", "f8"),
+        *(("gain", "f8"), ("cracking_pressure", "f8"), ("opening_range", "f8")),
+        *(("pilot", "i8"), ("pilot_ratio", "f8")),
     ),
     flow=flow,
     opening=opening,

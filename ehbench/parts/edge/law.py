@@ -17,10 +17,6 @@ def _everywhere(drop, edge, maps):
     return np.inf
 
 
-def _nothing_odd(edge: Any) -> None:
-    """A law that takes any numbers its keys allow."""
-
-
 @part_kernel
 def _chord(drop, flow, reach, edge):
     """Flow over drop [m³/(s·Pa)]: no metering law is steeper."""
@@ -61,7 +57,7 @@ class EdgeLaw:
     takes: tuple[str, ...] = ()
     has_deadband: bool = True
     known: Callable = _everywhere
-    odd: Callable[[Any], tuple[str, str] | None] = _nothing_odd
+    odd: Callable[[Any], tuple[str, str] | None] = lambda edge: None
     slope: Callable = _chord
     metering: bool = True
     commanded: bool = True

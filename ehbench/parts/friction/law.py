@@ -25,24 +25,9 @@ class FrictionTable(FileModel):
 
 
 @part_kernel
-def _no_rates(row, v, y, dy):
-    """A law without states has no rates."""
-
-
-@part_kernel
-def _nothing_held(row, y):
-    """A law without states holds no energy [J]."""
+def _nothing(*_):
+    """A law without states has nothing to settle, to advance and to hold [J]."""
     return 0.0
-
-
-@part_kernel
-def _no_states(row, v, y):
-    """A law without states has nothing to settle."""
-
-
-@part_kernel
-def _nothing_to_advance(row, v, dt, y):
-    """A law without states has nothing to bring on."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +56,10 @@ class FrictionLaw:
     states: tuple[str, ...] = ()
     force: Callable | None = None
     loss: Callable | None = None
-    rates: Callable = _no_rates
-    settle: Callable = _no_states
-    advance: Callable = _nothing_to_advance
-    held: Callable = _nothing_held
+    rates: Callable = _nothing
+    settle: Callable = _nothing
+    advance: Callable = _nothing
+    held: Callable = _nothing
 
     def pack(self, cylinder: Any) -> dict[str, float]:
         """Columns of a cylinder of the rig file: of its own table, else of the cylinder."""

@@ -40,13 +40,8 @@ SHARE = 0.25  # of its fastest period over 2π, over which a series of elements 
 # ``first`` on in the plant's elements; ``output`` is where its opening [V] stands in the state, −1
 # where the opening is the command.
 VALVE_COLUMNS = (
-    ("lowest", "f8"),
-    ("highest", "f8"),
-    ("delay", "f8"),
-    ("before", "f8"),
-    ("first", "i8"),
-    ("count", "i8"),
-    ("output", "i8"),
+    *((name, "f8") for name in ("lowest", "highest", "delay", "before")),
+    *((name, "i8") for name in ("first", "count", "output")),
 )
 VALVE = record(*VALVE_COLUMNS)
 
@@ -55,10 +50,7 @@ VALVE = record(*VALVE_COLUMNS)
 # ``fastest`` rate [1/s]; then the columns of the laws: ``stiffness`` ω_n² [1/s²] and ``damping``
 # 2 ζ ω_n [1/s].
 ELEMENT = record(
-    ("law", "i8"),
-    ("state", "i8"),
-    ("states", "i8"),
-    ("fastest", "f8"),
+    *(("law", "i8"), ("state", "i8"), ("states", "i8"), ("fastest", "f8")),
     *dict.fromkeys(column for law in LAWS for column in law.columns),
 )
 

@@ -31,10 +31,8 @@ class SecondOrder(DynamicsTable):
     def _one_form(self) -> SecondOrder:
         pair = self.natural_frequency is not None and self.damping_ratio is not None
         poly = self.s2 is not None and self.s1 is not None
-        given = sum(
-            v is not None for v in (self.natural_frequency, self.damping_ratio, self.s2, self.s1)
-        )
-        if given != 2 or pair == poly:
+        keys = ("natural_frequency", "damping_ratio", "s2", "s1")
+        if sum(getattr(self, key) is not None for key in keys) != 2 or pair == poly:
             raise ValueError("give natural_frequency and damping_ratio, or s2 and s1")
         if poly and float(self.s2) <= 0:  # type: ignore[arg-type]
             raise ValueError("s2 must be positive")
@@ -74,22 +72,15 @@ class SecondOrder(DynamicsTable):
         if self.natural_frequency is not None or {"s1", "s2"} & set(new):
             return self.model_copy(update=dict(new))
         omega, zeta = self.frequency_and_damping()
-        base: dict[str, Any] = {
-            "natural_frequency": Value(omega),
-            "damping_ratio": Value(zeta),
-            "note": self.note,
-        }
-        return SecondOrder.model_construct(None, **(base | dict(new)))
+        base = {"natural_frequency": Value(omega), "damping_ratio": Value(zeta)}
+        values: dict[str, Any] = {"note": self.note, **base, **new}
+        return SecondOrder.model_construct(None, **values)
 
 
 def second_order(omega: float, zeta: float) -> dict[str, float]:
     """Columns of an element of natural frequency [rad/s] and damping ratio."""
     stiffness = omega**2
-    return {
-        "stiffness": stiffness,
-        "damping": 2 * zeta * omega,
-        "fastest": math.sqrt(stiffness),
-    }
+    return {"stiffness": stiffness, "damping": 2 * zeta * omega, "fastest": math.sqrt(stiffness)}
 
 
 @part_kernel
