@@ -146,12 +146,8 @@ def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
     packed = pack_rules(
         ax.circuit.area_rod, supply.pressure, allow_seventh=seventh, **(rules or {})
     )
-    site = {
-        "tick": TICK,
-        "supply_pressure": supply.pressure,
-        "flow_limit": supply.flow_limit,
-        "valve_lag": valve_lag(model, ax.circuit.cylinder),
-    }
+    site = {"tick": TICK, "supply_pressure": supply.pressure, "flow_limit": supply.flow_limit}
+    site |= {"valve_lag": valve_lag(model, ax.circuit.cylinder)}
     site |= {name: options.pop(name) for name in site if name in options}
     return pack_arc(DesignPoint(ax, **site), packed, Adaptation(**options), gains)
 

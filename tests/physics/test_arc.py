@@ -146,17 +146,9 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
         ],
         1,
     )
-    chosen = {
-        "position_bandwidth": 10.0,
-        "speed_bandwidth": 20.0,
-        "force_bandwidth": 40.0,
-        "coupling_frequency": 60.0,
-        "observer_bandwidth": 0.0,
-        "valve_lead": 0.0,
-        "speed_tolerance": 0.03,
-        "force_tolerance": 4000.0,
-        "robust_limit": 1e6,
-    }
+    chosen = {"position_bandwidth": 10.0, "speed_bandwidth": 20.0, "force_bandwidth": 40.0}
+    chosen |= {"coupling_frequency": 60.0, "observer_bandwidth": 0.0, "valve_lead": 0.0}
+    chosen |= {"speed_tolerance": 0.03, "force_tolerance": 4000.0, "robust_limit": 1e6}
     bounds = {
         "payload": (0.0, 60.0),
         "disturbance": 500.0,

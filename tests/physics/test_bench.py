@@ -33,12 +33,8 @@ def plain(rig, **given):
     """A bench file with all richness off that a file can switch off, on an orifice rig."""
     edges = {}
     for c, v, e in rig.edges():
-        curve = {
-            "onset": f"{float(e.deadband)} V",
-            "softness": "0 V",
-            "saturation": "0 V",
-            "gain_factor": "1",
-        }
+        curve = {"onset": f"{float(e.deadband)} V", "softness": "0 V", "saturation": "0 V"}
+        curve |= {"gain_factor": "1"}
         edges[f"{c.name}.{v.edge_name(e)}"] = {
             **curve,
             "null_leakage": "0 mL/min/bar",

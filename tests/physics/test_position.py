@@ -17,12 +17,8 @@ from ehbench.vocabulary.errors import InputError
 from tests.shared import shipped
 
 SLIDE = shipped("slide_servo")
-MOTION = {
-    "kind": "point_to_point",
-    "cylinder": "press",
-    "waypoints": ["100 mm", "200 mm"],
-    "speed": "50 mm/s",
-}
+MOTION = {"kind": "point_to_point", "cylinder": "press", "waypoints": ["100 mm", "200 mm"]}
+MOTION |= {"speed": "50 mm/s"}
 T = 1e-3
 
 
@@ -136,14 +132,9 @@ def test_it_works_untuned_on_every_shipped_rig(name, on):
     the end within 2 mm, of which the benches' sensors and deadbands take most.
     """
     cylinder, low, high, speed, payload = MACHINES[name]
-    motion = {
-        "kind": "point_to_point",
-        "cylinder": cylinder,
-        "waypoints": [f"{low} m", f"{high} m", f"{low} m"],
-        "hold": "1 s",
-        "speed": f"{speed} m/s",
-        "acceleration": f"{5 * speed} m/s^2",
-    }
+    motion = {"kind": "point_to_point", "cylinder": cylinder}
+    motion |= {"waypoints": [f"{low} m", f"{high} m", f"{low} m"], "hold": "1 s"}
+    motion |= {"speed": f"{speed} m/s", "acceleration": f"{5 * speed} m/s^2"}
     rig = shipped(name)
     record, facts = run_trial(rig, recipe(motion, payload=payload, on=on))
     gains, tracking = facts.measures["gains"], facts.measures["tracking"]

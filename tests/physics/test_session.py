@@ -21,19 +21,10 @@ from ehbench.vocabulary.errors import InputError
 from tests.shared import shipped
 
 RIG = shipped("slide_servo")
-STEP = {
-    "valve": "press.servo",
-    "kind": "step",
-    "amplitude": "4 V",
-    "start": "0.1 s",
-    "stop": "0.6 s",
-}
-MOTION = {
-    "kind": "point_to_point",
-    "waypoints": ["150 mm", "200 mm", "150 mm"],
-    "speed": "80 mm/s",
-    "hold": "0.3 s",
-}
+STEP = {"valve": "press.servo", "kind": "step", "amplitude": "4 V", "start": "0.1 s"}
+STEP |= {"stop": "0.6 s"}
+MOTION = {"kind": "point_to_point", "waypoints": ["150 mm", "200 mm", "150 mm"], "speed": "80 mm/s"}
+MOTION |= {"hold": "0.3 s"}
 GAINS = {"pressure_feedback": {"feedback_gain": "5e-12 m^3/(s*Pa)", "washout": "1 Hz"}}
 CODE = """
 class Mine:

@@ -28,12 +28,8 @@ from tests.shared import RIGS, refused, shipped
 
 FOLLOWING = ("load sensing", "two rails")
 LAG = 0.05
-CYLINDERS = {
-    "thesis_arm": "boom",
-    "boom_four_valve": "boom",
-    "crane_proportional": "lift",
-    "slide_servo": "press",
-}
+CYLINDERS = {"thesis_arm": "boom", "boom_four_valve": "boom", "crane_proportional": "lift"}
+CYLINDERS |= {"slide_servo": "press"}
 
 
 @cache

@@ -187,14 +187,8 @@ def test_a_model_is_judged_by_what_is_not_tied():
 
 def test_recipes_say_what_is_tied(tmp_path, inside, undrawn):
     write_log(tmp_path / "log.mcap", loaded())
-    recipe = {
-        "stage": "identify",
-        "what": "hydraulics",
-        "rig": str(RIGS / "slide_servo.toml"),
-        "tied": "motion",
-        "data": ["log.mcap"],
-        "parameters": [STIFF],
-    }
+    recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIGS / "slide_servo.toml")}
+    recipe |= {"tied": "motion", "data": ["log.mcap"], "parameters": [STIFF]}
     path = tmp_path / "fit.toml"
     path.write_text(tomli_w.dumps(recipe))
     outcome = workflow.run(path, workflow.Session(root=tmp_path / "runs"))

@@ -145,12 +145,8 @@ def test_more_freedom_ends_no_worse_on_a_model_that_does_not_hold():
         c: np.concatenate([y[:1]] * 8 + [y[:-8]]) for c, y in made.channels.items() if "p_" in c
     }
     log = Record(made.t, made.channels | late, made.meta)
-    start = {
-        "press.servo_rod_tank.flow_gain": 2.73e-8,
-        "bulk_modulus": 1.76e9,
-        "carriage.damping": 364.0,
-        "spool.natural_frequency": 458.0,
-    }
+    start = {"press.servo_rod_tank.flow_gain": 2.73e-8, "bulk_modulus": 1.76e9}
+    start |= {"carriage.damping": 364.0, "spool.natural_frequency": 458.0}
     machine, last = shipped("slide_servo"), math.inf
     for count in (3, 4):
         some = list(start)[:count]

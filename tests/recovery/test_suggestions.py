@@ -94,13 +94,8 @@ def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     fault = spoilt("press.p_head", lambda y: y + 5e5)
     machine = built("delay")._replace(sensors=fault)
     write_log(tmp_path / "log.mcap", log_of("slide_servo", machine, *STEPS, 3, LONG))
-    recipe = {
-        "stage": "identify",
-        "what": "hydraulics",
-        "rig": str(RIGS / "slide_servo.toml"),
-        "data": ["log.mcap"],
-        "parameters": ["bulk_modulus", "carriage.damping"],
-    }
+    recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIGS / "slide_servo.toml")}
+    recipe |= {"data": ["log.mcap"], "parameters": ["bulk_modulus", "carriage.damping"]}
     (tmp_path / "fit.toml").write_text(tomli_w.dumps(recipe))
     done = inside("identify", "fit.toml", "--suggest", "--out", "new", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

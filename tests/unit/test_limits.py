@@ -32,14 +32,9 @@ def stalled() -> np.ndarray:
     return np.round(y / 2e4) * 2e4
 
 
-SOUND = {
-    "noise": wave(),
-    "no noise": wave(0.0),
-    "a coarse converter": wave(step=1e5),
-    "a pressure that comes to stand at its largest": stalled(),
-    "constant": np.full(50, 3e6),
-    "two samples": np.array([1.0, 2.0]),
-}
+SOUND = {"noise": wave(), "no noise": wave(0.0), "a coarse converter": wave(step=1e5)}
+SOUND |= {"a pressure that comes to stand at its largest": stalled(), "constant": np.full(50, 3e6)}
+SOUND |= {"two samples": np.array([1.0, 2.0])}
 
 
 @pytest.mark.parametrize("name", SOUND)

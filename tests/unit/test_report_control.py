@@ -174,14 +174,8 @@ def test_limits_that_were_not_met_are_not_named(shown):
 
 
 def test_a_tuning_that_fails_says_so(unpainted, tmp_path):
-    few = {
-        "draws": 0,
-        "parameters": [],
-        "points": 0,
-        "share": None,
-        "quantiles": [],
-        "damping_ratios": [],
-    }
+    few = {"draws": 0, "parameters": [], "points": 0, "share": None, "quantiles": []}
+    few |= {"damping_ratios": []}
     gains = {"extend_resistive": 1e-10, "retract_resistive": 3e-10}
     known = tuning()
     folder = tune_run(

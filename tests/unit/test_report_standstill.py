@@ -26,12 +26,8 @@ def trial(
     for place in range(changes):
         function[(T >= 2.5 + 0.1 * place) & (T < 2.55 + 0.1 * place)] = 1.0
     command = np.where(MOVING, 4.0 + chatter * np.sin(2.0 * np.pi * 40.0 * T), 0.0)
-    channels = {
-        "boom.v": v,
-        "boom.v_desired": 0.1 * MOVING,
-        "boom.function": function,
-        "boom.hect.command": command,
-    }
+    channels = {"boom.v": v, "boom.v_desired": 0.1 * MOVING, "boom.function": function}
+    channels |= {"boom.hect.command": command}
     row = {
         "cylinder": "boom",
         "controller": "six_functions",

@@ -212,12 +212,8 @@ def test_share_of_draws(tuned, unlocused):
             2500.0, sure="identified", std=1200.0, lower=50.0, upper=40000.0
         )
     }
-    options = {
-        "draws": 16,
-        "phase_margin": "30 deg",
-        "washout": f"{tuned.washout} rad/s",
-        "off_gain": f"{tuned.off_gain} m^3/(s*Pa)",
-    }
+    options = {"draws": 16, "phase_margin": "30 deg", "washout": f"{tuned.washout} rad/s"}
+    options |= {"off_gain": f"{tuned.off_gain} m^3/(s*Pa)"}
 
     def share(target, **extra):
         return gains(rig(**wide), recipe(**options, damping_ratio=target, **extra)).robustness
