@@ -13,16 +13,8 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.cylinder import linkage_of
 from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
 from ehbench.plant.model import Model
-from ehbench.vocabulary.codes import (
-    ESTIMATES,
-    EXTEND_RESISTIVE,
-    EXTEND_RESISTIVE_REGENERATION,
-    FREE,
-    FROZEN,
-    HOLD,
-    RETRACT_OVERRUNNING_REGENERATION,
-    SATURATED,
-)
+from ehbench.vocabulary import codes
+from ehbench.vocabulary.codes import ESTIMATES, HOLD
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.quantities import quantity
 from tests.shared import refused, shipped
@@ -31,56 +23,40 @@ LOW, HIGH = 0.05, 0.20  # strokes of the thesis's boom [m]
 RESOLUTION = 2.54e-5  # of the cylinder's quadrature encoder [m]
 
 
+def with_cylinders(rig, *cylinders):
+    """A rig with other cylinders."""
+    return rig.model_copy(update={"cylinder": cylinders})
+
+
 @cache
 def thesis(valve="cartridges"):
     """The thesis's arm, its boom on five cartridges or on a spool as fast as they are."""
     rig = shipped("thesis_arm")
     if valve == "standard":
         spool = rig.cylinder_named("stick").valve[0].model_copy(update={"dynamics": "eq_2_12"})
-        own = [
-            c.model_copy(update={"valve": (spool,)}) if c.name == "boom" else c
-            for c in rig.cylinder
-        ]
-        rig = rig.model_copy(update={"cylinder": tuple(own)})
+        boom = rig.cylinder_named("boom").model_copy(update={"valve": (spool,)})
+        rig = with_cylinders(rig, *(boom if c.name == "boom" else c for c in rig.cylinder))
     design = Model.of(rig)
     return rig, design, axis_of(design, 1, {"boom": "0.127 m"})
 
 
-@cache
-def slow():
-    """Up and down again, 0.15 m in about 4 s each."""
-    return point_to_point(
-        [LOW, HIGH, LOW],
-        speed=0.08,
-        acceleration=0.2,
-        jerk=2.0,
-        tick=TICK,
-        hold=[0.5, 0.5, 1.0],
-        profile="seventh",
-    )
+def there_and_back(low, high, speed, *, acceleration=0.5, jerk=5.0, hold=(0.3, 0.5, 1.0)):
+    """The reference of strokes [m] up and down again."""
+    given = {"speed": speed, "acceleration": acceleration, "jerk": jerk, "hold": list(hold)}
+    return point_to_point([low, high, low], tick=TICK, profile="seventh", **given)
 
 
-@cache
-def fast():
-    """Up and down again, 0.15 m in about 1.5 s each, at 92 % of the pump's flow."""
-    return point_to_point(
-        [LOW, HIGH, LOW],
-        speed=0.23,
-        acceleration=1.0,
-        jerk=20.0,
-        tick=TICK,
-        hold=[0.5, 0.5, 1.0],
-        profile="seventh",
-    )
+# 0.15 m in about 4 s each; and in 1.5 s each, at 92 % of the pump's flow
+SLOW = there_and_back(LOW, HIGH, 0.08, acceleration=0.2, jerk=2.0, hold=(0.5, 0.5, 1.0))
+FAST = there_and_back(LOW, HIGH, 0.23, acceleration=1.0, jerk=20.0, hold=(0.5, 0.5, 1.0))
+START = {"boom": f"{LOW} m"}
 
 
 @cache
 def trial(payload=None, adapt=True, seventh=False, valve="cartridges", quick=False):
     rig, design, ax = thesis(valve)
     gains = gains_of(design, ax, seventh, adapt=adapt)
-    return run_model(
-        Model.of(rig, None, payload), ax, gains, fast() if quick else slow(), {"boom": f"{LOW} m"}
-    )
+    return run_model(Model.of(rig, None, payload), ax, gains, FAST if quick else SLOW, START)
 
 
 def inside_bounds(run, gains):
@@ -102,33 +78,21 @@ def functions(run):
 def nominal(payload):
     """A one-joint crane whose valve has no lag, and the same with ``payload`` [kg] at its end."""
     rig = shipped("crane_proportional")
-    ideal = [
-        c.model_copy(
-            update={"valve": tuple(v.model_copy(update={"dynamics": None}) for v in c.valve)}
-        )
-        for c in rig.cylinder
-    ]
-    rig = rig.model_copy(update={"cylinder": tuple(ideal)})
+    (lift,) = rig.cylinder
+    ideal = (v.model_copy(update={"dynamics": None}) for v in lift.valve)
+    rig = with_cylinders(rig, lift.model_copy(update={"valve": tuple(ideal)}))
     link = rig.mechanism.joint[-1]
     mass, com = float(link.mass), np.array(link.com.value)
     both = mass * com / (mass + payload)
     points = [(mass, com - both), (payload, -both)]
     extra = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in points)
     inertia = np.array(link.inertia.value) + extra[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]  # pyright: ignore[reportIndexIssue]
-    heavy = link.model_copy(
-        update={
-            "mass": Value(mass + payload),
-            "com": Value(tuple(both)),
-            "inertia": Value(tuple(inertia)),
-        }
-    )
+    worn = {"mass": mass + payload, "com": tuple(both), "inertia": tuple(inertia)}
+    heavy = link.model_copy(update={key: Value(value) for key, value in worn.items()})
     chain = rig.mechanism.model_copy(update={"joint": (*rig.mechanism.joint[:-1], heavy)})
     design = Model.of(rig)
-    return (
-        design,
-        Model.of(rig.model_copy(update={"mechanism": chain})),
-        axis_of(design, 0, {design.layout.cylinders[0]: "0.25 m"}),
-    )
+    loaded = Model.of(rig.model_copy(update={"mechanism": chain}))
+    return design, loaded, axis_of(design, 0, {lift.name: "0.25 m"})
 
 
 def nominal_run(payload, estimates, adapt, span=1.6, **gains):
@@ -137,6 +101,8 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     tick = 2.0e-4
     t = np.arange(round(span / tick)) * tick
     w = 2 * np.pi / 1.6
+    sine, cosine = 0.04 * np.sin(w * t), 0.04 * np.cos(w * t)
+    reference = np.stack([0.24 - cosine, w * sine, w**2 * cosine, -(w**3) * sine], 1)
     reference = np.stack(
         [
             0.2 + 0.04 * (1 - np.cos(w * t)),
@@ -149,21 +115,14 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     chosen = {"position_bandwidth": 10.0, "speed_bandwidth": 20.0, "force_bandwidth": 40.0}
     chosen |= {"coupling_frequency": 60.0, "observer_bandwidth": 0.0, "valve_lead": 0.0}
     chosen |= {"speed_tolerance": 0.03, "force_tolerance": 4000.0, "robust_limit": 1e6}
-    bounds = {
-        "payload": (0.0, 60.0),
-        "disturbance": 500.0,
-        "adaptation": 2.0,
-        "adaptation_bulk": 0.1,
-    }
-    packed = gains_of(
-        design, ax, adapt=adapt, tick=tick, valve_lag=0.0, gains=chosen | gains, **bounds
-    )
+    bounds = {"payload": (0.0, 60.0), "disturbance": 500.0}
+    bounds |= {"adaptation": 2.0, "adaptation_bulk": 0.1, "tick": tick, "valve_lag": 0.0}
+    packed = gains_of(design, ax, adapt=adapt, gains=chosen | gains, **bounds)
     memory = arc.memory_of(ax)
     memory.state.started, memory.state.function, memory.state.x = 1, HOLD, 0.2
     memory.state.estimates[:] = estimates(packed)
-    run = run_model(
-        loaded, ax, packed, reference, {design.layout.cylinders[0]: "0.2 m"}, memory=memory
-    )
+    (start,) = ({name: "0.2 m"} for name in design.layout.cylinders)
+    run = run_model(loaded, ax, packed, reference, start, memory=memory)
     load, ratio = reference_load(ax)
     mass = load.mass
     truth = np.array([1 / (1 + ratio * payload), payload / (1 + ratio * payload), 0.0, 1.0])
@@ -171,11 +130,8 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
     z3 = run.telemetry["load_force"] - run.telemetry["load_force_desired"]
     weight = 1.0 / (mass * 60.0) ** 2
     # the motion proper: the reference is away from rest and no limit is met
-    moving = (
-        (np.abs(reference[:, 1]) > 0.01)
-        & (run.telemetry["function"] != HOLD)
-        & (run.telemetry["limits"] == 0)
-    )
+    moving = (run.telemetry["function"] != HOLD) & (run.telemetry["limits"] == 0)
+    moving &= np.abs(reference[:, 1]) > 0.01
     return run, packed, truth, z2, z3, weight, moving, tick
 
 
@@ -190,19 +146,16 @@ def test_lyapunov_function_falls_as_derived(payload):
         lower, upper = packed.lower, packed.upper
         return lower + np.array([0.8, 0.45, 0.55, 0.6]) * (upper - lower)
 
-    run, packed, truth, z2, z3, weight, moving, tick = nominal_run(
-        payload, off, True, robust_limit=0.0
-    )
+    made = nominal_run(payload, off, True, robust_limit=0.0)
+    run, packed, truth, z2, z3, weight, moving, tick = made
     # telemetry holds the estimates after the tick's adaptation, the errors are from before it
-    error = (
-        np.stack([np.concatenate([[np.nan], run.telemetry[name][:-1]]) for name in ESTIMATES], 1)
-        - truth
-    )
+    before = [np.concatenate([[np.nan], run.telemetry[name][:-1]]) for name in ESTIMATES]
+    error = np.stack(before, 1) - truth
     gamma = packed.rate
     value = 0.5 * z2**2 + 0.5 * weight * z3**2 + 0.5 * (error**2 / gamma).sum(1)
     derived = -20.0 * z2**2 - 40.0 * weight * z3**2
     at_bound = ((error + truth == packed.lower) | (error + truth == packed.upper)).any(1)
-    free = moving & (run.telemetry["learning"] == FREE) & ~at_bound
+    free = moving & (run.telemetry["learning"] == codes.FREE) & ~at_bound
     free[1:] &= free[:-1]
     free[0] = False
     assert free.sum() > 2000
@@ -221,10 +174,8 @@ def test_transient_bound_holds_for_any_estimates_without_adaptation(seed):
     rng = np.random.default_rng(seed)
 
     def drawn(packed):
-        lower, upper = packed.lower, packed.upper
-        return (
-            np.where(rng.random(4) < 0.5, lower, upper) if seed < 2 else rng.uniform(lower, upper)
-        )
+        ends = np.where(rng.random(4) < 0.5, packed.lower, packed.upper)
+        return ends if seed < 2 else rng.uniform(packed.lower, packed.upper)
 
     run, _, _, z2, z3, weight, moving, _ = nominal_run(rng.uniform(0, 60), drawn, False)
     value = 0.5 * z2**2 + 0.5 * weight * z3**2
@@ -266,16 +217,8 @@ def test_estimates_stay_inside_whatever_the_sensors_say():
         sample = np.concatenate(
             [scale * rng.normal(size=18), [7e6 * rng.random(), 1e5 * rng.normal()]]
         )
-        arc.step(
-            tick * TICK,
-            sample,
-            rng.normal(size=4) * [0.2, 0.3, 2.0, 20.0],
-            ax,
-            gains,
-            memory,
-            command,
-            telemetry,
-        )
+        reference = rng.normal(size=4) * [0.2, 0.3, 2.0, 20.0]
+        arc.step(tick * TICK, sample, reference, ax, gains, memory, command, telemetry)
         for i in range(4):
             assert gains.lower[i] <= memory.state.estimates[i] <= gains.upper[i]
         assert (command >= -10.0).all() and (command <= 10.0).all()
@@ -301,9 +244,8 @@ def test_a_point_mass_at_the_tip_is_what_the_regressors_say(rig):
     own, tip = inertias(ax, q.copy(), work)
     load = load_at(ax, q[j], own, work)
     assert heavy[0] == pytest.approx((load.mass, load.gravity), rel=1e-12)
-    assert heavy[1] == pytest.approx(
-        (load.mass * (1 + 7.0 * tip / own), load.gravity + 7.0 * load.pull), rel=1e-9, abs=1e-9
-    )
+    both = (load.mass * (1 + 7.0 * tip / own), load.gravity + 7.0 * load.pull)
+    assert heavy[1] == pytest.approx(both, rel=1e-9, abs=1e-9)
 
 
 # --- trials on the identified model
@@ -323,25 +265,22 @@ def test_tracks_with_the_payload_unknown(payload, quick):
     inside_bounds(run, gains_of(thesis()[1], thesis()[2]))
     # 50 lb: 24.55 kg more than the bare stick, its centre 57 mm beyond the tip, where the law looks
     # for it
-    assert run.telemetry["payload_estimate"][-1] == pytest.approx(
-        24.55 if payload else 0.0, abs=2.0
-    )
+    kilograms = 24.55 if payload else 0.0
+    assert run.telemetry["payload_estimate"][-1] == pytest.approx(kilograms, abs=2.0)
 
 
 def test_adaptation_beats_none():
-    with_it, without = (
-        trial("50 lb").telemetry["x_error"],
-        trial("50 lb", adapt=False).telemetry["x_error"],
-    )
+    with_it, without = (trial("50 lb", adapt=on).telemetry["x_error"] for on in (True, False))
     assert np.abs(without[-200:]).max() > 3.0 * np.abs(with_it[-200:]).max()
     assert np.abs(without).max() > 3.0 * np.abs(with_it).max()
 
 
 @pytest.mark.parametrize("payload", [None, "50 lb"])
 def test_functions_do_not_chatter(payload):
-    assert functions(trial(payload)) == [HOLD, EXTEND_RESISTIVE, RETRACT_OVERRUNNING_REGENERATION]
+    six = [HOLD, codes.EXTEND_RESISTIVE, codes.RETRACT_OVERRUNNING_REGENERATION]
+    assert functions(trial(payload)) == six
     seventh = functions(trial(payload, seventh=True))
-    assert len(seventh) <= 7 and EXTEND_RESISTIVE_REGENERATION in seventh
+    assert len(seventh) <= 7 and codes.EXTEND_RESISTIVE_REGENERATION in seventh
 
 
 @pytest.mark.parametrize("payload", [None, "50 lb"])
@@ -358,15 +297,14 @@ def test_saves_pump_energy(payload):
     for seventh, least in ((False, 0.30), (True, 0.55)):
         run = trial(payload, seventh=seventh)
         assert energy(run) < (1.0 - least) * energy(standard)
-        assert (
-            np.abs(run.telemetry["x_error"]).max()
-            < np.abs(standard.telemetry["x_error"]).max() + RESOLUTION
-        )
+        error, most = (np.abs(one.telemetry["x_error"]).max() for one in (run, standard))
+        assert error < most + RESOLUTION
 
 
 def test_off_side_pressure_follows_its_set_point():
     run = trial("50 lb")
-    up = (run.telemetry["function"] == EXTEND_RESISTIVE) & (run.reference[:, 1] > 0.04)
+    resistive = run.telemetry["function"] == codes.EXTEND_RESISTIVE
+    up = resistive & (run.reference[:, 1] > 0.04)
     supply = float(thesis()[0].supply.pressure)
     assert np.abs(run.log[up, 11] - run.telemetry["pressure_set"][up]).max() < 0.01 * supply
     assert run.telemetry["pressure_set"][up].max() == pytest.approx(supply / 20, rel=1e-6)
@@ -375,63 +313,51 @@ def test_off_side_pressure_follows_its_set_point():
 def test_saturation_is_said_and_leaves_no_wind_up():
     """A reference twice as fast as the pump: estimates keep still, and no overshoot."""
     rig, design, ax = thesis()
-    reference = point_to_point(
-        [LOW, HIGH], speed=0.5, acceleration=4.0, jerk=100.0, tick=TICK, hold=[0.3, 2.5]
-    )
-    run = run_model(
-        Model.of(rig, None, "50 lb"), ax, gains_of(design, ax), reference, {"boom": f"{LOW} m"}
-    )
-    limits = np.stack(
-        [values for name, values in run.telemetry.items() if name.endswith(".limits")]
-    ).astype(int)
-    saturated = (limits & SATURATED).any(axis=0)
+    profile = {"speed": 0.5, "acceleration": 4.0, "jerk": 100.0, "hold": [0.3, 2.5]}
+    reference, gains = point_to_point([LOW, HIGH], tick=TICK, **profile), gains_of(design, ax)
+    run = run_model(Model.of(rig, None, "50 lb"), ax, gains, reference, START)
+    words = [values for name, values in run.telemetry.items() if name.endswith(".limits")]
+    limits = np.stack(words).astype(int)
+    saturated = (limits & codes.SATURATED).any(axis=0)
     error = run.telemetry["x_error"]
     assert saturated.sum() > 50 and error.min() < -0.02
-    still = saturated[1:] & saturated[:-1] & (run.telemetry["learning"][:-1] == FROZEN)  # pyright: ignore[reportIndexIssue]
+    frozen = run.telemetry["learning"][:-1] == codes.FROZEN  # pyright: ignore[reportIndexIssue]
+    still = saturated[1:] & saturated[:-1] & frozen
     assert still.sum() > 50
     for name in ESTIMATES:
         assert np.abs(np.diff(run.telemetry[name])[still]).max() == 0.0
     assert error.max() < 2.0e-3
     assert np.abs(error[-200:]).max() < 2 * RESOLUTION
-    inside_bounds(run, gains_of(design, ax))
+    inside_bounds(run, gains)
 
 
 def test_the_same_trial_twice_gives_the_same_bytes():
     rig, design, ax = thesis()
-    runs = [
-        run_model(
-            Model.of(rig, None, "50 lb"),
-            ax,
-            gains_of(design, ax),
-            slow()[:3000],
-            {"boom": f"{LOW} m"},
-        )
-        for _ in range(2)
-    ]
-    assert runs[0].commands.tobytes() == runs[1].commands.tobytes()
-    assert runs[0].log.tobytes() == runs[1].log.tobytes()
+    machine, gains = Model.of(rig, None, "50 lb"), gains_of(design, ax)
+    one, two = (run_model(machine, ax, gains, SLOW[:3000], START) for _ in range(2))
+    assert one.commands.tobytes() == two.commands.tobytes()
+    assert one.log.tobytes() == two.log.tobytes()
 
 
 def test_sees_only_its_channels():
     """Channels that it does not observe change nothing; NaN in an observed one shows."""
     _, design, ax = thesis()
-    reference = slow()[:2500]
+    reference = SLOW[:2500]
     channels = 6 * len(design.layout.cylinders) + 2
-    posture, gains = {"boom": f"{LOW} m"}, gains_of(design, ax)
+    gains = gains_of(design, ax)
     mask = arc.observed(ax, channels)
     own = set(range(6, 12)) | {0, 12, 18, 19}
     assert set(np.flatnonzero(mask)) == own
     masked, open_ = (
-        run_model(design, ax, gains, reference, posture, m) for m in (mask, np.ones(channels, bool))
+        run_model(design, ax, gains, reference, START, m) for m in (mask, np.ones(channels, bool))
     )
     assert np.isfinite(masked.commands).all()
     assert masked.commands.tobytes() == open_.commands.tobytes()
     for channel in (6, 8, 10, 11, 18):
         poor = mask.copy()
         poor[channel] = False
-        assert np.isnan(
-            run_model(design, ax, gains, reference[1500:], posture, poor).commands
-        ).any(), channel
+        run = run_model(design, ax, gains, reference[1500:], START, poor)
+        assert np.isnan(run.commands).any(), channel
 
 
 @pytest.mark.parametrize(
@@ -448,46 +374,25 @@ def test_other_rigs_on_their_models(name, payload, low, high, kilograms):
     design = Model.of(rig)
     cylinder = design.layout.cylinders[0]
     ax = axis_of(design, 0, {cylinder: f"{0.5 * (low + high)} m"})
-    reference = point_to_point(
-        [low, high, low],
-        speed=0.07,
-        acceleration=0.5,
-        jerk=5.0,
-        tick=TICK,
-        hold=[0.3, 0.5, 1.0],
-        profile="seventh",
-    )
+    reference = there_and_back(low, high, 0.07)
     for load in (None, payload):
-        run = run_model(
-            Model.of(rig, None, load), ax, gains_of(design, ax), reference, {cylinder: f"{low} m"}
-        )
+        machine, gains = Model.of(rig, None, load), gains_of(design, ax)
+        run = run_model(machine, ax, gains, reference, {cylinder: f"{low} m"})
         assert np.abs(run.telemetry["x_error"]).max() < 1.0e-3
         assert np.abs(run.telemetry["x_error"][-200:]).max() < RESOLUTION
         if kilograms is not None:
-            assert run.telemetry["payload_estimate"][-1] == pytest.approx(
-                kilograms if load else 0.0, abs=0.05 * kilograms
-            )
+            near = pytest.approx(kilograms if load else 0.0, abs=0.05 * kilograms)
+            assert run.telemetry["payload_estimate"][-1] == near
 
 
 def test_an_inclined_slide_weighs_its_load():
     rig = shipped("slide_servo")
-    rig = rig.model_copy(
-        update={"mechanism": rig.mechanism.model_copy(update={"incline": Value(0.5)})}
-    )
+    slope = rig.mechanism.model_copy(update={"incline": Value(0.5)})
+    rig = rig.model_copy(update={"mechanism": slope})
     design = Model.of(rig)
     ax = axis_of(design, 0, {"press": "0.2 m"})
-    reference = point_to_point(
-        [0.05, 0.3, 0.05],
-        speed=0.1,
-        acceleration=0.5,
-        jerk=5.0,
-        tick=TICK,
-        hold=[0.3, 0.5, 1.0],
-        profile="seventh",
-    )
-    run = run_model(
-        Model.of(rig, None, "100 kg"), ax, gains_of(design, ax), reference, {"press": "0.05 m"}
-    )
+    machine, reference = Model.of(rig, None, "100 kg"), there_and_back(0.05, 0.3, 0.1)
+    run = run_model(machine, ax, gains_of(design, ax), reference, {"press": "0.05 m"})
     assert run.telemetry["payload_estimate"][-1] == pytest.approx(100.0, abs=5.0)
     assert run.telemetry["inverse_inertia"][-1] == pytest.approx(250 / 350, abs=0.05)
     assert np.abs(run.telemetry["x_error"]).max() < 1.0e-3
@@ -503,15 +408,7 @@ def test_on_the_bench(load):
     rig = shipped("boom_four_valve")
     design = Model.of(rig)
     ax = axis_of(design, 0, {"boom": "0.225 m"})
-    reference = point_to_point(
-        [0.1, 0.35, 0.1],
-        speed=0.1,
-        acceleration=0.3,
-        jerk=3.0,
-        tick=TICK,
-        hold=[0.5, 0.5, 1.5],
-        profile="seventh",
-    )
+    reference = there_and_back(0.1, 0.35, 0.1, acceleration=0.3, jerk=3.0, hold=(0.5, 0.5, 1.5))
     gains = gains_of(design, ax)
     machine = VirtualMachine(rig, None, load)
     run = run_bench(machine, design, ax, gains, reference, {"boom": "0.1 m"})

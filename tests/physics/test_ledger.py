@@ -7,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from with_parts import closes
 
 from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.ledger import (
-    Accuracy,
-    Ledger,
-    bounds,
-    ledger_of_log,
-    ledger_of_model,
-)
+from ehbench.ledger import Accuracy, Ledger, bounds, ledger_of_log, ledger_of_model
 from ehbench.ledger.bounds import travels
 from ehbench.ledger.readings import noise_of
 from ehbench.machines.virtual import VirtualMachine
@@ -29,24 +24,15 @@ from ehbench.physics.friction import stribeck
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_valves
 from ehbench.trial import run_trial
-from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
+from ehbench.vocabulary.errors import InputError, InsufficientData
 from ehbench.vocabulary.fields import Value
-from tests.shared import ROOT, shipped
+from tests.shared import RIGS, ROOT, refused, shipped
 
 # on a constant-pressure supply; the ledger of a pump at a cylinder is in test_parts_circuit
-NAMES = tuple(
-    sorted(
-        path.stem
-        for path in (ROOT / "recipes" / "rigs").glob("*.toml")
-        if load_rig(path).supply.accumulator is None
-    )
-)
+EVERY = {path.stem: load_rig(path) for path in sorted(RIGS.glob("*.toml"))}
+NAMES = tuple(name for name, rig in EVERY.items() if rig.supply.accumulator is None)
 EXACT = Accuracy(pressure=0.0, position=0.0, flow=0.0, lag=0.0, alignment=0.0, draws=2)
 POSITIVE = ("throttling", "leakage", "relief", "makeup", "friction", "end_stop", "damping")
-
-
-def refused(key: str, kind: type[Exception] = LogError):
-    return pytest.raises(kind, check=lambda error: error.key == key)
 
 
 def rig_of(name: str, lossy: bool = True) -> Rig:
@@ -105,9 +91,7 @@ def test_closes_on_every_rig(model, made):
     """To 0.1 % of pump energy; integrated anew to 1e-5, what RK4 leaves over at 500 µs."""
     exact, samples = ledger_of_model(model, made), ledger_of_model(model, made, "samples")
     assert exact.pump > 1000.0 and exact.notes == ()
-    for row in exact.rows:
-        if row.group in ("part", "residual"):
-            assert abs(row.energy) < 1e-5 * exact.pump, row
+    closes(exact)
     assert abs(samples.residual.energy) < 1e-3 * exact.pump
     for row in exact.rows:
         assert abs(samples[row.name].energy - row.energy) < 1e-3 * exact.pump, row
@@ -145,11 +129,9 @@ def test_regeneration_edges_take_part():
 
 
 def test_agrees_with_an_independent_count_at_fine_steps(model):
-    """The same trial at 20 kHz, energies added up from its channels by plain formulas: every row
-    within 1e-3 of pump energy.
-
-    That is what the trapezoid of 50 µs leaves over where valves slam shut, not what the ledger
-    does."""
+    """At 20 kHz, energies by plain formulas from its channels: every row within 1e-3 of pump
+    energy, what the trapezoid of 50 µs leaves over where valves slam shut.
+    """
     table, start = lively(model, 1001, seed=3), near_the_end(model.rig)
     fine = trial(model, np.repeat(table, 20, axis=0)[: 20 * 1000 + 1], 5e-5, start)
     ledger = ledger_of_model(model, trial(model, table, posture=start))
@@ -345,10 +327,8 @@ def test_what_is_drawn_beyond_the_bound_is_oil_compressed_or_a_function_without_
     tmp_path,
 ):
     """Slow lifting draws A1 for every metre and the oil's compression, to 0.2 % of it: what valves
-    that open and shut let by.
-
-    The bound follows from the functions at work: of six with regenerated lowering, the seventh if
-    it was allowed, the four-way valve's without the cross-port edge."""
+    that open and shut let by. The bound follows from the functions at work.
+    """
     for name, law, against in (
         ("thesis_arm", "arc", "six"),
         ("thesis_arm", "seven functions", "seventh"),
@@ -383,12 +363,10 @@ def measured(record: Record, model: Model) -> Record:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_model_does_not_know_is_unexplained(name):
-    """A log of the lossy machine read with the lossless rig: the unexplained row is its friction,
-    leakage and relief.
-
-    To 0.25 % of pump energy: the oil that leaks and is relieved also expands, which is 1 % of what
-    it carries. What the maps and the mechanism account for is right to 1e-4, what trapezoids of 1
-    kHz leave over."""
+    """A log of the lossy machine read with the lossless rig: friction, leakage and relief, to 0.25
+    % of pump energy, as the oil that leaks also expands by 1 %; the rest to 1e-4, what trapezoids
+    of 1 kHz leave over.
+    """
     machine, known = Model.of(rig_of(name)), rig_of(name, lossy=False)
     record = trial(machine, lively(machine, 2001, seed=2, hold=250))
     truth = ledger_of_model(machine, record)
@@ -405,11 +383,9 @@ def test_what_the_model_does_not_know_is_unexplained(name):
 
 
 def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
-    """Flow gains, bulk modulus, damping and mass drawn from their standard errors: rows lie in
-    their 95 % intervals.
-
-    60 draws × 10 rows, which share their errors: between 88 % and 99.5 % is what chance leaves at 3
-    standard errors."""
+    """60 draws × 10 rows, which share their errors: between 88 % and 99.5 % is what chance leaves
+    at 3 standard errors.
+    """
     machine = Model.of(rig_of("slide_servo", lossy=False))
     table = lively(machine, 1201, seed=4, hold=200)
     record = trial(machine, table)
@@ -434,11 +410,9 @@ def test_intervals_cover_a_rig_that_is_wrong_by_its_stated_errors():
 
 
 def test_intervals_cover_sensors_that_are_wrong_by_what_is_said_of_them():
-    """Zeros, scales, noise and delay of sensors drawn for each seed: nothing is unexplained, to
-    within the interval.
-
-    24 seeds × (unexplained, pump) at 95 %: at least 40 of 48 is three standard errors and a share
-    for errors that both share."""
+    """24 seeds × (unexplained, pump) at 95 %: at least 40 of 48 is three standard errors and a
+    share for errors that both share.
+    """
     machine = Model.of(rig_of("crane_proportional", lossy=False))
     record = trial(machine, lively(machine, 1201, seed=4, hold=200))
     truth, log = ledger_of_model(machine, record), measured(record, machine)
@@ -541,19 +515,15 @@ def on_bench(
 
 
 def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
-    """Truth: the bench's Stribeck friction and leakage, which the rig file has not, and its damping
-    beyond the file's.
-
-    The rig is the uncalibrated file, its flows good to 5 %; the mechanism, which needs no flow, is
-    known far better."""
-    cases = (
+    """Truth: the bench's Stribeck friction, leakage and damping beyond the rig file's. Its flows
+    are good to 5 %; the mechanism, which needs no flow, is known far better.
+    """
+    for name, valve, amplitude, period in (
         ("crane_proportional", "lift.spool", 4.0, 2.0),
         ("slide_servo", "press.servo", 3.0, 1.0),
-    )
-    for name, valve, amplitude, period in cases:
-        rig, bench, log, truth = on_bench(
-            name, {valve: lambda t, a=amplitude, T=period: a * np.sin(2 * np.pi * t / T)}
-        )
+    ):
+        wave = {valve: lambda t, a=amplitude, T=period: a * np.sin(2 * np.pi * t / T)}
+        rig, bench, log, truth = on_bench(name, wave)
         row = bench.bench.cylinders[0]
         x, lever = linkage_arrays(row, truth[:, 0].copy())
         v, head, rod = lever * truth[:, 1], truth[:, 2], truth[:, 3]

@@ -5,18 +5,17 @@ import math
 import numpy as np
 import pytest
 from plant_differences import plant_model
-from with_parts import noisy, recovered, steps
+from with_parts import books, moved, noisy, point_of, recovered, steps
 
 from ehbench.config.rig import Edge, Rig
 from ehbench.control.valve_level import edge_order
 from ehbench.flow_maps.step_readings import step_readings
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
-from ehbench.ledger import ledger_of_log, ledger_of_model
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
 from ehbench.plant.model import Model, simulate
 from ehbench.tune.loop import damping_ratio
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
+from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.codes import FAINT, REVERSED
 from ehbench.vocabulary.fields import Value
 from tests.shared import shipped
@@ -50,9 +49,8 @@ def with_law(name: str = "slide_servo", **update) -> Rig:
 def test_a_saturating_edge_is_an_orifice_of_limited_opening(soft):
     """Orifice up to the corner, its area at ``opening_max`` beyond; the inverse is exact below."""
     plain = Model.of(with_law(law="orifice", deadband=0.5)).plant
-    plant = Model.of(
-        with_law(law="saturating", deadband=0.5, opening_max=4.0, saturation_softness=soft)
-    ).plant
+    corner = {"opening_max": 4.0, "saturation_softness": soft}
+    plant = Model.of(with_law(law="saturating", deadband=0.5, **corner)).plant
     for edge, whole in zip(plant.edges[:2], plain.edges[:2], strict=True):
         for drop in (*DROPS, *(-d for d in DROPS)):
             for u in (0.2, 0.7, 2.0, 3.39, 3.7, 4.0, 4.3, 4.59):
@@ -75,12 +73,7 @@ def test_a_controller_takes_a_saturating_edge_no_faster_than_it_goes():
     """Full speed of the design is that of the full opening: with one of 4 V of 10, 0.4 times."""
     speeds = {}
     for law, more in (("orifice", {}), ("saturating", {"opening_max": 4.0})):
-        model = Model.of(with_law(law=law, **more))
-        circuit = circuit_of(model, 0)
-        here = equivalent(model, 0, np.array([0.2]))
-        point = operating_point(
-            model, circuit, 1, here, 0, Aim(share=1.0, low_pressure=5e5, cross_drop=5e5)
-        )
+        point = point_of(Model.of(with_law(law=law, **more)), share=1.0)
         assert point.possible and all(path.gain > 0.0 for path in point.paths)
         speeds[law] = point.v
     pump = 60e-3 / 60 / (math.pi / 4 * 0.05**2)  # what the orifice's own limit is
@@ -102,14 +95,8 @@ def test_a_saturation_comes_back_from_noisy_logs():
 def test_flow_control_is_flat_above_its_drop_and_smooth_below():
     """``gain·(u − deadband)`` to the last bit above, slope 0 where they meet, exact inverse."""
     gain, dead, reference = 5e-6, 0.5, 2e6
-    model = Model.of(
-        with_law(
-            law="flow_control",
-            compensated_gain=gain,
-            compensation_drop=reference,
-            deadband=dead,
-        )
-    )
+    given = {"compensated_gain": gain, "compensation_drop": reference, "deadband": dead}
+    model = Model.of(with_law(law="flow_control", **given))
     edge, maps = model.plant.edges[0], model.plant.maps
     for drop in DROPS:
         flow = edge_flow(drop, 3.0, edge, maps)
@@ -125,9 +112,8 @@ def test_flow_control_is_flat_above_its_drop_and_smooth_below():
     assert 0.0 < 1.0 - below / (gain * (3.0 - dead)) < 1e-6
     # an orifice's √ below, s (3 − s²)/2; its rounding at zero, over 20 kPa, takes 0.3 % at 0.2 MPa
     share = math.sqrt(0.1)
-    assert edge_flow(0.1 * reference, 3.0, edge, maps) == pytest.approx(
-        0.5 * share * (3.0 - share**2) * gain * (3.0 - dead), rel=5e-3
-    )
+    expected = 0.5 * share * (3.0 - share**2) * gain * (3.0 - dead)
+    assert edge_flow(0.1 * reference, 3.0, edge, maps) == pytest.approx(expected, rel=5e-3)
 
 
 def held_ring(law: str, drop: float) -> tuple[float, float]:
@@ -135,15 +121,7 @@ def held_ring(law: str, drop: float) -> tuple[float, float]:
     the same with the chambers shut in)."""
     rig = with_law("boom_four_valve", law=law, compensated_gain=3e-5, compensation_drop=drop)
     model = Model.of(rig.with_values({"boom.joint_damping": 0.0}))
-    here = equivalent(model, 0, np.array([0.2]))
-    point = operating_point(
-        model,
-        circuit_of(model, 0),
-        1,
-        here,
-        0,
-        Aim(speed=0.08, low_pressure=2.05e6, cross_drop=4e6),
-    )
+    point = point_of(model, low=2.05e6, cross=4e6, speed=0.08)
     assert point.possible and all(path.drop > drop for path in point.paths)
     held = plant_model(model, point).a[:3, :3]
     shut = held.copy()
@@ -258,18 +236,13 @@ def test_an_underlap_comes_back_from_a_noisy_log():
 # --- a valve that a spring holds shut in series with an edge
 
 CRACKING = 3e6
-LAWS = (
-    {"law": "orifice", "deadband": 0.5},
-    {"law": "saturating", "deadband": 0.5, "opening_max": 4.0, "saturation_softness": 0.6},
-    {"law": "compensated", "deadband": 0.5, "compensated_gain": 5e-6},
-    {"law": "flow_control", "deadband": 0.5, "compensated_gain": 5e-6, "compensation_drop": 2e6},
-)
+LAWS = tuple(law | {"deadband": 0.5} for law in OPEN)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law["law"])
 def test_a_preload_takes_its_pressure_of_the_drop(law):
-    """``Q(Δp) = Q0(Δp − p_c)`` of any law above ``p_c``, nothing below, all of it in reverse; the
-    inverse is exact, and the slope bounds that of differences.
+    """``Q(Δp) = Q0(Δp − p_c)`` above ``p_c``, nothing below, all of it in reverse; exact
+    inverse.
     """
     plain = Model.of(with_law(**law)).plant
     plant = Model.of(with_law(**law, cracking_pressure=CRACKING)).plant
@@ -283,9 +256,8 @@ def test_a_preload_takes_its_pressure_of_the_drop(law):
         assert edge_command(CRACKING + drop, flow, edge, maps) == pytest.approx(2.0, rel=1e-7)
         assert edge_flow(-drop, 2.0, edge, maps) == edge_flow(-drop, 2.0, bare, maps)
         around = [edge_flow(CRACKING + drop + h, 2.0, edge, maps) for h in (-10.0, 10.0)]
-        assert (around[1] - around[0]) / 20.0 <= 1.001 * edge_slope(
-            CRACKING + drop, flow, 2.0, edge
-        )
+        slope = edge_slope(CRACKING + drop, flow, 2.0, edge)
+        assert (around[1] - around[0]) / 20.0 <= 1.001 * slope
     assert edge_onset(edge, maps) == pytest.approx(0.5, abs=1e-4)
 
 
@@ -297,19 +269,13 @@ def preloaded() -> Rig:
 
 def test_the_ledger_closes_with_a_preload():
     """What the spring takes, ``p_c ∫Q dt``, is part of the edge's throttling."""
-    command = {"press.servo": steps((4.0, -5.0, 2.0))[:801]}
-    record = simulate(preloaded(), command, 0.8)
-    ledger = ledger_of_model(Model.of(preloaded()), record)
-    for row in ledger.rows:
-        if row.group in ("part", "residual"):
-            assert abs(row.energy) < 1e-4 * ledger.pump, row
+    record = moved(preloaded())
+    kept = "press.servo_rod_tank.throttling"
+    ledger = books(preloaded(), record, kept, share=1e-2, closed=1e-4)
     flow = record["press.servo_rod_tank.flow"]
     spring = CRACKING * np.trapezoid(flow, record.t)
-    assert ledger["press.servo_rod_tank.throttling"].energy > 1.01 * spring > 100.0
+    assert ledger[kept].energy > 1.01 * spring > 100.0
     assert record["press.p_rod"][flow > 1e-6].min() > CRACKING
-    of_log = ledger_of_log(preloaded(), None, record)["press.servo_rod_tank.throttling"]
-    exact = ledger["press.servo_rod_tank.throttling"].energy
-    assert of_log.energy == pytest.approx(exact, abs=1e-2 * ledger.pump)
 
 
 def test_controllers_and_the_bench_know_a_preload():
@@ -318,9 +284,7 @@ def test_controllers_and_the_bench_know_a_preload():
     """
     model = Model.of(preloaded())
     circuit = circuit_of(model, 0)
-    here = equivalent(model, 0, np.array([0.2]))
-    aims = (Aim(5e5, 5e5, speed=0.05), Aim(4e6, 5e5, speed=0.05))
-    points = [operating_point(model, circuit, 1, here, 0, aim) for aim in aims]
+    points = [point_of(model, low=low, speed=0.05) for low in (5e5, 4e6)]
     assert points[1].possible and points[1].p_rod > CRACKING
     path = next(p.path for p in points[1].paths if p.edge == "press.servo_rod_tank")
     edge = circuit.edges[circuit.paths[path]]

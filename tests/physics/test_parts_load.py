@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from with_parts import jacobian, recovered, slide, steps, swing
+from with_parts import books, jacobian, moved, point_of, recovered, slide, swing
 
 from ehbench.config.rig import Force, Rig
 from ehbench.control.law import DesignPoint
 from ehbench.control.registry import LAWS
-from ehbench.ledger import ledger_of_log, ledger_of_model
+from ehbench.ledger import ledger_of_model
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
-from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point
 from ehbench.vocabulary.errors import InputError, LogError
 from tests.shared import refused
 
@@ -96,16 +95,9 @@ def test_a_played_force_acts_sample_by_sample_and_comes_back_from_its_log():
 @pytest.mark.parametrize("force", [CONSTANT, DIRECTION, SPRING, CHANNEL, AGAINST])
 def test_the_ledger_closes_with_a_force_on_the_rod(force):
     """To what RK4 leaves over, as without; the rows are ``−∫F dx`` and ``k (x − x0)²/2``."""
-    rig = pushed(force)
-    commands = {"press.servo": steps((4.0, -5.0, 2.0))[:801]}
-    if force is CHANNEL:
-        commands["press.force"] = 2000.0 * np.cos(np.arange(801) / 40.0)
-    record = simulate(rig, commands, 0.8)
-    ledger = ledger_of_model(Model.of(rig), record)
-    assert ledger.pump > 500.0
-    for row in ledger.rows:
-        if row.group in ("part", "residual"):
-            assert abs(row.energy) < 1e-5 * ledger.pump, row
+    rig, played = pushed(force), {"press.force": 2000.0 * np.cos(np.arange(801) / 40.0)}
+    record = moved(rig, **(played if force is CHANNEL else {}))
+    ledger = books(rig, record, "press.external_force", share=2e-3)
     x = record["press.x"]
     if force is SPRING:
         stored = 4e4 * ((x[-1] - 0.15) ** 2 - (x[0] - 0.15) ** 2)
@@ -114,9 +106,6 @@ def test_the_ledger_closes_with_a_force_on_the_rod(force):
         newtons = 4000.0 if force is CONSTANT else -5000.0
         given = ledger["press.external_force"].energy
         assert given == pytest.approx(-newtons * (x[-1] - x[0]), abs=1e-5 * ledger.pump)
-    of_log = ledger_of_log(rig, None, record)
-    mine, exact = of_log["press.external_force"], ledger["press.external_force"]
-    assert mine.energy == pytest.approx(exact.energy, abs=2e-3 * ledger.pump)
 
 
 def test_a_ledger_without_forces_has_no_rows_of_them():
@@ -134,17 +123,13 @@ def test_forces_come_back_from_noisy_logs():
 
 def test_a_design_point_carries_the_force_and_a_played_one_is_refused():
     """The oil's load force at a steady speed is less by the force; a design knows no log."""
-    loads, given = [], {"speed": 0.1, "low_pressure": 5e5, "cross_drop": 5e5}
+    loads = []
     for forces in ((), (AGAINST,)):
-        model = Model.of(pushed(*forces))
-        here = equivalent(model, 0, np.array([0.2]))
-        point = operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
-        loads.append(point.load_force)
+        loads.append(point_of(Model.of(pushed(*forces)), speed=0.1).load_force)
     assert loads[1] - loads[0] == pytest.approx(5000.0, rel=1e-9)
     model = Model.of(pushed(CHANNEL))
-    here = equivalent(model, 0, np.array([0.2]))
     with pytest.raises(InputError, match=r"plays the force 'press\.force' from a log"):
-        operating_point(model, circuit_of(model, 0), 1, here, 0, Aim(**given))
+        point_of(model, speed=0.1)
     with pytest.raises(InputError, match="a machine on trial has none"):
         SimulatedMachine(model)
 
@@ -163,9 +148,8 @@ def test_the_virtual_bench_carries_it_too():
 
 def test_a_law_with_a_model_of_the_cylinder_refuses_what_that_lacks():
     """Said in one sentence, before anything of the site is used."""
-    site = DesignPoint(
-        None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=pushed(CONSTANT).cylinder[0].unmodelled
-    )
+    lacking = pushed(CONSTANT).cylinder[0].unmodelled
+    site = DesignPoint(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=lacking)
     with refused("control.arc_lacks_part"):
         LAWS["arc"].pack(site, {}, None, None)
     assert slide().cylinder[0].unmodelled == ()

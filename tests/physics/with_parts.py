@@ -3,11 +3,13 @@
 from typing import Any
 
 import numpy as np
+import pytest
 from plant_differences import plant_model
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+from ehbench.ledger import Ledger, ledger_of_log, ledger_of_model
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
@@ -46,9 +48,8 @@ def jacobian(model: Model) -> np.ndarray:
 def linear_models_agree(rig: Rig, way: int, own: tuple[str, ...]) -> None:
     """Fail unless equations and differences give one linear model with the states ``own``."""
     model = Model.of(rig)
-    here, circuit = equivalent(model, 0, np.array([0.2])), circuit_of(model, 0)
-    function = int(np.flatnonzero(circuit.able)[1 + way])
-    point = operating_point(model, circuit, function, here, 0, Aim(5e5, 5e5, speed=0.1))
+    circuit = circuit_of(model, 0)
+    point = point_of(model, int(np.flatnonzero(circuit.able)[1 + way]), speed=0.1)
     assert point.possible, point.note
     y, command = state_of(model, point)
     dy = np.empty_like(y)
@@ -70,6 +71,35 @@ def swing(model: Model) -> float:
     x = 0.5 * row.stroke
     ends = row.area_head**2 / chamber_oil(row, 0, x) + row.area_rod**2 / chamber_oil(row, 1, x)
     return row.bulk_modulus * ends
+
+
+def point_of(model: Model, function: int = 1, low: float = 5e5, cross: float = 5e5, **aim):
+    """The operating point of the first cylinder at 0.2 m."""
+    here = equivalent(model, 0, np.array([0.2]))
+    return operating_point(model, circuit_of(model, 0), function, here, 0, Aim(low, cross, **aim))
+
+
+def moved(rig: Rig, **more: np.ndarray) -> Record:
+    """The press to and fro for 0.8 s, with other channels played beside it."""
+    return simulate(rig, {"press.servo": steps((4.0, -5.0, 2.0))[:801]} | more, 0.8)
+
+
+def closes(ledger: Ledger, share: float = 1e-5) -> None:
+    """Fail unless no part, nor the residual, holds more than a share of pump energy."""
+    for row in ledger.rows:
+        if row.group in ("part", "residual"):
+            assert abs(row.energy) < share * ledger.pump, row
+
+
+def books(rig: Rig, record: Record, *names: str, share: float = 1e-3, closed: float = 1e-5):
+    """The ledger of a record on its model, which closes; of the record as a log rows agree."""
+    ledger, of_log = ledger_of_model(Model.of(rig), record), ledger_of_log(rig, None, record)
+    assert ledger.pump > 500.0
+    closes(ledger, closed)
+    for name in names:
+        exact = pytest.approx(ledger[name].energy, abs=share * ledger.pump)
+        assert of_log[name].energy == exact, name
+    return ledger
 
 
 def noisy(record: Record, seed: int) -> Record:
