@@ -21,27 +21,15 @@ PAYLOAD = 26.016  # [kg] that 50 lb weigh at the end of the last link
 
 def prepared(payload="none", speed="slow", on="model", **given):
     top, acceleration, jerk = (SPEEDS | LESS)[speed]
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "on": on,
-            **({"bench": str(BENCH)} if on == "bench" else {}),
-            "payload": None if payload == "none" else payload,
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": "boom",
-                "waypoints": ["50 mm", "200 mm", "50 mm"],
-                "hold": "0.6 s",
-                "speed": top,
-                "acceleration": acceleration,
-                "jerk": jerk,
-            },
-            "controller": {"kind": "arc", "gains": {"adapt_maps": True} | given.pop("gains", {})},
-            "path": RECIPES / "trial.toml",
-            **given,
-        }
-    )
+    motion = {"kind": "point_to_point", "cylinder": "boom", "hold": "0.6 s", "speed": top}
+    motion |= {"waypoints": ["50 mm", "200 mm", "50 mm"]}
+    motion |= {"acceleration": acceleration, "jerk": jerk}
+    about = {"stage": "trial", "rig": "x.toml", "on": on, "path": RECIPES / "trial.toml"}
+    about |= {"bench": str(BENCH)} if on == "bench" else {}
+    about |= {"payload": None if payload == "none" else payload, "motion": motion}
+    gains = {"adapt_maps": True} | given.pop("gains", {})
+    about |= {"controller": {"kind": "arc", "gains": gains}}
+    recipe = TrialRecipe.model_validate(about | given)
     return prepare(recipe, RIG)
 
 
@@ -181,19 +169,15 @@ def test_maps_are_judged_in_the_mean_of_both_directions():
 def test_learning_maps_costs_no_margin_on_the_virtual_bench(change):
     """Late samples, slow valves, other flow: no swing, and no worse than with the given maps."""
     oil = "flow" not in change  # planned flows make up for a share that lacks by themselves
-    with_maps, without = (
-        run(prepared("50 lb", on="bench", machine=change, gains=gains)).facts.measures
-        for gains in ({"adapt_maps": on, "adapt_oil": oil} for on in (True, False))
-    )
+
+    def on_bench(**gains):
+        return run(prepared("50 lb", on="bench", machine=change, gains=gains)).facts.measures
+
+    with_maps, without = (on_bench(adapt_maps=on, adapt_oil=oil) for on in (True, False))
     assert with_maps["limit_cycle"] is None
     assert with_maps["tracking"]["rms_error"] < 1.05 * without["tracking"]["rms_error"]
     if "flow" in change:
-        default, given = (
-            run(
-                prepared("50 lb", on="bench", machine=change, gains={"adapt_maps": on})
-            ).facts.measures  # with the defaults of the rest
-            for on in (True, False)
-        )
+        default, given = (on_bench(adapt_maps=on) for on in (True, False))
         assert default["limit_cycle"] is None
         assert default["tracking"]["rms_error"] < 0.9 * given["tracking"]["rms_error"]
         for one in (with_maps, default):

@@ -40,33 +40,15 @@ MACHINES = {
 }
 
 
-def trial_of(name, payload, change, speed="70 mm/s", motion=None, seed=0, gains=None, **given):
+def trial_of(name, payload, change, speed="70 mm/s", move=None, seed=0, gains=None, **given):
     """What came of a trial on the changed machine: its record, and its facts."""
     cylinder, strokes, _ = RIGS[name]
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": f"rigs/{name}.toml",
-            "on": "bench",
-            "bench": f"bench/{name}.toml",
-            "machine": change,
-            "payload": payload,
-            "seed": seed,
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": cylinder,
-                "waypoints": strokes,
-                "speed": speed,
-                "acceleration": "0.4 m/s^2",
-                "jerk": "8 m/s^3",
-                "hold": "0.6 s",
-                **(motion or {}),
-            },
-            "controller": {"kind": "arc", "gains": gains or {}},
-            "path": RECIPES / "trial.toml",
-            **given,
-        }
-    )
+    motion = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": strokes, "speed": speed}
+    motion |= {"acceleration": "0.4 m/s^2", "jerk": "8 m/s^3", "hold": "0.6 s"} | (move or {})
+    about = {"stage": "trial", "rig": f"rigs/{name}.toml", "on": "bench", "machine": change}
+    about |= {"bench": f"bench/{name}.toml", "payload": payload, "seed": seed, "motion": motion}
+    about |= {"controller": {"kind": "arc", "gains": gains or {}}, "path": RECIPES / "trial.toml"}
+    recipe = TrialRecipe.model_validate(about | given)
     return run_trial(load_rig(RECIPES / recipe.rig), recipe)
 
 
@@ -82,8 +64,7 @@ def facts_of(name, payload, change, speed="70 mm/s", seed: Any = 0, **gains):
 def test_nothing_swings(name, loaded, change):
     payload = RIGS[name][2] if loaded else None
     facts = facts_of(name, payload, MACHINES[change])
-    assert not facts.stopped
-    assert facts.measures["limit_cycle"] is None
+    assert not facts.stopped and facts.measures["limit_cycle"] is None
 
 
 LATE = ("5 ms more delay", "pressure sensors 10 ms slower", "valves twice as slow")
@@ -154,11 +135,9 @@ def test_a_spool_as_fast_as_cartridges_comes_to_rest():
     """At a reference at rest the law goes on through the spool's centre: chosen by the error's sign
     its opening kept 50 lb swinging by 0.2 mm, with the half of its hysteresis that stays open.
     """
-    four_way: dict[str, Any] = {
-        "rig": "rigs/thesis_arm_standard.toml",
-        "bench": "bench/thesis_arm_standard.toml",
-        "dynamics": {"boom.spool": "cartridge"},
-    }
+    standard = "thesis_arm_standard.toml"
+    four_way: dict[str, Any] = {"rig": f"rigs/{standard}", "bench": f"bench/{standard}"}
+    four_way |= {"dynamics": {"boom.spool": "cartridge"}}
     record, facts = trial_of("thesis_arm", "50 lb", {}, "60 mm/s", {"hold": "2 s"}, **four_way)[:2]
     error = record["boom.x"] - record["boom.x_desired"]
     moving = np.flatnonzero(record["boom.v_desired"])
@@ -169,10 +148,9 @@ def test_a_spool_as_fast_as_cartridges_comes_to_rest():
 
 def test_the_overlap_of_a_spool_is_learnt():
     """The slide's rig file has none: the bench's costs a fifth of the flow."""
-    with_maps, without = (
-        facts_of("slide_servo", None, {}, adapt_maps=on, adapt_oil=False).measures
-        for on in (True, False)
-    )
+    kept = {"adapt_oil": False}
+    both = (facts_of("slide_servo", None, {}, adapt_maps=on, **kept) for on in (True, False))
+    with_maps, without = (facts.measures for facts in both)
     default = facts_of("slide_servo", None, {}, adapt_maps=True).measures
     assert with_maps["limit_cycle"] is None and default["limit_cycle"] is None
     for edge, one in (*with_maps["maps"].items(), *default["maps"].items()):

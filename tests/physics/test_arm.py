@@ -10,9 +10,8 @@ from ehbench.physics import arm
 from ehbench.runtime.compiled import table_of
 
 G = 9.81
-GRAVITY = np.array(
-    [2.9, 7.3, -5.9]
-)  # up is no axis of the base frame, so that no entry can be forgotten
+# up is no axis of the base frame, so that no entry can be forgotten
+GRAVITY = np.array([2.9, 7.3, -5.9])
 SIZES = (1, 2, 3, 6)
 
 
@@ -21,10 +20,8 @@ def random_body(rng):
     points, weights = rng.normal(scale=0.3, size=(6, 3)), rng.uniform(0.5, 3.0, 6)
     com = weights @ points / weights.sum()
     arms = points - com
-    inertia = sum(
-        w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, arms, strict=True)
-    )
-    return weights.sum(), com, inertia
+    parts = (w * (r @ r * np.eye(3) - np.outer(r, r)) for w, r in zip(weights, arms, strict=True))
+    return weights.sum(), com, sum(parts)
 
 
 def random_chain(n, rng):
@@ -64,11 +61,8 @@ def mujoco_model(given):
 
 def states(n, rng, count=20):
     for _ in range(count):
-        yield (
-            rng.uniform(-math.pi, math.pi, n),
-            rng.normal(scale=2.0, size=n),
-            rng.normal(scale=100.0, size=n),
-        )
+        angles = rng.uniform(-math.pi, math.pi, n)
+        yield angles, rng.normal(scale=2.0, size=n), rng.normal(scale=100.0, size=n)
 
 
 def kernels(links):
@@ -107,24 +101,19 @@ def test_agrees_with_mujoco(n):
         mujoco.mj_forward(model, data)
         full = np.empty((n, n))
         mujoco.mj_fullM(model, data, full)
-        # 1e-12 of the largest entry is a hundred roundings of the 400 sums and products of six
-        # joints
+        # 1e-12 of the largest entry is a hundred roundings of the 400 terms of six joints
         assert mass(q) == pytest.approx(full, rel=0, abs=1e-12 * np.abs(full).max())
         expected = data.qfrc_bias - data.qfrc_passive
-        assert bias(q, qd) == pytest.approx(
-            expected, rel=0, abs=1e-12 * (10 + np.abs(expected).max())
-        )
+        slack = 1e-12 * (10 + np.abs(expected).max())
+        assert bias(q, qd) == pytest.approx(expected, rel=0, abs=slack)
         # the acceleration may lose the digits that the condition of the mass matrix costs
-        slack = 1e-15 * np.linalg.cond(full) + 1e-12
-        assert forward(q, qd, torque) == pytest.approx(
-            data.qacc, rel=0, abs=slack * np.abs(data.qacc).max()
-        )
+        slack = (1e-15 * np.linalg.cond(full) + 1e-12) * np.abs(data.qacc).max()
+        assert forward(q, qd, torque) == pytest.approx(data.qacc, rel=0, abs=slack)
         assert arm.tip(arm.CHAIN, links, q) == pytest.approx(data.xpos[-1], rel=0, abs=1e-12)
         mujoco.mj_energyPos(model, data)
         mujoco.mj_energyVel(model, data)
-        assert energy(q, qd) == pytest.approx(
-            (data.energy[1], data.energy[0]), rel=0, abs=1e-12 * (10 + abs(data.energy).sum())
-        )
+        slack = 1e-12 * (10 + abs(data.energy).sum())
+        assert energy(q, qd) == pytest.approx(data.energy[::-1], rel=0, abs=slack)
 
 
 @pytest.mark.parametrize("n", SIZES)
@@ -164,9 +153,8 @@ def test_power_is_the_rate_of_energy(n):
         # sixth-order central difference: with steps of 2 % of the state's time scale its error is
         # below 1e-8
         h = 0.02 * scale
-        rate = sum(w * (along(k * h) - along(-k * h)) for k, w in ((1, 45), (2, -9), (3, 1))) / (
-            60 * h
-        )
+        weights = ((1, 45), (2, -9), (3, 1))
+        rate = sum(w * (along(k * h) - along(-k * h)) for k, w in weights) / (60 * h)
         power = qd @ (torque - links.damping * qd)
         assert rate == pytest.approx(power, rel=0, abs=1e-7 * np.abs(qd) @ np.abs(torque))
 
@@ -187,9 +175,8 @@ def test_gravity_torque_is_the_slope_of_potential_energy(n):
     for q, _, _ in states(n, rng):
         h = 1e-4  # central difference: h² truncation 2e-9 of the slope, rounding 1e-12
         step = h * np.eye(n)
-        slope = np.array(
-            [(energy(q + row, rest)[1] - energy(q - row, rest)[1]) / (2 * h) for row in step]
-        )
+        ends = [[energy(q + side * row, rest)[1] for row in step] for side in (1, -1)]
+        slope = np.subtract(*ends) / (2 * h)
         c = weight(q)
         assert c == pytest.approx(slope, rel=0, abs=1e-8 * (1 + np.abs(c).max()))
         assert c == pytest.approx(bias(q, rest), rel=0, abs=1e-13 * (1 + np.abs(c).max()) * n)
@@ -198,24 +185,16 @@ def test_gravity_torque_is_the_slope_of_potential_energy(n):
 def test_pendulum_by_hand():
     """One link about a horizontal axis: D = I + m l², c = m g l cos q."""
     # joint 1 turns about the vertical, so the pendulum is joint 2
-    links = table_of(
-        [
-            arm.pack_link(0, 0, math.pi / 2, 0, 1.0, (0, 0, 0), np.eye(3), 0.0),
-            arm.pack_link(2.0, 0, 0, 0, 3.0, (-0.5, 0, 0), np.diag([0.1, 0.2, 0.3]), 0.7),
-        ],
-        arm.LINK,
-    )
+    upright = arm.pack_link(0, 0, math.pi / 2, 0, 1.0, (0, 0, 0), np.eye(3), 0.0)
+    bob = arm.pack_link(2.0, 0, 0, 0, 3.0, (-0.5, 0, 0), np.diag([0.1, 0.2, 0.3]), 0.7)
+    links = table_of([upright, bob], arm.LINK)
     bias, mass, _, _, _ = kernels(links)
     q, qd = np.array([0.3, 0.4]), np.array([0.0, 2.0])
     assert mass(q)[1, 1] == pytest.approx(0.3 + 3.0 * 1.5**2, rel=1e-14)
-    assert bias(q, qd, np.array([0.0, 0.0, G]))[1] == pytest.approx(
-        3.0 * G * 1.5 * math.cos(0.4) + 0.7 * 2.0, rel=1e-14
-    )
-    end = (
-        2.0 * math.cos(0.4) * math.cos(0.3),
-        2.0 * math.cos(0.4) * math.sin(0.3),
-        2.0 * math.sin(0.4),
-    )
+    torque = 3.0 * G * 1.5 * math.cos(0.4) + 0.7 * 2.0
+    assert bias(q, qd, np.array([0.0, 0.0, G]))[1] == pytest.approx(torque, rel=1e-14)
+    level = 2.0 * math.cos(0.4)
+    end = level * math.cos(0.3), level * math.sin(0.3), 2.0 * math.sin(0.4)
     assert arm.tip(arm.CHAIN, links, q) == pytest.approx(end, rel=1e-14)
 
 
@@ -224,31 +203,28 @@ def test_prefix_of_the_rows_is_the_shorter_chain():
     q = np.array([0.1, 0.2, 0.3])
     end = np.array(arm.tip(arm.CHAIN, links, q))
     before = np.array(arm.tip(arm.CHAIN, links[:2], q[:2]))
-    assert np.linalg.norm(end - before) == pytest.approx(
-        math.hypot(links[2].a, links[2].d), rel=1e-13
-    )
+    way = math.hypot(links[2].a, links[2].d)
+    assert np.linalg.norm(end - before) == pytest.approx(way, rel=1e-13)
 
 
 def test_slide_on_an_incline():
     incline, m, b = 0.3, 20.0, 50.0
     links = table_of([arm.pack_slide(m, b, incline)], arm.LINK)
-    q, qd, force = np.array([0.4]), np.array([0.2]), np.array([100.0])
+    q, qd, drive = np.array([0.4]), np.array([0.2]), np.array([100.0, 0.0])
     out, full, work = np.empty(1), np.empty((1, 1)), np.empty(arm.work_size(1))
-    weight = m * G * math.sin(incline)
-    arm.bias(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, out, work)
+    weight, pull = m * G * math.sin(incline), np.array([0.0, 0.0, G])
+    arm.bias(arm.SLIDE, links, pull, q, qd, out, work)
     assert out[0] == pytest.approx(weight + b * 0.2, rel=1e-14)
-    arm.gravity_torque(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, out, work)
+    arm.gravity_torque(arm.SLIDE, links, pull, q, out, work)
     assert out[0] == pytest.approx(weight, rel=1e-14)
     arm.mass_matrix(arm.SLIDE, links, q, full, work)
     assert full[0, 0] == m
-    arm.forward(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, np.append(force, 0.0), out, work)
+    arm.forward(arm.SLIDE, links, pull, q, qd, drive, out, work)
     assert out[0] == pytest.approx((100.0 - weight - b * 0.2) / m, rel=1e-13)
-    assert arm.energy(arm.SLIDE, links, np.array([0.0, 0.0, G]), q, qd, work) == pytest.approx(
-        (0.5 * m * 0.2**2, weight * 0.4), rel=1e-14
-    )
-    assert arm.tip(arm.SLIDE, links, q) == pytest.approx(
-        (0.4 * math.cos(incline), 0.0, 0.4 * math.sin(incline)), rel=1e-14
-    )
+    held = arm.energy(arm.SLIDE, links, pull, q, qd, work)
+    assert held == pytest.approx((0.5 * m * 0.2**2, weight * 0.4), rel=1e-14)
+    end = 0.4 * math.cos(incline), 0.0, 0.4 * math.sin(incline)
+    assert arm.tip(arm.SLIDE, links, q) == pytest.approx(end, rel=1e-14)
 
 
 def test_acceleration_may_overwrite_the_torque():
@@ -282,9 +258,7 @@ def test_workspace_is_not_overrun():
         links, _ = random_chain(n, rng)
         work = np.full(arm.work_size(n) + 8, 7.0)
         q, qd, torque = next(states(n, rng))
-        out = np.empty(n)
-        arm.forward(
-            arm.CHAIN, links, GRAVITY, q, qd, np.append(torque, np.zeros(n)), out, work[:-8]
-        )
+        out, drive = np.empty(n), np.append(torque, np.zeros(n))
+        arm.forward(arm.CHAIN, links, GRAVITY, q, qd, drive, out, work[:-8])
         arm.gravity_torque(arm.CHAIN, links, GRAVITY, q, out, work[:-8])
         assert (work[-8:] == 7.0).all() and np.isfinite(out).all()

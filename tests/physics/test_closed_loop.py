@@ -220,7 +220,8 @@ def test_the_gains_and_bounds_that_a_trial_ran_with_are_saved():
     assert set(rules) == set(RULES.names) and (rules["dwell"], rules["allow_seventh"]) == (0.1, 0.0)
     in_range(gains | rules)
     expected = {"position_bandwidth": 8.0, "observer_bandwidth": 50.0, "adapt": 1.0, "tick": 1e-3}
-    expected |= {"adaptation": pytest.approx(1.0), "adaptation_bulk": pytest.approx(0.02)}
+    expected |= {"adaptation": pytest.approx(1.0, rel=1e-12)}
+    expected |= {"adaptation_bulk": pytest.approx(0.02, rel=1e-12)}
     expected |= {"low_pressure": float(ARM.supply.pressure) / 20}
     assert {name: gains[name] for name in expected} == expected
     assert bounds["payload_share"] == [0.0, 12.0] and bounds["disturbance"] == [-100.0, 100.0]

@@ -8,8 +8,7 @@ from ehbench.config.recipe import TrialRecipe
 from ehbench.control.coupling import among_others, joint_motion, loads_among
 from ehbench.parts.cylinder import joint_of, linkage_of
 from ehbench.physics.arm import bias, mass_matrix, work_size
-from ehbench.physics.tip import Chain, tip_of
-from ehbench.plant.model import Model
+from ehbench.physics.tip import tip_of
 from ehbench.report.terminal import answer
 from ehbench.runs.rundir import read_json
 from ehbench.trial import prepare, run
@@ -33,14 +32,9 @@ THREE = move("boom", "80 mm", "110 mm") | {
 
 def trial(folder, motion=THREE, controller=None, **given):
     (folder / "trial.toml").write_text("# the recipe\n")
-    return TrialRecipe(
-        stage="trial",
-        rig="x.toml",
-        path=folder / "trial.toml",
-        motion=motion,
-        controller=controller or {"kind": "arc"},
-        **given,
-    )
+    given |= {"path": folder / "trial.toml", "motion": motion}
+    given |= {"controller": controller or {"kind": "arc"}}
+    return TrialRecipe(stage="trial", rig="x.toml", **given)
 
 
 MIXED = {"kind": "arc", "cylinders": {"swing": {"kind": "position"}}}
@@ -141,21 +135,17 @@ def test_the_strokes_of_a_path_bring_the_tip_along_its_line(motion, tmp_path):
         table = one.references.table
         for order, least in enumerate((1e-3, 1e-3, 2e-2)):
             slope = np.gradient(table[:, order], TICK)[3:-3]
-            assert (
-                np.abs(slope - table[3:-3, order + 1]).max()
-                < least * np.abs(table[:, order + 1]).max()
-            ), "each column is the slope of the one before"
+            most = least * np.abs(table[:, order + 1]).max()
+            # each column is the slope of the one before
+            assert np.abs(slope - table[3:-3, order + 1]).max() < most
 
 
 def test_where_the_pump_has_not_enough_time_runs_slower_and_no_more(tmp_path):
     plan = prepare(trial(tmp_path, FAST), ARM).loop.plan
     limit = float(ARM.supply.flow_limit)
     assert plan.required.max() > limit and plan.limit == limit
-    planned = plan.required * plan.pace
-    assert planned.max() <= (1.0 - COORDINATION.reserve) * limit * (1.0 + 1e-6)
-    assert planned.max() > 0.97 * (1.0 - COORDINATION.reserve) * limit, (
-        "and hardly less than it must be"
-    )
+    planned, given = plan.required * plan.pace, (1.0 - COORDINATION.reserve) * limit
+    assert 0.97 * given < planned.max() <= given * (1.0 + 1e-6), "hardly less than it must be"
     assert plan.longer > 0.1 and plan.pace[[0, -1]] == pytest.approx(1.0)
     free = prepare(trial(tmp_path, FAST | {"share_flow": False}), ARM).loop.plan
     assert (free.pace == 1.0).all() and free.longer == 0.0
@@ -166,14 +156,10 @@ def test_speeds_of_single_motions_are_cut_in_one_proportion(tmp_path):
     """Each cylinder ends where it should, and at every moment all run at the same share."""
     fast = {"speed": "500 mm/s", "acceleration": "4 m/s^2"}
     motion = move("boom", "60 mm", "200 mm", **fast)
-    motion["also"] = [
-        move("stick", "250 mm", "80 mm", **fast),
-        move("swing", "60 mm", "200 mm", **fast),
-    ]
-    shared, free = (
-        prepare(trial(tmp_path, motion | {"share_flow": share}), ARM).loop
-        for share in (True, False)
-    )
+    others = (("stick", "250 mm", "80 mm"), ("swing", "60 mm", "200 mm"))
+    motion["also"] = [move(*other, **fast) for other in others]
+    both = (trial(tmp_path, motion | {"share_flow": share}) for share in (True, False))
+    shared, free = (prepare(recipe, ARM).loop for recipe in both)
     assert shared.plan.pace.min() < 0.8
     for one, other in zip(shared.driven, free.driven, strict=True):
         table, desired = one.references.table, other.references.table
@@ -183,10 +169,8 @@ def test_speeds_of_single_motions_are_cut_in_one_proportion(tmp_path):
 
 def test_with_the_pump_limit_met_the_tip_keeps_to_its_line(tmp_path):
     """Slowed down, the supply holds its pressure; as desired, it does not."""
-    results = {
-        share: run(prepare(trial(tmp_path, FAST | {"share_flow": share}), ARM))
-        for share in (True, False)
-    }
+    recipes = {share: trial(tmp_path, FAST | {"share_flow": share}) for share in (True, False)}
+    results = {share: run(prepare(recipe, ARM)) for share, recipe in recipes.items()}
     held, lost = (results[share].record["p_supply"].min() for share in (True, False))
     full = float(ARM.supply.pressure)
     assert held > 0.98 * full and lost < 0.9 * full
@@ -215,24 +199,21 @@ def test_a_point_out_of_reach_is_refused_with_its_reason(points, said, tmp_path)
     assert said in refused.value.message
 
 
+LINE = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
+SWING = {"kind": "arc", "cylinders": {"swing": {"kind": "arc"}}}
+
+
 @pytest.mark.parametrize(
-    ("controller", "motion", "key"),
+    ("rig", "controller", "motion", "key"),
     [
-        ({"class": "mine:Mine"}, path(), "trial.class_moves_one"),
-        ({"kind": "arc"}, path(cylinders=["bucket"]), "trial.unknown_cylinder"),
+        ("thesis_arm", {"class": "mine:Mine"}, path(), "class_moves_one"),
+        ("thesis_arm", {"kind": "arc"}, path(cylinders=["bucket"]), "unknown_cylinder"),
+        ("slide_servo", SWING, LINE, "law_without_motion"),
     ],
 )
-def test_what_a_controller_says_must_fit_the_cylinders(controller, motion, key, tmp_path):
-    with pytest.raises(InputError, check=lambda error: error.key == key):
-        prepare(trial(tmp_path, motion, controller), ARM, allow_code=True)
-
-
-def test_a_law_of_a_cylinder_that_does_not_move_is_refused(tmp_path):
-    controller = {"kind": "arc", "cylinders": {"swing": {"kind": "arc"}}}
-    slide = shipped("slide_servo")
-    line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
-    with refused("trial.law_without_motion"):
-        prepare(trial(tmp_path, line, controller), slide)
+def test_what_a_controller_says_must_fit_the_cylinders(rig, controller, motion, key, tmp_path):
+    with refused(f"trial.{key}"):
+        prepare(trial(tmp_path, motion, controller), shipped(rig), allow_code=True)
 
 
 @pytest.mark.parametrize(
@@ -249,22 +230,14 @@ def test_a_motion_that_makes_no_sense_is_refused(motion, said, tmp_path):
         trial(tmp_path, motion)
 
 
-def crane_tip(rig):
-    """(chain, posture in the middle of the stroke) of a rig."""
-    plant = Model.of(rig).plant
-    return Chain(plant.kind, plant.links, plant.gravity, None, None), Model.of(rig).posture(None)
-
-
 def test_one_joint_follows_no_line_and_a_slide_follows_its_own(tmp_path):
     crane = shipped("crane_proportional")
     with refused("trial.out_of_reach") as caught:
-        prepare(
-            trial(tmp_path, path([["3.4 m", "0 m", "-0.6 m"], ["3.4 m", "0 m", "0.4 m"]])), crane
-        )
+        upright = path([["3.4 m", "0 m", "-0.6 m"], ["3.4 m", "0 m", "0.4 m"]])
+        prepare(trial(tmp_path, upright), crane)
     assert caught.value.fields["reason"].key == "trial.one_line"
     slide = shipped("slide_servo")
-    line = path([["0.1 m", "0 m", "0 m"], ["0.2 m", "0 m", "0 m"]])
-    (press,) = prepare(trial(tmp_path, line), slide).loop.driven
+    (press,) = prepare(trial(tmp_path, LINE), slide).loop.driven
     assert press.references.table[[0, -1], 0] == pytest.approx([0.1, 0.2], abs=1e-9)
 
 
@@ -308,13 +281,10 @@ def test_a_run_tells_and_draws_the_tip(tmp_path, tip_alone):
     outcome = workflow.run(file, workflow.Session(root=tmp_path / "reports"))
     facts = outcome.json("trial")
     assert facts["cylinder"] == "swing" and set(facts["measures"]["also"]) == {"boom", "stick"}
-    assert (
-        0.0 < facts["measures"]["tip"]["rms_error"] < facts["measures"]["tip"]["max_error"] < 0.02
-    )
-    figures = {
-        one["about"]["kind"]: one
-        for one in read_json(outcome.folder / "figures" / "index.json")["figures"]
-    }
+    tip = facts["measures"]["tip"]
+    assert 0.0 < tip["rms_error"] < tip["max_error"] < 0.02
+    index = read_json(outcome.folder / "figures" / "index.json")["figures"]
+    figures = {one["about"]["kind"]: one for one in index}
     assert "the tip: largest error" in figures["tip"]["caption"].lower()
     drawn = (outcome.folder / "figures" / figures["tip"]["file"]).read_text()
     assert all(word in drawn for word in ("From above", "travelled", "the pump's limit", "stick"))

@@ -48,14 +48,8 @@ def points(model, index, circuit, shares=(0.2, 0.8), strokes=(0.15, 0.5, 0.85)):
         for at in range(len(strokes) if circuit.able[function] else 0):
             for share in shares:
                 low = model.plant.supply.pressure / 20
-                point = operating_point(
-                    model,
-                    circuit,
-                    function,
-                    here,
-                    at,
-                    Aim(low, low, share=share),
-                )
+                aim = Aim(low, low, share=share)
+                point = operating_point(model, circuit, function, here, at, aim)
                 if point.possible and point.v:
                     yield point
 
@@ -87,23 +81,17 @@ def test_equations_agree_with_differences_of_the_plant(case):
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
 def test_leakage_and_friction_too(case):
     rig, cylinder, payload = case
-    extra = {
-        f"{cylinder}.leakage_internal": 2e-12,
-        f"{cylinder}.leakage_head": 1e-12,
-        f"{cylinder}.leakage_rod": 3e-12,
-        f"{cylinder}.friction_viscous": 900.0,
-        f"{cylinder}.friction_coulomb": 300.0,
-    }
+    given = {"leakage_internal": 2e-12, "leakage_head": 1e-12, "leakage_rod": 3e-12}
+    given |= {"friction_viscous": 900.0, "friction_coulomb": 300.0}
+    extra = {f"{cylinder}.{key}": value for key, value in given.items()}
     model, index, circuit = machine(rig, cylinder, payload, **extra)
     for point in points(model, index, circuit, shares=(0.5,), strokes=(0.4,)):
         ours, plant = development_model(model, point), plant_model(model, point)
         s = scales(ours)
-        gap = np.abs((ours.a - plant.a) * s / s[:, None])
+        size = np.abs(ours.a * s / s[:, None]).max(axis=1, keepdims=True)
         # the slope of smoothed Coulomb friction is steep in v: differences over 1e-5 m/s are good
         # to 1e-4 of it
-        assert (gap <= 1e-4 * np.abs(ours.a * s / s[:, None]).max(axis=1, keepdims=True)).all(), (
-            point.name
-        )
+        assert (np.abs((ours.a - plant.a) * s / s[:, None]) <= 1e-4 * size).all(), point.name
 
 
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
@@ -121,24 +109,17 @@ def test_an_operating_point_is_a_steady_motion(case):
         ):
             # against what shutting one of the two flows would give; a common opening is found to
             # 1e-3 Pa
-            whole = (
-                plant.cylinders[index].bulk_modulus
-                / volume
-                * plant.cylinders[index][area]
-                * abs(point.v)
-            )
+            row = plant.cylinders[index]
+            whole = row.bulk_modulus / volume * row[area] * abs(point.v)
             assert abs(rate[layout.state(key, index)]) < 1e-6 * whole, point.name
         n = len(layout.joints)
         mass = np.empty((n, n))
         arm.mass_matrix(plant.kind, plant.links, y[:n], mass, np.empty(arm.work_size(n)))
         joint = plant.cylinders[index].joint
         held = mass[joint] @ rate[n : 2 * n] / mass[joint, joint]
-        bend = (
-            0.5 * point.bend * point.v
-        )  # lever'/lever²·v²: what keeps the cylinder's speed, not the joint's
-        assert point.lever * held + bend == pytest.approx(
-            0.0, abs=1e-9 * abs(point.load_force) / point.mass + 1e-9
-        ), point.name
+        # lever'/lever²·v²: what keeps the cylinder's speed, not the joint's
+        push = point.lever * held + 0.5 * point.bend * point.v
+        assert abs(push) <= 1e-9 * abs(point.load_force) / point.mass + 1e-9, point.name
 
 
 @pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
@@ -153,15 +134,8 @@ def test_equivalents_against_energy(case):
         potential = []
         for at in range(3):
             q, qd = model.posture(None), np.zeros(n)
-            q[joint] = joint_angle(
-                row.geometry,
-                row.l_a,
-                row.l_b,
-                row.side,
-                row.phase,
-                row.retracted_length,
-                here.x[at],
-            )
+            linkage = row.geometry, row.l_a, row.l_b, row.side, row.phase, row.retracted_length
+            q[joint] = joint_angle(*linkage, here.x[at])
             qd[joint] = v / here.lever[at]
             kinetic, height = arm.energy(plant.kind, plant.links, plant.gravity, q, qd, work)
             potential.append(height)
@@ -170,13 +144,11 @@ def test_equivalents_against_energy(case):
             arm.bias(plant.kind, plant.links, plant.gravity, q, qd, with_rate, work)
             arm.bias(plant.kind, plant.links, plant.gravity, q, np.zeros(n), at_rest, work)
             # one joint alone feels no Coriolis torque of its own, so the rest is damping
-            assert (with_rate - at_rest)[joint] * qd[joint] == pytest.approx(
-                here.damping[at] * v**2, rel=1e-9
-            )
+            lost = (with_rate - at_rest)[joint] * qd[joint]
+            assert lost == pytest.approx(here.damping[at] * v**2, rel=1e-9)
         # central difference over 0.1 mm: (h²/6)·F'' is below 1e-6 of F
-        assert (potential[2] - potential[0]) / 2e-4 == pytest.approx(
-            here.gravity_force[1], rel=1e-5, abs=1e-6
-        )
+        slope = (potential[2] - potential[0]) / 2e-4
+        assert slope == pytest.approx(here.gravity_force[1], rel=1e-5, abs=1e-6)
 
 
 def test_natural_frequency_of_the_locked_boom():
@@ -185,17 +157,13 @@ def test_natural_frequency_of_the_locked_boom():
     row = model.plant.cylinders[index]
     for point in points(model, index, circuit, shares=(0.5,)):
         shut = replace(point, paths=(), v=0.0, bend=0.0)
-        exact = math.sqrt(
-            row.bulk_modulus
-            * (row.area_head**2 / point.volume_head + row.area_rod**2 / point.volume_rod)
-            / point.mass
-        )
+        ends = row.area_head**2 / point.volume_head + row.area_rod**2 / point.volume_rod
+        exact = math.sqrt(row.bulk_modulus * ends / point.mass)
+        damping = pytest.approx(point.damping / point.mass / (2 * exact), rel=1e-5)
         for linear in (development_model(model, shut), plant_model(model, shut)):
             poles = np.linalg.eigvals(linear.a)
             assert abs(dominant(poles)) == pytest.approx(exact, rel=1e-6)
-            assert damping_ratio(poles) == pytest.approx(
-                point.damping / point.mass / (2 * exact), rel=1e-5
-            )
+            assert damping_ratio(poles) == damping
 
 
 def test_free_joints_matter_only_where_there_are_others():
@@ -212,9 +180,8 @@ def test_position_adds_a_slow_pole_and_little_else():
     for point in points(model, index, circuit, shares=(0.3,), strokes=(0.5,)):
         if not point.fits:
             continue
-        without, with_x = (
-            np.linalg.eigvals(plant_model(model, point, position=p).a) for p in (False, True)
-        )
+        both = (plant_model(model, point, position=on).a for on in (False, True))
+        without, with_x = map(np.linalg.eigvals, both)
         # over a metre posture changes everything; within a swing of a few Hz a moving posture is
         # worth a few per cent
         assert abs(dominant(with_x)) == pytest.approx(abs(dominant(without)), rel=0.05)
@@ -249,30 +216,21 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
     here = equivalent(model, index, np.array([0.5]) * plant.cylinders[index].stroke)
     point = operating_point(model, circuit, function, here, 0, Aim(low, low, share=0.2))
     assert point.fits
-    loop = close(
-        development_model(model, point), point, circuit, Law(washout, off, 0.5 * tick, ramp)
-    )
+    law = Law(washout, off, 0.5 * tick, ramp)
+    loop = close(development_model(model, point), point, circuit, law)
     rules = pack_rules(circuit.area_rod, plant.supply.pressure)
-    gains = pressure_feedback.pack_pressure_feedback(
-        # without a washout the static pressure would bias the speed: one that forgets in 10 s takes
-        # just that off
-        tick=tick,
-        rules=rules,
-        off_gain=off,
-        low_pressure=low,
-        feedback_gain=feedback,
-        washout=washout or 0.1,
-        ramp_washout=ramp,
-    )
+    # without a washout the static pressure would bias the speed: one that forgets in 10 s takes
+    # just that off
+    given = {"tick": tick, "rules": rules, "off_gain": off, "low_pressure": low}
+    given |= {"feedback_gain": feedback, "washout": washout or 0.1, "ramp_washout": ramp}
+    gains = pressure_feedback.pack_pressure_feedback(**given)
     reference = np.array([0.0, point.v, 0.0, 0.0])
 
     def run(push):
         y, command = state_of(model, point)
         y[model.layout.state("qd", int(plant.cylinders[index].joint))] += push / point.lever
-        memory, note = (
-            blank(pressure_feedback.MEMORY),
-            np.zeros(pressure_feedback.COLUMNS + 2 * circuit.count),
-        )
+        memory = blank(pressure_feedback.MEMORY)
+        note = np.zeros(pressure_feedback.COLUMNS + 2 * circuit.count)
         k = np.empty((5, model.layout.states))
         work = np.empty(plant.at.work)
         sample = np.empty(6 * len(model.layout.cylinders) + 2)
@@ -285,9 +243,8 @@ def test_closed_loop_agrees_with_the_compiled_controller(function, washout, ramp
         speed = []
         for i in range(250):
             speed.append(sample[6 * index + 3])
-            pressure_feedback.step(
-                i * tick, sample, reference, circuit, gains, memory, command, note
-            )
+            laws = circuit, gains, memory
+            pressure_feedback.step(i * tick, sample, reference, *laws, command, note)
             assert note[5] == function and note[-circuit.count :].max() == 0
             model_tick(y, command, plant, line_of(plant, tick), 2, k, work, sample)
         return np.array(speed)
@@ -311,13 +268,7 @@ def test_refusals():
     model, index, circuit = machine("crane_proportional", "lift")
     here = equivalent(model, index, np.array([0.3]))
     with refused("tune.unable"):
-        operating_point(
-            model,
-            circuit,
-            FUNCTIONS.index("retract_overrunning_regeneration"),
-            here,
-            0,
-            Aim(1e5, 1e5, speed=0.1),
-        )
+        cross = FUNCTIONS.index("retract_overrunning_regeneration")
+        operating_point(model, circuit, cross, here, 0, Aim(1e5, 1e5, speed=0.1))
     with pytest.raises(InputError, match="a speed or a share"):
         operating_point(model, circuit, EXTEND_RESISTIVE, here, 0, Aim(1e5, 1e5))

@@ -2,43 +2,38 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.parts.valve.second_order import SETTLED
 from ehbench.plant.model import Model, simulate
 from ehbench.vocabulary.errors import InputError, LogError, SimulationError
+from tests.shared import RIGS, shipped
 from tools.benchmark import radau_error, thesis_trial
 
-RIGS = sorted((Path(__file__).parents[2] / "recipes" / "rigs").glob("*.toml"))
-THESIS = RIGS[0].with_name("thesis_arm.toml")
+NAMES = sorted(path.stem for path in RIGS.glob("*.toml"))
+METERED = [name for name in NAMES if shipped(name).cylinder[0].pump is None]
 
 
-@pytest.fixture(scope="module", params=RIGS, ids=lambda path: path.stem)
+@pytest.fixture(scope="module", params=NAMES)
 def rig(request) -> Rig:
     """A shipped rig; a pump that slips lets its load sink, so without slip there is a rest."""
-    made = load_rig(request.param)
+    made = shipped(request.param)
     return made.with_values({n: 0.0 for n in made.parameters() if n.endswith(".slip")})
 
 
-@pytest.fixture(
-    scope="module",
-    params=[path for path in RIGS if load_rig(path).cylinder[0].pump is None],
-    ids=lambda path: path.stem,
-)
+@pytest.fixture(scope="module", params=METERED)
 def metered(request) -> Rig:
     """A rig whose shut valves hold its oil, as a pump and check valves do not."""
-    return load_rig(request.param)
+    return shipped(request.param)
 
 
 @pytest.fixture(scope="module")
 def arm() -> Rig:
-    return load_rig(THESIS)
+    return shipped("thesis_arm")
 
 
 def step_of(rig: Rig) -> dict[str, np.ndarray]:
@@ -81,18 +76,15 @@ def test_valves_that_arrive_stay_without_subnormal_tails(arm):
     log = model.run(model.trim(model.posture(None)), table)
     first = model.layout.state("opening", 0)
     tail = log[-1000:, first : first + 2 * len(model.layout.valves)]
-    assert (tail == 0.0).all()
-    assert (
-        log[120, model.layout.state("opening", model.layout.valves.index("boom.hect"))] > SETTLED
-    ), "it takes its time"
+    late = log[120, model.layout.state("opening", model.layout.valves.index("boom.hect"))]
+    assert (tail == 0.0).all() and late > SETTLED, "it takes its time"
 
 
 @pytest.mark.parametrize("payload", [True, False])
 def test_replay_of_a_simulation_is_that_simulation(rig, payload):
-    """A recording from rest, replayed by the model that made it, comes back.
-
-    The start is put together from means of the recording, equal to trim but for rounding; that may
-    grow as the machine moves: 1e-7 of each range."""
+    """The start is made of means of the recording, equal to trim but for rounding, which may
+    grow as the machine moves: 1e-7 of each range.
+    """
     load = next(iter(rig.payload)) if payload else None
     made = simulate(rig, step_of(rig), 1.0, payload=load)
     again = Model.of(rig, payload=load).replay(made)
@@ -100,9 +92,8 @@ def test_replay_of_a_simulation_is_that_simulation(rig, payload):
     for name, values in made.channels.items():
         span = np.ptp(values)
         moved += span > 1e-3
-        assert np.abs(again[name] - values).max() <= 1e-7 * max(
-            span, 1e-9 * np.abs(values).max(), 1e-12
-        ), name
+        least = max(span, 1e-9 * np.abs(values).max(), 1e-12)
+        assert np.abs(again[name] - values).max() <= 1e-7 * least, name
     assert moved > 5
 
 
@@ -119,19 +110,13 @@ def test_replay_needs_no_more_than_a_machine_measures(rig):
 
 
 def test_a_command_acts_from_its_sample_on(arm):
-    """The sample at t is the state at t: a command at sample 100 shows in the opening at 101, and
-    in nothing before.
-
-    A recording shifted by one sample must not replay as well as an aligned one.
-    """
+    """At sample 100 it shows in the opening at 101; shifted by a sample it replays far worse."""
     made = simulate(arm, step_of(arm), 1.0)
     opening = made["boom.hepc.opening"]
     assert opening[100] == 0.0 and opening[101] > 0.0
     assert made["boom.q"][100] == made["boom.q"][0]
-    late = Record(
-        made.t,
-        {n: np.roll(v, 1) if n.endswith(".command") else v for n, v in made.channels.items()},
-    )
+    shift = {n: np.roll(v, 1) if n.endswith(".command") else v for n, v in made.channels.items()}
+    late = Record(made.t, shift)
     model = Model.of(arm)
     aligned, shifted = (
         np.abs(model.replay(one)["boom.p_head"] - made["boom.p_head"]).max() for one in (made, late)
@@ -146,28 +131,22 @@ def test_replay_takes_the_recorded_supply(arm):
     made = simulate(low, {"swing.servo": step_of(arm)["swing.servo"]}, 1.0)
     again = Model.of(arm).replay(made)
     assert np.abs(again["swing.v"] - made["swing.v"]).max() < 1e-6 * np.ptp(made["swing.v"])
-    without = Record(
-        made.t, {n: v for n, v in made.channels.items() if n not in ("p_supply", "p_tank")}
-    )
-    assert np.abs(Model.of(arm).replay(without)["swing.v"] - made["swing.v"]).max() > 0.1 * np.ptp(
-        made["swing.v"]
-    )
+    kept = {n: v for n, v in made.channels.items() if n not in ("p_supply", "p_tank")}
+    gap = np.abs(Model.of(arm).replay(Record(made.t, kept))["swing.v"] - made["swing.v"]).max()
+    assert gap > 0.1 * np.ptp(made["swing.v"])
 
 
 def test_the_start_carries_the_load_from_noisy_pressures(metered):
-    """Pressures that friction and offsets have put out of balance are moved until nothing
-    accelerates, by no more than the gap.
-
-    On the thesis arm a gap of 500 N is 220 kPa on the head end alone, less when both chambers share
-    it."""
+    """Pressures out of balance are moved until nothing accelerates, by no more than the gap: on the
+    thesis arm 500 N are 220 kPa on the head end alone.
+    """
     model = Model.of(metered)
     rest = simulate(metered, {}, 0.2)
     rng = np.random.default_rng(3)
-    noise = {
-        n: rng.normal(2e5, 2e4, v.shape) if n.endswith(("p_head", "p_rod")) else 0.0
-        for n, v in rest.channels.items()
-    }
-    noisy = Record(rest.t, {n: v + noise[n] for n, v in rest.channels.items()})
+    noisy = Record(rest.t, dict(rest.channels))
+    for name, v in rest.channels.items():
+        if name.endswith(("p_head", "p_rod")):
+            noisy.channels[name] = v + rng.normal(2e5, 2e4, v.shape)
     y = model.start_of(noisy, 200)
     log = model.run(y, model.rest_commands(200))
     n = len(model.layout.joints)
@@ -195,11 +174,10 @@ def test_noise_on_recorded_commands_is_no_motion(arm):
 
 def test_uneven_recordings_are_refused(arm):
     made = simulate(arm, step_of(arm), 1.0)
-    keep = np.delete(np.arange(made.t.size), 500)
-    with pytest.raises(LogError, match="not evenly sampled"):
-        Model.of(arm).replay(Record(made.t[keep], {n: v[keep] for n, v in made.channels.items()}))
-    with pytest.raises(LogError, match="not evenly sampled"):
-        Model.of(arm).replay(Record(made.t[:2], {n: v[:2] for n, v in made.channels.items()}))
+    for keep in (np.delete(np.arange(made.t.size), 500), slice(2)):
+        few = Record(made.t[keep], {n: v[keep] for n, v in made.channels.items()})
+        with pytest.raises(LogError, match="not evenly sampled"):
+            Model.of(arm).replay(few)
 
 
 def test_postures_by_angle_stroke_and_name(rig):
@@ -211,9 +189,8 @@ def test_postures_by_angle_stroke_and_name(rig):
     q = model.posture({cylinder.name: f"{stroke * 1e3} mm"})
     assert model.posture({cylinder.joint: float(q[joint])}) == pytest.approx(q, abs=1e-12)
     if rig.mechanism.kind == "chain":
-        assert model.posture({cylinder.name: f"{math.degrees(q[joint])} deg"}) == pytest.approx(
-            q, abs=1e-9
-        )
+        angle = f"{math.degrees(q[joint])} deg"
+        assert model.posture({cylinder.name: angle}) == pytest.approx(q, abs=1e-9)
     low, high = model.stroke_range(len(rig.cylinder) - 1)
     assert min(low, high) < q[joint] < max(low, high)
 
@@ -287,23 +264,17 @@ def test_flows_and_speeds_of_a_record_agree(metered):
         }
         made = simulate(rig, commands, 1.0)
         for cylinder in rig.cylinder:
-            flows = [
-                f"{cylinder.name}.{v.edge_name(e)}.flow"
-                for v in cylinder.valve
-                for e in v.edge
-                if e.to == "head"
-            ]
+            into = [v.edge_name(e) for v in cylinder.valve for e in v.edge if e.to == "head"]
             speed = made[f"{cylinder.name}.v"][-200:].mean()
             if speed > 0.03 and made[f"{cylinder.name}.x"][-1] < 0.95 * float(cylinder.stroke):
-                assert sum(made[name][-200:].mean() for name in flows) == pytest.approx(
-                    cylinder.areas()[0] * speed, rel=0.05
-                )
+                flow = sum(made[f"{cylinder.name}.{e}.flow"][-200:].mean() for e in into)
+                assert flow == pytest.approx(cylinder.areas()[0] * speed, rel=0.05)
                 judged += 1
     assert judged
 
 
 def test_commands_that_are_changed_in_a_log_are_those_that_a_replay_takes():
-    rig = load_rig(next(path for path in RIGS if path.stem == "slide_servo"))
+    rig = shipped("slide_servo")
     model = Model.of(rig)
     log = simulate(rig, {"press.servo": np.zeros(51)}, 0.05)
     log = replace(log, channels={name: y.copy() for name, y in log.channels.items()})

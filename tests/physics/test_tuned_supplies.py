@@ -1,13 +1,12 @@
 """Tuning on supplies that follow the load: points, linear models, promises kept."""
 
-import math
 from functools import cache
 
 import numpy as np
 import pytest
 from delayed_loop import Bench
 from plant_differences import plant_model
-from test_tuned_damping import Running, _dominant
+from test_tuned_damping import damped, damped_as_promised
 
 from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, TuneRecipe
 from ehbench.config.rig import LoadSensing, LowRail
@@ -28,6 +27,7 @@ from tests.shared import RIGS, refused, shipped
 
 FOLLOWING = ("load sensing", "two rails")
 LAG = 0.05
+OFF = "5e-11 m^3/(s*Pa)"
 CYLINDERS = {"thesis_arm": "boom", "boom_four_valve": "boom", "crane_proportional": "lift"}
 CYLINDERS |= {"slide_servo": "press"}
 
@@ -124,9 +124,8 @@ def test_points_near_the_change_of_rails_are_told():
     """The boom's head end carries the bucket at 40 bar: 8 bar below the change, or 32."""
     notes = {}
     for rail in (0.35, 0.5):
-        recipe = TuneRecipe(
-            stage="tune", rig="x", postures=1, payloads=("bucket",), functions=("extend_resistive",)
-        )
+        about = {"postures": 1, "payloads": ("bucket",), "functions": ("extend_resistive",)}
+        recipe = TuneRecipe(stage="tune", rig="x", **about)
         rig = rig_on("two rails", "boom_four_valve", rail)
         study = prepare_tuning(rig, None, recipe)
         notes[rail] = [note.fields for note in study.notes if note.key == "tune.near_rail"]
@@ -149,14 +148,8 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
     """The pressure is theirs and the margin where it is higher; the sampled plant holds it."""
     rig = rig_on("load sensing", "thesis_arm")
     margin = 0.1 * float(rig.supply.pressure)
-    recipe = TuneRecipe(
-        stage="tune",
-        rig="x",
-        cylinder="stick",
-        payloads=("50 lb",),
-        postures=2,
-        also_moving=("boom",),
-    )
+    about = {"cylinder": "stick", "payloads": ("50 lb",), "postures": 2, "also_moving": ("boom",)}
+    recipe = TuneRecipe(stage="tune", rig="x", **about)
     study = prepare_tuning(rig, None, recipe)
     model = study.model("50 lb")
     low = float(rig.supply.tank_pressure) + study.low
@@ -188,32 +181,11 @@ def test_what_others_hold_is_felt_where_they_move_as_well():
 def test_the_running_machine_is_damped_as_promised(kind, name, unlocused):
     """Within 15 %, as on constant pressure: see `test_tuned_damping`."""
     rig = rig_on(kind, name)
-    recipe = TuneRecipe(
-        stage="tune",
-        rig="x",
-        cylinder=CYLINDERS[name],
-        payloads=(next(iter(rig.payload)),),
-        postures=2,
-        speed_shares=(0.5,),
-        washout="5 rad/s",
-        off_gain="5e-11 m^3/(s*Pa)",
-        draws=0,
-        delay="0.5 ms",
-    )
+    load = next(iter(rig.payload))
+    recipe = damped(CYLINDERS[name], (load,), 2, (0.5,), washout="5 rad/s", off_gain=OFF)
     tuning = tune_pressure_feedback(prepare_tuning(rig, None, recipe))
     assert tuning.supply["kind"] == kind
-    tried = 0
-    for result in tuning.points:
-        period = 2.0 * math.pi / result.natural_frequency_closed
-        if not result.counts or 0.5 * abs(result.point.bend) * period > 0.5:
-            continue
-        poles, share = Running(rig, tuning, result).modes(5)
-        poles, promised = poles[(share > 0.5) & (poles.imag > 0.0)], _dominant(result)
-        seen = poles[np.argmin(np.abs(np.log(poles / promised)))]
-        ratio = -seen.real / abs(seen)
-        assert ratio == pytest.approx(result.damping_ratio_closed, rel=0.15), result.name
-        assert abs(seen) == pytest.approx(abs(promised), rel=0.15), result.name
-        tried += 1
+    tried = sum(damped_as_promised(rig, tuning, result) for result in tuning.points)
     assert tried >= 4
 
 
@@ -311,34 +283,20 @@ def test_a_bench_has_the_supply_of_its_trial():
 
 @cache
 def tuned(kind):
-    recipe = ArcTuneRecipe(
-        stage="tune", what="arc", rig="x", postures=1, payloads=("bucket",), speed_shares=(0.06,)
-    )
+    about = {"what": "arc", "postures": 1, "payloads": ("bucket",), "speed_shares": (0.06,)}
+    recipe = ArcTuneRecipe(stage="tune", rig="x", **about)
     rig = rig_on(kind, "boom_four_valve", 0.5)
     study = prepare_tuning(rig, None, recipe)
     return tune_arc(study)
 
 
 def trial(on, delay=0.0, **more):
-    return TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "on": on,
-            "bench": "bench/boom_four_valve.toml",
-            "payload": "bucket",
-            "machine": {"delay": f"{float(delay)!r} s"} if delay else None,
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": "boom",
-                "waypoints": ["100 mm", "300 mm", "100 mm"],
-                "speed": "80 mm/s",
-            },
-            "controller": {"kind": "arc"},
-            "path": RIGS.parent / "trial.toml",
-            **more,
-        }
-    )
+    motion = {"kind": "point_to_point", "cylinder": "boom", "speed": "80 mm/s"}
+    motion |= {"waypoints": ["100 mm", "300 mm", "100 mm"]}
+    given = {"stage": "trial", "rig": "x.toml", "on": on, "bench": "bench/boom_four_valve.toml"}
+    given |= {"payload": "bucket", "motion": motion, "controller": {"kind": "arc"}}
+    given |= {"machine": {"delay": f"{float(delay)!r} s"} if delay else None}
+    return TrialRecipe.model_validate(given | {"path": RIGS.parent / "trial.toml"} | more)
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])

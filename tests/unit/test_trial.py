@@ -78,7 +78,7 @@ RAMP = {"kind": "ramp", "offset": "1 V", "amplitude": "2 V", "start": "0.2 s", "
 )
 def test_a_command_is_what_its_entries_say(rig, commands, volts):
     u = played(rig, *commands)
-    assert {at: u[at] for at in volts} == pytest.approx(volts)
+    assert {at: u[at] for at in volts} == pytest.approx(volts, rel=1e-12)
 
 
 def test_none_is_the_word_for_no_payload(tmp_path):

@@ -32,22 +32,15 @@ data = [
 ]
 parameters = ["bulk_modulus", "press.joint_damping"]
 """
-ROW = {
-    "name": "bulk_modulus",
-    "unit": "Pa",
-    "value": 7.0e8,
-    "interval": [6.9e8, 7.1e8],
-    "std": 5.0e6,
-    "lower": 1.0e8,
-    "upper": 2.0e9,
-    "start": 6.0e8,
-    "prior": None,
-    "from_data": 1.0,
-    "from_starts": 0.0,
-    "status": "estimated",
-    "error_from": "hac",
-    "samples": 400,
-}
+ROW = {"name": "bulk_modulus", "unit": "Pa", "value": 7.0e8, "interval": [6.9e8, 7.1e8]}
+ROW |= {"std": 5.0e6, "lower": 1.0e8, "upper": 2.0e9, "start": 6.0e8, "prior": None}
+ROW |= {"from_data": 1.0, "from_starts": 0.0, "status": "estimated", "error_from": "hac"}
+ROW |= {"samples": 400}
+DEADBAND = {"valve": "sh", "direction": "forward", "deadband": 1.25}
+DEADBAND |= {"deadband_interval": [1.2, 1.3]}
+LOG = {"name": "one", "fit_percent": {"press.v": 91.5, "press.p_head": 80.0}}
+DAMPING = {**ROW, "name": "press.joint_damping", "unit": "N*s/m"}
+FIT = {"method": "output_error", "parameters": [ROW, DAMPING], "logs": [LOG]}
 
 
 def write_run(final, stage, recipe, inputs, files, **facts):
@@ -60,6 +53,13 @@ def write_run(final, stage, recipe, inputs, files, **facts):
     return final
 
 
+def write_maps(shop, *rows):
+    inputs = [("rig", shop / "rig.toml"), ("data", shop / "maps.csv")]
+    files = {"summary.json": list(rows)}
+    final, recipe = shop / "reports" / "maps_1", shop / "maps.toml"
+    return write_run(final, "identify", recipe, inputs, files, what="flow_map")
+
+
 @pytest.fixture
 def shop(tmp_path) -> Path:
     """A flow-map run, a fit on it and on two logs, and a report over both."""
@@ -70,46 +70,14 @@ def shop(tmp_path) -> Path:
     for number, name in enumerate(("one", "two")):
         (tmp_path / f"{name}.csv").write_text(f"t [s],x [mm]\n0,{number}\n1,5\n2,7\n")
     reports = tmp_path / "reports"
-    maps = write_run(
-        reports / "maps_1",
-        "identify",
-        tmp_path / "maps.toml",
-        [("rig", tmp_path / "rig.toml"), ("data", tmp_path / "maps.csv")],
-        {
-            "summary.json": [
-                {
-                    "valve": "sh",
-                    "direction": "forward",
-                    "deadband": 1.25,
-                    "deadband_interval": [1.2, 1.3],
-                }
-            ]
-        },
-        what="flow_map",
-    )
-    fit = write_run(
-        reports / "fit_1",
-        "identify",
-        tmp_path / "fit.toml",
-        [
-            ("rig", tmp_path / "rig.toml"),
-            ("flow_maps", maps),
-            ("log", tmp_path / "one.csv"),
-            ("log", tmp_path / "two.csv"),
-        ],
-        {
-            "parameters.json": {
-                "method": "output_error",
-                "parameters": [ROW, {**ROW, "name": "press.joint_damping", "unit": "N*s/m"}],
-                "logs": [{"name": "one", "fit_percent": {"press.v": 91.5, "press.p_head": 80.0}}],
-            }
-        },
-        what="hydraulics",
-        method="output_error",
-    )
-    with rundir.open_run(
-        reports / "report_1", "report", fit / "run.json", [("run", maps), ("run", fit)]
-    ) as run:
+    maps = write_maps(tmp_path, DEADBAND)
+    logs = [("log", tmp_path / "one.csv"), ("log", tmp_path / "two.csv")]
+    inputs = [("rig", tmp_path / "rig.toml"), ("flow_maps", maps), *logs]
+    about = {"what": "hydraulics", "method": "output_error"}
+    files = {"parameters.json": FIT}
+    fit = write_run(reports / "fit_1", "identify", tmp_path / "fit.toml", inputs, files, **about)
+    runs = [("run", maps), ("run", fit)]
+    with rundir.open_run(reports / "report_1", "report", fit / "run.json", runs) as run:
         (run.path / "report.html").write_text("<p>bulk modulus 700</p>", encoding="utf-8")
     return tmp_path
 
@@ -134,18 +102,13 @@ def test_a_parameter_that_a_validation_carries_leads_to_its_fit(shop):
     """And what changed in the validation is still told."""
     fit = shop / "reports" / "fit_1"
     (shop / "judge.toml").write_text('stage = "validate"\ndata = ["two.csv"]\n')
-    judged = write_run(
-        shop / "reports" / "judged_1",
-        "validate",
-        shop / "judge.toml",
-        [("rig", fit), ("log", shop / "two.csv")],
-        {"parameters.json": json.loads((fit / "parameters.json").read_text())},
-        what="validation",
-    )
+    inputs = [("rig", fit), ("log", shop / "two.csv")]
+    files = {"parameters.json": json.loads((fit / "parameters.json").read_text())}
+    final, recipe = shop / "reports" / "judged_1", shop / "judge.toml"
+    judged = write_run(final, "validate", recipe, inputs, files, what="validation")
     found = origin("bulk_modulus", judged)
-    assert found.as_json() | {"changes": ()} == origin("bulk_modulus", fit).as_json() | {
-        "changes": ()
-    }
+    of_fit = origin("bulk_modulus", fit).as_json()
+    assert found.as_json() | {"changes": ()} == of_fit | {"changes": ()}
     assert found.changes == ()
     (judged / "rig.toml").write_text("")
     assert [c.key for c in origin("bulk_modulus", judged).changes] == ["report.output_changed"]
@@ -223,32 +186,28 @@ def swap(shop):
 def remade(shop):
     (shop / "maps.csv").write_text("valve,command [V],flow [gpm]\nsh,1,2.5\nsh,2,4.0\n")
     shutil.rmtree(shop / "reports" / "maps_1")
-    write_run(
-        shop / "reports" / "maps_1",
-        "identify",
-        shop / "maps.toml",
-        [("rig", shop / "rig.toml"), ("data", shop / "maps.csv")],
-        {"summary.json": []},
-        what="flow_map",
-    )
+    write_maps(shop)
+
+
+def renew(run: Path, file: Path, where: str, key: str | int, *entry: str) -> None:
+    """Give a run the digest that a file of it, or of its inputs, has now."""
+    facts = json.loads((run / "run.json").read_text())
+    digest = rundir.sha256(file)
+    facts[where][key] = facts[where][key] | {entry[0]: digest} if entry else digest
+    (run / "run.json").write_text(json.dumps(facts))
 
 
 def forge_output(shop):
     """A number and its digest changed together."""
     edit("reports/fit_1/parameters.json", "700000000.0", "900000000.0")(shop)
-    path = shop / "reports/fit_1/run.json"
-    facts = json.loads(path.read_text())
-    facts["outputs"]["parameters.json"] = rundir.sha256(shop / "reports/fit_1/parameters.json")
-    path.write_text(json.dumps(facts))
+    run = shop / "reports/fit_1"
+    renew(run, run / "parameters.json", "outputs", "parameters.json")
 
 
 def forge_input(shop):
     """A log and its digest changed together."""
     edit("one.csv", "1,5", "1,6")(shop)
-    path = shop / "reports/fit_1/run.json"
-    facts = json.loads(path.read_text())
-    facts["inputs"][2]["sha256"] = rundir.sha256(shop / "one.csv")
-    path.write_text(json.dumps(facts))
+    renew(shop / "reports/fit_1", shop / "one.csv", "inputs", 2, "sha256")
 
 
 TAMPERINGS = {
@@ -296,10 +255,8 @@ def test_whatever_is_tampered_with_marks_the_number(shop, what, of):
 
 def test_the_page_of_a_report_is_part_of_it(shop):
     edit("reports/report_1/report.html", "700", "800")(shop)
-    assert any(
-        "report.html" == change.fields["file"]
-        for change in origin("deadband", shop / "reports/report_1").changes
-    )
+    changes = origin("deadband", shop / "reports/report_1").changes
+    assert any("report.html" == change.fields["file"] for change in changes)
 
 
 def test_a_report_over_a_run_whose_log_was_edited_says_so_and_exits_with_3(shop, monkeypatch):
@@ -317,24 +274,18 @@ def falsify(run: Path) -> None:
     table = json.loads((run / "parameters.json").read_text())
     table["parameters"][0]["value"] = 9.9e8
     (run / "parameters.json").write_text(json.dumps(table))
-    facts = json.loads((run / "run.json").read_text())
-    facts["outputs"]["parameters.json"] = rundir.sha256(run / "parameters.json")
-    (run / "run.json").write_text(json.dumps(facts))
+    renew(run, run / "parameters.json", "outputs", "parameters.json")
 
 
 @pytest.mark.parametrize("name", ["report", "compare", "show"])
 @pytest.mark.parametrize("whose", ["itself", "upstream"])
 def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, name, whose):
     monkeypatch.setattr(import_module("ehbench.report"), "build", lambda *_: "<p>")
-    monkeypatch.setattr(
-        terminal, "report_answer", lambda _, notes=(), code=0: Answer("done", notes=notes)
-    )
+    bare = lambda _, notes=(), code=0: Answer("done", notes=notes)
+    monkeypatch.setattr(terminal, "report_answer", bare)
     fit = shop / "reports" / "fit_1"
-    monkeypatch.setattr(
-        compare,
-        "reported",
-        lambda folder: (Saved(folder), SimpleNamespace(status="estimated"), ()),
-    )
+    reported = lambda folder: (Saved(folder), SimpleNamespace(status="estimated"), ())
+    monkeypatch.setattr(compare, "reported", reported)
     rows = {"parameters.json": {"parameters": [ROW]}}
     inputs = [("rig", fit)]
     write_run(shop / "trial_1", "trial", shop / "fit.toml", inputs, rows, what="hydraulics")
@@ -357,11 +308,8 @@ def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, nam
 
 
 def test_a_run_of_an_older_method_is_marked(shop, monkeypatch):
-    monkeypatch.setattr(
-        versions,
-        "METHODS",
-        METHODS | {"output_error": METHODS["output_error"] + 1},  # pyright: ignore[reportOperatorIssue]
-    )
+    newer = METHODS | {"output_error": METHODS["output_error"] + 1}  # pyright: ignore[reportOperatorIssue]
+    monkeypatch.setattr(versions, "METHODS", newer)
     changes = origin("bulk_modulus", shop / "reports" / "fit_1").changes
     assert len(changes) == 1 and "output_error" in changes[0]
 
