@@ -76,24 +76,127 @@ for _row in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8")
     _text(**_row)
 
 
-def _controldesk(path: Path) -> None:
-    rows = ["descriptions,General,User,x", ",General,DateTime,2026-11-25 10:21:45", ""]
-    rows += ["trace_size,300", "trace_types,5,4,4,4,4", "trace_names,,In1,In1,Duty,In1"]
-    rows += ["trace_units,,bar,bar,%,deg", "raster,10ms,10ms,10ms,10ms,10ms"]
-    rows += ["path,,Model Root/Arm/p_head,Model Root/Arm/p_rod,Model Root/PWM,Model Root/Arm/angle"]
-    for n in range(T.size):
-        cells = [f"{SIGNALS[kind][n]:.3f}" for kind in ("t", "a", "b", "pct", "q")]
-        rows.append(f"{'trace_values' if n == 0 else ''},{','.join(cells)}")
-    path.write_text("\n".join(rows) + "\n")
+def _rows(kinds: str, mark: str = ",", size: int = T.size, step: int = 1) -> list[str]:
+    """Rows of numbers of some signals; '-' is a blank cell."""
+    each = [SIGNALS.get(kind, np.full(T.size, np.nan))[:size:step] for kind in kinds.split()]
+    return [mark.join(f"{x:.4f}".replace("nan", "") for x in row) for row in zip(*each)]
 
 
-HEAD, Q = "lift.p_head", "lift.q"
+def _lines(style: str, file: str, lines: list[str], truth: dict[str, str], *given: str) -> None:
+    """Register a text file of lines; what is ``given`` has to be found, all else '' not."""
+    text = "\r\n".join(lines) + "\r\n"
+    RECORDINGS[style] = Recording(file, lambda path: path.write_text(text) and None, truth, given)
+
+
+HEAD, ROD, Q = "lift.p_head", "lift.p_rod", "lift.q"
 _ARM = "Model Root/Arm/"
-RECORDINGS["ControlDesk CSV"] = Recording(
+_TOP = ["descriptions,General,User,x", ",General,DateTime,2026-11-25 10:21:45", ""]
+
+
+def _section(names: str, paths: str, units: str, kinds: str, step: int) -> list[str]:
+    """A time base of ControlDesk."""
+    rows = [f",{row}" for row in _rows(f"t {kinds}", step=step)]
+    every = ",10ms" * (len(kinds.split()) + 1)
+    head = [f"trace_size,{len(rows)}", f"trace_names,,{names}", f"trace_units,,{units}"]
+    return [*head, f"raster{every}", f"path,,{paths}", "trace_values" + rows[0], *rows[1:]]
+
+
+_FAST = (
+    "In1,In1,Duty,In1",
+    f"{_ARM}p_head,{_ARM}p_rod,Model Root/PWM,{_ARM}angle",
+    "bar,bar,%,deg",
+)
+_SLOW = ("Out1,p_pump", "Model Root/Supply,Model Root/Supply", "degC,bar")
+_PATHS = {f"{_ARM}p_head": HEAD, f"{_ARM}p_rod": ROD, "Model Root/PWM": "", f"{_ARM}angle": Q}
+_fast, _slow = _section(*_FAST, "a b pct q", 1), _section(*_SLOW, "temp s", 5)
+_lines("ControlDesk CSV", "a.csv", [*_TOP, *_fast], _PATHS, f"{_ARM}p_head", f"{_ARM}angle")
+_lines(
+    "ControlDesk CSV, two rasters",
     "a.csv",
-    _controldesk,
-    {f"{_ARM}p_head": HEAD, f"{_ARM}p_rod": "lift.p_rod", "Model Root/PWM": "", f"{_ARM}angle": Q},
-    (f"{_ARM}p_head", f"{_ARM}angle"),
+    [*_TOP, *_fast, "", *_slow],
+    {**_PATHS, "1/column 2": "t", "2/column 2": "t", "Out1": "", "p_pump": "p_supply"},
+    *(f"{_ARM}p_head", "1/column 2", "2/column 2", "p_pump"),
+)
+_SCOPE = ["Name\tcrane", "Starttime of export\t132959733843760000\tMontag, 2. Mai 2022", "", ""]
+_FACTS = {
+    "Name": "p_head p_rod angle cmd",
+    "Data-Type": "REAL64 REAL64 REAL64 REAL64",
+    "SampleTime[ms]": "10 10 10 10",
+    "IndexOffset": "385000 385008 385016 385024",
+    "BitMask": "0xff 0xff 0xff 0xff",
+    "Unit": "bar_(Pressure) bar_(Pressure) °_(Angle) V_(Voltage)",
+    "Unit Offset": "0 0 0 0",
+}
+_CHANNELS = {"p_head": HEAD, "p_rod": ROD, "angle": Q, "cmd": "lift.spool.command"}
+for _style, _kinds in (("a time a channel", "ms a ms b ms q ms u"), ("one time", "ms a b q u")):
+    _each = "\t" if _kinds.count("ms") == 1 else "\t{title}\t"
+    _head = [
+        f"{title}\t" + _each.format(title=title).join(cells.split()).replace("_(", " (")
+        for title, cells in _FACTS.items()
+    ]
+    _lines(
+        f"TwinCAT scope, {_style}",
+        "a.csv",
+        [*_SCOPE, *_head, "", *(row.replace(".", ",") for row in _rows(_kinds, "\t"))],
+        {**_CHANNELS, "SampleTime[ms]": "t"},
+        *("SampleTime[ms]", "p_head", "p_rod", "angle", "cmd"),
+    )
+_LVM = ["LabVIEW Measurement\t", "Multi_Headings\tYes", "***End_of_Header***\t", "\t"]
+_BLOCK = ["Channels\t2\t\t", "Samples\t300\t300\t", "Y_Unit_Label\tbar\tdeg\t", "X0\t0.5\t0.5\t"]
+_BLOCK += [
+    "Delta_X\t1.0E-2\t1.0E-2\t",
+    "***End_of_Header***\t\t\t",
+    "X_Value\tp_head\tangle\tComment",
+]
+_lines(
+    "LabVIEW .lvm without X",
+    "a.lvm",
+    [*_LVM, *_BLOCK, *_rows("- a q", "\t")],
+    {"p_head": HEAD, "angle": Q},
+    *("p_head", "angle"),
+)
+_lines(
+    "LabVIEW .lvm, segments",
+    "a.lvm",
+    [*_LVM, *_BLOCK, *_rows("t a q", "\t")[:150], "", *_BLOCK, *_rows("t a q", "\t")[150:]],
+    {"X_Value": "t", "p_head": HEAD, "angle": Q},
+    *("X_Value", "p_head", "angle"),
+)
+_STATION = [
+    "Data Header:\tTime:\t12.5\tSec\t11/25/2026 10:00:00 AM",
+    "Data Acquisition\t2\tsegments",
+]
+_STATION += ["Running Time\tDisplacement\tForce\tHead Pressure", "Sec\tmm\tN\tMPa"]
+_station = _rows("t x force r", "\t")
+_lines(
+    "MTS blocks",
+    "a.txt",
+    [
+        "MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A",
+        "",
+        *_STATION,
+        *_station[:99],
+        "",
+        *_STATION,
+        *_station[99:],
+    ],
+    {
+        "Running Time": "t",
+        "Displacement": "lift.x",
+        "Force": "lift.rod_force",
+        "Head Pressure": HEAD,
+    },
+    *("Running Time", "Displacement", "Force", "Head Pressure"),
+)
+_SETUP = ['"Model Name","DL850EV"', '"TraceName"," p_head "," angle "', '"BlockSize","300","300"']
+_SETUP += ['"VUnit","bar","deg"', '"HResolution","1.0E-02","1.0E-02"', '"HOffset","0.0","0.0"']
+_SETUP += ['"Date","2026/11/25","2026/11/25"', '"Time","10:00:00.123","10:00:00.123"', ""]
+_lines(
+    "Yokogawa",
+    "a.csv",
+    [*_SETUP, *(f"{row}," for row in _rows("- a q"))],
+    {"p_head": HEAD, "angle": Q},
+    *("p_head", "angle"),
 )
 
 

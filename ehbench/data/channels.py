@@ -57,8 +57,17 @@ def read_mapped(
     """
     source = open_source(path, dialect_of(columns))
     columns = columns or named_channels(source, path)
-    groups = _Mapping(path, columns, source).groups()
+    mapping = _Mapping(path, columns, source)
+    groups = mapping.groups()
     losses = [note for group in groups for note in _rate_note(group)]
+    of_text = source.dialect.separator is not None  # tables below one another
+    used = (
+        {index for index, _ in mapping.places.values()} if of_text else {*range(len(source.tables))}
+    )
+    for index, table in enumerate(source.tables):
+        if index not in used:
+            fields = {"table": table.name, "line": (table.lines or [0])[0]}
+            losses.append(message("data.unused_table", **fields))
     # the others are shifted to the first table that begins, by its wall clock or its time of day
     began = min((group.began for group in groups if group.began is not None), default=None)
     daytime = min((group.daytime for group in groups if group.daytime is not None), default=None)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ehbench.config.recipe.columns import READING_WORDS, ColumnMap
 from ehbench.data.channels import dialect_of, si_of
+from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
 from ehbench.vocabulary.errors import InputError, UnitError
@@ -237,8 +238,8 @@ def is_flowmeter(path: Path) -> bool:
         header = text_table(path, _EXAMPLE).header
     except InputError:
         return False
-    names = [cell.split("[")[0].strip().lower() for cell in header]
-    return "valve" in names or ("flow" in names and "t" not in names)
+    names = {cell.split("[")[0].strip().lower() for cell in header}
+    return bool(names & {"valve", "flow"}) and not names & {*TIME_NAMES}
 
 
 def _named(path: Path) -> _Sheet:

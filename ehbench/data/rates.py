@@ -62,8 +62,9 @@ class Group:
 
     @property
     def period(self) -> float:
-        """Median time between samples [s]."""
+        """Median time between samples [s] where it goes on."""
         steps = np.diff(self.t[np.isfinite(self.t)])
+        steps = steps[steps > 0.0]
         return float(np.median(steps)) if steps.size else np.inf
 
     @property

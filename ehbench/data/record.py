@@ -24,7 +24,7 @@ Window = tuple[float, float]  # [s] first and last time
 # messages on samples that are interpolated, or that nothing is missing without
 _RECOVERED = (
     *(f"data.{key}" for key in ("samples_bridged", "command_bridged", "samples_missing")),
-    *(f"data.{key}" for key in ("numbers_missing", "repeated_rows")),
+    *(f"data.{key}" for key in ("numbers_missing", "repeated_rows", "unused_table")),
     "preprocessing.bridged",
 )
 

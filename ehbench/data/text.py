@@ -67,7 +67,13 @@ def _decides(text: str, separator: str, decimal: str) -> bool:
     digits = rf"[-+\u22120-9{_GROUPING}{_OTHER[decimal].replace(separator, '')}]*"
     either = rf'{_TWO_READINGS.pattern}(?:$|["\s{separator}])'
     pattern = rf"(?!{either})(?={digits}\{decimal}){_grammar(decimal)}"
-    return _holds(text, separator, decimal, pattern)
+    known = separator != decimal and clock_fraction(text, decimal)
+    return known or _holds(text, separator, decimal, pattern)
+
+
+def clock_fraction(text: str, decimal: str) -> bool:
+    """Whether a time of day in a text has a fraction of a second behind this decimal sign."""
+    return bool(re.search(rf"\d:\d\d\{decimal}\d", text))
 
 
 def two_readings(
@@ -174,10 +180,11 @@ def cells_of(rows: Sequence[str], separator: str, index: int) -> list[str]:
 
 
 def numbers(
-    rows: Sequence[str], separator: str, decimal: str, columns: Sequence[int]
+    rows: Sequence[str], separator: str, decimal: str, columns: Sequence[int], width: int = 0
 ) -> tuple[np.ndarray, list[dict[int, str]]]:
     """(numbers, shape (rows, columns), NaN where none stands; by column what stands there, by row)
-    of some columns.
+    of some columns. A row with a number behind ``width`` cells, 0 for any number of them, has none:
+    one of its cells was taken for two.
     """
     values = np.full((len(rows), len(columns)), np.nan)
     odd: list[dict[int, str]] = [{} for _ in columns]
@@ -207,6 +214,12 @@ def numbers(
                         odd[place][at] = cell[:_QUOTED]
                     else:
                         values[at, place] = value
+    for at, row in enumerate(rows if width else ()):
+        if separator == " " or row.count(separator) >= width:
+            if any(number(cell, decimal) is not None for cell in split(row, separator)[width:]):
+                values[at] = np.nan
+                for cells in odd:
+                    cells[at] = row[:_QUOTED]
     return values, odd
 
 
@@ -265,11 +278,6 @@ class TextTable:
         for index, (row, doubt) in doubts.items():
             text = message("data.column_error", name=self.header[index], error=doubt, unit="")
             raise LogError(text, file=self.path, line=self.lines[row], hint=doubt.hint)
-        for place, cells in enumerate(odd if mark != "," else ()):
-            for row, cell in list(cells.items()):
-                if (value := number(cell, _OTHER[decimal])) is not None:
-                    values[row, place] = value
-                    del cells[row]
         return values, odd
 
     def floats(self, columns: Sequence[int]) -> np.ndarray:

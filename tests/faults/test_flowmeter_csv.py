@@ -77,11 +77,14 @@ def test_two_pressures_make_the_drop(write):
 
 @pytest.mark.parametrize("mark", [";", "\t"])
 def test_decimal_commas_between_semicolons_or_tabs(write, mark):
-    text = HEADER.replace(",", mark) + "\n" + mark.join(["a", "2,25", "689,4", "1.5"]) + "\n"
+    text = HEADER.replace(",", mark) + "\n" + mark.join(["a", "2,25", "689,4", "1,5"]) + "\n"
     data = read_flowmeter(write(text))
     assert (data.command[0], data.pressure_drop[0], data.flow[0]) == pytest.approx(
         (2.25, 689400.0, 1.5 * GPM)
     )
+    with pytest.raises(InputError) as caught:
+        read_flowmeter(write(text.replace("1,5", "1.5")))
+    assert (caught.value.key, caught.value.line) == ("data.no_number", 2)
 
 
 def test_old_line_ends_keep_the_line_numbers(write):

@@ -4,9 +4,10 @@ import pytest
 
 from ehbench.config.recipe.columns import ColumnMap, Columns, MappedColumn
 from ehbench.data import read
+from ehbench.data.flowmeter import read_flowmeter
 from ehbench.data.readers import open_source
 from ehbench.data.text import number
-from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.errors import InputError, LogError
 
 CELLS = {  # cell: (with a decimal point, with a decimal comma)
     "1234.5": (1234.5, None),
@@ -120,3 +121,70 @@ def test_a_header_goes_on_over_lines_and_a_second_name_retains_its_unit(tmp_path
     assert [column.known_unit for column in table.columns] == ["s", "kPa", "kPa"]
     assert [column.name for column in table.columns][:2] == ["Time [s]", "Pressure [kPa]"]
     assert table.lines == [5, 6, 7]
+
+
+DOORS = {  # a table of every kind that is text: (header, the row of a cell, what reads it)
+    "a foreign table": ("t{m}p", "{n}{m}{cell}", lambda path: _read(path, "mbar")["p_supply"]),
+    "a log": ("t [s]{m}p_supply [mbar]", "{n}{m}{cell}", lambda path: read(path)["p_supply"]),
+    "flowmeter readings": (
+        "valve{m}command [V]{m}pressure_drop [mbar]{m}flow [L/min]",
+        "a{m}1{m}{cell}{m}{n}",
+        lambda path: read_flowmeter(path).pressure_drop,
+    ),
+}
+ONE_GRAMMAR = {  # cells of a column with semicolons: the numbers, None where the file is refused
+    "1.5 2.5 1234.5": [1.5, 2.5, 1234.5],
+    "1,5 2,5 1.234,5": [1.5, 2.5, 1234.5],
+    "1.5 2.5 1,234.5": [1.5, 2.5, 1234.5],
+    "−1,5 2,5 1e3": [-1.5, 2.5, 1000.0],
+    "1,5 2,5 1.5": None,
+    "1,5 2,5 1.000": None,
+    "999 998 1,000": None,
+    "1.5 2.5 1_000": None,
+    "1.5 2.5 0x10": None,
+    "1.5 2.5 1.5V": None,
+    "1.5 2.5 ٣": None,
+}
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("cells", ONE_GRAMMAR)
+def test_every_table_has_one_grammar(door, cells, tmp_path):
+    header, row, reader = DOORS[door]
+    rows = [row.format(m=";", n=n, cell=cell) for n, cell in enumerate(cells.split(), 1)]
+    (tmp_path / "a.csv").write_text("\n".join([header.format(m=";"), *rows]), encoding="utf-8")
+    numbers = ONE_GRAMMAR[cells]
+    if numbers is None:
+        with pytest.raises(InputError):
+            reader(tmp_path / "a.csv")
+    elif numbers[0] > 0.0 or "flow" not in door:  # a drop against its flow is refused
+        assert reader(tmp_path / "a.csv") == pytest.approx([100.0 * number for number in numbers])
+
+
+TOO_WIDE = {  # header, sound rows, the third row
+    "a decimal comma between commas": ("t,p", "0.{n},12", "0.3,12,5"),
+    "grouped digits between commas": ("t,p,q", "0.{n},900,1", "0.3,1,234.5,1"),
+    "grouped by blanks": ("t p", "0.{n} 999.5", "0.3 1 000.5"),
+    "a mark twice": ("t;p", "0.{n};5", "0.3;5;6"),
+}
+
+
+@pytest.mark.parametrize("name", TOO_WIDE)
+def test_a_row_with_a_number_too_many_is_refused_with_its_line(name, tmp_path):
+    header, row, wrong = TOO_WIDE[name]
+    rows = [wrong if n == 3 else row.format(n=n) for n in range(1, 10)]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]))
+    with pytest.raises(LogError) as caught:
+        _read(tmp_path / "a.csv", "mbar")
+    assert caught.value.line == 4
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert all(column.odd == {2: wrong} for column in table.columns)
+
+
+def test_the_fraction_of_a_time_tells_the_decimal_sign(tmp_path):
+    rows = [f"25.11.2026 10:00:0{n},250;{n}6,000" for n in range(1, 6)]
+    (tmp_path / "a.csv").write_text("Zeit;p [bar]\n" + "\n".join(rows))
+    (table,) = open_source(tmp_path / "a.csv").tables
+    time, pressure = table.columns
+    assert pressure.doubt is None and pressure.values.tolist() == [16.0, 26.0, 36.0, 46.0, 56.0]
+    assert time.values.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]

@@ -6,6 +6,7 @@ import json
 import struct
 import sys
 import zipfile
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -32,6 +33,7 @@ from ehbench.data.readers import (  # noqa: E402
     suffixes,
 )
 from ehbench.data.readers.clock import clock  # noqa: E402
+from ehbench.data.record import lost  # noqa: E402
 from ehbench.data.text import split  # noqa: E402
 from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
 
@@ -273,6 +275,48 @@ TEXTS = {
 }
 
 
+def _block(head: str, rows: int, factor: float, t0: float = 0.0) -> str:
+    return head + "".join(f"{t0 + n / 50:g};{factor * n:g}\n" for n in range(rows))
+
+
+def test_tables_below_one_another_are_read_apart_or_as_one(tmp_path):
+    """Two heads, a head that comes again, and a block of words that is none."""
+    first, second = "Run;1\nt;p\ns;bar\n", "Run;2\nt;x\ns;mm\n"
+    again = _block(first, 25, 3.0) + "\n" + _block(first, 30, 3.0, 0.5)
+    words = "\nOperator;me\n\nRemark;none\n"
+    (tmp_path / "a.csv").write_text(again + words + "\n" + _block(second, 40, -2.0))
+    source = open_source(tmp_path / "a.csv")
+    assert [(table.name, table.size) for table in source.tables] == [("1", 55), ("2", 40)]
+    assert set(source.names()) == {"1/t", "2/t", "p", "x"}
+    pressure, stroke = (table.columns[1] for table in source.tables)
+    assert pressure.values.tolist() == [3.0 * n for n in (*range(25), *range(30))]
+    assert stroke.values.tolist() == [-2.0 * n for n in range(40)]
+    assert [column.unit for column in (pressure, stroke)] == ["bar", "mm"]
+    assert [table.lines and table.lines[-1] for table in source.tables] == [62, 110]
+    (alone,) = open_source(tmp_path / "a.csv", Dialect(table="2")).tables
+    assert [column.name for column in alone.columns] == ["t", "x"]
+
+
+def test_rows_without_a_time_have_the_one_that_the_facts_above_say(tmp_path):
+    facts = "TraceName,p,q\nVUnit,bar,deg\nHResolution,2.0E-03,{}\nHOffset,-0.5,-0.5\n\n"
+    rows = "".join(f",{n}.5,{n}.25\n" for n in range(30))
+    (tmp_path / "a.csv").write_text(facts.format("2.0E-03") + rows)
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert table.t is not None and table.t.tolist() == [-0.5 + 2e-3 * n for n in range(30)]
+    (tmp_path / "a.csv").write_text(facts.format("1.0E-03") + rows)  # each its own: nobody knows
+    assert open_source(tmp_path / "a.csv").tables[0].t is None
+
+
+def test_ticks_of_windows_are_a_wall_clock(tmp_path):
+    began = datetime(2022, 5, 2, 13, 56, 24, 376000, UTC)
+    ticks = 132959733843760000  # as a library of others says of that moment
+    rows = "".join(f"{ticks + 5000 * n},{n}.5\n" for n in range(30))
+    (tmp_path / "a.csv").write_text("FileTime,p [bar]\n" + rows)
+    (table,) = open_source(tmp_path / "a.csv").tables
+    assert table.began == began.timestamp() and table.columns[0].unit == "ns"
+    assert table.columns[0].values.tolist() == [5e5 * n for n in range(30)]
+
+
 @pytest.mark.parametrize("text", TEXTS)
 def test_the_dialect_of_a_text_is_found(text, tmp_path):
     path = tmp_path / "a.txt"
@@ -385,3 +429,13 @@ def test_real_recordings_are_read(name, rows):
 def test_a_bag_without_numbers_says_what_is_in_it():
     with pytest.raises(LogError, match="no column of numbers.*/chatter .std_msgs/msg/String"):
         open_source(SHARED / "mcap/rosbag2/multiple_files_0.mcap")
+
+
+def test_a_table_that_the_map_leaves_alone_is_noted_and_no_loss(tmp_path):
+    text = _block("t;p\ns;bar\n", 25, 3.0) + "\n" + _block("t;x\ns;mm\n", 25, 3.0)
+    (tmp_path / "a.csv").write_text(text)
+    (tmp_path / "a.map.toml").write_text('[names]\n"1/t" = "t [s]"\np = "ram.p_head [bar]"\n')
+    record = read(tmp_path / "a.csv", tmp_path / "a.map.toml")
+    (note,) = record.losses
+    assert (note.key, note.fields) == ("data.unused_table", {"table": "2", "line": 31})
+    assert lost(record.losses) == [] and record.t.size == 25

@@ -135,7 +135,8 @@ def _overview(
             row = next((row for row, cell in enumerate(cells) if cell), 0)
             fields = {"cell": remark(cells[row] if cells else ""), "where": _where(table, row)}
             text = message("app.no_numbers", **fields)
-            columns.append((name, text, _guess_text(guesses.get(name, Guess()))))
+            guess = Guess() if name in names else guesses.get(name, Guess())
+            columns.append((name, text, _guess_text(guess)))
             lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
     return [*lines, *source.losses], columns
 

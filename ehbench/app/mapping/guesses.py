@@ -65,6 +65,9 @@ class GuessSettings:
     letter: int = setting(1, "", "weight of a port's letter or number", "each recorder's own")
     loop: float = setting(25.0, "mA", "current from which it is that of a coil", "4 to 20 mA")
     even: float = setting(0.01, "", "share by which a mean step may be off the median", "rounding")
+    slow: float = setting(
+        0.09, "s", "step of a time without a unit from which it may be in ms", "10 rows a second"
+    )
     few: float = setting(0.01, "", "share of bad cells that a draft leaves out", "faults are rare")
 
 
@@ -221,9 +224,13 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
     lvm = words >= {"x", "value"}
     if not (is_time or lvm or (words & WORDS["time"] and not unit)):
         even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
-        even = bool(even) and column is table.columns[0] and table.t is None and not unit
-        named = LIKELY if re.fullmatch(r"column \d+", column.name) else UNDECIDED
-        return Guess("t", "s", named, message("app.rises_evenly")) if even else None
+        unnamed = bool(re.fullmatch(r"column \d+", column.name))
+        first = unnamed or column is table.columns[0]
+        if not (even and first and table.t is None and not unit):
+            return None
+        unit, certainty = _time_unit(values)
+        certainty = certainty if unnamed else UNDECIDED
+        return Guess("t", unit, certainty, message("app.rises_evenly"))
     if table.t is not None:
         return Guess(remark=message("app.time_known"))
     even = unrounded(values, max(resolution(values)))
@@ -235,12 +242,19 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
     if not is_time and tick < LIMITS.days and since_1970(86400.0 * float(values[0]), True):
         return Guess("t", "d", LIKELY, message("app.days_guessed"))
     if not is_time:
-        unit = "s" if tick < 0.1 else "ms" if tick < 100 else "us"
-        return Guess("t", unit, LIKELY, message("app.unit_guessed"))
+        return Guess("t", *_time_unit(values), message("app.unit_guessed"))
     still = int((steps == 0.0).sum()) if even is values else 0
     certainty = CERTAIN if words & WORDS["time"] else LIKELY
     note = message("app.time_stands_still", count=still) if still else ""
     return Guess("t", unit, certainty, note, why=(message("app.why_unit", unit=unit),))
+
+
+def _time_unit(values: np.ndarray) -> tuple[str, str]:
+    """(the unit in which the steps of a time are those of a recorder, how certain that is)."""
+    tick = float(np.median(np.diff(values)))
+    if LIMITS.slow <= tick < 1.0 and np.any(values != np.round(values)):
+        return "s", UNDECIDED  # ten rows a second, or in a millisecond?
+    return "s" if tick < LIMITS.slow else "ms" if tick < 100 else "us", LIKELY
 
 
 def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:

@@ -29,7 +29,7 @@ def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:
     for name, (i, j) in source.names().items():
         lines.append(_line(name, guesses[name], source.tables[i].columns[j]))
     for name in source.tables[0].words if source.tables else ():
-        if name in guesses and guesses[name].channel:
+        if name in guesses and guesses[name].channel and name not in source.names():
             lines.append(f"{_quoted(name)} = {_quoted(guesses[name].channel)}")
     return "\n".join(lines) + "\n"
 

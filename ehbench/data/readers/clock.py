@@ -38,7 +38,12 @@ _EPOCHS = (
     (True, 2.0e4, 8.0e4, 25569.0),  # spreadsheets, since 1899-12-30
     (True, 6.9e5, 8.0e5, 719529.0),  # MATLAB, since year 0
     (False, 2.6e9, 4.6e9, 2082844800.0),  # LabVIEW, since 1904
-    (False, 1.0e8, np.inf, 0.0),
+    (False, 1.0e8, 1.0e10, 0.0),
+)
+# nanoseconds a tick, first and last count of recordings, the year 1970
+_TICKS = (
+    (1, 10**18, 26 * 10**17, 0),
+    (100, 12 * 10**16, 17 * 10**16, 116444736 * 10**9),
 )
 
 
@@ -103,7 +108,7 @@ def is_time(cell: str) -> bool:
 
 def is_date(cell: str) -> bool:
     """Whether a cell is a date without a time of day."""
-    return ":" not in cell and (stamp := _stamp(cell.strip(), "mdy")) is not None and stamp.dated
+    return ":" not in cell and is_time(cell.strip()) and not re.fullmatch(r"-?\d+ days?,?", cell)
 
 
 def time_of_day(cells: Iterable[str]) -> float | None:
@@ -130,14 +135,18 @@ def since_1970(seconds: float, days: bool) -> float | None:
 
 def nanoseconds(cells: Iterable[Any]) -> tuple[np.ndarray, float] | None:
     """(nanoseconds since the first, the first in seconds since 1970) of integers, or their text,
-    that count nanoseconds since 1970; None of others, and of such as go back.
+    that count nanoseconds since 1970, or as Windows does tenths of a microsecond since 1601; None
+    of others, and of such as go back.
     """
     texts = [str(cell) for cell in cells]
-    counts = [int(text) for text in texts if text.isdecimal() and len(text) == 19]
-    known = len(counts) == len(texts) > 0 and 10**18 <= counts[0] <= counts[-1] < 26 * 10**17
-    if not known or any(later < count for count, later in pairwise(counts)):
+    counts = [int(text) for text in texts if text.isdecimal() and len(text) in (18, 19)]
+    if len(counts) != len(texts) or any(later < count for count, later in pairwise(counts)):
         return None
-    return np.array([float(count - counts[0]) for count in counts]), counts[0] / 1e9
+    for tick, low, high, zero in _TICKS:
+        if counts and low <= counts[0] <= counts[-1] < high:
+            since = np.array([float((count - counts[0]) * tick) for count in counts])
+            return since, (counts[0] - zero) * tick / 1e9
+    return None
 
 
 def moments(values: np.ndarray) -> tuple[np.ndarray, float | None]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from openpyxl import load_workbook
 
-from ehbench.data.readers.delimited import table_of
+from ehbench.data.readers.delimited import tables_of
 from ehbench.data.readers.table import Dialect, Source
 from ehbench.runtime.memory import refuse_beyond
 from ehbench.vocabulary.errors import LogError
@@ -47,7 +47,7 @@ def read(path: Path, dialect: Dialect) -> Source:
             rows = sheet.iter_rows(values_only=True)
             lines = [_TAB.join(_text(cell) for cell in row) for row in rows]
             try:
-                tables.append(table_of(lines, plain, sheet.title)[0])
+                tables += tables_of(lines, plain, sheet.title)[0]
             except LogError:  # a sheet of words
                 continue
     finally:

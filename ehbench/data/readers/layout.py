@@ -1,0 +1,340 @@
+"""Where things stand in lines of text: the marks between cells, the tables, their headers, units
+and first rows of numbers."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+from ehbench.data.readers.clock import is_time
+from ehbench.data.readers.table import Dialect
+from ehbench.data.text import clock_fraction, is_hole, number, split
+from ehbench.vocabulary.errors import LogError
+from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.units import absolute_unit, named_unit
+
+_REMARKS = ("#", "%", "//")
+# what the first cell of a row above the numbers calls it
+_NAME_HEADS = ("name", "names", "tracename", "channel name", "kanalname")
+_UNIT_HEADS = (
+    *("unit", "units", "einheit", "einheiten", "unité", "unidad", "vunit", "y_unit_label"),
+)
+_CLOCK_HEADS = ("sampletime[ms]",)  # above a time, which the names call a name
+_STEP_HEADS, _START_HEADS = ("delta_x", "hresolution"), ("x0", "hoffset")  # both in seconds
+_BRACKETED = re.compile(r"\(.*\)|\[.*\]")
+# how a row of units writes a time of day: hh:mm:ss, HH:MM:SS.fff, dd.mm.yyyy hh:mm:ss,ms, h:m:s
+_CLOCK_FORM = re.compile(
+    r"([dmyjat]{1,4}[-./][dmyjat]{1,4}[-./][dmyjat]{1,4}[ t;]*)?"
+    r"h{1,2}:m{1,2}(:s{1,2}[.,:]?[msfz0]*)?",
+    re.I,
+)
+_HEADS = 6  # rows of facts between the header and the numbers
+LOOKED_AT = 200  # lines that tell a dialect
+_TOGETHER = 20  # lines in a row that are looked at: signals of several rates take turns
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things stand in the lines: the header (None without one), the units, the first row of
+    numbers; ``kinds`` says of each column whether it is of numbers, times or words; ``clock`` is
+    (start, step) [s] of rows without a time of their own, where the rows above say it.
+    """
+
+    header: int | None
+    units: int | None
+    first: int
+    kinds: tuple[str, ...]
+    clock: tuple[float, float] | None = None
+
+
+def bare(line: str) -> str:
+    """A line without the sign that makes it a remark."""
+    return line.lstrip("#%/ ") if line.lstrip().startswith(_REMARKS) else line
+
+
+def is_row(line: str, separator: str) -> bool:
+    """Whether a line is neither blank nor a remark."""
+    return bool(line.strip(" \t" + separator)) and not line.lstrip().startswith(_REMARKS)
+
+
+def _kind(cell: str, decimal: str) -> str:
+    """What a cell holds: a number, a time of day, nothing, or words."""
+    if number(cell, decimal) is not None:
+        return "numbers"
+    if is_hole(cell):
+        return "holes"
+    return "times" if is_time(cell) else "words"
+
+
+def marks_of(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
+    """(separator, decimal sign) with which most cells are numbers: of the second half of the lines,
+    as facts stand above the numbers.
+    """
+    shown = _some([line for line in lines[dialect.skip or 0 :] if is_row(line, "")])
+    best, maximum = (",", "."), -1.0
+    # between tabs a blank is part of a cell: "1 570" is no number, and not 1
+    blank = [] if all("\t" in line for line in shown) else [" "]
+    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", *blank]:
+        for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
+            if separator == decimal and not any('"' in line for line in shown):
+                continue
+            score = 0.0
+            for line in shown:
+                kinds = [_kind(cell, decimal) for cell in split(line, separator)]
+                good = kinds.count("numbers") + kinds.count("times")
+                score += good * (good / max(len(kinds) - kinds.count("holes"), 1))
+                score += separator != decimal and clock_fraction(line, decimal)
+            if score > maximum:
+                best, maximum = (separator, decimal), score
+    return best
+
+
+def _some(rows: Sequence) -> list:
+    """Rows that tell of all: of the second half, as facts stand above the numbers, some in a row
+    from places all over it.
+    """
+    half = rows[len(rows) // 2 :]
+    step = max(-(-len(half) // (LOOKED_AT // _TOGETHER)), _TOGETHER)
+    return [row for at in range(0, len(half), step) for row in half[at : at + _TOGETHER]]
+
+
+def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) -> Layout:
+    """Where the header, the units and the numbers of a table stand.
+
+    Raises:
+        LogError: no rows of numbers.
+    """
+    separator, decimal = marks
+    skip = dialect.skip or 0
+    at = [n for n in range(skip, len(lines)) if is_row(lines[n], separator)]
+    kinds = _kinds_of([split(lines[n], separator) for n in at], decimal)
+    if not kinds:
+        raise LogError(message("data.no_rows_of_numbers"))
+
+    def fits(n: int, share: float, titled: bool = False) -> bool:
+        row = [_kind(cell, decimal) for cell in split(lines[n], separator)]
+        row += ["holes"] * (len(kinds) - len(row))
+        if not titled and kinds[0] == "blank" and row[0] != "holes":
+            return False
+        requested = [got for got, kind in zip(row, kinds) if kind not in ("words", "blank")]
+        good = requested.count("numbers") + requested.count("times")
+        if requested[:1] == ["words"]:
+            return False
+        fine = good + requested.count("holes")
+        return len(row) >= len(kinds) and good > 0 and fine >= share * len(requested)
+
+    strict = next((i for i, n in enumerate(at) if fits(n, 1.0)), None)
+    if strict is None:
+        raise LogError(message("data.no_rows_of_numbers"))
+    window = range(strict, min(strict + _HEADS, len(at)))
+    words = [i for i in window if not fits(at[i], 0.5)]
+    if words and words[0] - strict <= 2 and words[-1] + 1 < len(at):  # numbers among the facts
+        strict = words[-1] + 1
+    while strict > 0 and fits(at[strict - 1], 0.5):  # a row with a broken cell is a row still
+        strict -= 1
+    if at[strict - 1 : strict] == [at[strict] - 1] and fits(at[strict] - 1, 1.0, True):
+        strict -= 1  # its title calls this row the first of the numbers
+    first = at[strict]
+    step = _fact(lines[:first], marks, _STEP_HEADS) if kinds[0] == "blank" else None
+    clock = (_fact(lines[:first], marks, _START_HEADS) or 0.0, step) if step else None
+    titled = _titled(lines, range(first), separator, len(kinds), _UNIT_HEADS)
+    if dialect.skip is not None:
+        above = [n for n in range(skip, first) if lines[n].strip(" \t" + separator)][:2]
+        below = above[1] if len(above) > 1 else None
+        if titled is not None and not any(map(_is_unit, split(lines[above[-1]], separator))):
+            below = titled
+        return Layout(
+            above[0] if above else None, below if dialect.unit_row else None, first, kinds, clock
+        )
+    header, units = _heads(lines, range(skip, first), separator, len(kinds))
+    units = titled if units is None else units
+    if dialect.unit_row is False:
+        header, units = (header if units in (None, titled) else units), None
+    return Layout(header, units, first, kinds, clock)
+
+
+def _titled(
+    lines: Sequence[str], above: range, separator: str, width: int, titles: Sequence[str]
+) -> int | None:
+    """The last line above the numbers whose first cell is a title of some, and that says something
+    of most columns; None of none.
+    """
+    for n in reversed(above):
+        title, *cells = split(bare(lines[n]), separator)
+        if _label(title) in titles and len(cells) + 1 >= width and any(cells):
+            return n
+    return None
+
+
+def _fact(lines: Sequence[str], marks: tuple[str, str], titles: Sequence[str]) -> float | None:
+    """The number that the last line with a title says of all columns; None of several or none."""
+    for line in reversed(lines):
+        title, *cells = split(line, marks[0])
+        if _label(title) in titles:
+            values = {number(cell, marks[1]) for cell in cells if cell}
+            return values.pop() if len(values) == 1 else None
+    return None
+
+
+def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
+    """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
+    out.
+    """
+    shown = _some(rows)
+    widths = Counter(len(row) for row in shown)
+    if not widths:
+        return ()
+    width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
+    results = []
+    for at, column in enumerate(zip(*(row for row in shown if len(row) == width))):
+        kinds = Counter(_kind(cell, decimal) for cell in column)
+        if set(kinds) == {"holes"}:  # a slow signal: where it stands at all
+            filled = (row[at] for row in rows if len(row) == width and row[at])
+            some = Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
+            kinds += some if at or "numbers" in some or "times" in some else Counter()
+        holes = kinds.pop("holes", 0)
+        results.append(kinds.most_common(1)[0][0] if kinds else "holes" if holes else "words")
+    while results and results[-1] == "holes":
+        results.pop()
+    first = ["blank" if kind == "holes" else kind for kind in results[:1]]
+    results = [*first, *("words" if kind == "holes" else kind for kind in results[1:])]
+    return tuple(results) if "numbers" in results else ()
+
+
+def _heads(
+    lines: Sequence[str], above: range, separator: str, width: int
+) -> tuple[int | None, int | None]:
+    """(line of the header, line of the units) of the lines above the numbers."""
+    block = []
+    for n in reversed(above):
+        if lines[n].strip(" \t" + separator):
+            block.append(n)
+        elif block:
+            break
+    within = range(block[-1] if block else above.stop, above.stop)
+    names, units = (
+        _titled(lines, within, separator, width, titles) for titles in (_NAME_HEADS, _UNIT_HEADS)
+    )
+    if names is not None and units is not None:
+        rows = {n: split(bare(lines[n]), separator)[:width] for n in (names, *block)}
+        own = {n: [cell for cell in row if cell and cell != row[0]] for n, row in rows.items()}
+        # one name comes again: another row tells the columns apart
+        return next(
+            (n for n, row in own.items() if row and len(set(row)) == len(row)), names
+        ), units
+    wide: list[list[str]] = []
+    at: list[int] = []
+    for n in reversed(above):
+        if not lines[n].strip(" \t" + separator):
+            if wide:
+                break
+            continue
+        cells = split(bare(lines[n]), separator)[:width]
+        filled = [cell for cell in cells if cell.strip("-")]
+        if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
+            break
+        if sum(number(cell) is not None for cell in filled) < 0.5 * len(filled):
+            wide.append(filled)
+            at.append(n)
+    for index, cells in enumerate(wide[:-1]):
+        units = cells[1:] if _label(cells[0]) in _UNIT_HEADS else cells
+        known = sum(map(_is_unit, units))
+        # three in four below names that are none: a recorder may have words of its own for one
+        mostly = known >= 0.75 * len(units) and not any(map(_is_unit, wide[index + 1]))
+        all_of_it = known == len(units) or all(map(_BRACKETED.fullmatch, units))
+        if units and (mostly or all_of_it):
+            return at[index + 1], at[index]
+    if wide and at[0] > above.start and all(map(_is_unit, wide[0])):  # of numbered channels
+        names = split(bare(lines[at[0] - 1]), separator)[:width]
+        if len(list(filter(None, names))) == len(wide[0]):
+            return at[0] - 1, at[0]
+    return (at[0], None) if at else (None, None)
+
+
+def _is_unit(cell: str) -> bool:
+    plain = cell.strip(" []()")
+    return bool(named_unit(cell) or absolute_unit(cell) or _CLOCK_FORM.fullmatch(plain))
+
+
+def _label(cell: str) -> str:
+    return cell.strip(": ").lower().removeprefix("trace_")
+
+
+def sections_of(
+    lines: Sequence[str], marks: tuple[str, str], dialect: Dialect
+) -> list[tuple[int, list[str]]]:
+    """(line before it, lines) of each table. A table begins behind a blank line with rows of words
+    that name its columns; under the head of the one before it goes on, and that head is blank.
+
+    Args:
+        lines: of the file.
+        marks: as of `marks_of`.
+        dialect: of the first table.
+    """
+
+    def layout(first: int, end: int, dialect: Dialect) -> Layout | None:
+        try:
+            return layout_of(lines[first:end], marks, dialect)
+        except LogError:
+            return None
+
+    at = [n for n, line in enumerate(lines) if line.strip(" \t,;")]
+    begins = [
+        later
+        for before, later in zip(at, at[1:])
+        if later > before + 1 and _kind(split(lines[later], marks[0])[0], marks[1]) == "words"
+    ]
+    free, result = replace(dialect, skip=None, unit_row=None), [*lines]
+    firsts, facts, above = [0], None, None  # facts: where rows of words may begin the next
+    for begin, end in zip(begins, [*begins[1:], len(lines)]):
+        facts = begin if facts is None else facts
+        here = layout(begin, end, free) if end - begin >= _TOGETHER else None
+        if here is None or here.header is None:
+            continue
+        named = [cell for cell in split(bare(lines[begin + here.header]), marks[0]) if cell]
+        if 2 * len(named) < len(here.kinds):
+            continue
+        above = above or layout(firsts[-1], facts, dialect if len(firsts) == 1 else free)
+        if above is None or facts - firsts[-1] - above.first < _TOGETHER:
+            above = None  # the table is the first
+        elif (
+            above.header is not None
+            and here.clock is None
+            and lines[firsts[-1] + above.header] == lines[begin + here.header]
+        ):
+            result[facts : begin + here.first] = [""] * (begin + here.first - facts)
+        else:
+            firsts.append(facts)
+            above = None
+        facts = None
+    ends = [*firsts[1:], len(lines)]
+    return [(first, result[first:end]) for first, end in zip(firsts, ends)]
+
+
+def names_of(lines: Sequence[str], layout: Layout, separator: str) -> list[str]:
+    """The cells of the header; none without one."""
+    top = [] if layout.header is None else split(bare(lines[layout.header]), separator)
+    if top and _label(top[0]) in _NAME_HEADS:  # the title of a row is the name of no column
+        above = range(layout.first)
+        at = _titled(lines, above, separator, len(layout.kinds), _CLOCK_HEADS)
+        clock = "" if at is None else split(lines[at], separator)[0]
+        if clock or top.count(top[0]) > 1:
+            top = [clock if cell == top[0] else cell for cell in top]
+    return top
+
+
+def units_of(lines: Sequence[str], layout: Layout, separator: str) -> list[str]:
+    """The unit that each cell of the row of units says; one that is not known here without the
+    brackets about it. None without such a row.
+    """
+    cells = [] if layout.units is None else split(bare(lines[layout.units]), separator)
+    plain = [cell.strip() if absolute_unit(cell) else cell.strip(" []()") for cell in cells]
+    return [
+        ""
+        if _label(cell) in _UNIT_HEADS
+        else named_unit(cell) or named_unit(re.sub(r"\s*\(.*\)", "", cell)) or text
+        for cell, text in zip(cells, plain)
+    ]
