@@ -22,7 +22,7 @@ import numpy as np
 from ehbench.config.recipe import FlowMapRecipe, TrialRecipe, TrialSetRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.plant.derivatives import derivatives
-from ehbench.plant.many import run_many
+from ehbench.plant.many import map_threads
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.runs.rundir import shipped
@@ -196,8 +196,7 @@ def chosen_steps(rig: Rig, repeats: int = 10) -> Iterator[Row]:
         for value in np.linspace(0.9, 1.1, 1000) * float(rig.parameters()["bulk_modulus"])
     ]
     began = time.perf_counter()
-    for _ in run_many(((each, start, table) for each in models), step=AUTO):
-        pass
+    map_threads(lambda each: float(each.run(start, table, step=AUTO)[-1, 0]), models)
     yield Row(
         "1000 trials of 10 s, a rig each (made before), all cores",
         time.perf_counter() - began,
@@ -598,7 +597,7 @@ def _three_at_once() -> TrialRecipe:
 def _maps(rig: Rig) -> FlowMaps:
     """Flow maps of the thesis arm's valves from the shipped dataset."""
     from ehbench.data.flowmeter import read_flowmeter
-    from ehbench.flow_maps.results import fit_flow_maps
+    from ehbench.flow_maps.results import fit_flow_map
     from ehbench.physics.flow_map import collect
 
     recipe = load_recipe(RECIPES / "thesis" / "flow_maps.toml")
@@ -608,7 +607,8 @@ def _maps(rig: Rig) -> FlowMaps:
         read_flowmeter(recipe.file(name), supply_pressure=float(rig.supply.pressure))
         for name in recipe.data
     ]
-    return collect([fit.map for data in readings for fit in fit_flow_maps(data)])
+    groups = [(group, data.select(*group)) for data in readings for group in data.groups()]
+    return collect([fit_flow_map(*group, rows).map for group, rows in groups])
 
 
 @one_thread()

@@ -668,16 +668,6 @@ def feed_forward(lead, v, oil, circuit):
 
 
 @kernel
-def keep_on(toward, function, rules):
-    """A desired speed [m/s], and where it is none one that keeps the function at work: it makes up
-    for leakage, and holding and moving in turn would hunt.
-    """
-    if abs(toward) <= rules.speed_start:
-        return 2.0 * rules.speed_start * DIRECTION[function]
-    return toward
-
-
-@kernel
 def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
     """The task level's `Choice`: the direction is that of the desired speed, led back to the
     desired stroke.
@@ -723,8 +713,9 @@ def choose(reference, z1, load_force, spool_speed, p, axis, gains, state):
         fast = abs(state.slow_required) > abs(toward) + reversal
         if fast and toward * state.slow_required < 0.0:
             toward = state.slow_required
-    if still and not spool:
-        toward = keep_on(toward, state.function, gains.rules)
+    if still and not spool and abs(toward) <= speed_start:
+        # the function stays at work: it makes up for leakage, and holding and moving in turn hunts
+        toward = 2.0 * speed_start * DIRECTION[state.function]
     function, status = select(
         state.function, state.age, toward, state.slow_load, p, axis.circuit, gains.rules
     )
@@ -1045,19 +1036,11 @@ def write_telemetry(reference, stroke, force, choice, flows, limits, memory, tel
 
 @kernel
 def step(t, sample, reference, axis, design, memory, command, telemetry):
-    """One tick: observe, estimate, choose the function, write commands and telemetry.
+    """One tick, see `Law`: observe, estimate, choose the function, write commands and telemetry.
 
-    Args:
-        t: time [s], unused.
-        sample: what the machine measured; read are this cylinder's channels but q̇, the other
-            cylinders' joint angles, p_supply and p_tank.
-        reference: x_d, v_d, a_d, j_d; where others move as well the columns of
-            `coupling.among_others`; at the end those of `trajectory.with_preview`.
-        axis, memory: an `Axis` of the design model; of `memory_of` before the first tick.
-        design: the gains, of `ehbench.control.arc_gains.pack_arc`, see `ease`.
-        command: out, [V], one per valve of the rig; only this cylinder's are written.
-        telemetry: out, shape (COLUMNS + 4·edges of the cylinder,).
-    """
+    Read are this cylinder's channels but q̇, the other cylinders' joint angles, p_supply, p_tank;
+    where others move as well the reference has the columns of `coupling.among_others`, at its end
+    those of `trajectory.with_preview`. ``design`` are the gains of `pack_arc`, see `ease`."""
     circuit, state, number = axis.circuit, memory.state, axis.circuit.cylinder
     desired, p = reference_of(reference), pressures(sample, number)
     q, x, v = sample[entry(number, OF.q)], sample[entry(number, OF.x)], sample[entry(number, OF.v)]

@@ -5,7 +5,7 @@ derivation in docs/explanation/arc.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -184,57 +184,24 @@ class _Bounds:
 
 
 def pack_arc(
-    point: DesignPoint,
-    rules: np.record,
-    adaptation: Adaptation | None = None,
-    gains: Mapping[str, float] | None = None,
-) -> np.record:
-    """The gains of `ehbench.control.arc.step`, a record of type GAINS, with defaults from what the
-    valves and the supply allow.
+    point: DesignPoint, rules: np.record, unsure: Adaptation, given: Mapping[str, float]
+) -> tuple[np.record, np.ndarray]:
+    """(the gains of `ehbench.control.arc.step`, a record of type GAINS, with defaults from what the
+    valves and the supply allow; the rates of adaptation that a bandwidth of 1 rad/s makes).
 
     The valves are asked for phase up to the sum of the bandwidths k1 + k2 + k3 [rad/s]. By default
-    that sum times the loop's lag is ``lag_budget``, shared out by ``parts``: the margins that these
-    defaults keep are in ``docs/explanation/arc.md``, with where the others come from.
+    that sum times the loop's lag is ``lag_budget``, shared out by ``parts``; margins and the other
+    defaults are derived in ``docs/explanation/arc.md``.
 
     Args:
         point: what it is designed for.
         rules: of function selection, `ehbench.control.functions.pack_rules`.
-        adaptation: what is not known.
-        gains: any of GAIN_NAMES by name instead of its default: ``position_bandwidth``,
-            ``speed_bandwidth``, ``force_bandwidth`` k1, k2, k3 [rad/s], and ``bandwidth_limit`` of
-            their sum, 0 for none (`ehbench.control.arc.ease`); ``coupling_frequency`` ω3
-            [rad/s], 0 for that of the oil's own spring at each stroke; ``speed_tolerance`` [m/s]
-            and ``force_tolerance`` [N] to which the robust terms hold the errors, by at most
-            ``robust_limit`` [1] of k2 and k3; ``pressure_bandwidth`` [rad/s] of the off-side, its
-            set-point ``low_pressure`` [Pa] above tank and the rate of it ``pressure_rate`` [Pa/s];
-            ``observer_bandwidth`` [rad/s], 0 for the measured speed; ``speed_correction`` [m/s]
-            that a stroke error asks for at most; ``speed_nudge`` [m/s] and ``stroke_resolution``
-            [m] at a reference at rest; ``load_corner`` [rad/s] of the load that chooses the
-            function; ``standby`` [1] share of its deadband at which a shut valve waits;
-            ``flow_reserve`` [1] share of the desired flow that the supply's edge shall have left,
-            for which the off-side is raised, 0 for never; ``valve_lead`` [s] by which desired flows
-            lead; ``drop_floor`` [Pa] of the inverse maps;
-            ``drop_corner`` [rad/s] above which a load force that is not planned counts as swing,
-            by which no valve is opened, 0 for none (`ehbench.control.arc.opened_by`);
-            ``weighing_time`` [s], the gain of adaptation at rest; ``reference_mass`` [kg];
-            ``adapt_oil`` whether planned flows go by the softness that pressures tell;
-            ``adapt_maps`` whether the flow maps are corrected, at most at ``map_bandwidth``
-            [rad/s], within ``map_error`` [1] of their flow and ``deadband_error`` [V].
+        unsure: what is not known.
+        given: any of GAIN_NAMES [SI] instead of its default; `VOCABULARY` says what they are.
 
     Raises:
         InputError: an unknown gain, a number out of its range, bounds that do not hold the design
             model.
-    """
-    return pack_with_rates(point, rules, adaptation or Adaptation(), gains or {})[0]
-
-
-def pack_with_rates(
-    point: DesignPoint, rules: np.record, unsure: Adaptation, given: Mapping[str, float]
-) -> tuple[np.record, np.ndarray]:
-    """(`pack_arc`, the rates of adaptation that a bandwidth of 1 rad/s makes).
-
-    Raises:
-        InputError: as `pack_arc`.
     """
     _check(given, point.tick, unsure.lag_budget)
     places = _places(point.axis)
@@ -252,7 +219,11 @@ def pack_with_rates(
     chosen |= {"tick": given.get("tick", point.tick), "adapt": given.get("adapt", unsure.adapt)}
     chosen["adapt_oil"] = given.get("adapt_oil", 1.0)
     chosen["adapt_maps"] = given.get("adapt_maps", 0.0)
-    chosen["drop_corner"] = given.get("drop_corner", _drop_corner(point, places))
+    # well below the swing of the load where drops are small: on a load-sensing pump, on two rails
+    supply = point.axis.circuit.supply[0]
+    small_drops = float(supply.margin) != 0.0 or float(supply.rail) != 0.0
+    corner = ARC_GAINS.corner * min(place.swing for place in places) if small_drops else 0.0
+    chosen["drop_corner"] = given.get("drop_corner", corner)
     if unsure.lag_budget is None and not set(GAIN_NAMES[2:5]) & set(given):
         softest = ARC_GAINS.faster * min(place.swing for place in places)
         chosen["bandwidth_limit"] = given.get("bandwidth_limit", softest)
@@ -294,8 +265,12 @@ class _Place(NamedTuple):
 
 def _places(axis: Axis) -> list[_Place]:
     """The axis's posture, then those along its stroke, the other joints as they are."""
-    results = []
-    for item in (axis, *_postures_of(axis)):
+    results, cylinder, axes = [], axis.cylinder, [axis]
+    for share in ARC_GAINS.strokes:
+        posture = axis.mechanism.posture.copy()
+        posture[int(cylinder.joint)] = joint_of(cylinder, share * float(cylinder.stroke))
+        axes.append(axis._replace(mechanism=axis.mechanism._replace(posture=posture)))
+    for item in axes:
         load, ratio = reference_load(item)
         damping = load.damping + float(axis.cylinder.friction_viscous)
         swing = hydraulic_frequency(item, load)
@@ -418,37 +393,6 @@ def _sensitivity(
     return _Sensitivity(phi, answer, omega)
 
 
-def _postures_of(axis: Axis) -> Iterator[Axis]:
-    """The axis in postures along its stroke, the other joints as they are."""
-    cylinder = axis.cylinder
-    for share in ARC_GAINS.strokes:
-        posture = axis.mechanism.posture.copy()
-        posture[int(cylinder.joint)] = joint_of(cylinder, share * float(cylinder.stroke))
-        yield axis._replace(mechanism=axis.mechanism._replace(posture=posture))
-
-
-def _drop_corner(point: DesignPoint, places: Sequence[_Place]) -> float:
-    """Corner [rad/s] between the load force that valves are opened by and its swing: well below the
-    frequency at which the load swings where drops are small, on a load-sensing pump and on two
-    rails, else none.
-    """
-    supply = point.axis.circuit.supply[0]
-    if float(supply.margin) == 0.0 and float(supply.rail) == 0.0:
-        return 0.0
-    return ARC_GAINS.corner * min(place.swing for place in places)
-
-
-def _deadband_error(point: DesignPoint) -> float:
-    """What a deadband may be wrong by [V]: a share of the largest that is known, or of the command
-    where a spool has an overlap that its rig file lacks.
-    """
-    circuit = point.axis.circuit
-    valves = np.unique(circuit.edges.valve[circuit.first : circuit.first + circuit.count])
-    widest = np.maximum(np.abs(circuit.lowest[valves]), np.abs(circuit.highest[valves])).max()
-    onset = np.abs(point.axis.onset).max(initial=0.0)
-    return float(max(ARC_GAINS.onset * onset, ARC_GAINS.overlap * widest))
-
-
 def _defaults(
     point: DesignPoint,
     load: Load,
@@ -459,7 +403,12 @@ def _defaults(
     """Defaults of all gains but the bandwidths k1, k2, k3, whose sum by default is ``total``."""
     unknown = learning.unknown
     k1, k2, k3 = bandwidths.values()
-    area, mass = point.axis.circuit.area_head, load.mass
+    circuit, mass = point.axis.circuit, load.mass
+    area, valves = circuit.area_head, circuit.edges.valve[circuit.first :][: circuit.count]
+    widest = np.maximum(np.abs(circuit.lowest[valves]), np.abs(circuit.highest[valves])).max()
+    # a share of the largest deadband that is known, or of the command where a spool has an overlap
+    # that its rig file lacks
+    onset = ARC_GAINS.onset * np.abs(point.axis.onset).max(initial=0.0)
     return {
         "bandwidth_limit": 0.0,
         "coupling_frequency": 0.0,
@@ -482,7 +431,7 @@ def _defaults(
         "reference_mass": mass,
         "map_bandwidth": ARC_GAINS.maps * k1,
         "map_error": ARC_GAINS.map_error,
-        "deadband_error": _deadband_error(point),
+        "deadband_error": float(max(onset, ARC_GAINS.overlap * widest)),
     }
 
 
@@ -508,7 +457,7 @@ def pack(
     check_modelled(point.unmodelled)
     known = {name: v for name, v in gains.items() if name in GAIN_NAMES and name != "adapt"}
     unsure: dict[str, Any] = {name: v for name, v in gains.items() if name not in known}
-    packed, per_bandwidth = pack_with_rates(point, rules, Adaptation(**unsure), known)
+    packed, per_bandwidth = pack_arc(point, rules, Adaptation(**unsure), known)
     named = named_gains(packed, per_bandwidth) | {"guaranteed": guaranteed(point, packed)}
     return Packed(packed, named)
 

@@ -141,8 +141,12 @@ def axis_of(circuit: Circuit, mechanism: Mechanism, cylinder: np.record) -> Axis
         min(cylinder.volume_head, cylinder.volume_rod, cylinder.bulk_modulus) > 0.0
     ):
         raise InputError(message("control.axis_not_finite"))
-    tip = _tip(mechanism.kind, mechanism.links)
-    return Axis(circuit, mechanism, tip, cylinder, spool, _onsets(circuit))
+    tip, onset = _tip(mechanism.kind, mechanism.links), np.zeros(circuit.count)
+    for i in range(circuit.count):
+        edge = circuit.edges[circuit.first + i]
+        if np.count_nonzero(circuit.edges.valve == edge.valve) == 1:
+            onset[i] = edge_onset(edge, circuit.maps)
+    return Axis(circuit, mechanism, tip, cylinder, spool, onset)
 
 
 def _tip(kind: int, links: np.ndarray) -> np.ndarray:
@@ -157,16 +161,6 @@ def _tip(kind: int, links: np.ndarray) -> np.ndarray:
         end.hx, end.hz = a, d
         end.jxx, end.jyy, end.jzz, end.jxz = d * d, a * a + d * d, a * a, -a * d
     return tip
-
-
-def _onsets(circuit: Circuit) -> np.ndarray:
-    """Command [V] at which each edge begins to pass oil, 0 where it shares its valve."""
-    onset = np.zeros(circuit.count)
-    for i in range(circuit.count):
-        edge = circuit.edges[circuit.first + i]
-        if np.count_nonzero(circuit.edges.valve == edge.valve) == 1:
-            onset[i] = edge_onset(edge, circuit.maps)
-    return onset
 
 
 def reference_load(axis: Axis) -> tuple[Load, float]:

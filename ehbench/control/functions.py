@@ -10,7 +10,7 @@ over its paths by ``PATH_FLOWS``. One chamber, ``METERED``, sets the motion thro
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -100,9 +100,7 @@ class FunctionSettings:
     """Defaults of the rules of function selection, and its fixed numbers."""
 
     pressures: float = setting(20.0, "", "supply pressure over drops and margins", "thesis 3.2")
-    speed_start: float = setting(
-        2.0e-4, "m/s", "desired speed that begins a motion", "sensor noise"
-    )
+    speed_start: float = setting(2.0e-4, "m/s", "desired speed that begins a motion", "noise")
     speed_stop: float = setting(1.0e-4, "m/s", "desired speed that ends a motion", "half of that")
     sure: float = setting(5.0, "", "speed without low-pass, in speed_start", "chosen")
     corner: float = setting(20.0, "rad/s", "low-pass of small desired speeds", "chosen")
@@ -111,9 +109,7 @@ class FunctionSettings:
     power_band: float = setting(0.05, "", "saving that changes the function", "chosen")
     filled: float = setting(0.5, "", "pressure of a full chamber, of low_pressure", "above tank")
     filled_active: float = setting(0.25, "", "the same where the function is at work", "half of it")
-    probe_drop: float = setting(
-        1.0e6, "Pa", "drop at which edges of one path compare", "usual drop"
-    )
+    probe_drop: float = setting(1.0e6, "Pa", "drop at which edges of a path compare", "usual")
 
 
 FUNCTION = constants(FunctionSettings())
@@ -470,20 +466,10 @@ def pack_rules(
         supply_pressure: Ps [Pa].
         low_pressure: set-point of the off-side chamber above tank [Pa], Ps/20; the default of
             ``force_band`` follows from it.
-        given: rules by name instead of their defaults: ``speed_start``, ``speed_stop``, desired
-            speed [m/s] above which a motion begins and at which it ends; ``force_band``, half the
-            hysteresis of the load's sign [N]: half of ``low_pressure``·A2, so that in the band
-            neither the function before nor the one after lets a chamber cavitate; ``drop_start``,
-            ``drop_stop``, drop between the ends [Pa] above which regeneration begins, Ps/20, and
-            below which it ends, half of that; ``reserve``, share by which the edges of regeneration
-            must carry more than the flow, to begin [1]; ``supply_margin``, ``supply_band``, what
-            the seventh function must leave of Ps for metering [Pa], Ps/20, and as much more to
-            begin; ``cross_drop``, planned drop Δp3 across the cross-port edge in the seventh [Pa],
-            Ps/20; ``dwell``, least time between two changes in one direction of motion [s];
-            ``speed_sure`` [m/s], five times ``speed_start``, and ``desired_corner`` [rad/s]: see
-            `steady_reference`; ``choice``, "ranked" or "least_power", with ``power_band``, the
-            share by which another function must take less than the one at work;
-            ``allow_seventh``, True lets the seventh function be chosen.
+        choice: `ranked` or `least_power`.
+        given: rules by name [SI] instead of their defaults; `VOCABULARY` says what they are.
+            ``force_band`` is half of ``low_pressure``·A2, so that in the band neither the function
+            before nor the one after lets a chamber cavitate.
 
     Raises:
         InputError: an unknown rule, a number that is negative or not finite, or that ends a state
@@ -498,26 +484,8 @@ def pack_rules(
         raise InputError(message("control.unknown_choice", choice=choice, known=known))
     part = default_pressure(supply_pressure)
     low = part if low_pressure is None else low_pressure
-    defaults = _default_rules(area_rod, part, low, given)
-    defaults["choice"] = CHOICES.index(choice)
-    rules = blank(RULES)
-    for name, value in (defaults | given).items():
-        rules[name] = value
-    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
-        raise InputError(message("control.negative_rule"))
-    if rules.speed_stop > rules.speed_start or rules.drop_stop > rules.drop_start:
-        raise InputError(message("control.stop_above_start"))
-    return rules
-
-
-def _default_rules(
-    area_rod: float, part: float, low: float, given: Mapping[str, float]
-) -> dict[str, float]:
-    """Rules that a recipe leaves out, by ``part`` = Ps/20 and the off-side's ``low`` [Pa], and what
-    follows from others that are ``given``.
-    """
     margin = given.get("supply_margin", part)
-    return {
+    defaults = {
         "speed_start": FUNCTION.speed_start,
         "speed_stop": FUNCTION.speed_stop,
         "force_band": 0.5 * low * area_rod,
@@ -533,7 +501,16 @@ def _default_rules(
         "power_band": FUNCTION.power_band,
         "low_pressure": low,
         "allow_seventh": 0.0,
+        "choice": CHOICES.index(choice),
     }
+    rules = blank(RULES)
+    for name, value in (defaults | given).items():
+        rules[name] = value
+    if not all(0.0 <= value < math.inf for value in numbers(rules, ALL_RULES).values()):
+        raise InputError(message("control.negative_rule"))
+    if rules.speed_stop > rules.speed_start or rules.drop_stop > rules.drop_start:
+        raise InputError(message("control.stop_above_start"))
+    return rules
 
 
 def circuit(

@@ -80,17 +80,8 @@ def correct(x, desired, gains, memory):
 
 @kernel
 def step(t, sample, reference, axis, gains, memory, command, telemetry):
-    """One tick: correct the stroke error, write commands and telemetry.
-
-    Args:
-        t: time [s], unused.
-        sample: what the machine measured; read are the cylinder's stroke and the four pressures.
-        reference: x_d, v_d, a_d, j_d of the cylinder; x_d and v_d act.
-        axis: of the design model, an `Axis`.
-        gains: of `pack`, a record of type GAINS.
-        memory: a record of type MEMORY, zeros before the first tick.
-        command: out, [V], one per valve of the rig; only this cylinder's are written.
-        telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
+    """One tick, see `Law`: correct the stroke error, write commands and telemetry; read are stroke
+    and pressures, of the reference act x_d and v_d.
     """
     circuit, desired = axis.circuit, reference_of(reference)
     x, p = sample[entry(circuit.cylinder, OF.x)], pressures(sample, circuit.cylinder)
@@ -158,17 +149,13 @@ def observed(axis: Axis, channels: int) -> np.ndarray:
     return mask
 
 
-def _memory(axis: Axis) -> np.record:
-    return blank(MEMORY)
-
-
 LAW = Law(
     name="position",
     record=GAINS,
     step=step,
     gains={name: VOCABULARY[name] for name in OWN_GAINS} | dict(pressure_feedback.LAW.gains),
     pack=pack,
-    memory=_memory,
+    memory=lambda axis: blank(MEMORY),
     observed=observed,
     telemetry=TELEMETRY,
     warns_saturated=True,

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ehbench.control.axis import Axis
 from ehbench.control.functions import (
     HEAD,
     METERED,
@@ -202,17 +201,8 @@ def move(v_d, p, circuit, gains, memory, command, edge_row):
 
 @kernel
 def step(t, sample, reference, circuit, gains, memory, command, telemetry):
-    """One tick: read the pressures, choose the function, write commands and telemetry.
-
-    Args:
-        t: time [s], unused.
-        sample: what the machine measured; only the four pressures are read.
-        reference: x_d, v_d, a_d, j_d of the cylinder; only v_d acts.
-        circuit: of the cylinder, a `Circuit`.
-        gains: of `pack_pressure_feedback`.
-        memory: state of the controller, a record of type MEMORY, zeros before the first tick.
-        command: out, [V], one per valve of the rig; only this cylinder's are written.
-        telemetry: out, shape (COLUMNS + 2·edges of the cylinder,).
+    """One tick, see `Law`, by the cylinder's `Circuit`: read the four pressures, choose the
+    function, write commands and telemetry; of the reference only v_d acts.
     """
     desired = reference_of(reference)
     p = pressures(sample, circuit.cylinder)
@@ -339,17 +329,13 @@ def observed(circuit: Circuit, channels: int) -> np.ndarray:
     return mask
 
 
-def _memory(axis: Axis) -> np.record:
-    return blank(MEMORY)
-
-
 LAW = Law(
     name="pressure_feedback",
     record=GAINS,
     step=_axis_step,
     gains={name: VOCABULARY[name] for name in (*SCALARS[1:5], "feedback_gain", *SCALARS[5:])},
     pack=pack,
-    memory=_memory,
+    memory=lambda axis: blank(MEMORY),
     observed=lambda axis, channels: observed(axis.circuit, channels),
     telemetry=TELEMETRY,
     required=Required("feedback_gain", message("control.feedback_gain_missing")),

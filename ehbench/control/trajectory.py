@@ -54,11 +54,6 @@ def _polynomial(coefficients: np.ndarray, tau: np.ndarray, order: int) -> np.nda
     return (poly.integ() if order < 0 else poly.deriv(order) if order else poly)(tau)
 
 
-def _ramp_time(speed: float, acceleration: float, jerk: float) -> float:
-    """Least time [s] of a quintic ramp from rest to ``speed`` within limits [m/s², m/s³]."""
-    return max(_QUINTIC_SLOPE * speed / acceleration, math.sqrt(_QUINTIC_CURVE * speed / jerk))
-
-
 class _Move:
     """One move from rest to rest over ``distance`` > 0; ``at(τ)`` gives (n, 4) at times from its
     start.
@@ -81,7 +76,10 @@ class _Move:
             math.cbrt(distance**2 * jerk / _QUINTIC_CURVE),
         )
         self.speed = min(speed, short)
-        self.ramp = _ramp_time(self.speed, acceleration, jerk)
+        self.ramp = max(
+            _QUINTIC_SLOPE * self.speed / acceleration,
+            math.sqrt(_QUINTIC_CURVE * self.speed / jerk),
+        )
         self.time = self.ramp + distance / self.speed
 
     def at(self, t: np.ndarray) -> np.ndarray:

@@ -214,18 +214,6 @@ def fit_flow_map(
     return replace(fit, warnings=(*_warnings(result, fit), *_features(result, fit)))
 
 
-def fit_flow_maps(
-    data: FlowmeterData,
-    options: FlowMapOptions = FlowMapOptions(),  # noqa: B008
-) -> list[FlowMapFit]:
-    """One fit for each valve and direction in the readings, sorted by name.
-
-    Raises:
-        InsufficientData: a valve has too few readings.
-    """
-    return [fit_flow_map(*group, data.select(*group), options) for group in data.groups()]
-
-
 def _map_of(
     result: Fit, scatter: float, valve: str, direction: str, outliers: tuple[str, ...]
 ) -> FlowMap:

@@ -32,9 +32,7 @@ FORMS = {
 class TransferSettings:
     """Numbers of fitted transfer functions."""
 
-    close: float = setting(
-        1.0, "%", "fit by which a form of more numbers must be better", "plain to see"
-    )
+    close: float = setting(1.0, "%", "better fit of a form with more numbers", "plain to see")
     spread: float = setting(4.0, "", "factor between two poles where a search begins", "apart")
     damping: tuple = setting((1e-3, 1.0), "", "damping ratios of a pair", "beyond: two poles")
     damped: tuple = setting((0.1, 0.5), "", "damping ratios where a search begins", "chosen")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
-
-import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.plant.integrate import STEP
@@ -15,8 +13,6 @@ from ehbench.plant.model import Model, Start
 from ehbench.plant.paced import Step
 from ehbench.runtime.cores import cores
 from ehbench.vocabulary.errors import EhbenchError
-
-WAITING = 4  # results of `run_many` that may wait to be taken, for each worker
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -28,40 +24,6 @@ class Replay(NamedTuple):
     model: Model
     record: Record
     start: Start
-
-
-def run_many(
-    jobs: Iterable[tuple[Model, np.ndarray, np.ndarray]],
-    tick: float = 1e-3,
-    step: Step = STEP,
-    workers: int | None = None,
-) -> Iterator[np.ndarray]:
-    """The log tables of `Model.run`, in the order of the jobs and independent of the number of
-    workers. At most WAITING tables for each worker are in memory.
-
-    Example:
-        jobs = ((model, model.trim(model.posture(None)), table) for model in models)
-        tops = [log[:, 0].max() for log in run_many(jobs)]
-
-    Args:
-        jobs: (model, state at the first sample, commands [V] of shape (samples, valves + played)),
-            taken as they are needed.
-        tick: time between samples [s].
-        step: of the integration [s], or ``"auto"``.
-        workers: threads; by default one for each core.
-
-    Raises:
-        SimulationError: a state stopped being finite.
-    """
-    workers = workers or cores()
-    waiting: deque[Future[np.ndarray]] = deque()
-    with ThreadPoolExecutor(workers) as pool:
-        for model, start, commands in jobs:
-            waiting.append(pool.submit(model.run, start, commands, tick, step))
-            if len(waiting) >= WAITING * workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
 
 
 def replay_many(

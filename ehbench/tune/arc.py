@@ -16,7 +16,7 @@ from ehbench.control.arc_gains import (
     ARC_GAINS,
     Adaptation,
     named_gains,
-    pack_with_rates,
+    pack_arc,
 )
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import DesignPoint
@@ -152,7 +152,7 @@ class Search:
     def gains(self, budget: float) -> tuple[np.record, np.ndarray]:
         """The gains for a phase budget [rad], and the rates of adaptation at 1 rad/s."""
         unsure = Adaptation(lag_budget=budget)
-        return pack_with_rates(self.design_point, self.rules, unsure, self.sensor)
+        return pack_arc(self.design_point, self.rules, unsure, self.sensor)
 
     def loops(self, budget: float) -> list[ArcLoop]:
         """The loop at every operating point."""
@@ -196,23 +196,15 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
     for i, budget in enumerate(budgets):
         report("margins", i / steps)
         tried[budget] = search.candidate(budget)
-    budget = _largest(search, tried)
+    passing = [budget for budget, item in tried.items() if item.met]
+    budget = max(passing or tried, key=lambda b: b if passing else tried[b].delay_margin)
+    beyond = min((other for other in tried if other > budget), default=budget)
+    for _ in range(ARC_SEARCH.refinements if passing and beyond > budget else 0):
+        middle = math.sqrt(budget * beyond)
+        tried[middle] = search.candidate(middle)
+        budget, beyond = (middle, beyond) if tried[middle].met else (budget, middle)
     report("margins chosen", 1.0 - 1.0 / steps)
     return _result(study, search, budget, tried)
-
-
-def _largest(search: Search, tried: dict[float, ArcCandidate]) -> float:
-    """The largest budget that keeps the demands, refined from the grid."""
-    passing = [budget for budget, item in tried.items() if item.met]
-    if not passing:
-        return max(tried, key=lambda budget: tried[budget].delay_margin)
-    best = max(passing)
-    beyond = min((budget for budget in tried if budget > best), default=best)
-    for _ in range(ARC_SEARCH.refinements if beyond > best else 0):
-        middle = math.sqrt(best * beyond)
-        tried[middle] = search.candidate(middle)
-        best, beyond = (middle, beyond) if tried[middle].met else (best, middle)
-    return best
 
 
 def _result(

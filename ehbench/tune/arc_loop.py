@@ -32,6 +32,9 @@ from ehbench.vocabulary.settings import setting
 # states of the controller's memory in motion, and their steps for differences
 MEMORY_STEPS = {"x": 1e-6, "v": 1e-5, "bias": 1e-3, "acceleration": 1e-3, "set_point": 300.0}
 MEMORY_STEPS |= {"slow_load": 1.0, "calm_load": 1.0, "supply_swing": 300.0, "slow_drop": 300.0}
+# the same of the plant's states: rad or m, per second, V, V/s, m
+STATE_STEPS = {"q": 1e-6, "qd": 1e-5, "opening": 1e-4, "rate": 1e-2}
+STATE_STEPS |= {"mount_deflection": 1e-8, "sway": 1e-6, "sway_speed": 1e-5}
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,7 @@ class ArcLoopSettings:
     """Numbers of the margins of a sampled loop."""
 
     estimate: float = setting(1e-4, "", "step of estimates, of their bounds", "differences")
-    inside: float = setting(
-        1e-3, "", "distance of estimates to their bounds", "projection is a kink"
-    )
+    inside: float = setting(1e-3, "", "distance of estimates to their bounds", "no kink there")
     slowest: float = setting(3.0, "rad/s", "slowest swing", "slower is the motion itself")
     points: int = setting(500, "", "frequencies of the response", "smooth loci")
     rings: float = setting(0.3, "", "damping ratio of a mode that rings", "has a peak")
@@ -160,7 +161,16 @@ class ArcLoop:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
         from all commands to all, each a closed loop's pole where it is 1.
         """
-        omega = self._frequencies()
+        highest = 0.98 * math.pi / self.tick
+        modes = np.linalg.eigvals(self.plant.a)
+        modes = np.log(modes[np.abs(modes) > 1e-6].astype(complex)) / self.tick
+        ringing = modes[-np.real(modes) < ARC_LOOP.rings * np.imag(modes)]
+        # a stiff rig's peaks lie between even steps: about each in its half-widths, evenly along
+        # the circle that it draws
+        about = np.tan(np.linspace(-ARC_LOOP.peak, ARC_LOOP.peak, ARC_LOOP.peak_points))
+        near = np.imag(ringing)[:, None] + np.abs(np.real(ringing))[:, None] * about
+        omega = np.append(np.geomspace(ARC_LOOP.slowest, highest, ARC_LOOP.points), near.ravel())
+        omega = np.unique(omega[(omega >= ARC_LOOP.slowest) & (omega <= highest)])
         z = np.exp(1j * omega * self.tick)
         late = np.exp(-1j * omega * sensing.delay)
         keep = _keep(sensing.lag, self.tick)
@@ -171,28 +181,21 @@ class ArcLoop:
         loop = self.law.response(z) @ (sensors[:, :, None] * through)
         return omega, np.linalg.eigvals(loop)
 
-    def _frequencies(self) -> np.ndarray:
-        """Where the response is looked at [rad/s]: a stiff rig's peaks lie between even steps."""
-        highest = 0.98 * math.pi / self.tick
-        modes = np.linalg.eigvals(self.plant.a)
-        modes = np.log(modes[np.abs(modes) > 1e-6].astype(complex)) / self.tick
-        ringing = modes[-np.real(modes) < ARC_LOOP.rings * np.imag(modes)]
-        # in half-widths of each peak, evenly along the circle that it draws
-        about = np.tan(np.linspace(-ARC_LOOP.peak, ARC_LOOP.peak, ARC_LOOP.peak_points))
-        near = np.imag(ringing)[:, None] + np.abs(np.real(ringing))[:, None] * about
-        omega = np.append(np.geomspace(ARC_LOOP.slowest, highest, ARC_LOOP.points), near.ravel())
-        return np.unique(omega[(omega >= ARC_LOOP.slowest) & (omega <= highest)])
-
     def margins(self, sensing: Sensing) -> LoopMargins:
         """Margins of all commands together: they are exact, as a common gain, angle or delay turns
         every characteristic locus alike.
         """
         if self.growth(sensing) > ARC_LOOP.growth:
             return LoopMargins(0.0, 0.0, 0.0, 0.0)
-        omega, loci = self.loci(sensing)
+        w, loci = self.loci(sensing)
+        for i in range(1, len(loci)):  # each locus by itself: the eigenvalues that went on
+            remaining = list(loci[i])
+            for j, last in enumerate(loci[i - 1]):
+                nearest = int(np.argmin([abs(item - last) for item in remaining]))
+                loci[i, j] = remaining.pop(nearest)
         gain = phase = delay = math.inf
         frequency = 0.0
-        for w, item in _branches(omega, loci):
+        for item in loci.T:
             size, angle = np.abs(item), np.angle(item)
             for i, share in _crossings(np.log(np.maximum(size, 1e-300))):
                 at = w[i] * (w[i + 1] / w[i]) ** share
@@ -210,17 +213,6 @@ class ArcLoop:
 def _keep(lag: float, tick: float) -> float:
     """Share of a first-order lag's output that is left after a tick."""
     return math.exp(-tick / lag) if lag > 0.0 else 0.0
-
-
-def _branches(omega: np.ndarray, loci: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Each locus by itself: at every step the eigenvalues that went on from the last."""
-    sorted_loci = loci.copy()
-    for i in range(1, len(loci)):
-        remaining = list(loci[i])
-        for j, last in enumerate(sorted_loci[i - 1]):
-            nearest = min(range(len(remaining)), key=lambda m, last=last: abs(remaining[m] - last))
-            sorted_loci[i, j] = remaining.pop(nearest)
-    return [(omega, sorted_loci[:, j]) for j in range(loci.shape[1])]
 
 
 def _crossings(y: np.ndarray) -> list[tuple[int, float]]:
@@ -245,11 +237,33 @@ class SampledPlant:
     @classmethod
     def of(cls, model: Model, point: OperatingPoint, tick: float) -> SampledPlant:
         """The plant of a model at a point, sampled each ``tick`` [s]."""
-        at = state_of(model, point)
-        sample = np.empty(sample_size(len(model.layout.cylinders)))
-        perfect_sample(at[0], model.plant, sample)
-        valves = tuple(sorted({path.valve for path in point.paths}))
-        return cls(model, point, _plant_map(model, at, valves, tick), valves, sample)
+        (y, command), names = state_of(model, point), model.layout
+        there = np.empty(sample_size(len(names.cylinders)))
+        perfect_sample(y, model.plant, there)
+        valves, rows = sorted({path.valve for path in point.paths}), model.plant.valves.copy()
+        rows.delay[:] = 0.0  # a valve's pure delay is one of the loop's
+        plant, steps = model.plant._replace(valves=rows), max(1, round(tick / STEP))
+        line, sample = line_of(plant, tick), np.empty_like(there)
+        k, work = np.empty((5, names.states)), np.empty(plant.at.work)
+
+        def after(push: np.ndarray, turned: np.ndarray) -> np.ndarray:
+            state, fixed = y + push, command.copy()
+            fixed[valves] += turned
+            model_tick(state, fixed, plant, line, steps, k, work, sample)
+            return state
+
+        def read(push: np.ndarray) -> np.ndarray:
+            perfect_sample(y + push, plant, sample)
+            return sample.copy()
+
+        words = (name.rsplit(".", 1)[-1] for name in names.state_names)
+        usual = {True: 300.0, False: 1e-4}  # of pressures, of others
+        sizes = np.array([STATE_STEPS.get(w, usual[w.startswith("p_")]) for w in words])
+        none, volts = np.zeros(len(valves)), np.full(len(valves), 1e-4)
+        a = _differences(lambda push: after(push, none), sizes)
+        b = _differences(lambda turned: after(np.zeros(y.size), turned), volts)
+        c, d = _differences(read, sizes), np.zeros((sample.size, len(valves)))
+        return cls(model, point, Sampled(a, b, c, d), tuple(valves), there)
 
     def stays(self, design_point: DesignPoint, gains: np.record) -> bool:
         """Whether the controller stays in the point's working function there: where it takes
@@ -267,50 +281,19 @@ class SampledPlant:
             gains: of `ehbench.control.arc_gains.pack_arc`.
         """
         lagged = np.array([name.startswith("p_") for name in _words(self.model)])
-        return ArcLoop(self.plant, _law_map(self, design_point, gains), design_point.tick, lagged)
+        tick = _LawTick(self, design_point, gains)
+        count, none = tick.sizes.size, np.zeros(tick.inputs.size)
+        by_memory = _differences(lambda push: tick.after(push, none), tick.sizes)
+        by_sample = np.zeros((count + len(self.valves), self.sample.size))
+        still = np.zeros(count)
+        by_sample[:, tick.reads] = _differences(lambda seen: tick.after(still, seen), tick.inputs)
+        law = Sampled(by_memory[:count], by_sample[:count], by_memory[count:], by_sample[count:])
+        return ArcLoop(self.plant, law, design_point.tick, lagged)
 
 
 def _words(model: Model) -> list[str]:
     """What each channel of a sample measures."""
     return [name.rsplit(".", 1)[-1] for name in sample_channels(model.layout.cylinders)]
-
-
-def _plant_map(
-    model: Model, at: tuple[np.ndarray, np.ndarray], numbers: tuple[int, ...], tick: float
-) -> Sampled:
-    """The plant over one tick, from the commands of the valves at work."""
-    (y, command), valves = at, list(numbers)
-    steps = max(1, round(tick / STEP))
-    rows = model.plant.valves.copy()
-    rows.delay[:] = 0.0  # a valve's pure delay is one of the loop's
-    plant = model.plant._replace(valves=rows)
-    line, names = line_of(plant, tick), model.layout
-    k, work = np.empty((5, names.states)), np.empty(plant.at.work)
-    sample = np.empty(sample_size(len(names.cylinders)))
-
-    def after(push: np.ndarray, turned: np.ndarray) -> np.ndarray:
-        state, fixed = y + push, command.copy()
-        fixed[valves] += turned
-        model_tick(state, fixed, plant, line, steps, k, work, sample)
-        return state
-
-    def read(push: np.ndarray) -> np.ndarray:
-        perfect_sample(y + push, plant, sample)
-        return sample.copy()
-
-    sizes, none = _state_steps(model), np.zeros(len(valves))
-    volts = np.full(len(valves), 1e-4)
-    a = _differences(lambda push: after(push, none), sizes)
-    b = _differences(lambda turned: after(np.zeros(y.size), turned), volts)
-    return Sampled(a, b, _differences(read, sizes), np.zeros((sample.size, len(valves))))
-
-
-def _state_steps(model: Model) -> np.ndarray:
-    """Steps of differences for every state of the plant: rad or m, per second, Pa, V, V/s."""
-    known = {"q": 1e-6, "qd": 1e-5, "opening": 1e-4, "rate": 1e-2}
-    known |= {"mount_deflection": 1e-8, "sway": 1e-6, "sway_speed": 1e-5}
-    words = (name.rsplit(".", 1)[-1] for name in model.layout.state_names)
-    return np.array([known.get(word, 300.0 if word.startswith("p_") else 1e-4) for word in words])
 
 
 def _differences(function: Any, sizes: np.ndarray) -> np.ndarray:
@@ -355,18 +338,6 @@ class _LawTick:
         law_tick(0.0, given, self.reference, law, command, self.telemetry)
         moved = [float(state[name]) for name in MEMORY_STEPS]
         return np.array([*moved, *state.estimates, *command[list(at.valves)]])
-
-
-def _law_map(at: SampledPlant, design_point: DesignPoint, gains: np.record) -> Sampled:
-    """The controller over one tick, from samples to the commands of the valves at work."""
-    tick = _LawTick(at, design_point, gains)
-    count, seen = tick.sizes.size, tick.inputs.size
-    by_memory = _differences(lambda push: tick.after(push, np.zeros(seen)), tick.sizes)
-    by_sample = np.zeros((count + len(at.valves), at.sample.size))
-    by_sample[:, tick.reads] = _differences(
-        lambda pushed: tick.after(np.zeros(count), pushed), tick.inputs
-    )
-    return Sampled(by_memory[:count], by_sample[:count], by_memory[count:], by_sample[count:])
 
 
 def steady_memory(

@@ -72,7 +72,11 @@ def tune_pressure_feedback(
     )
     counting = [r for r in results if r.counts]
     target = float(recipe.damping_ratio)
-    damping = _least_damping(counting, target, notes)
+    worst = min(counting, key=lambda r: r.damping_ratio_closed)
+    damping = worst.damping_ratio_closed
+    if damping < target:
+        fields = {"damping": damping, "target": target, "point": worst.name}
+        notes.append(message("tune.below_target", **fields))
     report("root loci", 0.65)
     loci, steps = _curves(study, results, law, chosen)
     report("draws", 0.75)
@@ -126,16 +130,6 @@ def _ranges(results: Sequence[PointResult]) -> dict[str, Any]:
     return ranges
 
 
-def _least_damping(results: Sequence[PointResult], target: float, notes: list[Message]) -> float:
-    """The least damping ratio; that it is below the target goes to ``notes``."""
-    worst = min(results, key=lambda r: r.damping_ratio_closed)
-    damping = worst.damping_ratio_closed
-    if damping < target:
-        fields = {"damping": damping, "target": target, "point": worst.name}
-        notes.append(message("tune.below_target", **fields))
-    return damping
-
-
 def _gains_by_function(
     study: Study[TuneRecipe],
     law: Law,
@@ -145,7 +139,10 @@ def _gains_by_function(
 ) -> dict[str, float]:
     """The gain of each working function; of one that no load calls for, the least."""
     counted = [motion for motion in study.motions if motion.counts]
-    groups = {"": counted} if study.recipe.one_gain else _by_function(counted)
+    groups: dict[str, list[SteadyMotion]] = {}
+    for motion in counted:
+        key = "" if study.recipe.one_gain else motion.point.function
+        groups.setdefault(key, []).append(motion)
     chosen = {key: choose_gain(group, law, gains, demands, notes) for key, group in groups.items()}
     minimum = min(chosen.values())
     return {
@@ -166,13 +163,6 @@ def _curves(
         loci += [locus(motion, law, gain, name, result.gain_limit) for name in parameters]
         steps.append(step_response(motion, law, result, gain))
     return tuple(loci), tuple(steps)
-
-
-def _by_function(motions: Sequence[SteadyMotion]) -> dict[str, list[SteadyMotion]]:
-    groups: dict[str, list[SteadyMotion]] = {}
-    for motion in motions:
-        groups.setdefault(motion.point.function, []).append(motion)
-    return groups
 
 
 def _result(motion: SteadyMotion, law: Law, gain: float, gains: np.ndarray) -> PointResult:
@@ -222,7 +212,13 @@ def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: fl
         system, chosen = system_of(loop.a, loop.b, -loop.c), gain
         crossing = limit if 0 < limit < math.inf else None
     else:
-        system, chosen, crossing = _over_washout(motion, law, gain), law.washout, None
+        # the sensitivity 1 + K c (s − a − K b c)⁻¹ b without washout, then an integrator
+        plain = close(motion.linear, motion.point, motion.circuit, replace(law, washout=0.0))
+        n = plain.a.shape[0]
+        a = np.zeros((n + 1, n + 1))
+        a[:n, :n], a[n, :n] = plain.closed(gain), gain * plain.c
+        system = system_of(a, np.append(plain.b, 1.0), np.eye(n + 1)[n])
+        chosen, crossing = law.washout, None
     top = 10.0 * max(chosen, crossing or 0.0)
     if parameter == "washout":
         top = max(top, 2.0 * abs(dominant(np.linalg.eigvals(loop.a), loop.fastest)))
@@ -258,16 +254,6 @@ def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: fl
         pairs(cross),
         (-1.6 * reach, 0.4 * reach, 1.4 * reach),
     )
-
-
-def _over_washout(motion: SteadyMotion, law: Law, gain: float):
-    """Sensitivity ``1 + K c (s − a − K b c)⁻¹ b`` without washout, then an integrator."""
-    plain = close(motion.linear, motion.point, motion.circuit, replace(law, washout=0.0))
-    n = plain.a.shape[0]
-    a = np.zeros((n + 1, n + 1))
-    a[:n, :n] = plain.closed(gain)
-    a[n, :n] = gain * plain.c
-    return system_of(a, np.append(plain.b, 1.0), np.eye(n + 1)[n])
 
 
 def worst_of_each(results: Sequence[PointResult]) -> list[int]:

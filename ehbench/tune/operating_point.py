@@ -58,9 +58,7 @@ FED = {SUPPLY_HEAD: 0, SUPPLY_ROD: 1}  # paths from the supply, by the side to w
 class OperatingPointSettings:
     """Numbers of the search for steady motions."""
 
-    difference: float = setting(
-        1.0e-5, "", "step of central differences", "error and rounding 1e-10"
-    )
+    difference: float = setting(1.0e-5, "", "step of central differences", "rounding 1e-10")
     pressure: float = setting(1.0e-3, "Pa", "accuracy of an off-side pressure", "rounding")
     halvings: int = setting(12, "", "bisections of the full speed", "0.02 % of it")
 

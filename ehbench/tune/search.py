@@ -146,7 +146,17 @@ class LawSearch:
         if law is not None and not self.single:
             slowest = SEARCH.pair * law.washout
             law = self._fastest([(c, c) for c in self.corners if c >= slowest]) or law
-        return law or self._compromise()
+        if law is not None:
+            return law
+        # nothing reaches the target: in turns the off-side gain with the best worst case, and the
+        # fastest single washout that keeps ``nearly`` of the best one's
+        law = Law(self.corners[-1], self.offs[0], self.delay, self.ramp)
+        for _ in range(2 if len(self.corners) > 1 and len(self.offs) > 1 else 1):
+            law = self._best([replace(law, off_gain=off) for off in self.offs])
+            worst = {c: self.best_of(replace(law, washout=c))[0] for c in self.corners}
+            enough = SEARCH.nearly * max(worst.values())
+            law = replace(law, washout=max(c for c, value in worst.items() if value >= enough))
+        return law
 
     def best_of(self, law: Law) -> tuple[float, float]:
         """(largest worst damping ratio of a law, its gain)."""
@@ -183,29 +193,8 @@ class LawSearch:
             return law
         return None
 
-    def _compromise(self) -> Law:
-        """Where nothing reaches the target: in turns the off-side gain with the best worst case,
-        and the fastest single washout that keeps ``nearly`` of the best one's.
-        """
-        law = Law(self.corners[-1], self.offs[0], self.delay, self.ramp)
-        for _ in range(2 if len(self.corners) > 1 and len(self.offs) > 1 else 1):
-            law = self._best([replace(law, off_gain=off) for off in self.offs])
-            worst = {c: self.best_of(replace(law, washout=c))[0] for c in self.corners}
-            enough = SEARCH.nearly * max(worst.values())
-            law = replace(law, washout=max(c for c, value in worst.items() if value >= enough))
-        return law
-
     def alternatives(self, law: Law) -> tuple[Alternative, ...]:
         """Other laws, each at its best gain; the law itself first."""
-        tried = {what: (self.best_of(other), other) for what, other in self._others(law).items()}
-        quick = [replace(motion, linear=faster(motion.linear, 10.0)) for motion in self.motions]
-        tried["faster valves (× 10)"] = best_gain(quick, law, self.gains), law
-        return tuple(
-            Alternative(what, o.washout, o.ramp_washout, o.off_gain, o.feedback, gain, value)
-            for what, ((value, gain), o) in tried.items()
-        )
-
-    def _others(self, law: Law) -> dict[str, Law]:
         washout, ramp, off = law.washout, law.ramp_washout, law.off_gain
         others = {"chosen law": law}
         if washout > 0.0:
@@ -215,15 +204,20 @@ class LawSearch:
         elif washout > 0.0:
             others["two washouts"] = replace(law, ramp_washout=washout)
         if washout > 0.0:
-            others["faster washout (× 4)"] = replace(
-                law, washout=4 * washout, ramp_washout=4 * ramp
-            )
+            quicker = replace(law, washout=4 * washout, ramp_washout=4 * ramp)
+            others["faster washout (× 4)"] = quicker
         others["load force feedback"] = replace(law, feedback="load")
         if not self.shared:
             others["softer off-side (× 0.2)"] = replace(law, off_gain=0.2 * off)
             others["stiffer off-side (× 5)"] = replace(law, off_gain=5 * off)
         others["no delay"] = replace(law, delay=0.0)
-        return others
+        tried = {what: (self.best_of(other), other) for what, other in others.items()}
+        quick = [replace(motion, linear=faster(motion.linear, 10.0)) for motion in self.motions]
+        tried["faster valves (× 10)"] = best_gain(quick, law, self.gains), law
+        return tuple(
+            Alternative(what, o.washout, o.ramp_washout, o.off_gain, o.feedback, gain, value)
+            for what, ((value, gain), o) in tried.items()
+        )
 
 
 def choose_gain(
@@ -236,10 +230,20 @@ def choose_gain(
     """The gain with the best worst case among those that keep the demands at every point; the best
     of all where none does. What the demands cost goes to ``notes``.
     """
+    from scipy.optimize import minimize_scalar
+
     worst = worst_damping(motions, law, gains)
     order = np.argsort(-worst, kind="stable")
     loops = [motion.loop(law) for motion in motions]
-    fine, damping = _between(motions, law, gains, int(order[0]))
+    best = int(order[0])
+    ends = gains[[max(best - 1, 1), min(max(best + 1, 2), gains.size - 1)]]
+    between = minimize_scalar(
+        lambda z: -float(worst_damping(motions, law, np.array([math.exp(z)]))[0]),
+        bounds=tuple(np.log(ends)),
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    fine, damping = float(math.exp(between.x)), float(-between.fun)
     candidates = [fine, *(float(gains[i]) for i in order if worst[i] > worst[0])]
     chosen = next((gain for gain in candidates if _keeps_demands(loops, gain, demands)), None)
     if chosen == fine:
@@ -253,22 +257,6 @@ def choose_gain(
     share = chosen / fine
     notes.append(message("tune.limited_gain", margins=broken, share=share, damping=damping))
     return chosen
-
-
-def _between(
-    motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray, best: int
-) -> tuple[float, float]:
-    """(best damped gain, its worst damping ratio) between the neighbours of the best of a grid."""
-    from scipy.optimize import minimize_scalar
-
-    ends = gains[[max(best - 1, 1), min(max(best + 1, 2), gains.size - 1)]]
-    fine = minimize_scalar(
-        lambda z: -float(worst_damping(motions, law, np.array([math.exp(z)]))[0]),
-        bounds=tuple(np.log(ends)),
-        method="bounded",
-        options={"xatol": 1e-3},
-    )
-    return float(math.exp(fine.x)), float(-fine.fun)
 
 
 def _keeps_demands(loops: list[Loop], gain: float, demands: dict[str, float]) -> bool:

@@ -18,20 +18,14 @@ from ehbench.vocabulary.settings import setting
 class StabilitySettings:
     """Where a loop's response is looked at."""
 
-    near: float = setting(
-        0.03, "", "real part of an eigenvalue on the axis, of its size", "rounding of double ones"
-    )
+    near: float = setting(0.03, "", "real part on the axis, of the size", "double eigenvalues")
     beside: float = setting(0.03, "", "share of a frequency to both sides of it", "as near")
     points: int = setting(61, "", "frequencies there", "a thousandth of it each")
-    turns: tuple = setting(
-        (0.3, 60.0), "rad", "angles of a delay to look at", "Padé is worse there"
-    )
+    turns: tuple = setting((0.3, 60.0), "rad", "angles of a delay to look at", "Padé is worse")
     spread: int = setting(300, "", "frequencies there", "two percent each")
     halvings: int = setting(40, "", "halvings of a step about a crossing", "rounding")
     jump: float = setting(1e-6, "", "largest level at a crossing, of the response", "a pole jumps")
-    calm: float = setting(
-        1e-9, "", "growth that is none, of the largest entry", "a pole at zero, rounded"
-    )
+    calm: float = setting(1e-9, "", "growth that is none, of the largest entry", "a pole at zero")
     slow: float = setting(1e-6, "", "frequency of standstill, of the fastest pole", "chosen")
 
 

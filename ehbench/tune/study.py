@@ -103,7 +103,12 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
         known = ", ".join(f'"{c.name}"' for c in rig.cylinder)
         raise InputError(message("tune.several_cylinders", known=known))
     rig.cylinder_named(name)
-    _check_also_moving(rig, name, recipe)
+    for item in recipe.also_moving:
+        rig.cylinder_named(item)
+        if item == name:
+            raise InputError(message("tune.tuned_also_moving", cylinder=item))
+    if recipe.also_moving and rig.supply.load_sensing is None:
+        raise InputError(message("tune.not_load_sensing", supply=rig.supply.kind))
     part = default_pressure(float(rig.supply.pressure))
     low = part if recipe.low_pressure is None else float(recipe.low_pressure)
     cross = part if recipe.cross_drop is None else float(recipe.cross_drop)
@@ -126,15 +131,6 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
 def model_under(rig: Rig, maps: Maps | None, payload: str) -> Model:
     """The model of a rig under a payload, NONE for none."""
     return Model.of(rig, maps, None if payload == NONE else payload)
-
-
-def _check_also_moving(rig: Rig, name: str, recipe: AnyTuning) -> None:
-    for item in recipe.also_moving:
-        rig.cylinder_named(item)
-        if item == name:
-            raise InputError(message("tune.tuned_also_moving", cylinder=item))
-    if recipe.also_moving and rig.supply.load_sensing is None:
-        raise InputError(message("tune.not_load_sensing", supply=rig.supply.kind))
 
 
 def _curves(model: Model, name: str, payload: str, recipe: AnyTuning) -> Curves:

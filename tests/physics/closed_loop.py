@@ -149,7 +149,7 @@ def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
     site = {"tick": TICK, "supply_pressure": supply.pressure, "flow_limit": supply.flow_limit}
     site |= {"valve_lag": valve_lag(model, ax.circuit.cylinder)}
     site |= {name: options.pop(name) for name in site if name in options}
-    return pack_arc(DesignPoint(ax, **site), packed, Adaptation(**options), gains)
+    return pack_arc(DesignPoint(ax, **site), packed, Adaptation(**options), gains or {})[0]
 
 
 def _arrays(model, ax, gains, mask, memory, ticks, channels):

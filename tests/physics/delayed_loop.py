@@ -94,7 +94,7 @@ class Bench:
 
     def gains(self, unsure=None, **given):
         """The controller's gains: the defaults but for what is given."""
-        return pack_arc(self.site, self.rules, Adaptation(**(unsure or {})), given)
+        return pack_arc(self.site, self.rules, Adaptation(**(unsure or {})), given)[0]
 
     def loop(self, at, gains):
         """The linearised loop at an operating point."""

@@ -7,7 +7,7 @@ import pytest
 
 from ehbench.config.rig import Rig
 from ehbench.plant.integrate import STEP
-from ehbench.plant.many import Replay, map_threads, replay_many, run_many
+from ehbench.plant.many import Replay, map_threads, replay_many
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO, CLOSE, Step, pace_of
 from ehbench.vocabulary.errors import SimulationError
@@ -130,7 +130,7 @@ def test_many_runs_on_threads_equal_single_runs():
     jobs = [(m, m.trim(m.posture(None)), commands(m, 200 + i)) for i, m in enumerate(models)]
     alone = [m.run(start, table, step=AUTO) for m, start, table in jobs]
     for workers in (1, 2):
-        logs = list(run_many(iter(jobs), step=AUTO, workers=workers))
+        logs = map_threads(lambda job: job[0].run(*job[1:], step=AUTO), jobs, workers)
         assert all(map(np.array_equal, logs, alone)) and len(logs) == len(alone)
 
 

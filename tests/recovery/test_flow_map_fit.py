@@ -10,7 +10,7 @@ import pytest
 from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps import shape as shapes
 from ehbench.flow_maps.readings import Cells, FlowMapOptions, Units, readings_table
-from ehbench.flow_maps.results import fit_flow_map, fit_flow_maps
+from ehbench.flow_maps.results import fit_flow_map
 from ehbench.flow_maps.shape import Shape, gaps_of, likeliest_smoothing
 from ehbench.flow_maps.spline import Axis
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
@@ -330,7 +330,8 @@ def test_from_csv_files_to_maps_of_both_directions(tmp_path):
         path = tmp_path / f"{valve}_{direction}.csv"
         path.write_text(head + "\n".join(lines))
         parts.append(read_flowmeter(path, supply_pressure=6.9e6))
-    fits = fit_flow_maps(merge_flowmeter(parts))
+    data = merge_flowmeter(parts)
+    fits = [fit_flow_map(*group, data.select(*group)) for group in data.groups()]
     assert [(one.map.valve, one.map.direction) for one in fits] == sorted(laws)
     maps = collect([one.map for one in fits])
     for (valve, direction), law in laws.items():
