@@ -212,8 +212,7 @@ COLUMNS = len(Telemetry._fields)
 
 class StrokeLaw(NamedTuple):
     """Step 1: ``z1`` [m] and ``v_error`` [m/s] to the reference, ``z2 = v_error + k1 z1`` [m/s],
-    k1 [1/s] (0 where its correction is limited), ``a_eq`` [m/s²].
-    """
+    k1 [1/s] (0 where its correction is limited), ``a_eq`` [m/s²]."""
 
     z1: float
     v_error: float
@@ -247,8 +246,7 @@ class ForceLaw(NamedTuple):
 
 class Oil(NamedTuple):
     """``head``, ``rod``: A/V of the chambers [1/m]; ``bulk`` [Pa] of the design; ``coupling``
-    [N/m], the oil's spring; leakage out of the head, into the rod end [m³/s].
-    """
+    [N/m], the oil's spring; leakage out of the head, into the rod end [m³/s]."""
 
     head: float
     rod: float
@@ -261,8 +259,7 @@ class Oil(NamedTuple):
 class Choice(NamedTuple):
     """What the task level decided: working function, its status, the slow load force [N] behind it,
     whether the reference rests and the load stands, the speed [m/s] at which an error is corrected
-    then, and whether one spool opens both chambers.
-    """
+    then, and whether one spool opens both chambers."""
 
     function: int
     status: int
@@ -283,8 +280,7 @@ def project(estimate, rate, lower, upper):
 @kernel
 def adapt(estimates, rates, lower, upper, tick):
     """Move the estimates, in place, over one tick; they cannot leave [lower, upper] whatever the
-    rates are.
-    """
+    rates are."""
     for i in range(estimates.shape[0]):
         moved = estimates[i] + tick * project(estimates[i], rates[i], lower[i], upper[i])
         if not math.isnan(moved):
@@ -349,8 +345,7 @@ def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
 @kernel
 def bias_valves(axis, share, trim, command):
     """Raise the cylinder's shut cartridges to ``share`` of the command at which they begin to pass
-    oil, as far as it is known (``trim``).
-    """
+    oil, as far as it is known (``trim``)."""
     circuit = axis.circuit
     for i in range(circuit.count):
         edge = circuit.first + i
@@ -371,8 +366,7 @@ def clip(value, lower, upper):
 @kernel
 def place_joints(sample, axis, angles):
     """Write the joint coordinates: measured where a cylinder drives the joint, else the design
-    posture's.
-    """
+    posture's."""
     mechanism = axis.mechanism
     for i in range(angles.shape[0]):
         angles[i] = mechanism.posture[i]
@@ -383,8 +377,7 @@ def place_joints(sample, axis, angles):
 @kernel
 def loads_along(reference, q, v, inertia, axis, memory):
     """(`Load` now, `Load` a step ahead on the same motion), after `inertias`; where
-    the other joints move as well, both with what these add to it.
-    """
+    the other joints move as well, both with what these add to it."""
     angles, work = memory.angles, memory.work
     if reference.shape[0] >= 2 * ORDERS:
         return loads_among(reference, q, v, ARC.ahead, axis, angles, memory.mass, work)
@@ -395,8 +388,7 @@ def loads_along(reference, q, v, inertia, axis, memory):
 @kernel
 def begin_state(x, v, p, load_force, state):
     """Write the state of the first tick but for its estimates: at rest, the chamber that carries
-    the load metered.
-    """
+    the load metered."""
     state.started, state.function, state.slow_load = 1, HOLD, load_force
     state.x, state.v, state.standstill = x, v, math.inf
     wait(load_force, p, state)
@@ -405,8 +397,7 @@ def begin_state(x, v, p, load_force, state):
 @kernel
 def wait(load_force, p, state):
     """Between two motions: the chamber that carries the load counts as metered, the set-point is
-    the other's pressure.
-    """
+    the other's pressure."""
     state.metered = HEAD if load_force >= 0.0 else ROD
     state.set_point = p.rod if state.metered == HEAD else p.head
 
@@ -441,8 +432,7 @@ def begin_estimates(load_force, load, inertia, tip, gains, state):
 def ease(gains, ratio, state, table):
     """The gains in force, one row in ``table``: k1 + k2 + k3 at most at ``bandwidth_limit`` by the
     share of its frequency that the payload leaves the rig, and what follows from them with them.
-    ``ratio`` [1/kg] is what 1 kg adds to the inertia.
-    """
+    ``ratio`` [1/kg] is what 1 kg adds to the inertia."""
     share = 1.0
     if gains.bandwidth_limit > 0.0:
         total = gains.position_bandwidth + gains.speed_bandwidth + gains.force_bandwidth
@@ -510,8 +500,7 @@ def track_stroke(reference, x, v, gains):
 @kernel
 def robust(gain, uncertainty, tolerance, limit):
     """``gain`` [1/s] and what keeps an error within ``tolerance`` under ``uncertainty``, at most
-    ``limit`` [1] of it.
-    """
+    ``limit`` [1] of it."""
     return gain + min(uncertainty * uncertainty / (4.0 * gain * tolerance**2), limit * gain)
 
 
@@ -582,8 +571,7 @@ def oil_at(x, p, load, axis, gains, estimates):
 @kernel
 def adapt_mechanics(learning, mixed, force, gains, memory):
     """Write the rates of the three mechanical estimates: the gradient of both steps, or at rest of
-    the model's acceleration, which then is all error.
-    """
+    the model's acceleration, which then is all error."""
     estimates, rates = memory.state.estimates, memory.rates
     error = 0.0
     if learning == FREE:
@@ -599,8 +587,7 @@ def adapt_mechanics(learning, mixed, force, gains, memory):
 @kernel
 def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
     """(rate [N/s] of the required load force: with speed, along the stroke (``ahead`` is the `Load`
-    there), with time, by what is learnt; what of it the reference alone takes).
-    """
+    there), with time, by what is learnt; what of it the reference alone takes)."""
     estimates, rates, cylinder = memory.state.estimates, memory.rates, axis.cylinder
     inverse, share = estimates[INVERSE_INERTIA], estimates[PAYLOAD_SHARE]
     moved = (
@@ -659,8 +646,7 @@ def required_speed(reference, oil, gains):
 @kernel
 def feed_forward(lead, v, oil, circuit):
     """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``; ``lead`` [m/s] is what
-    `required_speed` adds to the desired one.
-    """
+    `required_speed` adds to the desired one."""
     speed = v + lead
     return oil.head * (circuit.area_head * speed + oil.lost_head) + oil.rod * (
         circuit.area_rod * speed + oil.lost_rod
@@ -995,8 +981,7 @@ def adapt_maps(choice, seen, command, axis, gains, memory, telemetry):
 @kernel
 def write_telemetry(reference, stroke, force, choice, flows, limits, memory, telemetry):
     """Write the law's own columns of telemetry, and behind those of every law the corrections of
-    its edges.
-    """
+    its edges."""
     state, trim = memory.state, memory.maps.trim
     estimates, count = state.estimates, trim.shape[0]
     for i in range(count):
@@ -1106,8 +1091,7 @@ def memory_of(axis: Axis) -> Memory:
 
 def eased_gains(used: Mapping[str, Any], law: Controller) -> dict[str, Any]:
     """How far a payload reduced the bandwidths of a run at most, ``eased``, and the gains that were
-    in force then where they are not the design's, ``gains_under_load``, by name [SI].
-    """
+    in force then where they are not the design's, ``gains_under_load``, by name [SI]."""
     state = law.memory.state
     if state.eased == 0.0:
         return {}

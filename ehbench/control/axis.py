@@ -81,8 +81,7 @@ class Load(NamedTuple):
 @kernel
 def inertias(axis, angles, work):
     """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide;
-    q_j does not matter. ``work`` then is turned to the ``angles``.
-    """
+    q_j does not matter. ``work`` then is turned to the ``angles``."""
     j, mechanism = axis.cylinder.joint, axis.mechanism
     turn(mechanism.links, angles, work)
     inertia = inertia_turned(mechanism.kind, mechanism.links, j, work)
@@ -92,8 +91,7 @@ def inertias(axis, angles, work):
 @kernel
 def load_at(axis, q, inertia, work):
     """The `Load` at joint coordinate q, after `inertias`, which gives D_jj and turned the other
-    joints.
-    """
+    joints."""
     j, mechanism = axis.cylinder.joint, axis.mechanism
     _, lever, curve = linkage_of(axis.cylinder, q)
     torque = work[work.shape[0] - mechanism.links.shape[0] :]
@@ -181,8 +179,7 @@ def reference_load(axis: Axis) -> tuple[Load, float]:
 def hydraulic_frequency(axis: Axis, load: Load | None = None) -> float:
     """ω_h [rad/s] of the bare rig on its oil, valves shut, in the axis's posture: ``ω_h² = k/m0``,
     ``k = β (A1²/V1 + A2²/V2)``, in series with a mount that gives way. ``load`` is that of the
-    posture, where it is known.
-    """
+    posture, where it is known."""
     load = load or reference_load(axis)[0]
     cylinder = axis.cylinder
     x, _, _ = linkage_of(cylinder, float(axis.mechanism.posture[cylinder.joint]))

@@ -49,8 +49,7 @@ class Required(NamedTuple):
 
 class Packed(NamedTuple):
     """Numbers of a controller: the record that its ``step`` takes, and what it ran with, by name
-    [SI], for ``measures`` of ``trial.json``.
-    """
+    [SI], for ``measures`` of ``trial.json``."""
 
     gains: np.record
     used: dict[str, Any]

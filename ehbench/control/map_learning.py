@@ -61,8 +61,7 @@ class MapMemory(NamedTuple):
     ``edges`` and ``chambers``, what is learnt from, columns above; ``into``, +1 where an edge's
     flow enters the head or the rod end, −1 where it leaves, shape (edges, 2); ``clock``, shape
     (1,), for how long [s] flows were quiet; ``added``, shape (2,), what the last correction adds to
-    the flow into the head and the rod end at the same commands [m³/s].
-    """
+    the flow into the head and the rod end at the same commands [m³/s]."""
 
     trim: np.ndarray
     edges: np.ndarray
@@ -116,8 +115,7 @@ def follow(quiet, allocated, command, axis, gains, maps):
     """Let flows and slopes of the edges pass the valve's lag and the low-pass; whether they are
     quiet for long enough to be compared. ``allocated`` are the desired flows, then the limits, of
     all edges. What an edge was to pass is taken where its hysteresis, as far as its map has one,
-    holds it.
-    """
+    holds it."""
     circuit, tick = axis.circuit, gains.tick
     late = tick / (tick + gains.valve_lead)
     slow = tick * MAP_LEARNING.corner * gains.position_bandwidth
@@ -184,8 +182,7 @@ def learn_maps(quiet, resting, seen, allocated, command, axis, gains, maps):
 @kernel
 def changed(side, maps):
     """By how much the flow [m³/s] that was to pass into a chamber changes within the time of the
-    low-pass.
-    """
+    low-pass."""
     flow = 0.0
     for i in range(maps.edges.shape[0]):
         row = maps.edges[i]
@@ -202,8 +199,7 @@ def by_correction(row, trim):
 @kernel
 def correct(side, passed, variance, minimum, maps):
     """Correct the estimates of the edges at a chamber by the flow [m³/s] that ``passed`` into it;
-    ``minimum`` is what an edge must pass to be corrected.
-    """
+    ``minimum`` is what an edge must pass to be corrected."""
     error, spread = passed, 0.0
     for i in range(maps.edges.shape[0]):
         row, way = maps.edges[i], maps.into[i, side]
@@ -232,8 +228,7 @@ def correct(side, passed, variance, minimum, maps):
 @kernel
 def within(row, gains):
     """(gain, shift [V]) of an edge as estimated, within ``map_error`` and ``deadband_error``: what
-    one of them may not take the other does, as far as they correlate.
-    """
+    one of them may not take the other does, as far as they correlate."""
     widest, maximum = 1.0 + gains.map_error, gains.deadband_error
     gain = min(max(row[BEST_GAIN], 1.0 / widest), widest)
     shift = row[BEST_SHIFT]
@@ -246,8 +241,7 @@ def within(row, gains):
 @kernel
 def approach(ready, rate, gains, maps):
     """Let the corrections in force go to the estimates at a ``rate`` [rad/s]. What they ``added``
-    to the flow counts where flows are compared, elsewhere hardly any passes.
-    """
+    to the flow counts where flows are compared, elsewhere hardly any passes."""
     share = min(rate * gains.tick, 1.0)
     for i in range(maps.edges.shape[0]):
         row, trim = maps.edges[i], maps.trim[i]

@@ -1,6 +1,5 @@
 """The desired speed alone: the law of pressure feedback without any feedback, the off-side's
-included.
-"""
+included."""
 
 from __future__ import annotations
 

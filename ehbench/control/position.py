@@ -81,8 +81,7 @@ def correct(x, desired, gains, memory):
 @kernel
 def step(t, sample, reference, axis, gains, memory, command, telemetry):
     """One tick, see `Law`: correct the stroke error, write commands and telemetry; read are stroke
-    and pressures, of the reference act x_d and v_d.
-    """
+    and pressures, of the reference act x_d and v_d."""
     circuit, desired = axis.circuit, reference_of(reference)
     x, p = sample[entry(circuit.cylinder, OF.x)], pressures(sample, circuit.cylinder)
     required = correct(x, desired, gains, memory)

@@ -202,8 +202,7 @@ def move(v_d, p, circuit, gains, memory, command, edge_row):
 @kernel
 def step(t, sample, reference, circuit, gains, memory, command, telemetry):
     """One tick, see `Law`, by the cylinder's `Circuit`: read the four pressures, choose the
-    function, write commands and telemetry; of the reference only v_d acts.
-    """
+    function, write commands and telemetry; of the reference only v_d acts."""
     desired = reference_of(reference)
     p = pressures(sample, circuit.cylinder)
     v_d = shape_speed(desired.v, gains.tick, gains.shaping, memory.shaped)
@@ -287,8 +286,7 @@ def pack(
     point: DesignPoint, gains: Mapping[str, Any], rules: np.record, shaping: np.record
 ) -> Packed:
     """The gains at a design point; by default the off-side pressure follows with ``off_rate`` in
-    the larger chamber.
-    """
+    the larger chamber."""
     cylinder = point.axis.cylinder
     volume = max(chamber_oil(cylinder, side, point.stroke) for side in range(2))
     defaults = {

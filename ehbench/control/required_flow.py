@@ -1,6 +1,5 @@
 """The flow that a desired motion requires of the supply: the load by the equations of motion, the
-working functions that carry it, their oil.
-"""
+working functions that carry it, their oil."""
 
 from __future__ import annotations
 
@@ -63,8 +62,7 @@ def _flows(v, load, line, tick, circuit, rules, out):
 
 class Motion(NamedTuple):
     """A cylinder's motion, shape (samples,): its speed ``v`` [m/s], the ``torque`` of its joint
-    [N·m], see `torques`, and the joint's coordinate ``q`` [rad or m].
-    """
+    [N·m], see `torques`, and the joint's coordinate ``q`` [rad or m]."""
 
     v: np.ndarray
     torque: np.ndarray

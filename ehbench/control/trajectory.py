@@ -1,8 +1,7 @@
 """What a cylinder shall do: tables of x_d, v_d, a_d, j_d with continuous jerk, velocity steps, and
 the shaping of a step.
 
-A table has one row a tick, columns X, V, A, J [m, m/s, m/s², m/s³].
-"""
+A table has one row a tick, columns X, V, A, J [m, m/s, m/s², m/s³]."""
 
 from __future__ import annotations
 
@@ -21,8 +20,7 @@ from ehbench.vocabulary.messages import message
 
 class Reference(NamedTuple):
     """What the cylinder shall do now: stroke x [m], speed v [m/s], acceleration a [m/s²], jerk j
-    [m/s³], extension positive; a row of a table.
-    """
+    [m/s³], extension positive; a row of a table."""
 
     x: float
     v: float
@@ -48,16 +46,14 @@ _QUINTIC_SLOPE, _QUINTIC_CURVE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 
 def _polynomial(coefficients: np.ndarray, tau: np.ndarray, order: int) -> np.ndarray:
     """The ``order``-th derivative (−1: the integral from 0) of a polynomial with ascending
-    coefficients.
-    """
+    coefficients."""
     poly = np.polynomial.Polynomial(coefficients)
     return (poly.integ() if order < 0 else poly.deriv(order) if order else poly)(tau)
 
 
 class _Move:
     """One move from rest to rest over ``distance`` > 0; ``at(τ)`` gives (n, 4) at times from its
-    start.
-    """
+    start."""
 
     def __init__(
         self, distance: float, speed: float, acceleration: float, jerk: float, profile: Profile
@@ -257,8 +253,7 @@ def with_preview(table: np.ndarray, speed: np.ndarray, ahead: float, tick: float
 @kernel
 def speeds_soon(row):
     """(smallest, largest) desired speed [m/s] of the time to come that a row knows of, see
-    `with_preview`; of a row without it the present one.
-    """
+    `with_preview`; of a row without it the present one."""
     columns = row.shape[0]
     if columns % ORDERS == PREVIEWED:
         return row[columns - 2], row[columns - 1]
@@ -302,8 +297,7 @@ def filter_speed(v_d, tick, shaping, shaped):
 @kernel
 def limit_speed(v_d, tick, shaping, shaped):
     """One tick of the time-optimal approach within acceleration_max and jerk_max that does not
-    overshoot (Han's discrete fhan).
-    """
+    overshoot (Han's discrete fhan)."""
     maximum, jerk = shaping.acceleration_max, shaping.jerk_max
     e = v_d - shaped.speed
     if jerk <= 0.0:

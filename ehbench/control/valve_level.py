@@ -2,8 +2,7 @@
 measured drops (thesis 3).
 
 What a valve cannot do is flagged for each edge, never hidden: a sum of the bits of
-`ehbench.vocabulary.codes.LIMITS`.
-"""
+`ehbench.vocabulary.codes.LIMITS`."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def _interpolated(x, data, grid, values, count):
 @kernel
 def inside(circuit, edge, drop, command):
     """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`;
-    always for analytic laws.
-    """
+    always for analytic laws."""
     if circuit.edges[edge].law != MAP:
         return True
     first = circuit.domain_at[edge, 0 if drop >= 0.0 else 1]
@@ -104,8 +102,7 @@ def edge_order(circuit, path, flow, drop, floor):
 @kernel
 def shut(circuit, command, flows, limits):
     """Shut the cylinder's valves: write the commands nearest to 0 V into ``command`` and zeros into
-    ``flows, limits``.
-    """
+    ``flows, limits``."""
     for i in range(circuit.count):
         valve = circuit.edges[circuit.first + i].valve
         command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
@@ -183,8 +180,7 @@ def bring_to_rest(circuit, command):
 
 def top_speed(function: int, p: Pressures, circuit: Circuit) -> float:
     """Largest speed [m/s], ≥ 0, at which every edge of a working function carries its share at
-    these pressures.
-    """
+    these pressures."""
     fastest = math.inf
     for path in range(len(PATHS)):
         a, b = PATH_FLOWS[function, path]

@@ -71,10 +71,9 @@ SETTINGS = FitSettings()
 
 @dataclass(frozen=True)
 class Leak:
-    """Scaled flow at rest at the largest drop: the part that grows with the root of the drop, the
-    part that grows with the drop, the standard error of their sum. ``level``: how many of the
-    commands pass no more. ``goes_on``: in addition to the flow of the open valve.
-    """
+    """Scaled flow at rest at the largest drop: the part that grows with the root of the drop, that
+    which grows with the drop, the standard error of their sum; ``level`` commands pass no more.
+    ``goes_on``: the open valve passes it as well."""
 
     root: float
     drop: float
@@ -89,9 +88,8 @@ class Leak:
 
 @dataclass(frozen=True)
 class Hysteresis:
-    """What commands of rising readings lie above those of falling ones at the same flow [V], with
-    its standard error; ``removed`` from the commands before the fit.
-    """
+    """Command of rising readings above that of falling ones [V], its standard error, if it is
+    ``removed``."""
 
     value: float
     std: float
@@ -100,9 +98,8 @@ class Hysteresis:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The fit of one map: readings, shape, solution, noise, deadband with its window, which
-    readings are kept, each one's distance from the map in standard deviations, where the map bends
-    sharply in the opening, leak and hysteresis, if there are."""
+    """The fit of one map: the readings, which of them are kept, their distance from the map in
+    standard deviations, and what the map is made of."""
 
     readings: Readings
     shape: Shape
@@ -225,9 +222,8 @@ def _iterate(readings: Readings, leak: Leak | None) -> Fit:
 
 
 def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.ndarray, np.ndarray]:
-    """(readings without the leak, shape, scaled flow at each reading, readings to keep) by a robust
-    fit to the cells' medians; leaves out what lies far from it.
-    """
+    """(readings without the leak, shape, scaled flow of each reading, readings to keep) by a robust
+    fit."""
     levels, noise = r.levels, first_noise(r)
     passes = medians(medians(r.y, r.cell), r.cell_level) > 5e-3
     k = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0
@@ -280,8 +276,8 @@ def _find_leak(r: Readings) -> Leak | None:
 
 
 def _hysteresis_of(result: Fit) -> tuple[float, float]:
-    """(what the commands of rising readings lie above those of falling ones at the same flow [V],
-    beyond what was taken off them already, its standard error); 0 and 0 without both.
+    """(the hysteresis [V] that is left, its standard error); 0 and 0 where readings go one way
+    only.
 
     A reading on the way up stands at an opening that is lower by half of it: a residual of −½·h
     times the slope of the map."""

@@ -41,9 +41,7 @@ SETTINGS = ReadingSettings()
 
 @dataclass(frozen=True)
 class Units:
-    """How messages show flows, drops and openings; ``sign``: of the commands that open the edge,
-    as the driver gets them.
-    """
+    """Units of messages; ``sign`` of the commands that open the edge, as the driver gets them."""
 
     flow_unit: str = VOCABULARY["flow"].display
     pressure_unit: str = VOCABULARY["pressure_drop"].display
@@ -159,9 +157,7 @@ class Readings:
 
     @cached_property
     def axis(self) -> Axis:
-        """Spans of the roots: as narrow as the closest drops measured, the penalty sees to the
-        rest.
-        """
+        """Spans of the roots: as narrow as the closest drops measured."""
         if self.one_drop:
             return OneColumn()
         closest = np.diff(self.places_read).min(initial=1.0)
@@ -170,9 +166,8 @@ class Readings:
 
     @cached_property
     def digit(self) -> dict[str, float]:
-        """Rounding error of each method's display, by the least distance of two flows; 0 where
-        values do not repeat.
-        """
+        """Rounding error of each method's display: the smallest step of its flows/√12, 0 without
+        one."""
         results = {}
         for name in sorted(set(self.method.tolist())):
             apart = np.diff(np.unique(self.q[self.method == name] / self.rated))
@@ -285,9 +280,8 @@ def sort_readings(
 
 
 def _rated(r: Readings, rated: float | None) -> Readings:
-    """Readings scaled by the rated flow, by default the largest median of a cell but for slips of
-    the pen; refuses too few, and those whose flow at one drop is nearly the same at every command.
-    """
+    """Readings scaled by the rated flow; refuses too few, and flows that do not go with the
+    command."""
     levels, drops = r.levels.size, r.places_read.size
     if levels < 4:
         raise InsufficientData(message("flow_maps.few_commands", map=r.who, count=levels))
@@ -311,9 +305,8 @@ def _rated(r: Readings, rated: float | None) -> Readings:
 
 
 def _sweeps(u: np.ndarray, trial: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """1 for each reading whose command was reached from below, −1 from above, by the order of the
-    lines within a trial; all 0 where nearly all go one way: that is an order, not a sweep.
-    """
+    """1 for each reading whose command was reached from below, −1 from above, by the order of lines
+    within a trial; all 0 where nearly all go one way."""
     sweep = np.zeros(u.size, int)
     for item in np.unique(trial):
         rows = np.flatnonzero(trial == item)
@@ -368,9 +361,7 @@ def first_noise(readings: Readings) -> Noise:
 def measure_noise(
     r: Readings, last: Noise, keep: np.ndarray, leverage: np.ndarray, flow: np.ndarray
 ) -> Noise:
-    """Noise per method from the scatter inside cells about the map's course; from the residuals
-    without repeats.
-    """
+    """Noise per method from the scatter inside cells, from residuals where there are no repeats."""
     residual, dof_all, methods = r.y - flow, 0, dict(last.methods)
     for name in methods:
         use = keep & (r.method == name) & ~r.silent
@@ -445,11 +436,7 @@ def gather_cells(r: Readings, noise: Noise, keep: np.ndarray, flow: np.ndarray) 
 
 
 def unbacked(r: Readings, noise: Noise, heard: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """True for readings that no repeats support: those that do not agree with theirs within the
-    noise, or have none.
-
-    What repeats support is the valve's own, and a map that misses it lacks fit there.
-    """
+    """True for readings that no repeats support within the noise."""
     residual, count = heard - flow, np.bincount(r.cell)
     high, low = np.full(count.size, -np.inf), np.full(count.size, np.inf)
     np.maximum.at(high, r.cell, residual)

@@ -23,9 +23,8 @@ from ehbench.vocabulary.terms import Z95
 
 @dataclass(frozen=True)
 class Outlier:
-    """A reading left out of the fit: file and line, command [V], drop [Pa], flow [m³/s], distance
-    from the map in standard deviations.
-    """
+    """A reading left out of the fit: its place, command [V], drop [Pa], flow [m³/s], distance in
+    sigmas."""
 
     file: str
     line: int
@@ -264,9 +263,7 @@ def _map_of(
 
 
 def _digits(values, count: int) -> np.ndarray:
-    """Values to so many significant digits: what a file needs, and not the last bits of a linear
-    algebra library.
-    """
+    """Values to so many significant digits, without the last bits of a linear algebra library."""
     values = np.asarray(values, float)
     return np.array([float(f"{v:.{count - 1}e}") for v in values.ravel()]).reshape(values.shape)
 
@@ -277,9 +274,8 @@ def _interval(value: float, std: float) -> tuple[float, float]:
 
 
 def _hull(result: Fit) -> np.ndarray:
-    """Rows commands [V], least and largest drop [Pa] read there; many commands are taken in groups
-    of neighbours.
-    """
+    """Rows commands [V], lowest and highest drop [Pa] read there; neighbouring commands are
+    grouped."""
     r, group = result.readings, result.readings.level
     if r.levels.size > 2 * SPLINE.spans:
         parts = np.arange(1, SPLINE.spans) / SPLINE.spans
@@ -296,9 +292,8 @@ def _hull(result: Fit) -> np.ndarray:
 
 
 def _trial_scatter(result: Fit) -> float:
-    """Standard error of the mean of the trials' common factors [1], beyond what the noise explains
-    (DerSimonian–Laird).
-    """
+    """Standard error of the mean of the trials' factors [1] beyond the noise
+    (DerSimonian–Laird)."""
     r, flow = result.readings, result.solution.flow
     keep = result.keep & (flow > 0) & ~result.solution.lone[r.cell]
     weight = np.where(keep, 1.0 / result.noise.std(r, flow) ** 2, 0.0)
@@ -315,9 +310,7 @@ def _trial_scatter(result: Fit) -> float:
 
 
 def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.ndarray:
-    """Standard error of the scaled flow on the grid u × s: coefficients, deadband, what all drops
-    are off by and the ``scatter`` of whole trials in the mean of all, shape (u, s).
-    """
+    """Standard error of the scaled flow on the grid u × s, shape (u, s)."""
     r, shape, solution = result.readings, result.shape, result.solution
     opening, root = (a.ravel() for a in np.meshgrid(u, s, indexing="ij"))
     design = solution.spline.design(opening, root)
@@ -362,9 +355,7 @@ def _uncertain(result: Fit) -> Iterator[tuple[Spline, Spline]]:
 
 
 def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Variance [rated²] by which the cells near each point surely miss the map, beyond their
-    noise.
-    """
+    """Variance [rated²] by which cells near each point surely miss the map, beyond their noise."""
     r, solution, cells = result.readings, result.solution, result.solution.cells
     some = (cells.weight > 0) & (cells.u > result.deadband.value)
     if not some.any():
@@ -380,12 +371,11 @@ def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
 
 
 def _between_drops(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Variance [rated²] of where a map that bends sharply does so between the drops measured;
-    else zero.
+    """Variance [rated²] of where a map that bends sharply does so between the drops measured.
 
-    A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most,
-    w from 0 to 1 in the gap; taken as two standard errors, with the largest change of slope
-    over this gap or one next to it as κ: a spline rings."""
+    A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most, w
+    from 0 to 1 in the gap; taken as two standard errors, κ the largest over this gap or its
+    neighbours."""
     roots = result.readings.roots
     if roots.size < 4:
         return np.zeros(u.size)
@@ -430,9 +420,7 @@ def _leakage(result: Fit) -> tuple[float, tuple[float, float]]:
 
 
 def _fall(built: FlowMap) -> float:
-    """What the flow falls by from its largest to the largest command at the largest drop read
-    there, as a share.
-    """
+    """Fall of the flow from its largest to the largest command at the largest drop, as a share."""
     if built.rising == built.opening_knots.size - 1:
         return 0.0
     drop = float(built.hull_high[-1])

@@ -48,9 +48,9 @@ Solved = tuple[np.ndarray, float, np.ndarray]  # coefficients, −2 log likeliho
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What a spline and its penalties depend on: the deadband [V], the commands [V] ``above`` it,
-    the axis along the root of the drop, the penalties along opening and root, the openings [V]
-    where it may bend sharply, the opening [V] up to which its flow grows."""
+    """What a spline and its penalties depend on: deadband [V], commands [V] ``above`` it, axis
+    along the root of the drop, penalties, openings [V] of ``kinks``, opening [V] up to which the
+    flow grows."""
 
     deadband: float
     above: np.ndarray
@@ -175,9 +175,7 @@ def likeliest_smoothing(shape: Shape, cells: Cells, coarse: bool = True) -> tupl
 
 
 def roughly_smoothed(shape: Shape, cells: Cells, along: int) -> tuple[Shape, float]:
-    """`likeliest_smoothing` by the penalty along the opening (0) or the root (1) alone, to two
-    decades.
-    """
+    """`likeliest_smoothing` along the opening (0) or the root (1) alone, to two decades."""
     fit, now = _lattice(shape, cells)
     points = [(x, now[1]) if along == 0 else (now[0], x) for x in _COARSE]
     begin = int(np.argmin(np.abs(np.array(_COARSE) - now[along])))
@@ -196,9 +194,7 @@ def valley(of: Callable[[int], float], size: int, begin: int) -> int:
 
 
 def bend(shape: Shape, cells: Cells) -> Shape:
-    """Lets the map bend more towards low drops, and sharply at one drop, where that makes the
-    readings likelier.
-    """
+    """Lets the map bend more towards low drops, and sharply at a drop, where that is likelier."""
     if shape.along_s.size == 1:
         return shape
     options = []
@@ -319,9 +315,8 @@ class Deadband:
 
 
 def window_of(readings: Readings, cells: Cells, lack: float) -> Window:
-    """From the last but one command that may be shut to just below the first that surely passes
-    flow, as all above it do.
-    """
+    """The range of the deadband: below the first command that surely passes flow, as all above it
+    do."""
     levels, of = readings.levels, readings.cell_level
     total = np.maximum(np.bincount(of, cells.weight), 1e-300)
     mean = np.bincount(of, cells.weight * cells.y) / total
@@ -348,9 +343,7 @@ def window_of(readings: Readings, cells: Cells, lack: float) -> Window:
 
 
 def start_deadband(readings: Readings, shape: Shape, cells: Cells, lack: float) -> Shape:
-    """The likeliest of a few deadbands, each with its own smoothing: one far off would call for a
-    wrong smoothing.
-    """
+    """The likeliest of a few deadbands, each with its smoothing."""
     window = window_of(readings, cells, lack)
     above = readings.levels[window.opens :]
     options = [
@@ -395,13 +388,10 @@ def find_deadband(
 def soften(
     readings: Readings, shape: Shape, cells: Cells, result: Deadband, window: Window
 ) -> Deadband:
-    """Lowers the lower end of the deadband's interval to where a flow with a soft start would
-    begin.
+    """Lowers the deadband's interval to where a flow with a soft start would begin, at 99.9 %.
 
-    That is the lower end for a spline which may curve at will over the first commands that pass
-    flow. Such splines end with a parabola that starts level, a shape which valves do have: the end
-    is taken at 99.9 %. It is sought between the grid's points: how far these lie apart depends on
-    the last bits of the readings."""
+    The spline may curve at will over the first commands that pass flow. The end is sought between
+    the grid's points, whose distance depends on the last bits of the readings."""
     from scipy.optimize import brentq, minimize_scalar
 
     if window.high <= window.low:
@@ -477,10 +467,8 @@ class Kink:
 def find_kinks(
     readings: Readings, shape: Shape, cells: Cells, lack: float
 ) -> tuple[Shape, tuple[Kink, ...]]:
-    """(shape that bends sharply at some openings, where these are), where the likelihood says so.
-
-    A kink hides between two commands; where it is follows from how the flow goes on either side,
-    and so does the deadband, which is sought anew with each kink."""
+    """(shape that bends sharply at some openings, these), where the likelihood says so; the
+    deadband is sought anew with each kink."""
     kinks: tuple[Kink, ...] = ()
     if not SETTINGS.kink_commands <= shape.above.size <= 2 * SPLINE.spans:
         return shape, kinks
@@ -508,9 +496,7 @@ def find_kinks(
 
 
 def gaps_of(above: np.ndarray, kinks: tuple[Kink, ...]) -> list[np.ndarray]:
-    """Openings [V] to try a kink at, some in each gap between two commands that has none yet and
-    two commands or more on either side.
-    """
+    """Openings [V] to try a kink at, in each gap with two commands or more on either side."""
     taken = {int(np.searchsorted(above, kink.value)) for kink in kinks}
     shares = np.arange(1, 9) / 9.0
     return [
@@ -540,9 +526,7 @@ def _with_kink(shape: Shape, kink: float) -> Shape:
 
 
 def _place(shape: Shape, cells: Cells) -> Kink:
-    """Where the last kink of the shape is, by its profile likelihood over the gap it was found in
-    and the two next to it.
-    """
+    """The last kink of the shape, by its profile likelihood over its gap and the two next to it."""
     *others, middle = shape.kinks
     k = int(np.searchsorted(shape.above, middle))
     low, high = shape.above[max(k - 2, 0)], shape.above[min(k + 1, shape.above.size - 1)]

@@ -4,8 +4,7 @@ growing coefficients.
 Coordinates are scaled to 0…1: the opening from the deadband to the largest command, and the root of
 the drop. A coefficient meets two neighbours along the opening and three along the root, so a normal
 matrix is a symmetric band: ``band[k, j]`` is its number in column j, k below the diagonal, as in
-LAPACK; the coefficients along the opening come first.
-"""
+LAPACK; the coefficients along the opening come first."""
 
 from __future__ import annotations
 
@@ -46,8 +45,7 @@ class Axis:
     ``mass`` is ∫ of their products, ``curvature`` that of their second derivatives, each span times
     its ``stiffness``, and ``bends`` its root, shape (nodes, splines); ``volume`` the logarithm of
     the mass's determinant, ``eigenvalues`` those of the curvature with the mass, the first, of a
-    straight line, zero.
-    """
+    straight line, zero."""
 
     def __init__(
         self, breaks: np.ndarray, degree: int, stiffness: np.ndarray | None = None
@@ -70,9 +68,8 @@ class Axis:
         self.eigenvalues[0] = 0.0
 
     def _quadrature(self, order: int) -> np.ndarray:
-        """Derivatives of an order at the nodes of Gauss's rule in all spans, times the root of the
-        nodes' weights, shape (nodes, splines): their products, summed, are integrals.
-        """
+        """Derivatives of an order at Gauss's nodes times the root of their weights, (nodes,
+        splines)."""
         pieces = self.pieces
         for _ in range(order):
             pieces = pieces[..., 1:] * np.arange(1, pieces.shape[-1])
@@ -174,17 +171,14 @@ class Spline:
 
     @cached_property
     def penalties(self) -> tuple[np.ndarray, np.ndarray]:
-        """Bands of the penalties on the curvature along the opening and along the root: Kronecker
-        products of what penalises along the one and the mass along the other.
-        """
+        """Bands of the penalties on the curvature along opening and root: Kronecker products."""
         pairs, u, s = _pairs(self.rows, self.columns), self.along_u, self.along_s
         along_u = pairs.band(u.curvature[pairs.rows][None], s.mass[pairs.columns][None])
         return along_u, pairs.band(u.mass[pairs.rows][None], s.curvature[pairs.columns][None])
 
     def factors(self, u: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The splines along the opening, zero up to the deadband, and along the root of the drop,
-        at openings [V] and scaled roots; shapes (points, rows) and (points, columns).
-        """
+        """The splines along opening [V] and scaled root; shapes (points, rows) and (points,
+        columns)."""
         share = np.clip((u - self.deadband) / (self.top - self.deadband), 0.0, 1.0)
         return self.along_u.at(share), self.along_s.at(s)
 
@@ -196,9 +190,7 @@ class Spline:
     def normal(
         self, factors: tuple[np.ndarray, np.ndarray], weight: np.ndarray, y: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(band of the normal matrix, right side) of weighted flows, of which the `factors` are
-        given.
-        """
+        """(band of the normal matrix, right side) of weighted flows, by their `factors`."""
         (of_u, of_s), pairs = factors, _pairs(self.rows, self.columns)
         weighed, (i, j), (k, m) = weight[:, None] * of_u, pairs.rows, pairs.columns
         band = pairs.band(weighed[:, i] * of_u[:, j], of_s[:, k] * of_s[:, m])
@@ -282,9 +274,8 @@ class Spline:
         return self.floor + self.by_nnls(whole, right), determinant, wrong
 
     def _tied(self, band: np.ndarray, right: np.ndarray, zero: np.ndarray) -> np.ndarray:
-        """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which some do not grow along u: each of
-        these is that of the opening before, or zero.
-        """
+        """Coefficients of least ½·cᵀ·matrix·c − rightᵀ·c of which those at ``zero`` do not grow
+        along u."""
         from scipy.linalg.lapack import dpbsv  # pyright: ignore[reportAttributeAccessIssue]
 
         unknown = np.where(zero, -1, np.cumsum(~zero) - 1)
@@ -323,9 +314,8 @@ class Spline:
         return coefficients.reshape(self.columns, self.rows).T
 
     def over_steps(self, values: np.ndarray) -> np.ndarray:
-        """Derivatives by the coefficients, along the first axis, as derivatives by their increments
-        along u.
-        """
+        """Derivatives by the coefficients, along the first axis, as those by their increments along
+        u."""
         table = values.reshape(self.columns, self.rows, -1)
         return np.cumsum(table[:, ::-1], axis=1)[:, ::-1].reshape(values.shape)
 
@@ -337,8 +327,7 @@ class Spline:
 class _Pairs(NamedTuple):
     """Which coefficients meet: pairs of ``rows`` and pairs of ``columns``, and of each number of a
     band that is not zero its ``line``, its column ``first`` and its row ``second``; ``source`` and
-    ``place``: its places in a flat table of row pairs by column pairs and in a flat band.
-    """
+    ``place``: its places in a flat table of row pairs by column pairs and in a flat band."""
 
     rows: tuple[np.ndarray, np.ndarray]
     columns: tuple[np.ndarray, np.ndarray]

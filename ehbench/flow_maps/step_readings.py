@@ -136,11 +136,8 @@ def _steady_blocks(
 
 
 def _weights(count: int) -> tuple[np.ndarray, int]:
-    """(weights of samples, how many at either end): the mean with these weights of a rate is
-    exactly the difference between the means of the ends, over their distance.
-
-    A chamber that rings takes many times the flow that passes, back and forth; what its pressure
-    gained must be counted over the very time over which the piston's speed is averaged."""
+    """(weights of samples, how many at either end): with them the mean of a rate is exactly the
+    difference between the means of the ends: a chamber that rings takes many times the flow."""
     edge = max(1, count // 8)
     weight = np.convolve(np.convolve(np.ones(count - edge), np.ones(edge)), np.ones(2))
     return weight / weight.sum(), edge

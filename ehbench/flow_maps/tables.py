@@ -1,6 +1,4 @@
-"""Flowmeter readings of a rig's valves: which metering edge each one belongs to, the maps of all,
-and what is saved.
-"""
+"""Flowmeter readings by metering edge, the maps of all, and what is saved."""
 
 from __future__ import annotations
 
@@ -171,9 +169,7 @@ def _flow_notes(rig: Rig, rows: FlowmeterData, show: Units) -> Iterator[Message]
 def _edge_of(
     rig: Rig, valve: str, direction: str, rows: FlowmeterData
 ) -> tuple[str, str, Valve, Edge]:
-    """(name of the edge's map, forward or reverse, the valve, the edge) for readings of ``valve``
-    in ``direction``.
-    """
+    """(name of the map, forward or reverse, valve, edge) of readings."""
     where = {"file": str(rows.file[0]), "line": int(rows.line[0])}
     known: dict[str, list[tuple[str, Valve, Edge]]] = {}
     plain = [v.edge_name(e) for _, v, e in rig.edges()]
@@ -214,9 +210,8 @@ def _commanded(
     leave_out: bool,
     losses: list[str],
 ) -> FlowmeterData:
-    """The readings but for those at commands that do not open the edge, or that its driver does not
-    give; these are refused, or left out where they are few and that is allowed.
-    """
+    """The readings at commands that open the edge and that its driver gives; others are refused, or
+    left out where they are few and that is allowed."""
     low, high = float(driver.command_min), float(driver.command_max)
     slack, command = SETTINGS.overshoot * (high - low), rows.command
     checks = {
@@ -267,10 +262,7 @@ def _warming(rows: FlowmeterData, show: Units, unit: str) -> Iterator[Message]:
 
 
 def _warm_flow(fit: FlowMapFit, rows: FlowmeterData) -> Iterator[Message]:
-    """A message where a map's residuals go with the temperature: the map is of the mean one.
-
-    What the temperature shares with drop and command the map has already, so this is the least
-    effect of it."""
+    """A message where a map's residuals go with the temperature: the map is of the mean one."""
     used = np.isfinite(rows.temperature) & np.isfinite(fit.residuals) & (np.abs(fit.sigmas) < 5.0)
     used &= rows.flow > SETTINGS.warm_flow * fit.map.rated_flow
     count = int(used.sum())

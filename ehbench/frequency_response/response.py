@@ -45,8 +45,7 @@ OVERLAP = {"hann": 0.5, "boxcar": 0.0}
 class Averaging(NamedTuple):
     """How logs are averaged: the length of a ``segment`` [s] (None: 8 averages of the shortest
     log), its ``window``, the ``coherence`` from which a frequency counts, the largest
-    ``frequency`` [Hz].
-    """
+    ``frequency`` [Hz]."""
 
     segment: float | None = None
     window: str = "hann"
@@ -57,8 +56,7 @@ class Averaging(NamedTuple):
 @dataclass(frozen=True)
 class Signals:
     """Input and output of all logs, evenly sampled at ``rate`` [Hz], and how they are averaged:
-    ``size`` samples a segment, ``segments`` of each log, ``averages`` independent ones in all.
-    """
+    ``size`` samples a segment, ``segments`` of each log, ``averages`` independent ones in all."""
 
     pairs: tuple[tuple[np.ndarray, np.ndarray], ...]
     rate: float
@@ -146,8 +144,7 @@ _GAINS = ("gain", "gain_low", "gain_high")
 @dataclass(frozen=True)
 class Curve:
     """A frequency response to be kept and drawn, at ``frequency`` [Hz]: ``gain`` in SI of output
-    over input, ``phase`` [deg], ``coherence``, and where it is ``coherent`` enough to count.
-    """
+    over input, ``phase`` [deg], ``coherence``, and where it is ``coherent`` enough to count."""
 
     frequency: tuple[float | None, ...]
     gain: tuple[float | None, ...]
@@ -317,8 +314,7 @@ def transfer_of(signals: Signals) -> np.ndarray:
 
 def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """(frequency [Hz], G_xx, G_yy, G_xy) averaged over all segments of all logs, without the mean
-    and what lies above the largest frequency.
-    """
+    and what lies above the largest frequency."""
     from scipy.signal import ShortTimeFFT
 
     size = signals.size

@@ -152,8 +152,7 @@ def _outputs(
     theta: np.ndarray, form: str, pairs: Pairs, rate: float
 ) -> tuple[float, list[np.ndarray]]:
     """(gain, outputs) of a form: logarithms of its poles [rad/s], or of natural frequency and
-    damping ratio, then its delay [samples].
-    """
+    damping ratio, then its delay [samples]."""
     from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
     poles, pair, late = FORMS[form]

@@ -1,3 +1,2 @@
 """Machines that a trial can run on, all behind one protocol (`ehbench.machines.protocol`): the
-model, and the virtual bench.
-"""
+model, and the virtual bench."""

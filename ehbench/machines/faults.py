@@ -1,6 +1,5 @@
 """A simulated machine on which something fails at a given time: a sensor, a valve, the supply, the
-link, the controller.
-"""
+link, the controller."""
 
 from __future__ import annotations
 
@@ -63,8 +62,7 @@ Effect = Callable[[Failure, float, float], float]  # (failure, t [s], value as i
 
 class Kind(NamedTuple):
     """What a kind of fault acts on, ``sensor``, ``valve`` or ``machine``, and its effect on a value
-    of it; ``needs`` a size.
-    """
+    of it; ``needs`` a size."""
 
     place: str
     effect: Effect | None = None
@@ -198,8 +196,7 @@ class FaultyMachine:
 
     def _arrived(self, command: np.ndarray, t: float) -> np.ndarray:
         """The command [V] that acts: later where the controller is late, at rest where the link is
-        lost for longer than the watchdog waits.
-        """
+        lost for longer than the watchdog waits."""
         for failure in self._of("machine"):
             if failure.fault.kind == "controller_late":
                 late = float(failure.fault.duration) if failure.active(t) else 0.0

@@ -25,8 +25,7 @@ Advance = Callable[[int, int], int]  # (first row, row after the last) → row a
 
 class Inputs(NamedTuple):
     """The commands that a machine takes: names of its valves, the ends of each driver's range [V]
-    and where each rests [V], shape (valves,).
-    """
+    and where each rests [V], shape (valves,)."""
 
     names: tuple[str, ...]
     lowest: np.ndarray
@@ -53,8 +52,7 @@ class Inputs(NamedTuple):
 class Stamp(NamedTuple):
     """When a sample was taken: ``time`` [s] since the start by the machine's clock, ``sequence``
     counts its samples, ``age`` [s] is how long ago that was. ``stopped`` is the number of the
-    reason, among the machine's ``reasons``, for which it stopped by itself, 0 where it did not.
-    """
+    reason, among the machine's ``reasons``, for which it stopped by itself, 0 where it did not."""
 
     time: float
     sequence: int
@@ -189,24 +187,21 @@ def reasons_of(machine: Machine) -> tuple[str, ...]:
 
 def applied_of(machine: Machine) -> np.ndarray | None:
     """The commands [V] that acted in the last tick of a machine that reports them: it may have
-    clamped those that it got, or made them itself; None of one whose commands act as they are.
-    """
+    clamped those that it got, or made them itself; None of one whose commands act as they are."""
     return getattr(machine, "applied", None)
 
 
 def heard_of(machine: Machine) -> tuple[np.ndarray, np.ndarray] | None:
     """All that a machine in real time has sent: times [s] by its clock and, shape (samples,
     channels and valves), samples with the commands [V] that acted up to them. Of those that came
-    too late for a tick a session has no row. None of a machine that waits.
-    """
+    too late for a tick a session has no row. None of a machine that waits."""
     heard = getattr(machine, "heard", None)
     return None if heard is None else heard()
 
 
 def halt_of(machine: Machine) -> Callable[[], None] | None:
     """How a machine that makes its own commands is stopped, its valves to rest by its own ramp;
-    None of one that only takes commands.
-    """
+    None of one that only takes commands."""
     return getattr(machine, "halt", None)
 
 
@@ -217,8 +212,7 @@ def in_real_time(machine: Machine) -> bool:
 
 def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:
     """What makes of a machine the same one with other noise of its sensors, by a seed; None of one
-    whose noise nobody chooses.
-    """
+    whose noise nobody chooses."""
     return getattr(machine, "seeded", None)
 
 
@@ -234,16 +228,14 @@ def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
 
 def plays_of(machine: Machine) -> bool:
     """Whether the valves of a machine may lag behind their commands by a hysteresis, as those of
-    every machine may that does not deny it by ``plays``: what a map knows of one counts there.
-    """
+    every machine may that does not deny it by ``plays``: what a map knows of one counts there."""
     return getattr(machine, "plays", True)
 
 
 def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
     """How a simulated machine says what its own edge passes at rest: ``flow(edge, command, drop)``
     [m³/s] at commands [V] and drops [Pa] along it, arrays of one shape, in the mean of rising and
-    falling commands; None of one that cannot.
-    """
+    falling commands; None of one that cannot."""
     truth = truth_of(machine)
     if truth is None:
         return getattr(machine, "mean_flow", None)
@@ -264,6 +256,5 @@ def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Adva
     ``often`` says that it will be called for every row.
 
     It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
-    row at which a limit was reached, before its tick, or −1.
-    """
+    row at which a limit was reached, before its tick, or −1."""
     return getattr(machine, "advance", None)

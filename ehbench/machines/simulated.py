@@ -26,8 +26,7 @@ NAME = "model"
 
 class Running(NamedTuple):
     """A model at work: its state ``y``, the plant, the ``tick`` [s] and the integration ``steps``
-    in it, the ``line`` of past commands, and the scratch of both.
-    """
+    in it, the ``line`` of past commands, and the scratch of both."""
 
     y: np.ndarray
     plant: Plant
@@ -66,8 +65,7 @@ def paced_tick(own, command, pace, sample):
 @kernel
 def model_truth(own, command, row):
     """Write the state, the edge flows and the pump's flow into ``row``; ``own.k[0]`` then holds the
-    derivatives, whose fastest rate [1/s] is returned.
-    """
+    derivatives, whose fastest rate [1/s] is returned."""
     size, at = own.y.shape[0], own.plant.at.flow
     line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
     rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
@@ -193,8 +191,7 @@ class SimulatedMachine:
 
 class ModelTruth:
     """The states of a running model, its edge flows and the pump's flow, in the order of
-    `Model.run`'s log.
-    """
+    `Model.run`'s log."""
 
     def __init__(self, model: Model, running: Running) -> None:
         self.model, self._own = model, running

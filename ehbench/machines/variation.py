@@ -1,6 +1,5 @@
 """Machines that are not the one a controller was designed on: the model or the virtual bench with
-slower valves, other oil, more friction, late sensors, other flow.
-"""
+slower valves, other oil, more friction, late sensors, other flow."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 ``p V_gas^n = const``, p absolute: oil at line pressure p has pressed the gas from its own volume
 ``gas_volume`` at ``precharge`` down to ``V_gas = gas_volume (precharge/p)^(1/n)``. Below the
-precharge the accumulator holds no oil.
-"""
+precharge the accumulator holds no oil."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ def gas_energy(pressure, row):
     """Energy [J] that oil of the supply line brought into the accumulator up to a pressure [Pa].
 
     ``∫ (p + u) V_gas/(n p_abs) dp`` from the precharge: the work on the gas against the atmosphere,
-    and the oil's own compression energy u per volume. Gauss–Legendre in ln p, exact to rounding.
-    """
+    and the oil's own compression energy u per volume. Gauss–Legendre in ln p, exact to rounding."""
     if row.gas_volume == 0.0 or pressure <= row.precharge:
         return 0.0
     first = math.log(row.precharge + ATMOSPHERE)

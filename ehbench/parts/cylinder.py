@@ -102,8 +102,7 @@ def linkage_arrays(row: Any, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @part_kernel
 def chamber_of(row, side):
     """(node, signed area [m²], dead volume [m³], leakage to tank [m³/(s·Pa)]) of the head end
-    (side 0) or the rod end (1); the area is positive where the chamber grows with the stroke.
-    """
+    (side 0) or the rod end (1); the area is positive where the chamber grows with the stroke."""
     if side == 0:
         return row.node_head, row.area_head, row.volume_head, row.leakage_head
     return row.node_rod, -row.area_rod, row.volume_rod, row.leakage_rod
@@ -147,8 +146,7 @@ def chamber_slope(row, pressure, inflow, slope):
     """How fast a chamber's inflow changes with its pressure [m³/(s·Pa)], for the substep guard.
 
     To ``slope``, that of its edges, comes what the chamber would run into within the step, as soon
-    as it is that near: the cavitation floor and the relief valve.
-    """
+    as it is that near: the cavitation floor and the relief valve."""
     if inflow < 0.0:
         slope -= inflow / max(pressure - row.cavitation_pressure, CAVITATION_BAND)
     elif pressure < row.relief_pressure:
@@ -161,8 +159,7 @@ def chamber_slope(row, pressure, inflow, slope):
 @part_kernel
 def leakage_slope(row, side):
     """Bound of how fast leakages change with a chamber's pressure and with that of the other
-    [m³/(s·Pa)].
-    """
+    [m³/(s·Pa)]."""
     return 2.0 * row.leakage_internal + chamber_of(row, side)[3]
 
 

@@ -1,7 +1,6 @@
 """A row of the fault table: what may be wrong with a part of the plant, as data.
 
-Each file of a part declares its rows as ``FAULTS``; `ehbench.diagnosis.faults` collects them.
-"""
+Each file of a part declares its rows as ``FAULTS``; `ehbench.diagnosis.faults` collects them."""
 
 from __future__ import annotations
 
@@ -15,8 +14,7 @@ class Amount(NamedTuple):
     several factors a search begins at each.
 
     ``unit`` is the SI unit in which a rig file has it; ``span`` says by which factors it may be
-    smaller and larger than where a search begins, None for any.
-    """
+    smaller and larger than where a search begins, None for any."""
 
     factors: tuple[float, ...]
     scale: str

@@ -1,6 +1,5 @@
 """A hose or line between the valves of one end of a cylinder and its chamber: a volume of oil, and
-what resists the flow from it into the chamber. The oil's inertia is left out.
-"""
+what resists the flow from it into the chamber. The oil's inertia is left out."""
 
 from __future__ import annotations
 
@@ -21,8 +20,7 @@ from ehbench.vocabulary.fields import FileModel, Q, Value
 class Line(FileModel):
     """A hose or line at one end of a cylinder: the edges of that end join it, and what goes through
     ``resistance`` (laminar) and ``orifice_gain`` (turbulent), one behind the other, reaches the
-    chamber. ``bulk_modulus`` of oil and hose together is the cylinder's where it has none.
-    """
+    chamber. ``bulk_modulus`` of oil and hose together is the cylinder's where it has none."""
 
     end: Literal["head", "rod"] = Field(description="of the cylinder that it leads to")
     volume: Annotated[Value, Q("volume")]
@@ -69,8 +67,7 @@ def line_conductance(drop, row):
     """Flow over drop [m³/(s·Pa)] of a line at a drop [Pa]; no slope of its flow is larger.
 
     ``Δp = R Q + Q²/k²`` solved for Q/Δp, with √(Δp² + δ²) for Δp in its root, so that without R it
-    is the regularised orifice of `ehbench.parts.edge.orifice`.
-    """
+    is the regularised orifice of `ehbench.parts.edge.orifice`."""
     wide = math.sqrt(drop * drop + ORIFICE_DROP * ORIFICE_DROP)
     return 2.0 / (row.resistance + math.sqrt(row.resistance**2 + 4.0 * row.choke * wide))
 
@@ -92,8 +89,7 @@ def line_flow(y, plant, row):
 def line_rates(y, plant, dy, work):
     """Pressure rates of the lines; what they bring to the chambers is added to ``work``.
 
-    Returns the fastest rate [1/s]: what the valves and the line itself do to its little oil.
-    """
+    Returns the fastest rate [1/s]: what the valves and the line itself do to its little oil."""
     net, steep, fastest = plant.at.net, plant.at.slope, 0.0
     for i in range(plant.lines.shape[0]):
         row = plant.lines[i]

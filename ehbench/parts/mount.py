@@ -7,8 +7,7 @@ F is what the piston pushes the rod with: pressures, less the cylinder's frictio
 is how far the base has gone back from the rod, positive where the rod pushes; x, v are the stroke
 and speed that the linkage has, which position channels measure. Oil, friction and end stops see the
 piston in its barrel instead. As friction hangs on v_piston, the law is solved for it; where that
-falls with speed more steeply than c, the solution is not the only one, and the piston jumps.
-"""
+falls with speed more steeply than c, the solution is not the only one, and the piston jumps."""
 
 from __future__ import annotations
 
@@ -36,8 +35,7 @@ resistance_of, any_resistance = _resistance.of, _resistance.call
 
 class Mount(FileModel):
     """What a cylinder's base gives way by: ``damping·dδ/dt = F − stiffness·δ``, F the rod's force.
-    Without ``damping`` it is 1 ms times the stiffness: a loss factor of 6 % at 10 Hz.
-    """
+    Without ``damping`` it is 1 ms times the stiffness: a loss factor of 6 % at 10 Hz."""
 
     stiffness: Annotated[Value, Q("stiffness")] = Field(
         description="of pin, bracket and frame, along the cylinder"
@@ -84,8 +82,7 @@ def push_of(row, y, plant):
 @part_kernel
 def _left(row, x, v, push, slip, y, plant):
     """What the rod's force at piston speed ``slip`` leaves over for the damper at stroke x, less
-    what that takes [N]; it falls as ``slip`` rises.
-    """
+    what that takes [N]; it falls as ``slip`` rises."""
     force = push - any_resistance(row, slip, y, plant) - row.mount_stiffness * y[row.mount_state]
     return force + stop_force(row, x, slip) - row.mount_damping * (slip - v)
 
@@ -103,8 +100,7 @@ def _slip(row, x, v, y, plant):
     """Speed [m/s] of the piston in its barrel at its stroke x, where the linkage has v.
 
     The balance of forces is solved for it by false position (Illinois), from v to where the damper
-    alone would take what is left over there: friction takes its share of that.
-    """
+    alone would take what is left over there: friction takes its share of that."""
     push = push_of(row, y, plant)
     minimum = _ROUNDING * (abs(push) + row.mount_stiffness * abs(y[row.mount_state]))
     a, f_a = v, _left(row, x, v, push, v, y, plant)

@@ -27,8 +27,7 @@ def node_pressure(y, plant, node):
 def ends_of(y, plant, edge):
     """(pressures [Pa] that an edge finds where it begins and where it ends, whether its supply is
     the low rail) at plant state y. Check valves keep oil from flowing back into a load-sensing
-    pump.
-    """
+    pump."""
     first = node_pressure(y, plant, edge.from_node)
     last = node_pressure(y, plant, edge.to_node)
     if plant.supply.margin > 0.0:

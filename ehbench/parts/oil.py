@@ -1,6 +1,5 @@
 """The oil: how stiff it is at a pressure, with free air in it or without, and what its compression
-holds.
-"""
+holds."""
 
 from __future__ import annotations
 
@@ -41,8 +40,7 @@ def bulk_of(row, pressure):
 @part_kernel
 def compressed(pressure, bulk_modulus):
     """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1)
-    − p ≈ p²/2β``.
-    """
+    − p ≈ p²/2β``."""
     return bulk_modulus * math.expm1(pressure / bulk_modulus) - pressure
 
 

@@ -1,8 +1,7 @@
 """A sample of a machine: what its sensors say at one instant, in one order for every machine.
 
 ``q, qd, x, v, p_head, p_rod`` of each cylinder, then ``p_supply, p_tank``. A channel is an entry
-here with its reading; every machine then measures it.
-"""
+here with its reading; every machine then measures it."""
 
 from __future__ import annotations
 

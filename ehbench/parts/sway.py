@@ -4,8 +4,7 @@ a long arm that bends, or what hangs on it.
     dz/dt = w − v,    m dw/dt = −(k z + c (w − v))
 
 v is the speed of the rod, w that of the mass, z how far it is ahead, positive where the rod moves
-out; k z + c (w − v) pulls on the rod. Its weight counts as the mechanism's, not here.
-"""
+out; k z + c (w − v) pulls on the rod. Its weight counts as the mechanism's, not here."""
 
 from __future__ import annotations
 

@@ -9,8 +9,7 @@ from ehbench.runtime.compiled import part_kernel
 @part_kernel
 def tie(command, plant, dy):
     """Put the given rates of cylinders' joints [rad/s or m/s, per second] into ``dy``: those of the
-    coordinates, those of the speeds; and that of the supply's pressure [Pa/s].
-    """
+    coordinates, those of the speeds; and that of the supply's pressure [Pa/s]."""
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
         if row.tied_position >= 0:

@@ -110,8 +110,7 @@ def turn_joint(links, i, q, work):
 @kernel
 def turn(links, q, work):
     """Cosine and sine of every joint angle into ``work``, where the kernels called ``…_turned``
-    find the posture. They stay there: several questions about one posture take them once.
-    """
+    find the posture. They stay there: several questions about one posture take them once."""
     for i in range(links.shape[0]):
         turn_joint(links, i, q[i], work)
 
@@ -119,8 +118,7 @@ def turn(links, q, work):
 @kernel
 def _newton_euler(links, gravity, qd, out, work):
     """Torque at rest acceleration, after `turn`: rates outward, then forces inward, all in joint
-    frames.
-    """
+    frames."""
     n = links.shape[0]
     # (w, e, a): angular rate, angular acceleration, acceleration of the origin; gravity as a base
     # that accelerates up.
@@ -193,8 +191,7 @@ def _sum_inward(links, qd, out, work):
 @kernel
 def _composite(links, first, work):
     """Lower triangle of the mass matrix of the joints from ``first`` on, row by row at the tail of
-    ``work``, after `turn`: links welded inward.
-    """
+    ``work``, after `turn`: links welded inward."""
     n = links.shape[0]
     tail = n * _STRIDE
     m, hx, hy, hz, jxx, jyy, jzz, jxy, jxz, jyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -253,8 +250,7 @@ def bias(kind, links, gravity, q, qd, out, work):
     """Write h(q, q̇) + c(q) + B q̇ into ``out`` (n,): the torque [N·m], or force [N] of a slide,
     that holds q̈ = 0.
 
-    Recursive Newton–Euler; with the mass matrix D(q), ``D q̈ + h + c + B q̇ = τ`` (thesis 2.2).
-    """
+    Recursive Newton–Euler; with the mass matrix D(q), ``D q̈ + h + c + B q̇ = τ`` (thesis 2.2)."""
     turn(links, q, work)
     bias_turned(kind, links, gravity, qd, out, work)
 
@@ -271,8 +267,7 @@ def bias_turned(kind, links, gravity, qd, out, work):
 @kernel
 def mass_matrix(kind, links, q, out, work):
     """Write D(q) into ``out`` (n, n), symmetric [kg·m²], or [kg] of a slide; composite rigid
-    bodies.
-    """
+    bodies."""
     turn(links, q, work)
     mass_matrix_turned(kind, links, out, work)
 
@@ -292,8 +287,7 @@ def mass_matrix_turned(kind, links, out, work):
 @kernel
 def inertia_turned(kind, links, j, work):
     """D_jj(q) of one joint [kg·m²], or [kg] of a slide, in the posture of `turn`; q_j does not
-    matter.
-    """
+    matter."""
     if kind == SLIDE:
         return links[0].mass
     return work[_composite(links, j, work) + j * links.shape[0] + j]
@@ -345,8 +339,7 @@ def gravity_torque(kind, links, gravity, q, out, work):
     """Write c(q) into ``out`` (n,): the torque [N·m], or force [N] of a slide, that holds the links
     at rest.
 
-    ``c = ∂PE/∂q``: the moment of all that hangs outside of a joint, in that joint's frame.
-    """
+    ``c = ∂PE/∂q``: the moment of all that hangs outside of a joint, in that joint's frame."""
     turn(links, q, work)
     plumb(kind, links, gravity, work)
     weigh_turned(kind, links, gravity, 0, out, work)
@@ -355,8 +348,7 @@ def gravity_torque(kind, links, gravity, q, out, work):
 @kernel
 def plumb(kind, links, gravity, work):
     """Which way is up in every joint's frame, g times, into ``work``, after `turn`: several links
-    that hang there are weighed by it.
-    """
+    that hang there are weighed by it."""
     if kind == SLIDE:
         return
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
@@ -390,8 +382,7 @@ def weigh_turned(kind, links, gravity, first, out, work):
 @kernel
 def energy(kind, links, gravity, q, qd, work):
     """(kinetic, potential) energy [J]; potential counts from the height of the base, or of x = 0 on
-    a slide.
-    """
+    a slide."""
     if kind == SLIDE:
         m = links[0].mass
         return 0.5 * m * qd[0] * qd[0], m * gravity[2] * q[0] * links[0].sin_alpha
@@ -428,8 +419,7 @@ def energy(kind, links, gravity, q, qd, work):
 def tip(kind, links, q):
     """Position (x, y, z) [m] of the last frame's origin in the base frame, z up.
 
-    Rows ``links[:i], q[:i]`` give the end of link i, so a picture of the chain is n calls.
-    """
+    Rows ``links[:i], q[:i]`` give the end of link i, so a picture of the chain is n calls."""
     if kind == SLIDE:
         return q[0] * links[0].cos_alpha, 0.0, q[0] * links[0].sin_alpha
     x, y, z = 0.0, 0.0, 0.0

@@ -52,8 +52,7 @@ def map_leaks(data, at):
 @kernel
 def _leak(x, data, at):
     """Leak at rest [m³/s] at a place counted in spans along s: a part that grows with the root of
-    the drop and one that grows with the drop.
-    """
+    the drop and one that grows with the drop."""
     if not map_leaks(data, at):
         return 0.0
     share = x / data[at + _SPANS_S]
@@ -162,8 +161,7 @@ def bspline_pieces(breaks, degree):
     """B-splines on clamped knots as polynomials: shape (spans, splines, degree + 1), powers of x −
     breaks[span].
 
-    Cox–de Boor recursion on the coefficients; spans + degree splines.
-    """
+    Cox–de Boor recursion on the coefficients; spans + degree splines."""
     spans = breaks.size - 1
     knots = np.empty(spans + 1 + 2 * degree)
     knots[:degree], knots[degree + spans :] = breaks[0], breaks[spans]
@@ -327,8 +325,7 @@ class FlowMap:
 
     def flow(self, pressure_drop, command):
         """Flow [m³/s] at pressure drops [Pa] and openings [V], which broadcast; odd in the drop
-        (see ``map_flow``).
-        """
+        (see ``map_flow``)."""
         return _each(_flows, pressure_drop, command, self.data)
 
     def command(self, pressure_drop, flow):
@@ -368,8 +365,7 @@ class FlowMap:
 
     def inside(self, pressure_drop, command):
         """True where readings surround the point: the command and, between its neighbours, the drop
-        were measured.
-        """
+        were measured."""
         drop, command = np.asarray(pressure_drop, float), np.asarray(command, float)
         low, high = (
             np.interp(command, self.hull_command, side) for side in (self.hull_low, self.hull_high)
@@ -379,8 +375,7 @@ class FlowMap:
 
     def to_dict(self) -> dict:
         """Plain numbers, strings and lists, as they stand in the file; what a valve has not is left
-        out.
-        """
+        out."""
         plain = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -433,8 +428,7 @@ def _locate(grid: np.ndarray, x: np.ndarray):
 
 def pack(maps: list[FlowMap], factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
     """(data, offsets): all maps back to back in one float array, and where each one starts
-    (integers); ``factors`` multiply their flows, one each, by default none.
-    """
+    (integers); ``factors`` multiply their flows, one each, by default none."""
     parts = [item.data for item in maps]
     for k, factor in enumerate(factors):
         if factor != 1.0:
@@ -462,14 +456,12 @@ class ValveMaps:
 
     def command(self, pressure_drop, flow):
         """Command [V] that passes the signed ``flow`` [m³/s] at the signed drop [Pa], as
-        ``FlowMap.command``.
-        """
+        ``FlowMap.command``."""
         return self._sided("command", pressure_drop, flow, 0.0)
 
     def reachable(self, pressure_drop, flow):
         """True where a command up to the largest measured one passes ``flow`` [m³/s] at the drop
-        [Pa].
-        """
+        [Pa]."""
         return self._sided("reachable", pressure_drop, flow, 0.0).astype(bool)
 
     def flow_std(self, pressure_drop, command):
@@ -571,8 +563,7 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
 
 def dump_flow_maps(maps: FlowMaps) -> str:
     """The file's text: JSON, sorted keys, shortest digits that read back exactly; same maps, same
-    bytes.
-    """
+    bytes."""
     content = {
         "format": FORMAT,
         "version": VERSION,

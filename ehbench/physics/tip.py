@@ -22,8 +22,7 @@ LIGHT, HEAVY = 1.0e-10, 1.0e4  # damping [m²] with which it begins, at which it
 
 class Chain(NamedTuple):
     """What says where the tip is: ``kind``, ``links`` and ``gravity`` as in `ehbench.physics.arm`,
-    and the ends of each joint's range, shape (n,) [rad or m].
-    """
+    and the ends of each joint's range, shape (n,) [rad or m]."""
 
     kind: int
     links: Any
@@ -34,8 +33,7 @@ class Chain(NamedTuple):
 
 class Found(NamedTuple):
     """What a search came to: joint coordinates ``q``, how far the tip is from the target [m], and
-    of each joint whether the target lies beyond an end of its range (±1), else 0.
-    """
+    of each joint whether the target lies beyond an end of its range (±1), else 0."""
 
     q: np.ndarray
     miss: float
@@ -64,8 +62,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 class Frames(NamedTuple):
     """In the frame on the ground, at some postures: the ``tip`` [m], shape (…, 3), the ``axes`` of
-    the joints and a point on each (``origins`` [m]), shape (…, n, 3).
-    """
+    the joints and a point on each (``origins`` [m]), shape (…, n, 3)."""
 
     tip: np.ndarray
     axes: np.ndarray
@@ -104,8 +101,7 @@ def tip_frames(chain: Chain, q: np.ndarray) -> Frames:
 
 def tip_of(chain: Chain, q: np.ndarray) -> np.ndarray:
     """The tip [m], shape (…, 3), at joint coordinates of shape (…, n): one vector, turned and moved
-    from the last link inward, a quarter of the work of `tip_frames`.
-    """
+    from the last link inward, a quarter of the work of `tip_frames`."""
     q = np.asarray(q, float)
     if chain.kind == SLIDE:
         return tip_frames(chain, q).tip

@@ -43,8 +43,7 @@ class Plant(NamedTuple):
     ``kind``, ``gravity`` and ``links`` are those of `ehbench.physics.arm`; the records of the other
     tables are described beside their parts: `ehbench.parts.cylinder`, ``.nodes``, ``.valve``,
     ``.edge``, ``.line``, ``.supply``, ``.load``. ``maps`` are the packed flow maps, ``at`` says
-    where things lie.
-    """
+    where things lie."""
 
     kind: int
     gravity: np.ndarray
@@ -81,9 +80,7 @@ class Plant(NamedTuple):
         return self._replace(valves=valves)
 
     def at_pressures(self, supply: float | None = None, tank: float | None = None) -> Plant:
-        """This plant with a set pressure and a tank pressure [Pa] of their own; what is not given
-        stays.
-        """
+        """This plant with a set pressure and a tank pressure [Pa], where given."""
         line, nodes = table(1, SUPPLY_LINE), self.nodes.copy()
         line[0] = self.supply
         if supply is not None and line[0].margin == 0.0:  # else it is the load's, not the pump's
@@ -94,10 +91,8 @@ class Plant(NamedTuple):
 
 
 class Kept:
-    """What plants of one layout and one set of maps have in common: each thing is made once of the
-    very same parts of a rig, such as all that no parameter of a fit changes. Such plants must not
-    be written to.
-    """
+    """What plants of one layout and one set of maps share: built once of the same parts of a rig.
+    Such plants must not be written to."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[Any, ...], tuple[Any, Any]] = {}
@@ -157,9 +152,7 @@ def links_of(rig: Rig) -> np.recarray:
 
 
 def load_of(rig: Rig, cylinder: int) -> float:
-    """The least mass [kg] that a cylinder, by its number, moves over its stroke, other joints
-    free; it asks for no flow map.
-    """
+    """Smallest mass [kg] that a cylinder moves over its stroke, other joints free."""
     kind, links, _ = _mechanism(rig, Kept())
     return 1.0 / float(_cylinders(rig, layout(rig), kind, links)[cylinder].mobility)
 
@@ -382,9 +375,7 @@ def map_of(maps: Maps | None, edge: str) -> ValveMaps | None:
 def _law(
     edge: Edge | FixedEdge, given: ValveMaps | None, packed: list[tuple[FlowMap, float]]
 ) -> dict[str, Any]:
-    """Fields of an edge's law; its maps go to ``packed`` with the edge's factor, their numbers
-    there into the row.
-    """
+    """Fields of an edge's law; its maps go to ``packed`` with the edge's factor."""
     law = edges.edge_law("map" if given is not None else edge.law)
     row = {"law": edges.BY_NAME[law.name], "forward": -1, "reverse": -1} | law.pack(edge)
     for key in ("forward", "reverse"):

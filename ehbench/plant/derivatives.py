@@ -105,9 +105,7 @@ def valves(y, command, plant, dy, work):
 
 @part_kernel
 def join(edge, flow, slope, railed, at, work):
-    """Count an edge's flow [m³/s] and its slope at the nodes that it joins; what is on the low rail
-    does not come from the supply's line.
-    """
+    """Add an edge's flow [m³/s] and slope at its nodes, but for what the low rail supplies."""
     a, b = edge.from_node, edge.to_node
     if not (railed and a == SUPPLY):
         work[at.net + a] -= flow
@@ -119,9 +117,7 @@ def join(edge, flow, slope, railed, at, work):
 
 @part_kernel
 def highest_load(y, plant, work):
-    """The highest pressure [Pa] to which an open edge leads from the supply; the tank's where none
-    does.
-    """
+    """Highest pressure [Pa] to which an open edge leads from the supply, else the tank's."""
     load = node_pressure(y, plant, TANK)
     for e in range(plant.edges.shape[0]):
         edge = plant.edges[e]
@@ -203,8 +199,7 @@ def cylinders(y, command, plant, dy, work):
     settles in SETTLING, into ``work``; the fastest rate [1/s].
 
     ``(m + m_a) a = F(v)`` with ``m_a = max(0, F′ SETTLING − m)`` is the linearly implicit step of
-    friction, whose rest and creep are those of F itself.
-    """
+    friction, whose rest and creep are those of F itself."""
     at, fastest = plant.at, 0.0
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
@@ -254,8 +249,7 @@ def cylinders(y, command, plant, dy, work):
 @part_kernel
 def move(y, plant, dy, work):
     """Rates of the joints under the torques in ``work``: ``D(q) q̈ + h + c + B q̇ = Jᵀ P_load``
-    (thesis 2.1, 2.2).
-    """
+    (thesis 2.1, 2.2)."""
     n, at = plant.at.joints, plant.at
     for i in range(n):
         dy[i] = y[at.rates + i]
@@ -321,9 +315,8 @@ LAST = (_supply, move, cylinders)  # what `derivatives` calls, from the end on
 @finish_of(Plant)
 @part_kernel
 def finish(y, command, plant, slope, d):
-    """Better the valves' states after a Runge–Kutta step of ``d`` [s]; ``slope`` holds the rates
-    where it began.
-    """
+    """Improve the valves' states after a Runge–Kutta step of ``d`` [s]; ``slope``: rates at its
+    start."""
     for i in range(plant.valves.shape[0]):
         valve = plant.valves[i]
         valve_finish(valve, limited(command[i], valve), plant, y, slope, d)

@@ -146,9 +146,8 @@ class FmuModel(Model):
         return self.completed(dict(zip(self.binding.names["channels"], columns)), start)
 
     def completed(self, given: Mapping[str, np.ndarray], start: Start) -> dict[str, np.ndarray]:
-        """Channels with the angles that follow from strokes, or strokes from angles, and with the
-        supply's and tank's pressure as they are set where the FMU does not give them.
-        """
+        """Channels with what follows from them: angles or strokes, set pressures of supply and
+        tank."""
         channels = dict(given)
         for name, row in zip(self.layout.cylinders, self.plant.cylinders, strict=True):
             q, x, v, qd = (channels.get(f"{name}.{word}") for word in ("q", "x", "v", "qd"))

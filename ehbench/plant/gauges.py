@@ -21,8 +21,7 @@ def _gauged(states, cylinder, plant):
 
     Load pressure ``p_head − p_rod``, load force ``P_L = p_head·A_head − p_rod·A_rod`` (thesis 2.2),
     rod force ``P_L − F(v)``: the friction of the seals is taken up by the barrel, and the masses of
-    piston and rod are the mechanism's.
-    """
+    piston and rod are the mechanism's."""
     row, rates = plant.cylinders[cylinder], plant.at.rates
     out = np.zeros((3, states.shape[0]))
     for s in range(states.shape[0]):

@@ -1,6 +1,5 @@
-"""Time: one integrator for every type of plant, the fourth-order method of Runge and Kutta with a
-fixed step, and more steps where the plant is stiff.
-"""
+"""One integrator for every type of plant: fourth-order Runge–Kutta, more steps where it is
+stiff."""
 
 from __future__ import annotations
 
@@ -22,9 +21,7 @@ MOST_SUBSTEPS = 400
 
 @part_kernel
 def put(values, out):
-    """Write values into ``out``, one by one: numba's ``out[:] = values`` brings the words of an
-    error along, which take two seconds to compile.
-    """
+    """Copy values; numba's ``out[:] = values`` takes two seconds to compile."""
     for i in range(values.shape[0]):
         out[i] = values[i]
 
@@ -41,9 +38,8 @@ def rk4(y, command, plant, h, k, work):
 
 @part_kernel
 def stages(y, command, plant, d, k, work):
-    """The derivatives within a step of ``d`` [s] from ``y``, where ``k[0]`` holds them, into
-    ``k[1]`` to ``k[3]``; returns the fastest rate [1/s] met on the way.
-    """
+    """Derivatives within a step of ``d`` [s], into ``k[1]`` to ``k[3]``; returns the fastest rate
+    [1/s]."""
     size = y.shape[0]
     for i in range(size):
         k[4, i] = y[i] + 0.5 * d * k[0, i]

@@ -1,8 +1,7 @@
 """Where everything of a plant lies: states, nodes, valves, workspace; and what it is called.
 
 Nothing else computes an offset. Kernels find states and workspace by ``plant.at`` (`Offsets`) and
-by the fields of the parts' rows, Python by `Layout`.
-"""
+by the fields of the parts' rows, Python by `Layout`."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ class Offsets(NamedTuple):
     In the workspace, after that of the mechanism: ``torque`` of each joint [N·m]; ``inertia`` that
     friction adds to it [kg·m²]; ``net`` inflow of each node [m³/s]; ``slope`` of the flow over the
     pressure at each node [m³/(s·Pa)]; ``opening`` of each valve [V]; ``flow`` of each edge [m³/s],
-    then the ``pump``'s; ``work`` in all.
-    """
+    then the ``pump``'s; ``work`` in all."""
 
     joints: int
     rates: int
@@ -45,9 +43,8 @@ class Offsets(NamedTuple):
 
 
 class Element(NamedTuple):
-    """One element of a valve's dynamics: the number of its ``valve`` and of its ``law``, the name
-    of its ``dynamics`` in the rig, where its states begin (``state``).
-    """
+    """An element of a valve's dynamics: its ``valve``, number of its ``law``, name of its
+    ``dynamics`` in the rig, place of its first ``state``."""
 
     valve: int
     law: int
@@ -65,8 +62,7 @@ class Layout:
     cylinder and the end of each line, ``mounts`` the cylinders whose mount gives way, ``sways``
     those with a load that sways, ``played`` the channels of forces that stand behind the valves'
     commands in a row of commands, and ``state_names`` say what each state is, such as
-    ``boom.p_head`` or ``boom.hect.opening``.
-    """
+    ``boom.p_head`` or ``boom.hect.opening``."""
 
     joints: tuple[str, ...]
     cylinders: tuple[str, ...]
@@ -119,9 +115,8 @@ class Layout:
 
     @property
     def inner_states(self) -> tuple[tuple[str, int], ...]:
-        """(channel, position) of the states of valves with several dynamics, but for the opening:
-        what a command and an opening do not tell.
-        """
+        """(channel, position) of the states of valves with several dynamics, but for the
+        opening."""
         results = []
         for element in self.elements:
             for at in range(element.state, element.state + len(valve.LAWS[element.law].states)):
@@ -163,8 +158,7 @@ class Layout:
 
 def layout(rig: Rig) -> Layout:
     """The layout of a rig's plant: ``q, qd, [p_head, p_rod] per cylinder, the states of each
-    valve's elements, those of each cylinder's friction, lines, mount and sway, p_supply``.
-    """
+    valve's elements, those of each cylinder's friction, lines, mount and sway, p_supply``."""
     valves = tuple(f"{c.name}.{v.name}" for c, v in rig.valves())
     names = [f"{joint}.{key}" for key in ("q", "qd") for joint in rig.joint_names]
     names += [f"{c.name}.p_{side}" for c in rig.cylinder for side in SIDES]

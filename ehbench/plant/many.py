@@ -48,9 +48,7 @@ def replay_many(
 def map_threads(
     function: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None = None
 ) -> list[Result]:
-    """The results of a function for all tasks, in their order. This thread and others each take the
-    next task that remains, until one fails.
-    """
+    """The results of a function for all tasks, in their order, by this thread and others."""
     results: dict[int, Result] = {}
     indices = iter(range(len(tasks)))
 

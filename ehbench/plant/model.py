@@ -35,9 +35,7 @@ MOVED = 0.005  # share of a driver's range by which a command must change to be 
 
 
 class Start(NamedTuple):
-    """Where a simulation along a recording starts: the state, and the supply's set and the tank
-    pressure [Pa], None for the rig's own.
-    """
+    """Where a replay starts: the state, set and tank pressure [Pa], None for the rig's."""
 
     y: np.ndarray
     supply: float | None = None
@@ -48,9 +46,7 @@ Seen = Mapping[str, float]  # what a recording tells of a machine [SI], by chann
 
 
 def seen_of(record: Record, rest: int) -> Seen:
-    """What the first ``rest`` samples of a recording tell of the rest it begins at [SI]: pressures
-    by their mean, places as `first_of` has them.
-    """
+    """What the first ``rest`` samples show [SI]: mean pressures, places by `first_of`."""
     return {
         channel: first_of(y, rest) if word in PLACES else float(np.mean(y[:rest]))
         for channel, y in record.channels.items()
@@ -75,9 +71,8 @@ def finite(log: np.ndarray, tick: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Model:
-    """A rig ready to simulate: its numbers, their compiled form, the names in it, and the rig
-    without its payload.
-    """
+    """A rig ready to simulate: its numbers, compiled form and names, and the rig without
+    payload."""
 
     rig: Rig
     plant: Plant
@@ -105,9 +100,7 @@ class Model:
         return cls(loaded, build(loaded, names, maps, kept), names, rig)
 
     def asked_at_start(self, moves: bool) -> Hashable:
-        """All that its start along a recording hangs on, which begins at rest or ``moves`` at
-        first (`trim.asked_at_start`).
-        """
+        """All that its start along a recording depends on (`trim.asked_at_start`)."""
         if moves not in self._asked:
             self._asked[moves] = starts.asked_at_start(self.plant, moves)
         return self._asked[moves]
@@ -117,9 +110,7 @@ class Model:
         return {}
 
     def starts(self, number: str) -> bool:
-        """Whether a number of an initial state, by its channel, is one that a replay begins with;
-        of an FMU those alone that it takes.
-        """
+        """Whether a replay begins with a number of an initial state; an FMU takes some only."""
         return True
 
     def shows(self, channel: str) -> bool:
@@ -165,9 +156,8 @@ class Model:
         return starts.trim(self.plant, self.layout, self.rig, q, low_side, command)
 
     def creep(self, index: int, state: np.ndarray) -> float:
-        """Speed [m/s] of a cylinder, by number, while its valves are at rest, out positive: what
-        passes edges that stand open there, at a state that `trim` gave.
-        """
+        """Speed [m/s] of a cylinder, out positive, at a state of `trim` while its valves are at
+        rest."""
         head, rod = (float(state[self.layout.state(name, index)]) for name in ("p_head", "p_rod"))
         return float(creep(self.plant, self.plant.cylinders[index], head, rod))
 
@@ -184,9 +174,7 @@ class Model:
         ]
 
     def rest_commands(self, samples: int) -> np.ndarray:
-        """A table of commands [V], shape (samples, valves + played), that leaves every valve at
-        rest, and the forces that are played [N] at zero.
-        """
+        """Commands [V], shape (samples, valves + played), with valves at rest and no force [N]."""
         rest = [valve.rest for _, valve in self.rig.valves()]
         return np.tile([*rest, *(0.0 for _ in self.layout.played)], (samples, 1))
 
@@ -204,9 +192,7 @@ class Model:
         return record.table((*rest, *((channel, None) for channel in self.layout.played)))
 
     def rest_samples(self, commands: np.ndarray) -> int:
-        """How many samples pass before a valve's command [V], shape (samples, valves or more),
-        changes by more than noise; at least one.
-        """
+        """Samples before a command [V], shape (samples, valves or more), changes; at least one."""
         commands = commands[:, : len(self.layout.valves)]
         span = MOVED * (self.plant.valves.highest - self.plant.valves.lowest)
         moved = np.flatnonzero(np.any(np.abs(commands - commands[0]) > span, axis=1))
@@ -404,9 +390,8 @@ class Model:
         start: Start,
         means: BlockAverages | None = None,
     ) -> Record:
-        """The log table of a replay, or of its ``means``, as a record, with what the recording's
-        gauges would show.
-        """
+        """The log table of a replay, or of its ``means``, as a record with the recording's
+        gauges."""
         t, table = (record.t, commands) if means is None else (means.record.t, None)
         built = self.record(t, table, log, record.meta, start.tank)
         shown = gauged(self.plant, self.layout, log, record.channels)
@@ -442,9 +427,8 @@ class Model:
         meta: Mapping[str, str] | None = None,
         tank: float | None = None,
     ) -> Record:
-        """The log table, with flows or without, as a record of named SI channels, without commands
-        and openings where ``commands`` are none; ``tank`` [Pa] is the plant's by default.
-        """
+        """The log table as a record of SI channels; commands and openings only with
+        ``commands``."""
         names, plant = self.layout, self.plant
         n = plant.at.rates
         channels: dict[str, np.ndarray] = {}

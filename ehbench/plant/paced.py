@@ -5,8 +5,7 @@ derivative at the step's end: ``e = d/10 |k_4 − f(y_1)|``. A step whose ``e`` 
 what a state may run through is taken again, half as long. Ticks under one and the same command are
 taken several at a time, and the samples between read from the cubic through both ends. Valves are
 linear and get their own answer, exact while a command is held. Where means of several samples are
-asked for, the cubic's values are added up, those of valves too.
-"""
+asked for, the cubic's values are added up, those of valves too."""
 
 from __future__ import annotations
 
@@ -36,19 +35,16 @@ Step = float | Literal["auto"]
 
 
 class Pace(NamedTuple):
-    """What steps are chosen by: ``weights`` [1/unit of the state], shape (states,), 1 over what a
-    step may miss each by, 0 where its error is not looked at; the ``units`` of a tick, a power of
-    two, of which a step is one or more.
-    """
+    """What steps are chosen by: ``weights``, 1 over what a step may miss each state by, 0 for none;
+    the ``units`` of a tick, a power of two, of which a step is one or more."""
 
     weights: np.ndarray
     units: int
 
 
 class Way(NamedTuple):
-    """A plant on its way: its state ``y``, the ``line`` of past commands, its ``pace``, and the
-    scratch ``k`` of shape (SCRATCH, states) and ``work`` of plant.at.work.
-    """
+    """A plant on its way: state ``y``, ``line`` of past commands, ``pace``, scratch ``k`` of shape
+    (SCRATCH, states) and ``work``."""
 
     y: np.ndarray
     plant: Plant
@@ -64,8 +60,7 @@ def pace_of(plant: Plant, names: Layout, tick: float) -> Pace:
     A joint's scale is its range, and its range a second; a pressure's the highest that supply or
     relief valve let come, of the supply line a tenth of it; a mount's the deflection under it, as
     that of what sways, whose speed has the stroke a second.
-    Valves are exact beside, and what states of a friction do is seen in the joints' rates.
-    """
+    Valves are exact beside, and what states of a friction do is seen in the joints' rates."""
     weights, n = np.zeros(names.states), plant.at.rates
     state_of: Any = plant.nodes.state
     weights[: 2 * n] = 1.0
@@ -95,9 +90,8 @@ def _highest(plant: Plant, row: Any) -> float:
 
 @part_kernel
 def _valves_after(way, command, d, out):
-    """Write the valves' states ``d`` [s] after ``way.y``, where ``k[0]`` holds their rates, into
-    ``out``.
-    """
+    """Write the valves' states ``d`` [s] after ``way.y`` into ``out``; ``k[0]`` holds their
+    rates."""
     plant, k = way.plant, way.k
     for v in range(plant.valves.shape[0]):
         valve, moves = plant.valves[v], False
@@ -113,9 +107,8 @@ def _valves_after(way, command, d, out):
 
 @part_kernel
 def reach(way, command, d):
-    """Take a step of ``d`` [s] from ``way.y``, where ``k[0]`` holds the derivatives: its end goes
-    to ``k[4]``, the derivatives there to ``k[5]``; returns the fastest rate [1/s] there.
-    """
+    """Take a step of ``d`` [s]: its end to ``k[4]``, the derivatives there to ``k[5]``; the fastest
+    rate."""
     y, k = way.y, way.k
     stages(y, command, way.plant, d, k, way.work)
     for i in range(y.shape[0]):
@@ -178,9 +171,7 @@ def arrive(way):
 
 @kernel
 def over_tick(way, command, rate):
-    """Bring ``way.y`` over one tick under a command [V] in steps chosen by the guard, from where
-    ``k[0]`` and ``rate`` hold what the derivatives give.
-    """
+    """Bring ``way.y`` over one tick; ``k[0]`` and ``rate`` hold what the derivatives give."""
     part, step, units = 0, way.pace.units, way.pace.units
     while part < units:
         taken, step, rate = _step(way, command, part, units - part, step, rate, False)
@@ -206,9 +197,7 @@ def _finite(values):
 
 @part_kernel
 def between(way, command, share, d, out):
-    """The state at a ``share`` of a step of ``d`` [s] from ``way.y``: the cubic through both ends,
-    the valves' own answer for their states.
-    """
+    """State at a ``share`` of a step of ``d`` [s]: the cubic through both ends, valves exact."""
     y, k, rest = way.y, way.k, 1.0 - share
     first, last = (1.0 + 2.0 * share) * rest * rest, share * share * (3.0 - 2.0 * share)
     begin, end = d * share * rest * rest, -d * share * share * rest
@@ -261,9 +250,7 @@ def _add_means(way, log, each, sample, ends, ticks):
 
 @part_kernel
 def _write_samples(way, command, log, sample, ends, taken):
-    """Write the samples within a step of ``taken`` units into their rows, with flows where the log
-    has room for them.
-    """
+    """Write the samples within a step of ``taken`` units, with flows where the log has room."""
     d, size = taken * (way.line.tick / way.pace.units), way.y.shape[0]
     for s in range(sample + 1, ends):
         between(way, command, (s - sample) * way.pace.units / taken, d, log[s])

@@ -1,6 +1,5 @@
-"""At which pressures a cylinder rests where something joins its chambers to supply or tank while
-its valves are at rest: check valves, underlapped edges, valves that cannot shut.
-"""
+"""Pressures at which a cylinder rests whose chambers are joined to supply or tank by check valves,
+underlapped edges or valves that cannot shut."""
 
 from __future__ import annotations
 
@@ -21,10 +20,8 @@ HALVINGS = 60  # of the level's bracket: to the last digits
 
 
 def open_at_rest(plant: Plant) -> np.ndarray:
-    """Which edges are open, or may open by themselves, while all valves are at rest, shape
-    (edges,): check valves, underlaps, those of a valve that cannot shut. What a map leaks at rest
-    is none.
-    """
+    """Which edges may be open while all valves are at rest, shape (edges,): check valves,
+    underlaps, those of a valve that cannot shut; no leaks of maps."""
     edges, valves = plant.edges, plant.valves
     law, valve = edges["law"], edges["valve"]
     rests = np.minimum(np.maximum(0.0, valves["lowest"]), valves["highest"])
@@ -63,9 +60,7 @@ def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
 
 
 def creep(plant: Plant, row: np.record, head: float, rod: float) -> float:
-    """Speed [m/s], out positive, at which a cylinder goes on at rest at the pressures [Pa] of
-    `resting`: ``Q_head/A1``.
-    """
+    """Speed [m/s], out positive, at the pressures [Pa] of `resting`: ``Q_head/A1``."""
     edges = _edges_at(plant, row, open_at_rest(plant))
     return _inflow(plant, edges, row, head, rod, 0) / row.area_head
 
@@ -88,9 +83,7 @@ def carrying(row: np.record, force: float, low: float) -> tuple[float, float]:
 def _settled(
     plant: Plant, row: np.record, force: float, edges: np.ndarray, level: float
 ) -> tuple[float, float] | None:
-    """The nearest pressures [Pa] to those with ``level`` in the rod end that stay; None where those
-    do.
-    """
+    """The nearest pressures [Pa] that stay; None where ``level`` in the rod end does."""
 
     def head_at(rod: float) -> float:
         return (force + rod * row.area_rod) / row.area_head

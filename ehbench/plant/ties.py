@@ -34,10 +34,8 @@ ORDER = 4  # … so sharply that what rings below keeps its size
 
 
 class Ties(NamedTuple):
-    """What is tied: the ``cylinders`` and the ``supply`` with it, the ``rates`` [unit/s], shape
-    (samples, ties), each held until the next sample, and the values where the states begin, by
-    state.
-    """
+    """What is tied: ``cylinders`` and ``supply`` with it, ``rates`` [unit/s], shape (samples,
+    ties), and first values by state."""
 
     cylinders: np.recarray
     supply: np.record

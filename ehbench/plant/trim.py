@@ -60,11 +60,7 @@ _MOVING = {
 def posture(
     rig: Rig, plant: Plant, names: Layout, required: Mapping[str, str | float] | None
 ) -> np.ndarray:
-    """Joint coordinates [rad or m], shape (n,), from postures by cylinder or joint name.
-
-    Raises:
-        InputError: unknown name, or a posture outside the stroke; says what the stroke allows.
-    """
+    """As `Model.posture`."""
     q = np.zeros(len(names.joints))
     for row in plant.cylinders:
         q[row.joint] = joint_of(row, 0.5 * row.stroke)
@@ -118,16 +114,7 @@ def trim(
     low_side: LowSide = None,
     command: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The state at rest at joint coordinates ``q``: valves shut, supply at its set pressure (with
-    load sensing at its margin above tank), loads carried.
-
-    The chamber that the load does not press on stands at ``low_side`` [Pa], of all cylinders or by
-    name of some; by default both stand as `resting` says.
-    Forces that are played are those of ``command``, by default none.
-
-    Raises:
-        SimulationError: a cylinder has no lever there, so no pressure holds the load.
-    """
+    """As `Model.trim`."""
     n = len(names.joints)
     y = np.zeros(names.states)
     y[:n] = q
@@ -155,9 +142,7 @@ def trim(
 
 
 def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
-    """All of a plant that its start along a given recording hangs on, which begins at rest or
-    ``moves`` at first: of plants alike in it, the start of one is that of all.
-    """
+    """All of a plant that its start along a recording depends on, at rest or where it ``moves``."""
     requested = _asked(moves, mounted(plant), bool(open_at_rest(plant).any()))
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
     for name, spans in requested:
@@ -192,9 +177,7 @@ def mounted(plant: Plant) -> bool:
 
 
 def settle_parts(plant: Plant, y: np.ndarray) -> None:
-    """Put the states of lines and mounts in ``y`` where they are at rest, by the pressures of the
-    chambers; what sways goes along with the rods.
-    """
+    """Settle lines, mounts and what sways in ``y``, by the pressures of the chambers."""
     if plant.lines.size:
         at: Any = plant.nodes.state
         for line in plant.lines:

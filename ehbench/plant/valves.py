@@ -1,6 +1,4 @@
-"""States that no sensor tells, over a whole record: openings of valves, exact for commands that are
-held from sample to sample, the states of frictions, and those of lines and mounts.
-"""
+"""States that no sensor shows, over a whole record: of valves, frictions, lines and mounts."""
 
 from __future__ import annotations
 
@@ -62,9 +60,8 @@ def _felt(commands, plant, line, h, out):
 
 
 def felt_commands(plant: Plant, commands: np.ndarray, tick: float, h: float) -> np.ndarray:
-    """What the valves feel over ``h`` [s] from each sample on [V], shape (samples, valves), of
-    commands held over each ``tick`` [s]; the commands themselves where no valve has a delay.
-    """
+    """Commands [V] that act over ``h`` [s] from each sample on, shape (samples, valves), by the
+    delays."""
     if not plant.valves.delay.any():
         return commands
     table = np.ascontiguousarray(commands, dtype=float)
@@ -144,9 +141,7 @@ def follow_parts(t, commands, plant, states):
 
 
 def opening_of(plant: Plant, valve: int, commands: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Opening [V] of a valve at states, shape (samples, states), under its commands [V], shape
-    (samples,).
-    """
+    """Opening [V], shape (samples,), of a valve at states, shape (samples, states)."""
     row = plant.valves[valve]
     if row.output < 0:
         return np.clip(commands, row.lowest, row.highest)

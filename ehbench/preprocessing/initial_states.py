@@ -41,8 +41,7 @@ _CACHED = 64  # initial states along one recording
 @dataclass(frozen=True)
 class InitialStateSettings:
     """Numbers of initial states. Priors are shares: pressures of the supply's, positions of the
-    stroke, speeds of the fastest, openings of the driver's range.
-    """
+    stroke, speeds of the fastest, openings of the driver's range."""
 
     pressure: float = setting(0.2, "", "prior of a pressure that is not recorded", "vague")
     compared: float = setting(0.05, "", "prior of a pressure that is compared", "the log decides")
@@ -129,9 +128,7 @@ class InitialState:
 
     @cached_property
     def _known(self) -> dict[Hashable, Start]:
-        """Starts along the recording as it is, by what of a model they depend on: most parameters
-        of a fit are none of that.
-        """
+        """Starts by what of a model they depend on: most parameters of a fit are none of that."""
         return {}
 
     @cached_property
@@ -253,9 +250,7 @@ def initial_state_of(
 
 
 def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Uncertain]:
-    """Doubts about the supply's set pressure, and the tank's pressure where a recording is less
-    sure of it than of any supply.
-    """
+    """Uncertainty of the supply's set pressure, and of the tank's where it is the larger."""
     maximum, result = float(model.plant.supply.pressure), []
     for channel in (SUPPLY_CHANNEL, TANK_CHANNEL):
         if channel not in record or (channel == SUPPLY_CHANNEL and supplied(record)):
@@ -275,17 +270,14 @@ def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Unce
 
 
 def mean_error(y: np.ndarray, rest: int) -> float:
-    """Standard error of the mean of a recorded rest as the value at its first sample: that of its
-    noise, and half of its drift.
-    """
+    """Standard error of the mean of a standstill as its first value: noise, and half of the
+    drift."""
     error, drift = _rest_errors(y, rest)
     return math.hypot(error, 0.5 * max(0.0, drift - 2.0 * LINE * error))
 
 
 def first_error(y: np.ndarray, rest: int) -> float:
-    """Standard error of `signals.first_of`: a line is known half as well at its end as in its
-    middle, where it is the mean.
-    """
+    """Standard error of `signals.first_of`: at its end a line is known half as well."""
     error, _ = _rest_errors(y, rest)
     return error if rest < LEAST_LINE else 2.0 * error
 
@@ -299,8 +291,7 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
     counts whose pole ρ is the first autocorrelation without its bias, −(2 + 4ρ)/n about a line
     (Kendall 1954): τ = (1 + ρ)/(1 − ρ).
 
-    A reading in counts is known no better than `count_error`.
-    """
+    A reading in counts is known no better than `count_error`."""
     coarse = count_error(y)
     if rest < LEAST_LINE:
         error = float(1.5 * np.median(np.abs(np.diff(y)))) / math.sqrt(rest)
@@ -325,9 +316,7 @@ def _uncertain(name: str, state: int, std: float, span: float, valve: int = -1) 
 def _of_cylinder(
     model: Model, record: Record, cylinder: str, compared: Sequence[str], rest: int, moves: bool
 ) -> list[Uncertain]:
-    """Doubts about both pressures and the position of a cylinder, and its speed in motion or where
-    its rest creeps.
-    """
+    """Uncertain pressures and position of a cylinder; its speed in motion or where it creeps."""
     names, index = model.layout, model.layout.cylinders.index(cylinder)
     supply, result = float(model.plant.supply.pressure), []
     for side in SIDES:
@@ -362,12 +351,8 @@ def _of_cylinder(
 
 
 def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
-    """Speed of a joint at a rest, without its sign, if it surely has one: what leaks lets a load
-    sink, and begun from no speed at all it would ring. Zero if not.
-
-    By the mean of what is recorded of its rate, else by the line through its place; ``lever`` is
-    what the joint turns by per stroke [1/m, or 1].
-    """
+    """Speed of a joint at standstill, without its sign, if it surely has one, else 0; ``lever`` is
+    its turn per stroke [1/m, or 1]. A load that sinks would ring if it began at no speed."""
     for word, scale in (("qd", 1.0), ("v", lever), ("q", 1.0), ("x", lever)):
         if (channel := f"{cylinder}.{word}") not in record:
             continue
@@ -391,9 +376,7 @@ def rate_of(record: Record, cylinder: str) -> np.ndarray | None:
 
 
 def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
-    """(value, rate [1/s], standard error of the value) at the first sample, of a parabola through
-    the first samples, as many as pass before a command changes if those are enough.
-    """
+    """(value, rate [1/s], standard error of the value) at the first sample, by a parabola."""
     count = min(max(LEAST_LINE, min(rest, round(SETTINGS.beginning / tick))), y.size)
     t = np.arange(count) * tick
     order = 2 if count >= LEAST_LINE else min(1, count - 1)
@@ -406,9 +389,7 @@ def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
 def _moving_start(
     model: Model, record: Record, seen: Mapping[str, tuple[float, float, float]]
 ) -> Start:
-    """The state at the first sample of a recording that begins in motion, by `_firsts` of it:
-    places, pressures and speeds as they read, valves where their commands were a lag before.
-    """
+    """The first state in motion: places, pressures and speeds as they read, valves by their lag."""
     tick, names = record.sample_time, model.layout
     value = {channel: first for channel, (first, _, _) in seen.items()}
     table = model.commands_of(record)
@@ -437,9 +418,8 @@ def _moving_start(
 
 
 class Followed(NamedTuple):
-    """How a model follows a recording best: its ``start``, the recording's true commands and
-    readings, the ``bias`` of its sensors by term, and the terms.
-    """
+    """How a model follows a recording best: ``start``, corrected recording, ``bias`` by term,
+    terms."""
 
     start: Start
     true: Record
@@ -590,10 +570,8 @@ class _Follow:
 
 
 def prior_weight(residuals: Sequence[np.ndarray]) -> float:
-    """What a prior of unit variance weighs beside scaled residuals, each of shape (samples,
-    channels): their variance, by as many samples as count for one independent sample; the median of
-    the channels.
-    """
+    """Weight of a prior of unit variance beside scaled residuals, each (samples, channels): their
+    variance times the samples of an independent one, the median of the channels."""
     sizes = [
         rms(column) ** 2 * correlation_time(column)
         for part in residuals

@@ -46,9 +46,8 @@ SETTINGS = ObservationSettings()
 
 
 def column(record: Record, channel: str, like: Record) -> np.ndarray | None:
-    """A channel [SI]; where ``like`` lacks it, the rate of its position behind a low-pass, None if
-    that is lacking too.
-    """
+    """A channel [SI]; where ``like`` lacks it, the rate of its position behind a low-pass, or
+    None."""
     if channel in like:
         return record[channel]
     position = position_of(channel)
@@ -62,8 +61,7 @@ def count_error(y: np.ndarray) -> float:
     """Standard error of a resting reading in counts, in its unit; zero of one that never changes.
 
     It is Δ/√12 of a count Δ, the smallest step between its values; noise σ makes it less by
-    exp(−2(πσ/Δ)²), the first harmonic of the bias of a dithered mean (Widrow & Kollár 2008).
-    """
+    exp(−2(πσ/Δ)²), the first harmonic of the bias of a dithered mean (Widrow & Kollár 2008)."""
     steps = np.diff(np.unique(y))
     if not steps.size:
         return 0.0
@@ -73,10 +71,8 @@ def count_error(y: np.ndarray) -> float:
 
 
 def noise_of(record: Record, channel: str, each: int = 1) -> float:
-    """Standard deviation that white noise gives a channel [SI], or means of ``each`` samples of it,
-    by third differences; of a rate that is taken from a position, what that position's noise makes
-    of it.
-    """
+    """Standard deviation of white noise in a channel [SI], or in means of ``each`` samples of it,
+    by third differences; of a rate from a position, by that position's."""
     position = position_of(channel)
     if channel in record or position not in record:
         return white_noise(record[channel]) / math.sqrt(each)
@@ -102,9 +98,8 @@ def alternatives(channel: str) -> tuple[str, ...]:
 
 
 def channels_asked(record: Record, cylinder: str, word: str) -> list[str]:
-    """The channels of a cylinder that a word asks for: one, or of what its valves have (their
-    ``opening``) all that were recorded.
-    """
+    """The channels of a cylinder that a word names; of valves' ``opening`` all that were
+    recorded."""
     valves = [channel for channel in record.channels if channel.startswith(f"{cylinder}.")]
     valves = [valve for valve in valves if valve.count(".") == 2 and valve.endswith(f".{word}")]
     return valves if word in OF_VALVES and valves else [f"{cylinder}.{word}"]
@@ -149,9 +144,7 @@ def payload_of(record: Record) -> str | None:
 
 
 def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
-    """Notes where the accumulator runs empty, and where the recorded supply pressure is not the
-    model's, so that its supply is another than the machine's.
-    """
+    """Notes where the accumulator runs empty or the supply's pressure is not the model's."""
     if supplied(record):
         return []
     notes, seen, accumulator = [], "p_supply" in record, rig.supply.accumulator

@@ -113,9 +113,7 @@ def _coarse(record: Record, model: Model) -> Iterator[Message]:
 
 
 def foreign_channels(name: str, record: Record, rig: Rig) -> list[Message]:
-    """Notes on channels that belong to nothing on the rig; refuses a log of which no cylinder
-    has any.
-    """
+    """Notes on channels of nothing on the rig; refuses a log without any of a cylinder."""
     cylinders = {c.name for c in rig.cylinder}
     valves = {f"{c.name}.{v.name}" for c, v in rig.valves()}
     known = cylinders | set(rig.joint_names) | valves | set(rig.all_edges())
@@ -305,9 +303,7 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
 
 
 def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on recorded strokes most of which lie outside of what their cylinders have: they
-    count the other way, or from another zero.
-    """
+    """Notes on strokes mostly outside their cylinders' range: turned, or from another zero."""
     unit, slack = rig.unit_of("x"), SETTINGS.travel
     for cylinder in rig.cylinder:
         channel, stroke = f"{cylinder.name}.x", float(cylinder.stroke)
@@ -325,9 +321,7 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def _stuck(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on channels that stay constant while their cylinder moves, and on positions that
-    stand still while command and pressures move.
-    """
+    """Notes on channels that stay constant in motion, or while command and pressures move."""
     for cylinder in rig.cylinder:
         name, moves = cylinder.name, _travels(record, cylinder)
         pushed = not moves and _pushed(record, rig, cylinder)
@@ -346,9 +340,7 @@ def _stuck(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
-    """Whether a command of a cylinder changes, and its pressures by a good part of what the supply
-    has.
-    """
+    """Whether a cylinder's command changes, and its pressures by a good part of the supply's."""
     requested = any(
         (channel := f"{cylinder.name}.{valve.name}.command") in record
         and np.ptp(record[channel])
@@ -361,10 +353,8 @@ def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
 
 
 def at_limit(y: np.ndarray) -> np.ndarray:
-    """Where a sensor's readings stand at the end of its range, or of its converter's, shape
-    (samples,): at their largest or least, the very same one several times in a row, reached in a
-    few samples and left again, while elsewhere they do not repeat like that.
-    """
+    """Where readings stand at the end of a sensor's range, shape (samples,): the very same extreme
+    value several times in a row, reached in a few samples and left again."""
     result = np.zeros(y.size, bool)
     ends = np.flatnonzero(np.diff(y)) + 1
     starts, stops = np.concatenate([[0], ends]), np.concatenate([ends, [y.size]])
@@ -386,9 +376,8 @@ def at_limit(y: np.ndarray) -> np.ndarray:
 
 
 def off_pins(record: Record, model: Model) -> dict[str, float]:
-    """By how much a log's stroke is above that of its angle and the rig file's pins [m], by
-    cylinder: its level where that is off, else where it is worst; cylinders that agree left out.
-    """
+    """Stroke above that of angle and pins [m], by cylinder that disagrees: its level, else its
+    worst."""
     results = {}
     for index, cylinder in enumerate(model.rig.cylinder):
         names = [f"{cylinder.name}.{word}" for word in ("x", "q")]
@@ -407,9 +396,7 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
 
 
 def _gauges_against(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on gauges that fall as the pressures push more: friction apart, all of `GAUGES` rise
-    with them, so the sign of the one or the ends of the others are turned.
-    """
+    """Notes on gauges that fall as the pressures push more: a sign or the ends are turned."""
     for cylinder in rig.cylinder:
         ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
         if not all(end in record for end in ends):
@@ -426,9 +413,7 @@ def _gauges_against(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on positions and speeds that fall while the commands extend a cylinder, and rise
-    while they retract it: with a sign turned nothing follows the model, and a fit goes astray.
-    """
+    """Notes on positions and speeds that fall while the commands extend a cylinder."""
     for cylinder in rig.cylinder:
         ways = _directions(cylinder, record)
         ends = np.flatnonzero(np.diff(ways, prepend=0.0, append=0.0))
@@ -452,9 +437,8 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
 
 
 def _directions(cylinder: Cylinder, record: Record) -> np.ndarray:
-    """Which way the commands move a cylinder at each sample: 1 out, −1 in, 0 neither, or where
-    edges of both ways are open. Edges across the ports, and what pumps slip, count as none.
-    """
+    """Motion that the commands make at each sample: 1 out, −1 in, 0 neither or both. Edges across
+    the ports, and what pumps slip, count as none."""
     opened = np.zeros((2, record.t.size), dtype=bool)
     for valve in cylinder.valve:
         channel = f"{cylinder.name}.{valve.name}.command"
@@ -481,9 +465,8 @@ def _travels(record: Record, cylinder: Cylinder) -> bool:
 
 
 def moving_at_first(record: Record, rig: Rig, rest: int) -> tuple[str, ...]:
-    """Cylinders that move at the first sample, by their rate or by what their position does in the
-    first samples, of ``rest`` before a command changes.
-    """
+    """Cylinders that move at the first sample, by rate or position in the samples before a
+    command."""
     results, span = [], SETTINGS.first / record.sample_time
     for cylinder in rig.cylinder:
         known = (word for word in ("qd", "v", "q", "x") if f"{cylinder.name}.{word}" in record)

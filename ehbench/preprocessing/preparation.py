@@ -37,8 +37,7 @@ from ehbench.vocabulary.text import numbered
 class PreparedLog:
     """A log as identification and validation take it: evenly sampled, what is known of its sensors
     taken out, for the rig of ``model``, which carries its payload. ``terms`` are the numbers of its
-    sensors that are estimated, and known lags and delays; ``notes`` say what is odd about it.
-    """
+    sensors that are estimated, and known lags and delays; ``notes`` say what is odd about it."""
 
     name: str
     record: Record
@@ -98,9 +97,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
 
 
 def distinct_names(paths: Sequence[Path]) -> list[str]:
-    """A name for each log: its file's stem, with the folder before it where others have the same,
-    numbered if need be.
-    """
+    """A name for each log: its file's stem, with its folder where others have the same."""
     names = [Path(path.name.removesuffix(".gz")).stem for path in paths]
     crowd, pairs = Counter(names), zip(paths, names, strict=True)
     return numbered(f"{p.parent.name}_{name}" if crowd[name] > 1 else name for p, name in pairs)

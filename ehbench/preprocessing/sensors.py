@@ -90,9 +90,7 @@ def known_taken_out(name: str, record: Record, sensors: Sequence[Sensor]) -> Rec
 
 
 def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term, ...]:
-    """What is left to estimate, and the lags and delays that are known, of logs whose known errors
-    are taken out.
-    """
+    """What is left to estimate, and known lags and delays, of logs without their known errors."""
     results = []
     for sensor in sensors:
         scale = sensor.sign * _fixed(sensor, "scale", 1.0)
@@ -118,8 +116,7 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
 def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A log whose known errors are taken out, as sound sensors would have given it by what is
     estimated as well: commands as the valves get them, readings by their level and scale, a motion
-    that is tied as much earlier as its sensor is late.
-    """
+    that is tied as much earlier as its sensor is late."""
     channels, given = dict(record.channels), tied_words(record)
     for name, item in _by_channel(terms).items():
         if name not in channels:

@@ -145,9 +145,8 @@ def parts_of(
 def _retained(
     record: Record, spans: Sequence[tuple[int, int]], driven: bool, within: tuple[float, float]
 ) -> list[tuple[int, int]]:
-    """The parts, first sample and the one after the last, that are long enough; in those that are
-    ``driven`` a command changes by more than a little of its range.
-    """
+    """The parts (first sample, one after the last) that are long enough, and ``driven`` if
+    asked."""
     inside = [span for span in spans if record.at(slice(*span)).between(*within).t.size > 2]
     longest = max((stop - start for start, stop in inside), default=0)
     shortest = max(SETTINGS.shortest / record.sample_time, SETTINGS.share * longest)

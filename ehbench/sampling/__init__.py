@@ -1,3 +1,2 @@
 """Studies: which samples there are, what their keys mean, where they run, how their results are
-stored, and what these say together.
-"""
+stored, and what these say together."""

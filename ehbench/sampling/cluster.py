@@ -1,6 +1,5 @@
 """Samples on a Dask cluster: chunks of tasks go to its scheduler, the study's files to each worker
-once, under their hash. Workers may come, go and die.
-"""
+once, under their hash. Workers may come, go and die."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ def _code() -> str:
 @dataclass(frozen=True)
 class Bundle:
     """What a study reads, to be laid out on another machine as it lies on this one: files by their
-    path from the root, and what opens them there, given where the root is.
-    """
+    path from the root, and what opens them there, given where the root is."""
 
     files: dict[str, bytes]
     open: Any

@@ -25,8 +25,7 @@ CASE, RECIPE = "case", "recipe"  # columns that no key has
 @dataclass(frozen=True)
 class Drawn:
     """A key that is drawn: the ``law`` with its two numbers in ``unit``, whether they are
-    ``relative``, and the ends beyond which no draw goes.
-    """
+    ``relative``, and the ends beyond which no draw goes."""
 
     key: str
     law: str
@@ -75,8 +74,7 @@ class Listed:
 @dataclass(frozen=True)
 class Column:
     """A column of inputs: its key, the unit of its numbers, '' for none; ``is_text``: no
-    numbers; ``varied`` by ``draw`` or ``sweep``.
-    """
+    numbers; ``varied`` by ``draw`` or ``sweep``."""
 
     key: str
     unit: str = ""
@@ -92,8 +90,7 @@ class Column:
 @dataclass(frozen=True)
 class Fitted:
     """Values, standard errors, bounds and correlation of identified parameters, by name, in SI with
-    their units.
-    """
+    their units."""
 
     names: tuple[str, ...]
     values: tuple[float, ...]
@@ -200,8 +197,7 @@ class Design:
     @cached_property
     def _normal(self) -> np.ndarray | None:
         """Standard normal points (points, drawn), independent; None for a random design, whose
-        points are made one by one.
-        """
+        points are made one by one."""
         if self.recipe.design == "random" or not self.drawn:
             return None
         import warnings
@@ -227,8 +223,7 @@ class Design:
 
     def inputs(self, index: int) -> list[Any]:
         """A sample's inputs, in the order of the columns: values as a recipe would have them of
-        what is listed, numbers of what is drawn, whole numbers of seeds.
-        """
+        what is listed, numbers of what is drawn, whole numbers of seeds."""
         combination, point = divmod(index, self.points)
         values: list[Any] = []
         for item in reversed(self.listed):

@@ -28,8 +28,7 @@ RIG, RECIPE, BENCH = "rig", "recipe", "bench"
 
 class Key(NamedTuple):
     """A key taken apart: the stem of the ``upstream`` recipe that it belongs to ('' for the study's
-    recipe), the file that it changes, and the path in it.
-    """
+    recipe), the file that it changes, and the path in it."""
 
     upstream: str
     file: str
@@ -56,8 +55,7 @@ class Key(NamedTuple):
 @dataclass
 class Changes:
     """What a sample sets in the files of one recipe: by path, values as the file would have them,
-    or a `Factor`.
-    """
+    or a `Factor`."""
 
     rig: dict[str, Any] = field(default_factory=dict)
     recipe: dict[str, Any] = field(default_factory=dict)
@@ -174,8 +172,7 @@ def leaves(table: Any, prefix: str = "") -> Iterator[str]:
 
 def _put(here: Any, words: Sequence[str], raw: Any, place: Place) -> None:
     """Set what ``words`` lead to from a table or list on; a table that is missing is made: the
-    file's model says whether it takes it.
-    """
+    file's model says whether it takes it."""
     names = list(here) if isinstance(here, dict) else _names(here)
     sizes = range(len(words), 0, -1)  # names may have dots themselves
     size = next((n for n in sizes if ".".join(words[:n]) in names), 0)

@@ -66,8 +66,7 @@ def value_of(item: Measure, results: Mapping[str, Any], settings: Mapping[str, f
 
 def lookup(here: Any, words: Sequence[str]) -> Any:
     """What a dotted name leads to in plain values; None where it leads nowhere. Entries of lists
-    go by their name or number, names may have dots.
-    """
+    go by their name or number, names may have dots."""
     if not words:
         return here
     for size in range(len(words), 0, -1):

@@ -1,6 +1,5 @@
 """The table of a study, a row a sample, as CSV and Parquet; written in the order of the samples, a
-stretch at a time.
-"""
+stretch at a time."""
 
 from __future__ import annotations
 
@@ -30,8 +29,7 @@ from ehbench.vocabulary.units import from_si
 @dataclass(frozen=True)
 class MeasureColumn:
     """A column of measures: its name, the unit people see ('' for none), its quantity if its words
-    tell, and whether a sample that a limit stopped has it as well.
-    """
+    tell, and whether a sample that a limit stopped has it as well."""
 
     name: str
     unit: str
@@ -62,8 +60,7 @@ class MeasureColumn:
 @dataclass(frozen=True)
 class Rows:
     """The table in memory, column by column: ``inputs`` as numbers, shape (samples, inputs), a text
-    by its place among those of its column; ``measures`` as shown, shape (samples, measures).
-    """
+    by its place among those of its column; ``measures`` as shown, shape (samples, measures)."""
 
     inputs: np.ndarray
     texts: tuple[tuple[str, ...], ...]

@@ -1,7 +1,6 @@
 """Where samples are made: in threads or processes of this machine, or on a Dask cluster
 (`ehbench.sampling.cluster`). No sample depends on where or in which order it is
-made.
-"""
+made."""
 
 from __future__ import annotations
 
@@ -177,8 +176,7 @@ class Processes:
 @one_thread()
 def serve(descriptor: int) -> None:
     """Make samples for another process until it closes its end of the pipe; the keyboard is the
-    other process's matter.
-    """
+    other process's matter."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(descriptor)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):

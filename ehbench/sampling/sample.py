@@ -19,8 +19,7 @@ ENCRYPTED = ("tls", "wss")  # protocols of Dask
 
 class Certificates(NamedTuple):
     """PEM files of an encrypted connection: of the authority that signs for all machines of a
-    cluster, and this user's certificate and key.
-    """
+    cluster, and this user's certificate and key."""
 
     ca: Path
     cert: Path
@@ -101,8 +100,7 @@ WHOLE = (0, 3, 4)  # exit codes of samples that came to their end
 
 class Sample(NamedTuple):
     """The result of a sample: its number, exit code, status, message, measures [SI] (nan: it has
-    none), and how long it took [s], which no file states.
-    """
+    none), and how long it took [s], which no file states."""
 
     index: int
     code: int

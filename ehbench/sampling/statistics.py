@@ -1,6 +1,5 @@
 """What samples say together: quantiles and shares with their confidence limits, and which inputs
-matter. Pure functions of arrays.
-"""
+matter. Pure functions of arrays."""
 
 from __future__ import annotations
 
@@ -16,8 +15,7 @@ QUANTILES = (0.05, 0.5, 0.95, 0.99)
 
 class Quantile(NamedTuple):
     """A quantile of a measure: its ``share``, value, and the ends of its 95 % interval, None where
-    there are too few samples for one.
-    """
+    there are too few samples for one."""
 
     share: float
     value: float
@@ -70,8 +68,7 @@ def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
 class Sensitivity(NamedTuple):
     """How much an input moves a measure: ``first`` and ``total`` Sobol indices with ± their 95 %
     half widths, or the standardised coefficient of a rank regression as ``rank``; None: not of
-    this kind.
-    """
+    this kind."""
 
     key: str
     rank: float | None = None

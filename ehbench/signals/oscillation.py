@@ -92,8 +92,7 @@ def _tau(point: np.ndarray, tau: float) -> float:
 def waves(count: int, dampings: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Oscillations over an even window, outside of a parabola: their frequencies [rad a sample],
     from one period in the window to an eighth of the sampling rate, and each one's orthonormal
-    columns, shape (frequencies, dampings, 2, count); zero where the parabola makes them.
-    """
+    columns, shape (frequencies, dampings, 2, count); zero where the parabola makes them."""
     s = np.arange(count, dtype=float)
     lowest, highest = 2.0 * math.pi / s[-1], 2.0 * math.pi / 8.0
     frequencies = np.geomspace(lowest, max(highest, 1.1 * lowest), 48)

@@ -90,8 +90,7 @@ def resolution(values: np.ndarray) -> Resolution:
 def unrounded(t: np.ndarray, step: float) -> np.ndarray:
     """Times [s] of an even rate, where these are off it by no more than half the ``step`` [s] to
     which they are rounded, and too often for missing samples, or with rows missing on the beats of
-    a rate that the step still shows; others as they are.
-    """
+    a rate that the step still shows; others as they are."""
     steps = np.diff(t)
     if not np.isfinite(t).all() or t.size < SETTINGS.fewest or steps.min() < 0.0:
         return t
@@ -134,8 +133,7 @@ def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | No
 
 def missing_rows(t: np.ndarray, period: float, slack: float) -> np.ndarray:
     """Rows that are missing after each but the last, by its step alone, or, where stamps are off by
-    more than ``slack`` [s], by all of them; shape (rows − 1,).
-    """
+    more than ``slack`` [s], by all of them; shape (rows − 1,)."""
     steps = np.diff(t)
     missing = np.where(steps > period + slack, np.rint(steps / period) - 1, 0)
     if np.any(np.abs(steps - (missing + 1) * period) > slack):

@@ -1,3 +1,2 @@
 """Linear models of a cylinder at operating points, and the gain of the pressure feedback chosen
-from them.
-"""
+from them."""

@@ -1,6 +1,5 @@
 """The bandwidths of the adaptive robust controller: the fastest that keep margins at every
-operating point of the whole sampled loop (`ehbench.tune.arc_loop`).
-"""
+operating point of the whole sampled loop (`ehbench.tune.arc_loop`)."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ CHOSEN = (
 @dataclass(frozen=True)
 class ArcPoint:
     """An operating point and the margins there; ``delay_margin`` [s] as stated, ``frequency``
-    [rad/s] at which it would swing.
-    """
+    [rad/s] at which it would swing."""
 
     name: str
     function: str
@@ -67,8 +65,7 @@ class ArcPoint:
 @dataclass(frozen=True)
 class ArcCandidate:
     """Margins at the worst points for a ``sum`` of bandwidths [rad/s]; ``delay_margin`` [s] as
-    stated, ``met`` whether all demands are.
-    """
+    stated, ``met`` whether all demands are."""
 
     sum: float
     gain_margin: float
@@ -106,8 +103,7 @@ class ArcTuning:
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers, texts and lists; the gains stand at the top, where trials look for
-        them.
-        """
+        them."""
         return {"what": "arc", **self.gains, **asdict(self)}
 
 

@@ -57,8 +57,7 @@ ARC_LOOP = ArcLoopSettings()
 
 class Sensing(NamedTuple):
     """What lies between the machine and the controller: ``delay`` of all samples and ``lag`` of
-    those of pressure [s].
-    """
+    those of pressure [s]."""
 
     delay: float = 0.0
     lag: float = 0.0
@@ -67,8 +66,7 @@ class Sensing(NamedTuple):
 class LoopMargins(NamedTuple):
     """How far a loop is from swinging: factor ``gain`` of all commands, angle ``phase`` [rad] and
     extra ``delay`` [s] at which it begins, each by itself; the ``frequency`` [rad/s] at which it
-    swings then, by delay. All 0 where it swings as it is, infinite where nothing makes it swing.
-    """
+    swings then, by delay. All 0 where it swings as it is, infinite where nothing makes it swing."""
 
     gain: float
     phase: float
@@ -83,8 +81,7 @@ class LoopMargins(NamedTuple):
 
 class Sampled(NamedTuple):
     """A linear map from one tick to the next: state' = a·state + b·input, output = c·state +
-    d·input.
-    """
+    d·input."""
 
     a: np.ndarray
     b: np.ndarray
@@ -113,8 +110,7 @@ class Sampled(NamedTuple):
 @dataclass(frozen=True)
 class ArcLoop:
     """The loop at an operating point: ``plant`` from commands [V] to samples, ``law`` from samples
-    to commands, both over one ``tick`` [s]; ``lagged`` marks the samples of pressure.
-    """
+    to commands, both over one ``tick`` [s]; ``lagged`` marks the samples of pressure."""
 
     plant: Sampled
     law: Sampled
@@ -159,8 +155,7 @@ class ArcLoop:
 
     def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
         """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
-        from all commands to all, each a closed loop's pole where it is 1.
-        """
+        from all commands to all, each a closed loop's pole where it is 1."""
         highest = 0.98 * math.pi / self.tick
         modes = np.linalg.eigvals(self.plant.a)
         modes = np.log(modes[np.abs(modes) > 1e-6].astype(complex)) / self.tick
@@ -183,8 +178,7 @@ class ArcLoop:
 
     def margins(self, sensing: Sensing) -> LoopMargins:
         """Margins of all commands together: they are exact, as a common gain, angle or delay turns
-        every characteristic locus alike.
-        """
+        every characteristic locus alike."""
         if self.growth(sensing) > ARC_LOOP.growth:
             return LoopMargins(0.0, 0.0, 0.0, 0.0)
         w, loci = self.loci(sensing)
@@ -225,8 +219,7 @@ def _crossings(y: np.ndarray) -> list[tuple[int, float]]:
 class SampledPlant:
     """A steady motion of a rig, sampled: ``model`` with its payload, its other cylinders' valves
     shut, the ``point``, the map over a tick from the ``valves`` at work to the samples, and the
-    ``sample`` there.
-    """
+    ``sample`` there."""
 
     model: Model
     point: OperatingPoint
@@ -267,8 +260,7 @@ class SampledPlant:
 
     def stays(self, design_point: DesignPoint, gains: np.record) -> bool:
         """Whether the controller stays in the point's working function there: where it takes
-        another, the point is no steady motion of the loop.
-        """
+        another, the point is no steady motion of the loop."""
         tick = _LawTick(self, design_point, gains)
         tick.after(np.zeros(tick.sizes.size), np.zeros(tick.reads.size))
         return FUNCTIONS[int(tick.memory.state.function)] == self.point.function
@@ -344,8 +336,7 @@ def steady_memory(
     model: Model, point: OperatingPoint, design_point: DesignPoint, gains: np.record
 ) -> np.record:
     """The controller's memory, a record of type `arc.STATE`, in a steady motion in which it knows
-    its load.
-    """
+    its load."""
     axis, state = design_point.axis, arc.memory_of(design_point.axis).state
     state.started, state.function, state.age = 1, FUNCTIONS.index(point.function), 10.0
     state.metered = METERED[state.function]

@@ -44,8 +44,7 @@ class LinearModel:
 class ValveBlock(NamedTuple):
     """A valve as ``ẋ = a x + b u``, opening ``= c x``: its elements one behind the other.
 
-    ``states`` are their positions in the plant's state.
-    """
+    ``states`` are their positions in the plant's state."""
 
     states: tuple[int, ...]
     a: np.ndarray
@@ -73,8 +72,7 @@ def valve_block(model: Model, valve: int) -> ValveBlock:
 
 class _Sensing(NamedTuple):
     """A load-sensing pump about an operating point that it follows: the ``side`` that it feeds and
-    feels, and how fast it follows, ``rate`` [1/s].
-    """
+    feels, and how fast it follows, ``rate`` [1/s]."""
 
     side: int
     rate: float
@@ -92,8 +90,7 @@ def _sensing(model: Model, point: OperatingPoint) -> _Sensing | None:
 
 def part_states(model: Model, point: OperatingPoint) -> list[int]:
     """Where the plant has the states of the cylinder's lines, of the supply that feels it, of what
-    sways at it and of its mount.
-    """
+    sways at it and of its mount."""
     row = model.plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     supply = [] if _sensing(model, point) is None else [int(model.plant.at.supply)]
     mount = [int(row.mount_state)] if row.mount_state >= 0 else []
@@ -176,8 +173,7 @@ def _give_way(
     row: Any, point: OperatingPoint, names: Sequence[str], a: np.ndarray, inflow: np.ndarray
 ) -> None:
     """Write the row of a mount's deflection, and what the piston's speed u in its barrel changes of
-    the others: ``(c + f) u = c v + A1 P1 − A2 P2 − k δ``, f the slope of the friction.
-    """
+    the others: ``(c + f) u = c v + A1 P1 − A2 P2 − k δ``, f the slope of the friction."""
     at, slope = first_valve(names) - 1, float(friction_slope(row, point.v))
     slip = np.zeros(len(names))
     slip[:3] = row.mount_damping, row.area_head, -row.area_rod
@@ -201,8 +197,7 @@ def _swaying(row: Any, point: OperatingPoint, names: Sequence[str], a: np.ndarra
 
 def with_delays(linear: LinearModel, model: Model) -> LinearModel:
     """The model with the delays of its valves before them, in Padé form: e^(−sT) ≈ 1 − 2 a1 s/(s² +
-    a1 s + a0), a1 = 6/T, a0 = 12/T². Their states stand last.
-    """
+    a1 s + a0), a1 = 6/T, a0 = 12/T². Their states stand last."""
     late = model.plant.valves.delay[list(linear.valves)]
     size, fixed = linear.a.shape[0], 2 * int(np.count_nonzero(late))
     if not fixed:

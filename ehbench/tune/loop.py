@@ -156,8 +156,7 @@ def _seen(a: np.ndarray, sources: Sequence[int], size: int, delay: float) -> np.
     states, shape (sources, states); ``sources`` are their own states.
 
     A delay [s] is written into ``a``: the states from ``size`` on are those of its Padé form,
-    ``e^(−sT) ≈ 1 − 2 a1 s/(s² + a1 s + a0)`` with a1 = 6/T, a0 = 12/T².
-    """
+    ``e^(−sT) ≈ 1 − 2 a1 s/(s² + a1 s + a0)`` with a1 = 6/T, a0 = 12/T²."""
     seen = np.zeros((len(sources), a.shape[0]))
     seen[range(len(sources)), sources] = 1.0
     if delay > 0:
@@ -185,8 +184,7 @@ def damping_ratio(poles: Any, fastest: float = math.inf) -> np.ndarray:
 
 def dominant(poles: Any, fastest: float = math.inf) -> complex:
     """The least damped of the poles that `damping_ratio` counts, upper half plane; the slowest
-    where all are real.
-    """
+    where all are real."""
     size = np.abs(poles)
     counts = (size > AT_ZERO * size.max()) & ((size < fastest) | (poles.real > 0.0))
     among = poles[counts]
@@ -203,8 +201,7 @@ def violations(result: Margins, demands: dict[str, float]) -> list[str]:
 
 def margins(loop: Loop, gain: float) -> Margins:
     """Margins of the feedback loop and of the off-side loop, each with the other closed, and
-    bandwidth at a gain [m³/(s·Pa)].
-    """
+    bandwidth at a gain [m³/(s·Pa)]."""
     loops = _open_loops(loop, gain)
     if any(item.growth() > 0.0 for item in loops):
         return Margins(0.0, 0.0, bandwidth(loop, gain))
@@ -262,8 +259,7 @@ def bandwidth(loop: Loop, gain: float) -> float:
 
 def gain_limit(loop: Loop, gains: np.ndarray) -> float:
     """The gain [m³/(s·Pa)] above which the closed loop is unstable; inf if not within ``gains``, 0
-    if it is never stable.
-    """
+    if it is never stable."""
     from scipy.optimize import brentq
 
     def rightmost(gain):

@@ -188,8 +188,7 @@ class OperatingPoint:
 
 def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit:
     """The circuit of a cylinder as controllers take it, from a model and the measured maps it was
-    built on.
-    """
+    built on."""
     plant = model.plant
     measured = [map_of(maps, name) for name in model.layout.edges]
     row = plant.cylinders[cylinder]
@@ -268,8 +267,7 @@ class _Motion:
 
     def at_ports(self, p_head: float, p_rod: float) -> Pressures:
         """What the edges stand between [Pa], the supply's line at the pressure that it has there in
-        steady motion.
-        """
+        steady motion."""
         load = self.p_tank if self.fed is None else (p_head, p_rod)[self.fed]
         line = sensed(max(load, self.p_tank, self.aim.sensed), self.model.plant.supply)
         return Pressures(p_head, p_rod, line, self.p_tank)
@@ -287,8 +285,7 @@ class _Motion:
 
     def ports(self, v: float, p_head: float, p_rod: float) -> tuple[Pressures, np.ndarray]:
         """What the edges stand between at chamber pressures [Pa], and the flow along each path
-        [m³/s] that keeps both chambers steady (thesis 2.4, 2.5); a line's drop lies between.
-        """
+        [m³/s] that keeps both chambers steady (thesis 2.4, 2.5); a line's drop lies between."""
         row, p_tank = self.row, self.p_tank
         across = row.leakage_internal * (p_head - p_rod)
         q_head = row.area_head * v + across + row.leakage_head * (p_head - p_tank)
@@ -350,8 +347,7 @@ class _Motion:
 
     def common_opening(self, v: float, force: float) -> float:
         """Off-side pressure [Pa] at which one opening passes both ends' flows: where the low rail
-        is enough, on that, else on the line.
-        """
+        is enough, on that, else on the line."""
 
         def ports(off: float) -> tuple[Pressures, np.ndarray]:
             return self.ports(v, *self.chambers(force, off))
@@ -368,8 +364,7 @@ class _Motion:
 
     def about_rail(self, ports: _Ports, low: float, high: float) -> tuple[float, float]:
         """Off-side pressures [Pa] about the one above which the low rail is not enough, by
-        bisection.
-        """
+        bisection."""
         while high - low > POINT.pressure:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.railed(ports(middle)[0]) else (low, middle)
@@ -534,8 +529,7 @@ def _path(
     command: float | None = None,
 ) -> Path:
     """A path of a function at a flow and drop along it; at ``command`` where another path decides
-    it.
-    """
+    it."""
     if command is None:
         command = _command(circuit, path, flow, drop)
     edge, dp, du = (
@@ -570,8 +564,7 @@ def _path(
 @dataclass(frozen=True)
 class _Surplus:
     """What one opening passes at the other end beyond the flow that is needed there [m³/s], over
-    the off-side pressure [Pa]; ``ports`` gives what that makes of pressures and flows.
-    """
+    the off-side pressure [Pa]; ``ports`` gives what that makes of pressures and flows."""
 
     circuit: Circuit
     function: int
@@ -597,8 +590,7 @@ class _Surplus:
 
 class Hose(NamedTuple):
     """A line about an operating point: the ``side`` of its end, where its pressure stands in the
-    plant's ``state``, its ``row``, its ``drop`` [Pa] towards the chamber.
-    """
+    plant's ``state``, its ``row``, its ``drop`` [Pa] towards the chamber."""
 
     side: int
     state: int
@@ -628,8 +620,7 @@ def hoses_of(model: Model, point: OperatingPoint) -> list[Hose]:
 
 def at_its_supply(model: Model, point: OperatingPoint, pressure: float) -> Model:
     """The model for a point: where a load-sensing pump follows the ``pressure`` [Pa] of other
-    cylinders and not the point, its pressure is constant there.
-    """
+    cylinders and not the point, its pressure is constant there."""
     supply = model.plant.supply
     if supply.margin == 0.0 or point.p_supply > sensed(pressure, supply):
         return model
@@ -640,8 +631,7 @@ def at_its_supply(model: Model, point: OperatingPoint, pressure: float) -> Model
 
 def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
     """(plant state, commands [V]) of the steady motion; other cylinders carry their loads, their
-    valves shut.
-    """
+    valves shut."""
     names = model.layout
     index = names.cylinders.index(point.cylinder)
     y = model.trim(np.array(point.q))

@@ -29,8 +29,7 @@ DIGITS = 9  # of the numbers in the file
 class EdgeUse:
     """An edge under a working function: ``way`` +1 where oil flows from its first node to its
     second, −1 back, 0 shut; ``meters`` where it sets the motion; ``shares`` of A1 |v| and A2 |v|
-    that it then carries.
-    """
+    that it then carries."""
 
     name: str
     ends: tuple[str, str]
@@ -43,8 +42,7 @@ class EdgeUse:
 class FunctionUse:
     """A working function on a circuit: ``direction`` of motion ±1, ``along`` where the load is,
     ``cross`` the path between the two ends that it uses or '', ``metered`` the chamber that sets
-    the motion, ``draws`` oil from the supply for a way made [m²].
-    """
+    the motion, ``draws`` oil from the supply for a way made [m²]."""
 
     name: str
     direction: int
@@ -158,8 +156,7 @@ class Locus:
 @dataclass(frozen=True)
 class StepResponse:
     """Speed [m/s] after a step of 1 m/s in desired speed, without any feedback and with it, over
-    ``t`` [s].
-    """
+    ``t`` [s]."""
 
     name: str
     t: tuple[float, ...]
@@ -170,8 +167,7 @@ class StepResponse:
 @dataclass(frozen=True)
 class Alternative:
     """Another law at its own best gain: its least damping ratio over the operating points that
-    count.
-    """
+    count."""
 
     what: str
     washout: float
@@ -199,8 +195,7 @@ class Robustness:
     """Draws of the identified parameters: the share that reaches the target, and the range of the
     worst damping ratio (5, 50, 95 %).
 
-    ``points``: how many operating points, the least damped ones, each draw was judged at.
-    """
+    ``points``: how many operating points, the least damped ones, each draw was judged at."""
 
     draws: int
     parameters: tuple[str, ...]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -89,8 +90,7 @@ def best_gain(motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray) -> t
 
 def _reaches(motions: list[SteadyMotion], law: Law, gains: np.ndarray, minimum: float) -> bool:
     """Whether some gain gives every point at least this damping ratio. Moves a point that refuses
-    all gains to the front.
-    """
+    all gains to the front."""
     remaining = gains
     for i, motion in enumerate(motions):
         remaining = remaining[motion.loop(law).damping_ratio(remaining) >= minimum]
@@ -175,8 +175,7 @@ class LawSearch:
 
     def _fastest(self, washouts: Sequence[tuple[float, float]]) -> Law | None:
         """Of washouts that get slower, the first that reaches the target, then closer in by
-        bisection.
-        """
+        bisection."""
         faster_corner = 0.0
         for corner, ramp in washouts:
             law = self._reaching(corner, ramp)
@@ -228,8 +227,7 @@ def choose_gain(
     notes: list[Message],
 ) -> float:
     """The gain with the best worst case among those that keep the demands at every point; the best
-    of all where none does. What the demands cost goes to ``notes``.
-    """
+    of all where none does. What the demands cost goes to ``notes``."""
     from scipy.optimize import minimize_scalar
 
     worst = worst_damping(motions, law, gains)
@@ -237,7 +235,7 @@ def choose_gain(
     loops = [motion.loop(law) for motion in motions]
     best = int(order[0])
     ends = gains[[max(best - 1, 1), min(max(best + 1, 2), gains.size - 1)]]
-    between = minimize_scalar(
+    between: Any = minimize_scalar(
         lambda z: -float(worst_damping(motions, law, np.array([math.exp(z)]))[0]),
         bounds=tuple(np.log(ends)),
         method="bounded",
@@ -261,8 +259,7 @@ def choose_gain(
 
 def _keeps_demands(loops: list[Loop], gain: float, demands: dict[str, float]) -> bool:
     """Whether every loop keeps the demands at a gain. Moves one that does not to the front: it is
-    the likeliest to refuse the next.
-    """
+    the likeliest to refuse the next."""
     for i, loop in enumerate(loops):
         if violations(margins(loop, gain), demands):
             loops.insert(0, loops.pop(i))

@@ -35,8 +35,7 @@ STABILITY = StabilitySettings()
 class OpenLoop(NamedTuple):
     """A loop cut open, ``L(s) = c (s − a)⁻¹ b``; it is closed with a minus sign. Shapes (states,
     states), (states,), (states,). The states ``late`` are those of the Padé form of a ``delay``
-    [s] of the second order (`ehbench.tune.loop`).
-    """
+    [s] of the second order (`ehbench.tune.loop`)."""
 
     a: np.ndarray
     b: np.ndarray
@@ -46,15 +45,13 @@ class OpenLoop(NamedTuple):
 
     def growth(self, factor: float = 1.0) -> float:
         """Growth [1/s] of the fastest growing pole of the loop closed with a factor on it; none
-        below rounding.
-        """
+        below rounding."""
         poles = np.linalg.eigvals(self.a - factor * np.outer(self.b, self.c))
         return float(poles.real.max()) - STABILITY.calm * float(np.abs(self.a).max())
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """L(jω) at frequencies [rad/s], the delay exact: at each the clock of the Padé states goes
-        so fast that ``tan(ωT/2) = 6u/(12 − u²)``, the angle of their form at u.
-        """
+        so fast that ``tan(ωT/2) = 6u/(12 − u²)``, the angle of their form at u."""
         size = self.a.shape[0]
         clock = np.repeat(omega[:, None], size, axis=1)
         if self.delay > 0.0:
@@ -106,8 +103,7 @@ def _crossings(
     loop: OpenLoop, eigenvalues: np.ndarray, level: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """L where a level of it changes its sign: about each eigenvalue close to the imaginary axis,
-    and at the angles of a delay which its Padé form misses.
-    """
+    and at the angles of a delay which its Padé form misses."""
     known: np.ndarray = eigenvalues[np.isfinite(eigenvalues)]
     places = np.imag(known)[np.abs(np.real(known)) < STABILITY.near * np.imag(known)]
     turns = np.empty(0)

@@ -198,8 +198,7 @@ def _those_that_count(
 
 def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[Message]:
     """A note where points stand near the pressure at which the low rail is not enough any more:
-    a swing over it meets two supplies in turn, and no linear model has that.
-    """
+    a swing over it meets two supplies in turn, and no linear model has that."""
     low = rig.supply.low_rail
     if low is None:
         return []

@@ -63,8 +63,7 @@ def _draws(seed: int, name: str) -> np.random.Generator:
 
 def true_rig(recipe: BenchRecipe, rig: Rig) -> Rig:
     """The rig as the bench has it: overridden parameters, and an analytic law where the rig file
-    waits for a flow map.
-    """
+    waits for a flow map."""
     values = {}
     for name, text in recipe.truth.items():
         try:
@@ -133,8 +132,7 @@ def check_names(recipe: BenchRecipe, names: Layout) -> None:
 
 def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.record:
     """One direction of an edge. All draws are made whatever is given, so that giving one value
-    leaves the others.
-    """
+    leaves the others."""
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
     compensated = edge.law in ("compensated", "flow_control")
     low, high = (
@@ -167,8 +165,7 @@ def _tune(
     """(gain, offset) of a driver turned until the rig file's calibration holds, the command coming
     up from rest.
 
-    With one calibration point only the offset is turned; with more the first and the last hold.
-    """
+    With one calibration point only the offset is turned; with more the first and the last hold."""
     drop += float(row.cracking_pressure)  # a valve is calibrated without what stands behind it
     points = sorted(
         (float(read_value(u, VOCABULARY["command"])), float(read_value(q, VOCABULARY["flow"])))
@@ -398,8 +395,7 @@ def _sensors(of: _Seeded) -> np.recarray:
 
 def speed_filter(omega: float, zeta: float, tick: float) -> np.ndarray:
     """Numbers of `follow`: the 2 × 2 transition over a tick, row by row, the tick [s], and the lag
-    2 ζ/ω [s] on a ramp.
-    """
+    2 ζ/ω [s] on a ramp."""
     root = complex(zeta * zeta - 1.0) ** 0.5
     if abs(root) < 1e-6:
         root = complex(1e-6)

@@ -51,8 +51,7 @@ CREEP = 1.0e-3  # [m/s]: over which friction turns round
 @part_kernel
 def opening_area(wide, softness, saturation):
     """Opening [V of ideal travel] at ``wide`` [V] beyond the onset: ``w²/(w + softness)``, then
-    levelling off at saturation.
-    """
+    levelling off at saturation."""
     if wide <= 0.0:
         return 0.0
     soft = wide * wide / (wide + softness)
@@ -87,8 +86,7 @@ def curve_flow(drop, spool, curve):
 @part_kernel
 def edge_flow(drop, spool, edge, curves):
     """Flow [m³/s] along an edge at a drop [Pa] of either sign and a spool position [V], null
-    leakage included.
-    """
+    leakage included."""
     reach = edge.sign * spool
     if edge.law == PUMP:
         return pump.flow(drop, reach, edge, curves)
@@ -202,8 +200,7 @@ def _gripping(row, v, plant):
 @part_kernel
 def _supply(y, bench, dy, work):
     """Rates of the supply line, of the pump and of the pressure that it is told to hold; the
-    fastest of them [1/s].
-    """
+    fastest of them [1/s]."""
     at, line, fluid = bench.at, bench.supply, bench.fluid
     p, demand = y[at.supply], -work[at.net + SUPPLY]
     stiffness = line_stiffness(p, line)
@@ -230,8 +227,7 @@ def derivatives(y, target, bench, dy, work):
     """Write ẏ of the bench's continuous states into ``dy``; return the fastest rate [1/s] of the
     stiff blocks.
 
-    ``target`` [V] is where each driver wants its spool, shape (valves,).
-    """
+    ``target`` [V] is where each driver wants its spool, shape (valves,)."""
     fastest = valves(y, target, bench, dy, work)
     edges(y, bench, work)
     for i in range(bench.at.torque, bench.at.net):
@@ -286,8 +282,7 @@ def _delayed(state, bench, channel):
 @part_kernel
 def _measure(state, bench, noise_row, sample):
     """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
-    position.
-    """
+    position."""
     at, cylinders = bench.at, bench.cylinders.shape[0]
     place = int(state[at.place])
     for i in range(at.channels):

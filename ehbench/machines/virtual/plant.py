@@ -57,8 +57,7 @@ class BenchOffsets(NamedTuple):
     In the state: as `ehbench.plant.layout.Offsets`, then the ``pump``'s flow and the pressure it is
     to hold, ``sensed``; ``states`` that are integrated; then memory: ``hysteresis``, ``lags``,
     ``filters``, ``ring`` of the delay line, ``depth`` rows of it, its ``place``; ``size`` in all.
-    ``channels`` raw ones. In the workspace: as there.
-    """
+    ``channels`` raw ones. In the workspace: as there."""
 
     joints: int
     rates: int
@@ -119,8 +118,7 @@ def offsets_of(names: Layout, depth: int) -> BenchOffsets:
 
 class VirtualPlant(NamedTuple):
     """A bench as flat tables. ``delay``: whole ticks of the sensors' delay, ``share`` the rest of
-    it as a share of a tick; ``speed`` the numbers of the speed filter, see `speed_filter`.
-    """
+    it as a share of a tick; ``speed`` the numbers of the speed filter, see `speed_filter`."""
 
     kind: int
     gravity: np.ndarray
@@ -144,8 +142,7 @@ class VirtualPlant(NamedTuple):
 
 class Scratch(NamedTuple):
     """What a tick of the bench works in: ``k`` (5, states), ``work`` (at.work,), ``target`` [V]
-    (valves,), ``raw`` (channels,), and the ``line`` of past targets.
-    """
+    (valves,), ``raw`` (channels,), and the ``line`` of past targets."""
 
     k: np.ndarray
     work: np.ndarray

@@ -1,6 +1,5 @@
 """An edge behind a pressure compensator that holds its flow: above its drop nothing of it depends
-on the drop, so it damps nothing there.
-"""
+on the drop, so it damps nothing there."""
 
 from __future__ import annotations
 
@@ -16,8 +15,7 @@ from ehbench.runtime.compiled import part_kernel
 @part_kernel
 def level(drop, reference):
     """Share of the full flow [1] at drop ≥ 0: ``s (3 − s²)/2`` of ``s = √(Δp/Δp0)``, 1 from the
-    reference drop Δp0 [Pa] on; of slope 0 there, and of an orifice's at small drops.
-    """
+    reference drop Δp0 [Pa] on; of slope 0 there, and of an orifice's at small drops."""
     if drop >= reference:
         return 1.0
     share = root(drop) / root(reference)

@@ -44,8 +44,7 @@ class EdgeLaw:
 
     A law that is not ``metering`` passes oil at any opening and drop, gives flows of any sign, and
     may be that of an edge without a command; it is only of such edges where it is not
-    ``commanded``.
-    """
+    ``commanded``."""
 
     name: str
     columns: tuple[tuple[str, str], ...]

@@ -1,6 +1,5 @@
 """A valve held shut by a spring in series with a metering edge: counterbalance, overcentre or
-preload.
-"""
+preload."""
 
 from __future__ import annotations
 
@@ -11,16 +10,14 @@ from ehbench.runtime.compiled import part_kernel
 @part_kernel
 def preload(edge):
     """Pressure [Pa] that the spring takes of a drop along an edge; of oil that goes back, which the
-    valve's own check lets pass, it takes none.
-    """
+    valve's own check lets pass, it takes none."""
     return 0.0 if edge.unmetered == 1 else edge.cracking_pressure
 
 
 @part_kernel
 def metered(drop, edge):
     """What of a drop [Pa] of either sign is left for an edge's own law: ``Δp − cracking_pressure``,
-    0 up to there.
-    """
+    0 up to there."""
     return drop - min(max(drop, 0.0), preload(edge))
 
 

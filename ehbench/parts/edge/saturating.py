@@ -23,8 +23,7 @@ class SaturatingFields(FileModel):
 def area(reach, edge):
     """Opening [V] beyond the deadband that counts at ``reach`` > 0: as it is up to ``opening_max −
     saturation_softness``, ``opening_max − deadband`` from ``opening_max + saturation_softness`` on,
-    a parabola of matching slopes between.
-    """
+    a parabola of matching slopes between."""
     maximum, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = max(reach - edge.deadband, 0.0)
     if wide >= maximum + soft:
@@ -42,8 +41,7 @@ def flow(drop, reach, edge, maps):
 @part_kernel
 def opening(drop, flow, edge, maps):
     """Opening [V] at which ``flow`` passes; the widest for more than that gives, 0 for less than an
-    underlap lets through.
-    """
+    underlap lets through."""
     maximum, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = abs(flow) / (edge.gain * root(abs(drop)))
     if wide >= maximum:

@@ -1,7 +1,6 @@
 """Friction laws of a cylinder, a file each.
 
-To add one: write its file after ``stribeck.py`` (``lugre.py`` has a state) and name it in LAWS.
-"""
+To add one: write its file after ``stribeck.py`` (``lugre.py`` has a state) and name it in LAWS."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Coulomb and viscous friction, smoothed through zero speed.
 
 A smoothing speed replaces sticking by fast creep: at rest the law acts as a damper of
-coulomb/smoothing [N·s/m].
-"""
+coulomb/smoothing [N·s/m]."""
 
 from __future__ import annotations
 
@@ -18,8 +17,7 @@ COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
 
 class CoulombViscous(FrictionTable):
     """The law where nothing is said, by the cylinder's ``friction_viscous`` and
-    ``friction_coulomb``.
-    """
+    ``friction_coulomb``."""
 
     law: Literal["coulomb_viscous"]
 

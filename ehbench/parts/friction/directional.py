@@ -1,8 +1,7 @@
 """Coulomb friction that differs for extending and retracting, as seals of a rod and a piston do.
 
 A rod seal under pressure from one side drags more when it moves with the pressure than against it.
-Through zero speed both values are smoothed as in `coulomb_viscous`.
-"""
+Through zero speed both values are smoothed as in `coulomb_viscous`."""
 
 from __future__ import annotations
 
@@ -17,8 +16,7 @@ from ehbench.vocabulary.fields import Q, Value
 
 class Directional(FrictionTable):
     """``F = viscous·v + C tanh(v/v_s)``: C is the cylinder's ``friction_coulomb`` while it extends
-    and ``friction_retracting`` while it retracts.
-    """
+    and ``friction_retracting`` while it retracts."""
 
     law: Literal["directional"]
     friction_retracting: Annotated[Value, Q("friction_retracting")]

@@ -16,8 +16,7 @@ SETTLING = 5.0e-4
 
 class FrictionTable(FileModel):
     """Base of the tables ``[cylinder.friction]``, one a law, told apart by ``law``; what a law
-    needs has the names of its columns.
-    """
+    needs has the names of its columns."""
 
     def misfit(self, coulomb: float) -> tuple[str, str] | None:
         """(key, what is wrong with it) beside the cylinder's Coulomb friction [N]."""
@@ -44,8 +43,7 @@ class FrictionLaw:
     ``force(row, v, y)`` is the resistance now [N], ``loss(row, v, y)`` the power that turns to heat
     [W], ``rates(row, v, y, dy)`` writes the states' rates, ``settle(row, v, y)`` puts them where a
     lasting speed does, ``advance(row, v, dt, y)`` brings them on by ``dt`` [s] at a held speed, and
-    ``held(row, y)`` is the energy in them [J]. Without states the resistance is the steady one.
-    """
+    ``held(row, y)`` is the energy in them [J]. Without states the resistance is the steady one."""
 
     name: str
     table: type[FrictionTable]

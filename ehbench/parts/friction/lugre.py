@@ -4,8 +4,7 @@
 
 Canudas de Wit, Olsson, Åström & Lischinsky 1995. At rest the bristles are a spring of stiffness
 σ0; once a speed has lasted they bear g. What they hold is σ0 z²/2, what they lose ``F v − σ0 z ż``;
-that is ≥ 0 where σ1 |v| < 4 g.
-"""
+that is ≥ 0 where σ1 |v| < 4 g."""
 
 from __future__ import annotations
 
@@ -22,8 +21,7 @@ LEAST = 1.0e-3  # share of the break-away friction below which the bristles neve
 
 class LuGre(FrictionTable):
     """Bristles that bend by z: ``ż = v − σ0 |v|/g z``, ``F = σ0 z + σ1 ż + viscous v``, with g of
-    Stribeck's form from the cylinder's ``friction_coulomb``.
-    """
+    Stribeck's form from the cylinder's ``friction_coulomb``."""
 
     law: Literal["lugre"]
     friction_static: Annotated[Value, Q("friction_static")]

@@ -1,8 +1,7 @@
 """Stribeck friction, smoothed through zero speed: more at break-away than in motion.
 
 Like Coulomb friction it creeps at rest instead of sticking; its peak comes close to
-``friction_static`` where ``stribeck_speed`` lies well above SMOOTHING.
-"""
+``friction_static`` where ``stribeck_speed`` lies well above SMOOTHING."""
 
 from __future__ import annotations
 
@@ -19,8 +18,7 @@ SMOOTHING = 1.0e-3  # [m/s]: over which friction turns round
 
 class Stribeck(FrictionTable):
     """``F = viscous·v + (C + (S − C) e^−(v/v_st)²) tanh(v/v_s)``, with the cylinder's
-    ``friction_viscous`` and ``friction_coulomb``.
-    """
+    ``friction_viscous`` and ``friction_coulomb``."""
 
     law: Literal["stribeck"]
     friction_static: Annotated[Value, Q("friction_static")]

@@ -2,8 +2,7 @@
 the opening, a file an element.
 
 To add an element: write its file after ``first_order.py`` and name it in LAWS. A pure delay is none
-of them: those of a valve stand together before its elements, see ``delay.py``.
-"""
+of them: those of a valve stand together before its elements, see ``delay.py``."""
 
 from __future__ import annotations
 
@@ -91,8 +90,7 @@ def valve_settle(valve, value, plant, y):
 def valve_finish(valve, signal, plant, y, slope, d):
     """Better a valve's states after a Runge–Kutta step of ``d`` [s] under a held signal [V].
 
-    Only its first element has a signal that was held.
-    """
+    Only its first element has a signal that was held."""
     if valve.count > 0:
         element = plant.elements[valve.first]
         _finish(element.law, element, signal, y, slope, d)
@@ -129,8 +127,7 @@ def valve_advance(valve, signal, dt, plant, y, k):
 @part_kernel
 def valve_recover(valve, signal, dt, plant, y, later):
     """Find what a known opening in ``y`` says nothing of, from the opening ``later`` [V] by ``dt``
-    [s].
-    """
+    [s]."""
     if valve.count > 0:
         element = plant.elements[valve.first]
         _recover(element.law, element, signal, dt, y, later)

@@ -3,8 +3,7 @@
 The elements of a valve are linear, so that their delays stand together before them all: a valve
 feels the command of ``valve.delay`` ago. Commands are held from tick to tick; where the delay is no
 whole number of integration steps, a step feels the mean of what is late over it. Its impulse is
-exact then, and changes smoothly with the delay.
-"""
+exact then, and changes smoothly with the delay."""
 
 from __future__ import annotations
 
@@ -35,8 +34,7 @@ class Line(NamedTuple):
 
     ``tick`` [s]; ``past`` [V], shape (depth, valves), a ring by tick of as many as the longest
     delay needs, of one where there is none; ``count`` of ticks so far, shape (1,); ``held`` what
-    the plant feels of a row of commands over a step: forces that are played are never late.
-    """
+    the plant feels of a row of commands over a step: forces that are played are never late."""
 
     tick: float
     past: np.ndarray
@@ -46,8 +44,7 @@ class Line(NamedTuple):
 
 def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
     """The line of a plant that was commanded ``valves.before`` until now, by rows of at least
-    so many ``columns``.
-    """
+    so many ``columns``."""
     before, delay = plant.valves["before"], plant.valves["delay"]
     depth = math.ceil(delay.max() / tick) + 2 if delay.any() else 1
     played = 1 + int(plant.forces["played"].max(initial=-1))
@@ -61,8 +58,7 @@ def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
 @part_kernel
 def late_between(late, soon, since, first, h, tick):
     """What is felt over ``h`` [s] from ``since`` [s] on, by which the delay puts it: ``late`` in
-    its tick, the ``first``, ``soon`` in the next.
-    """
+    its tick, the ``first``, ``soon`` in the next."""
     share = min(max((since + h - (first + 1) * tick) / h, 0.0), 1.0)
     return late + share * (soon - late)
 
@@ -70,8 +66,7 @@ def late_between(late, soon, since, first, h, tick):
 @part_kernel
 def line_felt(line, command, plant, start, h):
     """Write what the valves feel over ``h`` [s] from ``start`` [s] of the present tick on into
-    ``line.held``, under its ``command`` [V].
-    """
+    ``line.held``, under its ``command`` [V]."""
     for i in range(command.shape[0]):
         line.held[i] = command[i]
     depth = line.past.shape[0]

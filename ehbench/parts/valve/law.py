@@ -50,8 +50,7 @@ class ValveElement:
     which the signal was held; ``slope`` holds the rates where the step began.
     ``lag(element)`` is the time [s] by which it trails a steady ramp.
     ``recover(element, signal, dt, y, later)`` finds the states behind its first one in ``y`` from
-    that one, and from what goes out ``later`` by ``dt`` [s] under a held signal [V].
-    """
+    that one, and from what goes out ``later`` by ``dt`` [s] under a held signal [V]."""
 
     name: str
     table: type[DynamicsTable]

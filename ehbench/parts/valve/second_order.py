@@ -18,8 +18,7 @@ SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
 
 class SecondOrder(DynamicsTable):
     """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
-    + 1.
-    """
+    + 1."""
 
     kind: Literal["second_order"] = "second_order"
     natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
@@ -143,8 +142,7 @@ def finish(element, signal, y, slope, d):
     """From the fourth to the eighth order of ``d`` [s]; a valve that has arrived is set down.
 
     The valve is linear and its signal is held, so a Runge–Kutta step is the Taylor series of its
-    exact answer up to d⁴; the next four terms follow from ``x⁽ⁿ⁺²⁾ = −ω² x⁽ⁿ⁾ − 2ζω x⁽ⁿ⁺¹⁾``.
-    """
+    exact answer up to d⁴; the next four terms follow from ``x⁽ⁿ⁺²⁾ = −ω² x⁽ⁿ⁾ − 2ζω x⁽ⁿ⁺¹⁾``."""
     at = element.state
     low, high = slope[at], slope[at + 1]
     if low == 0.0 and high == 0.0:
