@@ -31,56 +31,24 @@ def bench_file(name):
 
 def plain(rig, **given):
     """A bench file with all richness off that a file can switch off, on an orifice rig."""
-    edges = {}
+    edges, valves = {}, {}
     for c, v, e in rig.edges():
         curve = {"onset": f"{float(e.deadband)} V", "softness": "0 V", "saturation": "0 V"}
         curve |= {"gain_factor": "1"}
-        edges[f"{c.name}.{v.edge_name(e)}"] = {
-            **curve,
-            "null_leakage": "0 mL/min/bar",
-            "reverse": curve,
-        }
-    truth = {
-        f"{c.name}.leakage_{key}": "0 mL/min/bar"
-        for c in rig.cylinder
-        for key in ("internal", "head", "rod")
-    }
-    valves = {}
+        whole = curve | {"null_leakage": "0 mL/min/bar", "reverse": curve}
+        edges[f"{c.name}.{v.edge_name(e)}"] = whole
     for c, v in rig.valves():
         omega, zeta = rig.dynamics[v.dynamics].frequency_and_damping()
-        valves[f"{c.name}.{v.name}"] = {
-            "driver_gain": "1",
-            "driver_offset": "0 V",
-            "hysteresis": "0 V",
-            "natural_frequency": f"{omega!r} rad/s",
-            "damping_ratio": f"{zeta!r}",
-        }
-    table = {
-        "truth": truth,
-        "edge": edges,
-        "valve": valves,
-        "air_fraction": "0",
-        "pump_lag": "0 s",
-        "delay": "0 s",
-        "cylinder": {
-            "all": {
-                "friction_coulomb": "0 N",
-                "friction_static": "0 N",
-                "friction_viscous": "0 N*s/m",
-            }
-        },
-        "sensors": {
-            "all": {
-                "pressure_noise": "0 Pa",
-                "pressure_offset": "0 Pa",
-                "pressure_resolution": "0 Pa",
-                "pressure_lag": "0 s",
-                "position_noise": "0 m",
-                "position_resolution": "0 m",
-                "encoder_counts": 0,
-            }
-        },
-    }
+        own = {"driver_gain": "1", "driver_offset": "0 V", "hysteresis": "0 V"}
+        own |= {"natural_frequency": f"{omega!r} rad/s", "damping_ratio": f"{zeta!r}"}
+        valves[f"{c.name}.{v.name}"] = own
+    ends = [f"{c.name}.leakage_{key}" for c in rig.cylinder for key in ("internal", "head", "rod")]
+    friction = {"friction_coulomb": "0 N", "friction_static": "0 N", "friction_viscous": "0 N*s/m"}
+    sensors = {f"pressure_{key}": "0 Pa" for key in ("noise", "offset", "resolution")}
+    sensors |= {"pressure_lag": "0 s", "position_noise": "0 m", "position_resolution": "0 m"}
+    table = {"truth": dict.fromkeys(ends, "0 mL/min/bar"), "edge": edges, "valve": valves}
+    table |= {"air_fraction": "0", "pump_lag": "0 s", "delay": "0 s", "cylinder": {"all": friction}}
+    table |= {"sensors": {"all": sensors | {"encoder_counts": 0}}}
     return BenchRecipe(stage="bench", rig="", **(table | given))
 
 
@@ -119,9 +87,8 @@ def test_a_bench_without_a_file_is_plausible(name):
     table = bench.model.rest_commands(300)
     valves = [v for _, v in rig.valves()]
     for column, valve in enumerate(valves):
-        if len(valve.edge) > 1:
-            table[20:, column] = 0.4 * float(valve.command_max)
-        elif {valve.edge[0].from_, valve.edge[0].to} in ({"supply", "head"}, {"rod", "tank"}):  # pyright: ignore[reportGeneralTypeIssues]
+        ends = {valve.edge[0].from_, valve.edge[0].to}  # pyright: ignore[reportGeneralTypeIssues]
+        if len(valve.edge) > 1 or ends in ({"supply", "head"}, {"rod", "tank"}):
             table[20:, column] = 0.4 * float(valve.command_max)
     states, _ = drive(bench, table)
     n = len(bench.layout.joints)
@@ -151,10 +118,8 @@ def test_with_all_richness_off_the_bench_is_the_model(name):
     # the same laws, written twice: what is left is the integrators' own error
     assert (np.abs(states[:, : y.size] - log) / span).max() < 1e-6
     assert np.ptp(log[:, 0]) > 5e-3
-    nc = len(bench.layout.cylinders)
-    assert np.allclose(
-        samples[:, 4], log[:, bench.layout.state("p_head", 0)], rtol=1e-9, atol=1.0
-    ), nc
+    head = log[:, bench.layout.state("p_head", 0)]
+    assert np.allclose(samples[:, 4], head, rtol=1e-9, atol=1.0)
 
 
 def test_lossless_chambers_give_back_what_they_take():
@@ -176,20 +141,14 @@ def test_friction_and_damping_only_take_energy():
     bench.state[n : 2 * n] = 0.3, 0.4, -0.5
     states, _ = drive(bench, bench.model.rest_commands(4000))
     work = np.empty(work_size(n))
-    mechanical = np.array(
-        [
-            sum(energy(plant.kind, plant.links, plant.gravity, y[:n], y[n : 2 * n], work))
-            for y in states
-        ]
-    )
+    of = plant.kind, plant.links, plant.gravity
+    mechanical = np.array([sum(energy(*of, y[:n], y[n : 2 * n], work)) for y in states])
     rows = bench.bench.cylinders
     power = np.zeros(len(states))
     for c in range(3):
         _, lever = linkage_arrays(rows[c], states[:, c])
-        force = (
-            states[:, 2 * n + 2 * c] * rows[c].area_head
-            - states[:, 2 * n + 2 * c + 1] * rows[c].area_rod
-        )
+        head, rod = states[:, 2 * n + 2 * c], states[:, 2 * n + 2 * c + 1]
+        force = head * rows[c].area_head - rod * rows[c].area_rod
         power += force * lever * states[:, n + c]
     done = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]))]) / 4000.0
     lost = mechanical[0] - mechanical + done
@@ -201,15 +160,8 @@ def test_friction_and_damping_only_take_energy():
 def test_entrained_air_is_a_polytropic_gas():
     p, n, alpha, h = np.linspace(-0.9e5, 7e6, 50), 1.3, 0.004, 1.0
     for gauge in p:
-        absolute = gauge + ATMOSPHERE
-        air = (
-            alpha
-            * (
-                ((absolute - h) / ATMOSPHERE) ** (-1 / n)
-                - ((absolute + h) / ATMOSPHERE) ** (-1 / n)
-            )
-            / (2 * h)
-        )
+        low, high = (((gauge + ATMOSPHERE + side * h) / ATMOSPHERE) ** (-1 / n) for side in (-1, 1))
+        air = alpha * (low - high) / (2 * h)
         assert 1 / bulk(gauge, 3e8, alpha, n) == pytest.approx(1 / 3e8 + air, rel=1e-6)
     assert bulk(1e5, 3e8, 0.0, n) == 3e8
     stiff = [bulk(gauge, 3e8, alpha, n) for gauge in p]
@@ -249,13 +201,8 @@ def test_every_cartridge_is_tuned_to_its_calibration_and_none_is_like_another():
 def test_noise_has_the_stated_spread_and_no_memory():
     rig = shipped("slide_servo")
     noise, step = 5e3, 4e3
-    sensors = {
-        "all": {
-            "pressure_noise": f"{noise} Pa",
-            "pressure_resolution": f"{step} Pa",
-            "pressure_offset": "0 Pa",
-        }
-    }
+    own = {"pressure_noise": f"{noise} Pa", "pressure_resolution": f"{step} Pa"}
+    sensors = {"all": own | {"pressure_offset": "0 Pa"}}
     bench = VirtualMachine(rig, BenchRecipe(stage="bench", rig="", sensors=sensors), seed=3)
     bench.start()
     _, samples = drive(bench, bench.model.rest_commands(4000))
@@ -264,9 +211,8 @@ def test_noise_has_the_stated_spread_and_no_memory():
     # 4000 samples: the standard deviation is known to 1.1 %, a correlation to 1.6 %; four of those
     assert np.std(p) == pytest.approx(spread, rel=0.045)
     assert abs(np.corrcoef(p[1:], p[:-1])[0, 1]) < 0.064
-    assert np.mean(p) == pytest.approx(
-        bench.state[bench.bench.at.supply], abs=4 * spread / math.sqrt(4000)
-    )
+    near = pytest.approx(bench.state[bench.bench.at.supply], abs=4 * spread / math.sqrt(4000))
+    assert np.mean(p) == near
     x = samples[:, bench.channels.index("press.x")] / 2.54e-5
     assert np.abs(x - np.round(x)).max() < 1e-6
     assert abs(np.mean(samples[:, bench.channels.index("press.v")])) < 1e-4
@@ -280,9 +226,8 @@ def test_delay_and_lag_are_late_by_what_they_say():
     def heads(delay, lag):
         quiet = plain(rig)
         sensors = {"all": quiet.sensors["all"].model_copy(update={"pressure_lag": Value(lag)})}
-        bench = VirtualMachine(
-            rig, quiet.model_copy(update={"sensors": sensors, "delay": Value(delay)})
-        )
+        changed = {"sensors": sensors, "delay": Value(delay)}
+        bench = VirtualMachine(rig, quiet.model_copy(update=changed))
         bench.start()
         return drive(bench, table)[1][:, 4]
 
@@ -344,9 +289,8 @@ def test_the_step_is_fine_enough():
         bench = VirtualMachine(rig, file, step=step)
         bench.start()
         table = bench.model.rest_commands(600)
-        table[100:, bench.layout.valves.index("boom.hepc")] = 5.0
-        table[100:, bench.layout.valves.index("boom.rect")] = 5.0
-        table[100:, bench.layout.valves.index("swing.servo")] = 3.0
+        for valve, volts in {"boom.hepc": 5.0, "boom.rect": 5.0, "swing.servo": 3.0}.items():
+            table[100:, bench.layout.valves.index(valve)] = volts
         runs.append(drive(bench, table)[0])
     span = np.maximum(np.ptp(runs[1], axis=0), 1e-3)
     # a tenth of the sensors' resolution: the switching of friction and area limits the order
@@ -354,20 +298,10 @@ def test_the_step_is_fine_enough():
 
 
 def trial(seed, **given):
-    command = [
-        {
-            "valve": "press.servo",
-            "kind": "step",
-            "amplitude": "2 V",
-            "start": "0.05 s",
-            "stop": "0.3 s",
-        }
-    ]
-    table = {
-        "duration": "0.5 s",
-        "command": command,
-        "bench": str(ROOT / "recipes" / "bench" / "slide_servo.toml"),
-    } | given
+    command = {"valve": "press.servo", "kind": "step", "amplitude": "2 V"}
+    command |= {"start": "0.05 s", "stop": "0.3 s"}
+    file = str(ROOT / "recipes" / "bench" / "slide_servo.toml")
+    table = {"duration": "0.5 s", "command": [command], "bench": file} | given
     return TrialRecipe(stage="trial", rig="", on="bench", seed=seed, **table)
 
 
@@ -387,10 +321,8 @@ def test_a_dataset_is_recorded_again_byte_for_byte(name, tmp_path):
     stored = ROOT / "datasets" / name
     files = sorted(p.relative_to(made) for p in made.rglob("*") if p.is_file())
     assert files == sorted(p.relative_to(stored) for p in stored.rglob("*") if p.is_file())
-    stale = [
-        str(path) for path in files if (made / path).read_bytes() != (stored / path).read_bytes()
-    ]
-    assert not stale, "run `make datasets`"
+    same = [(made / path).read_bytes() == (stored / path).read_bytes() for path in files]
+    assert all(same), "run `make datasets`"
 
 
 def test_all_datasets_together_are_small():
@@ -398,32 +330,24 @@ def test_all_datasets_together_are_small():
 
 
 def test_an_unknown_dataset_is_named(tmp_path, capsys):
-    assert (
-        main(["nowhere", "--recipes", str(ROOT / "recipes" / "datasets"), "--out", str(tmp_path)])
-        == 2
-    )
+    recipes = str(ROOT / "recipes" / "datasets")
+    assert main(["nowhere", "--recipes", recipes, "--out", str(tmp_path)]) == 2
     assert "slide_servo" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "says"),
-    [
-        ('[edge."press.nothing"]\nonset = "1 V"\n', 3, "press.nothing"),
-        ('[truth]\n"press.bulk" = "1 GPa"\n', 3, "press.bulk"),
-        ('[truth]\nbulk_modulus = "1 kg"\n', 4, "kg"),
-        (
-            '[cylinder.press]\nfriction_coulomb = "9 N"\nfriction_static = "1 N"\n',
-            3,
-            "friction_static",
-        ),
-    ],
-)
+SLIPS = [
+    ('[edge."press.nothing"]\nonset = "1 V"\n', 3, "press.nothing"),
+    ('[truth]\n"press.bulk" = "1 GPa"\n', 3, "press.bulk"),
+    ('[truth]\nbulk_modulus = "1 kg"\n', 4, "kg"),
+    ('[cylinder.press]\nfriction_coulomb = "9 N"\nfriction_static = "1 N"\n', 3, "friction_static"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "says"), SLIPS)
 def test_a_wrong_bench_file_is_refused_with_its_line(tmp_path, text, line, says):
     path = tmp_path / "bench.toml"
-    path.write_text(
-        f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text
-    )
+    path.write_text(f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text)
     with pytest.raises(InputError, match=says) as error:
         VirtualMachine(shipped("slide_servo"), load_recipe(path))
     assert error.value.file == str(path) and error.value.line == line

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from closed_loop import circuit_of
 
 from ehbench.control import functions as fn
 from ehbench.control import pressure_feedback as pf
@@ -62,44 +63,26 @@ class Trial:
         plant, names = self.model.plant, self.model.layout
         self.index = names.cylinders.index(cylinder)
         row = plant.cylinders[self.index]
-        self.circuit = fn.circuit(
-            self.index,
-            row.area_head,
-            row.area_rod,
-            plant.edges,
-            plant.maps,
-            np.column_stack([plant.valves.lowest, plant.valves.highest]),
-        )
+        self.circuit = circuit_of(self.model, self.index)
         low = plant.supply.pressure / 20
         rules = fn.pack_rules(row.area_rod, plant.supply.pressure, low_pressure=low)
         off_gain = 10.0 * row.volume_rod / row.bulk_modulus
-        packed = pf.pack_pressure_feedback(
-            tick=TICK, rules=rules, off_gain=off_gain, low_pressure=low, **gains
-        )
+        gains |= {"tick": TICK, "rules": rules, "off_gain": off_gain, "low_pressure": low}
+        packed = pf.pack_pressure_feedback(**gains)
         channels = len(sample_channels(names.cylinders))
         given = pf.observed(self.circuit, channels) if given is None else np.full(channels, given)
         count = reference.shape[0]
-        self.samples, self.notes = (
-            np.empty((count, channels)),
-            np.zeros((count, pf.COLUMNS + 2 * self.circuit.count)),
-        )
+        self.samples = np.empty((count, channels))
+        self.notes = np.zeros((count, pf.COLUMNS + 2 * self.circuit.count))
         self.commands = np.empty((count, len(names.valves)))
-        start = self.model.trim(
-            self.model.posture({cylinder: at} if at else None), plant.tank_pressure + low
-        )
-        closed_loop(
-            start,
-            reference,
-            plant,
-            Law(self.circuit, packed, blank(pf.MEMORY), given, self.model.rest_commands(1)[0]),
-            self.samples,
-            self.notes,
-            self.commands,
-        )
-        self.x, self.v, self.p_head, self.p_rod = (
-            self.samples[:, entry(self.index, channel)]
-            for channel in (OF.x, OF.v, OF.p_head, OF.p_rod)
-        )
+        posture = self.model.posture({cylinder: at} if at else None)
+        start = self.model.trim(posture, plant.tank_pressure + low)
+        rest = self.model.rest_commands(1)[0]
+        law = Law(self.circuit, packed, blank(pf.MEMORY), given, rest)
+        closed_loop(start, reference, plant, law, self.samples, self.notes, self.commands)
+        words = (OF.x, OF.v, OF.p_head, OF.p_rod)
+        columns = (self.samples[:, entry(self.index, channel)] for channel in words)
+        self.x, self.v, self.p_head, self.p_rod = columns
 
     def note(self, name: str) -> np.ndarray:
         return self.notes[:, COLUMN[name]]
@@ -114,22 +97,18 @@ def swing(v: np.ndarray) -> tuple[float, float]:
 
 
 LIGHT = {"boom.joint_damping": 400.0, "poppet.natural_frequency": 2 * math.pi * 30.0}
+HEAVY = {"payload": "bucket", "values": LIGHT}
+LIFTS, LOWERS = (("thesis_arm", "boom", v) for v in (0.08, -0.05))
 STEPS = {
-    "arm lifts": (("thesis_arm", "boom", 0.08), {"at": "0.05 m"}, 8e-11),
-    "arm lifts 50 lb": (("thesis_arm", "boom", 0.08), {"at": "0.05 m", "payload": "50 lb"}, 8e-11),
-    "arm lowers": (("thesis_arm", "boom", -0.05), {"at": "0.2 m"}, 6e-11),
-    "arm lowers 50 lb": (("thesis_arm", "boom", -0.05), {"at": "0.2 m", "payload": "50 lb"}, 6e-11),
-    "four valves lift": (
-        ("boom_four_valve", "boom", 0.05),
-        {"at": "0.1 m", "payload": "bucket", "values": LIGHT},
-        4e-11,
-    ),
-    "four valves lower": (
-        ("boom_four_valve", "boom", -0.05),
-        {"at": "0.35 m", "payload": "bucket", "values": LIGHT},
-        4e-11,
-    ),
+    "arm lifts": (LIFTS, {"at": "0.05 m"}, 8e-11),
+    "arm lifts 50 lb": (LIFTS, {"at": "0.05 m", "payload": "50 lb"}, 8e-11),
+    "arm lowers": (LOWERS, {"at": "0.2 m"}, 6e-11),
+    "arm lowers 50 lb": (LOWERS, {"at": "0.2 m", "payload": "50 lb"}, 6e-11),
+    "four valves lift": (("boom_four_valve", "boom", 0.05), HEAVY | {"at": "0.1 m"}, 4e-11),
+    "four valves lower": (("boom_four_valve", "boom", -0.05), HEAVY | {"at": "0.35 m"}, 4e-11),
 }
+SHARES = {"arm lifts": 0.015, "arm lowers": 0.015}
+SHARES |= {"four valves lift": 0.002, "four valves lower": 0.002}
 
 
 WASHOUT = 2 * math.pi * 1.5
@@ -138,9 +117,8 @@ WASHOUT = 2 * math.pi * 1.5
 def step(name, gain, washout=WASHOUT, **more):
     (rig, cylinder, v_d), where, _ = STEPS[name]
     reference = tr.velocity_steps([v_d], duration=1.2, tick=TICK, rest=0.3)[:1500]
-    return Trial(
-        rig, cylinder, reference, feedback_gain=gain, washout=washout, **(where | more)
-    ), v_d
+    given = where | more | {"feedback_gain": gain, "washout": washout}
+    return Trial(rig, cylinder, reference, **given), v_d
 
 
 @pytest.mark.parametrize("name", STEPS)
@@ -154,33 +132,23 @@ def test_a_step_is_damped(name):
     # what is left of the steady error is the load that changes along the stroke: a washout passes
     # Ṗ/ω_w of a ramp
     slope = np.polyfit(np.arange(400) * TICK, fed.p_head[-400:], 1)[0]
-    assert fed.note("feedback_flow")[-400:].mean() == pytest.approx(
-        gain * slope / WASHOUT, rel=0.1, abs=1e-3 * abs(v_d) * fed.circuit.area_head
-    )
+    least = 1e-3 * abs(v_d) * fed.circuit.area_head
+    mean = fed.note("feedback_flow")[-400:].mean()
+    assert mean == pytest.approx(gain * slope / WASHOUT, rel=0.1, abs=least)
 
 
-@pytest.mark.parametrize(
-    ("name", "share"),
-    [
-        ("arm lifts", 0.015),
-        ("arm lowers", 0.015),
-        ("four valves lift", 0.002),
-        ("four valves lower", 0.002),
-    ],
-)
+@pytest.mark.parametrize(("name", "share"), SHARES.items())
 def test_with_washout_the_steady_speed_is_that_of_the_open_loop(name, share):
-    """Without gravity the load is nearly steady, so a washout leaves the speed alone.
-
-    After 1 s its memory of the start is e^−9. On the arm the lever, and with it the force of the
-    strong joint damping, still changes along the stroke: 1.5 % instead of 0.2 %."""
+    """Without gravity the load is nearly steady; after 1 s the washout's memory of the start is
+    e^−9. On the arm the force of the joint damping still changes along the stroke: 1.5 %, not
+    0.2 %.
+    """
     calm = {**STEPS[name][1].get("values", {}), "gravity": 0.0}
     open_loop, fed = (step(name, k, values=calm)[0].v[-200:].mean() for k in (0.0, STEPS[name][2]))
     assert fed == pytest.approx(open_loop, rel=share)
 
 
-@pytest.mark.parametrize(
-    "name", ["arm lifts", "arm lowers", "four valves lift", "four valves lower"]
-)
+@pytest.mark.parametrize("name", SHARES)
 def test_without_washout_the_load_biases_the_steady_speed(name):
     """The metered chamber takes A v + V Ṗ/β_e = A v_d − K_p P at steady speed."""
     trial, v_d = step(name, 2e-11, washout=0.0)
@@ -210,32 +178,18 @@ class Alone:
 
     def __init__(self, **gains) -> None:
         c = self.circuit = FIVE.circuit
-        defaults = {
-            "rules": fn.pack_rules(c.area_rod, 7e6),
-            "off_gain": 1e-11,
-            "low_pressure": 3.5e5,
-        }
-        self.gains = pf.pack_pressure_feedback(**({"tick": TICK} | defaults | gains))
-        self.memory, self.note, self.command = (
-            blank(pf.MEMORY),
-            np.zeros(pf.COLUMNS + 2 * c.count),
-            np.zeros(7),
-        )
+        defaults = {"rules": fn.pack_rules(c.area_rod, 7e6), "off_gain": 1e-11, "tick": TICK}
+        self.gains = pf.pack_pressure_feedback(**(defaults | {"low_pressure": 3.5e5} | gains))
+        self.memory, self.command = blank(pf.MEMORY), np.zeros(7)
+        self.note = np.zeros(pf.COLUMNS + 2 * c.count)
 
     def tick(self, v_d, p_head, p_rod, p_supply=7e6, p_tank=0.0):
         sample = np.full(20, np.nan)
         at = pressure_entries(self.circuit.cylinder, sample.size)
         sample[at] = p_head, p_rod, p_supply, p_tank
-        pf.step(
-            0.0,
-            sample,
-            np.array([np.nan, v_d, 0.0, 0.0]),
-            self.circuit,
-            self.gains,
-            self.memory,
-            self.command,
-            self.note,
-        )
+        reference = np.array([np.nan, v_d, 0.0, 0.0])
+        laws = self.circuit, self.gains, self.memory
+        pf.step(0.0, sample, reference, *laws, self.command, self.note)
         return {name: self.note[i] for name, i in COLUMN.items()}
 
 
@@ -258,9 +212,8 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     inflow = []
     for more in (0.0, 3e4):
-        alone = Alone(
-            feedback_gain={codes.FUNCTIONS[function]: 2e-10}, washout=5.0, off_gain=0.0, rules=rules
-        )
+        gains = {codes.FUNCTIONS[function]: 2e-10}
+        alone = Alone(feedback_gain=gains, washout=5.0, off_gain=0.0, rules=rules)
         alone.tick(v_d, p_head, p_rod)
         head = fn.METERED[function] == fn.HEAD
         note = alone.tick(v_d, p_head + more * head, p_rod + more * (not head))
@@ -271,17 +224,16 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
     first = 0.5 * (1.0 + math.exp(-5.0 * TICK))  # of a step, as a washout sees it half a tick later
     assert inflow[1] - inflow[0] == pytest.approx(-2e-10 * 3e4 * first, rel=1e-12)
     # a gain of another function does not act
-    other = Alone(
-        feedback_gain={codes.FUNCTIONS[1 + function % 7]: 2e-10}, washout=5.0, rules=rules
-    )
+    gains = {codes.FUNCTIONS[1 + function % 7]: 2e-10}
+    other = Alone(feedback_gain=gains, washout=5.0, rules=rules)
     other.tick(v_d, p_head, p_rod)
     assert other.tick(v_d, p_head + 3e4, p_rod + 3e4)["feedback_flow"] == 0.0
 
 
 @pytest.mark.parametrize("function", CHOSEN)
 def test_the_off_side_is_driven_to_its_set_point(function):
-    """Its flow is A v_d, and off_gain·(set − p) more into it: the set-point is low, in the seventh
-    Δp3 above the head end.
+    """off_gain·(set − p) more than A v_d into it; the set-point is low, in the seventh Δp3
+    above.
     """
     v_d, p_head, p_rod = CHOSEN[function]
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
@@ -289,14 +241,11 @@ def test_the_off_side_is_driven_to_its_set_point(function):
     note = alone.tick(v_d, p_head, p_rod, p_tank=1e5)
     assert note["function"] == function
     low = p_head + rules.cross_drop if function == 7 else 1e5 + 3.5e5
+    c, word, way, p = alone.circuit, "head", 1.0, p_head
     if fn.METERED[function] == fn.HEAD:
-        assert note["flow_rod_desired"] == pytest.approx(
-            alone.circuit.area_rod * v_d - 2e-11 * (low - p_rod), rel=1e-12
-        )
-    else:
-        assert note["flow_head_desired"] == pytest.approx(
-            alone.circuit.area_head * v_d + 2e-11 * (low - p_head), rel=1e-12
-        )
+        word, way, p = "rod", -1.0, p_rod
+    expected = {"head": c.area_head, "rod": c.area_rod}[word] * v_d + way * 2e-11 * (low - p)
+    assert note[f"flow_{word}_desired"] == pytest.approx(expected, rel=1e-12)
 
 
 def test_washouts_forget_a_step_and_two_forget_a_ramp():
@@ -312,9 +261,8 @@ def test_washouts_forget_a_step_and_two_forget_a_ramp():
         # a step between two samples is half a tick old, on average, when it is first seen
         np.testing.assert_allclose(np.array(back) / 1e-5, step_back, atol=2 * omega * TICK)
         ramp = [alone.tick(0.05, 2.1e6 + 1e5 * TICK * i, 5e5)["feedback_flow"] for i in range(3000)]
-        assert ramp[-1] == pytest.approx(
-            1e-5 * ramp_back, abs=1e-5 * (1e-5 + 25 * math.exp(-3 * omega))
-        )
+        least = 1e-5 * (1e-5 + 25 * math.exp(-3 * omega))
+        assert ramp[-1] == pytest.approx(1e-5 * ramp_back, abs=least)
 
 
 @pytest.mark.parametrize("corner", [0.5, 20.0, 300.0])
@@ -324,10 +272,8 @@ def test_a_washout_turns_the_phase_as_its_transfer_function_does(corner):
     wave = np.exp(1j * omega * t)
     alone = Alone(feedback_gain=1e-10, washout=corner)
     alone.tick(0.05, 2e6, 5e5)
-    back = (
-        np.array([alone.tick(0.05, 2e6 + 1e5 * w.real, 5e5)["feedback_flow"] for w in wave])[1000:]
-        / 1e-5
-    )
+    flows = [alone.tick(0.05, 2e6 + 1e5 * w.real, 5e5)["feedback_flow"] for w in wave]
+    back = np.array(flows)[1000:] / 1e-5
     seen = 2 * np.mean(back * wave[1000:].conj())
     exact = 1j * omega / (1j * omega + corner)
     assert abs(seen / exact - 1) < ((omega * TICK) ** 2 + (corner * TICK) ** 2) / 12 + 1e-3
@@ -360,9 +306,8 @@ def test_hold_shuts_and_others_are_left_alone():
     note = alone.tick(0.0, 2e6, 5e5)
     assert note["function"] == codes.HOLD
     assert note["flow_head_desired"] == note["feedback_flow"] == 0.0
-    valves = sorted(
-        set(alone.circuit.edges.valve[alone.circuit.first :][: alone.circuit.count].tolist())
-    )
+    first, count = alone.circuit.first, alone.circuit.count
+    valves = np.unique(alone.circuit.edges.valve[first : first + count])
     assert not alone.command[valves].any() and (np.delete(alone.command, valves) == 3.0).all()
 
 
@@ -388,12 +333,8 @@ def test_beyond_what_the_supply_gives_it_saturates_says_so_and_comes_back():
 
 def test_channels_have_words_and_masks_have_four():
     names = pf.LAW.channels("boom", tuple(f"boom.{edge}" for edge in ("a", "b")))
-    assert len(names) == pf.COLUMNS + 4 == len(set(names)) and names[-4:] == (
-        "boom.a.flow_desired",
-        "boom.b.flow_desired",
-        "boom.a.limits",
-        "boom.b.limits",
-    )
+    last = tuple(f"boom.{edge}.{word}" for word in ("flow_desired", "limits") for edge in "ab")
+    assert len(names) == pf.COLUMNS + 4 == len(set(names)) and names[-4:] == last
     assert all(quantity(name) for name in names)
     mask = pf.observed(FIVE.circuit, 20)
     assert np.flatnonzero(mask).tolist() == [10, 11, 18, 19]

@@ -60,11 +60,8 @@ def a_map(valve: str, direction: str, deadband: float) -> FlowMap:
 
 def flow_map_run(root: Path) -> Path:
     folder, random = made(root, "maps"), np.random.default_rng(5)
-    maps = [
-        a_map("hect", "forward", 1.5),
-        a_map("hect", "reverse", 2.0),
-        a_map("valve/2 & co", "forward", 1.0),
-    ]
+    named = (("hect", "forward", 1.5), ("hect", "reverse", 2.0), ("valve/2 & co", "forward", 1.0))
+    maps = [a_map(*row) for row in named]
     save_flow_maps(collect(maps), folder)
     head = "valve,direction,command [V],pressure_drop [bar],flow [L/min],fitted [L/min],method"
     rows, summary = [f"{head},outlier,file,line"], []
@@ -101,14 +98,8 @@ def write_series(
         if simulated:
             columns[f"simulated.{name} [{unit}]"] = 1.05 * size * np.sin(6 * t + 0.05)
     (folder / "series").mkdir(exist_ok=True)
-    np.savetxt(
-        folder / "series" / f"{log}.csv",
-        np.column_stack(list(columns.values())),
-        "%.9g",
-        ",",
-        header=",".join(columns),
-        comments="",
-    )
+    file, text = folder / "series" / f"{log}.csv", ",".join(columns)
+    np.savetxt(file, np.column_stack(list(columns.values())), "%.9g", ",", header=text, comments="")
 
 
 def hydraulics_run(root: Path) -> Path:
@@ -121,13 +112,8 @@ def hydraulics_run(root: Path) -> Path:
 
 def validation_run(root: Path) -> Path:
     folder, judged = made(root, "judged"), table("judged")
-    correlation = {
-        "of": "boom.q",
-        "lag": [0.01 * i for i in range(1, 30)],
-        "value": [0.9**i for i in range(29)],
-        "band": [0.2] * 29,
-        "outside_percent": 48.0,
-    }
+    correlation = {"of": "boom.q", "lag": [0.01 * i for i in range(1, 30)], "band": [0.2] * 29}
+    correlation |= {"value": [0.9**i for i in range(29)], "outside_percent": 48.0}
     crossed = [correlation | {"of": "boom.hect.command"}]
     for name, size in FOUR.items():
         errors = {"max_error": 0.02 * size, "bias": 0.001 * size, "rms_error": 0.01 * size}
@@ -150,14 +136,11 @@ def open_loop_run(
     folder = made(root, f"trial_{rig}", rig)
     cylinder, valve = next(load_rig(folder).valves())
     t, base = np.arange(0.0, 1.0, 1e-3), cylinder.name
-    channels = {
-        f"{base}.x": 0.1 * t,
-        f"{base}.v": np.full_like(t, 0.1),
-        f"{base}.p_head": 1e6 + 1e5 * np.sin(20 * t),
-        f"{base}.p_rod": np.full_like(t, 5e5),
-        f"{base}.{valve.name}.command": np.where(t > 0.3, 2.0, 0.0),
-        "p_supply": np.full_like(t, 7e6),
-    }
+    channels = {"x": 0.1 * t, "v": np.full_like(t, 0.1), "p_rod": np.full_like(t, 5e5)}
+    channels |= {"p_head": 1e6 + 1e5 * np.sin(20 * t)}
+    channels |= {f"{valve.name}.command": np.where(t > 0.3, 2.0, 0.0)}
+    channels = {f"{base}.{name}": values for name, values in channels.items()}
+    channels |= {"p_supply": np.full_like(t, 7e6)}
     write_log(folder / "log.mcap", Record(t, channels, {"stopped": stopped} if stopped else {}))
     about = {"duration": 0.999, "samples": 1000, "seed": 7, "stopped": stopped}
     known = {"on": "virtual bench", "payload": "none", "posture": {}}
@@ -186,9 +169,9 @@ class Page(HTMLParser):
         named = dict(attributes)
         self.ids += [named["id"]] if "id" in named else []
         self.links += [value for key, value in attributes if key in ("href", "xlink:href")]
-        self.loads += [
-            value for key, value in attributes if key in ("src", "srcset", "data", "action")
-        ] + [tag] * (tag in ("script", "link", "iframe"))
+        loading = ("src", "srcset", "data", "action")
+        self.loads += [value for key, value in attributes if key in loading]
+        self.loads += [tag] * (tag in ("script", "link", "iframe"))
         for value in named.values():
             self.links += re.findall(r"url\((#[^)]+)\)", value or "")
         if tag not in VOID:
@@ -229,32 +212,20 @@ def point(function: str, payload: str, x: float, counts: bool, **more) -> dict:
 def locus(name: str, parameter: str, crossing: float | None) -> dict:
     """A pair from (−4, ±40) that crosses the axis at ±60, a real pole, and a slow one."""
     values = sorted({0.0, 1e-10, 8e-10, *np.geomspace(1e-12, 2e-9, 30).tolist()})
-    poles = [
-        [
-            complex(-4 - 60 * g / 1e-10 + 7.58 * (g / 1e-10) ** 2, 40 + 2.5e10 * g),
-            complex(-200 - 1e11 * g),
-            complex(-0.01),
-        ]
-        for g in values
-    ]
-    poles = [[p[0], p[0].conjugate(), p[1], p[2]] for p in poles]
+    shares = [(g, g / 1e-10) for g in values]
+    pairs = [complex(-4 - 60 * s + 7.58 * s**2, 40 + 2.5e10 * g) for g, s in shares]
+    slow = [complex(-200 - 1e11 * g) for g in values]
+    poles = [[p, p.conjugate(), s, complex(-0.01)] for p, s in zip(pairs, slow, strict=True)]
 
     def at(value: float) -> list[list[float]]:
         return [[p.real, p.imag] for p in poles[values.index(value)]]
 
     edge = [[0.0, 60.0], [0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0]]
-    return {
-        "name": name,
-        "parameter": parameter,
-        "values": values,
-        "real": [[p.real for p in row] for row in poles],
-        "imag": [[p.imag for p in row] for row in poles],
-        "chosen": 1e-10,
-        "chosen_poles": at(1e-10),
-        "crossing": crossing,
-        "crossing_poles": edge if crossing else [],
-        "frame": [-120.0, 30.0, 100.0],
-    }
+    given = {"name": name, "parameter": parameter, "values": values, "chosen": 1e-10}
+    given |= {"real": [[p.real for p in row] for row in poles]}
+    given |= {"imag": [[p.imag for p in row] for row in poles]}
+    given |= {"chosen_poles": at(1e-10), "crossing": crossing, "frame": [-120.0, 30.0, 100.0]}
+    return given | {"crossing_poles": edge if crossing else []}
 
 
 RIG = shipped("thesis_arm")
@@ -274,25 +245,16 @@ def tuning(**more) -> dict:
     opened, closed = 1 - np.exp(-2 * t) * np.cos(20 * t), 1 - np.exp(-15 * t)
     result = table("tuning", gains=GAINS, worst_curve=points[0]["curve"], functions=USES)
     result["robustness"]["damping_ratios"] = np.linspace(0.46, 0.62, 40).tolist()
-    result |= {
-        "points": points,
-        "equivalents": [
-            {"payload": load, "x": x.tolist(), "q": (0.7 - 4 * x).tolist()}
-            | {"mass": (s * (1e3 + 1e4 * x)).tolist(), "gravity_force": [s * 2e3] * 15}
-            | {"damping": [6e3] * 15}
-            for s, load in ((1.0, "none"), (2.0, "50 lb"))
-        ],
-        "loci": [
-            locus(p["name"], kind, p["gain_limit"] if kind == "feedback_gain" else None)
-            for p in shown
-            for kind in ("feedback_gain", "washout")
-        ],
-        "steps": [
-            {"name": p["name"], "t": t.tolist()}
-            | {"v_open": opened.tolist(), "v_closed": closed.tolist()}
-            for p in shown
-        ],
-    }
+    kinds = ("feedback_gain", "washout")
+    limit = {"feedback_gain": "gain_limit"}
+    result["loci"] = [locus(p["name"], k, p.get(limit.get(k))) for p in shown for k in kinds]
+    speeds = {"t": t.tolist(), "v_open": opened.tolist(), "v_closed": closed.tolist()}
+    result["steps"] = [{"name": p["name"]} | speeds for p in shown]
+    result |= {"points": points, "equivalents": []}
+    for s, load in ((1.0, "none"), (2.0, "50 lb")):
+        one = {"payload": load, "x": x.tolist(), "q": (0.7 - 4 * x).tolist(), "damping": [6e3] * 15}
+        one |= {"mass": (s * (1e3 + 1e4 * x)).tolist(), "gravity_force": [s * 2e3] * 15}
+        result["equivalents"].append(one)
     return result | more
 
 
@@ -328,36 +290,23 @@ def log(
     v_d = np.where(on, 0.1, 0.0)
     v = np.where(on, 0.1 * (1 - gain * np.exp(-3 * (t - 0.5)) * np.cos(25 * (t - 0.5))), 0.0)
     x_d = 0.05 + np.cumsum(v_d) * 1e-3
-    channels = {
-        f"{own}.x": x_d + gain * 1e-3 * on,
-        f"{own}.v": v,
-        f"{own}.p_head": 1e6 + 1e6 * v,
-        f"{own}.p_rod": np.full_like(t, 3e5),
-        f"{own}.hepc.command": np.where(on, 5.0, 0.0),
-        f"{own}.rect.command": np.zeros_like(t),
-        "p_supply": np.full_like(t, 7e6),
-        f"{own}.x_desired": x_d,
-        f"{own}.v_desired": v_d,
-    }
+    channels = {"x": x_d + gain * 1e-3 * on, "v": v, "x_desired": x_d, "v_desired": v_d}
+    channels |= {"p_head": 1e6 + 1e6 * v, "p_rod": np.full_like(t, 3e5)}
+    channels |= {"hepc.command": np.where(on, 5.0, 0.0), "rect.command": np.zeros_like(t)}
     if notes:
-        channels |= {
-            f"{own}.function": on * 1.0,
-            f"{own}.limits": np.where((t > 0.6) & (t < 0.7), 17.0, 0.0),
-            f"{own}.v_shaped": v_d,
-        }
+        limits = np.where((t > 0.6) & (t < 0.7), 17.0, 0.0)
+        channels |= {"function": on * 1.0, "limits": limits, "v_shaped": v_d}
     if learns:
-        channels |= {
-            f"{own}.payload_estimate": 26.0 * (1 - np.exp(-t)),
-            f"{own}.inverse_bulk": 1.0 + 0.1 * on,
-            f"{own}.disturbance": 5 * np.sin(t),
-        }
+        channels |= {"payload_estimate": 26.0 * (1 - np.exp(-t))}
+        channels |= {"inverse_bulk": 1.0 + 0.1 * on, "disturbance": 5 * np.sin(t)}
+    channels = {f"{own}.{name}": values for name, values in channels.items()}
+    channels |= {"p_supply": np.full_like(t, 7e6)}
     text = (
         b'[[motion]]\nname = "70 %"\nlevels = ["70 %"]\n[[controller]]\nkind = "arc"\n'
         b"gains = { adapt = false }\n"
     )
-    write_log(
-        path, Record(t, channels, {"stopped": stopped} if stopped else {}, {"recipe.toml": text})
-    )
+    meta = {"stopped": stopped} if stopped else {}
+    write_log(path, Record(t, channels, meta, {"recipe.toml": text}))
 
 
 STEP = table("step")
@@ -391,24 +340,14 @@ def trials_run(
     return folder
 
 
-DAMPED = STEP | {
-    "overshoot": 0.2,
-    "damping_ratio": None,
-    "settling_time": 0.3,
-    "ringing": "only 0.9 cycles in the window",
-}
+DAMPED = STEP | {"overshoot": 0.2, "damping_ratio": None, "settling_time": 0.3}
+DAMPED |= {"ringing": "only 0.9 cycles in the window"}
 PAIR = {
     "open loop": measures(2000.0, 2e-3, [STEP]),
     "pressure feedback": measures(1900.0, 5e-3, [DAMPED]),
 }
-TRACKED = {
-    name: measures(energy, error, [])
-    for name, energy, error in (
-        ("arc", 2100.0, 1e-4),
-        ("frozen", 2050.0, 4e-3),
-        ("four-way", 3300.0, 3e-4),
-    )
-}
+ERRORS = {"arc": (2100.0, 1e-4), "frozen": (2050.0, 4e-3), "four-way": (3300.0, 3e-4)}
+TRACKED = {name: measures(energy, error, []) for name, (energy, error) in ERRORS.items()}
 
 
 def trial_run(root: Path, name: str = "arc", stopped: str = "", **more) -> Path:
@@ -432,19 +371,10 @@ def ledger(pump: float) -> dict:
         ("boom.drawn_compression", 0.0, "cylinder", "compression", "boom"),
         ("boom.work", 0.3 * pump, "cylinder", "work", "boom"),
     ]
-    rows = [
-        dict(zip(("name", "energy", "group", "label", "cylinder"), one, strict=True), interval=None)
-        for one in parts
-    ]
-    return {
-        "source": "model",
-        "rig": "thesis_arm",
-        "payload": "none",
-        "duration": 3.0,
-        "rows": rows,
-        "residual_share": 2e-6,
-        "notes": [],
-    }
+    names = ("name", "energy", "group", "label", "cylinder")
+    rows = [dict(zip(names, one, strict=True), interval=None) for one in parts]
+    about = {"source": "model", "rig": "thesis_arm", "payload": "none", "duration": 3.0}
+    return about | {"rows": rows, "residual_share": 2e-6, "notes": []}
 
 
 def fill_control(root: Path) -> None:
@@ -457,9 +387,7 @@ def fill_control(root: Path) -> None:
     ]
     (folders[2] / "ledgers").mkdir()
     for row in json.loads((folders[2] / "table.json").read_text())["rows"]:
-        write_json(
-            folders[2] / "ledgers" / (Path(row["log"]).stem + ".json"),
-            ledger(row["energy"]["pump"]),
-        )
+        file = folders[2] / "ledgers" / f"{Path(row['log']).stem}.json"
+        write_json(file, ledger(row["energy"]["pump"]))
     for folder in folders:
         draw(folder)

@@ -13,20 +13,16 @@ from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
 from ehbench.vocabulary import codes
-from ehbench.vocabulary.errors import InputError
 from tests.shared import refused, shipped
 
-PLAIN = {
-    "hold",
-    "extend_resistive",
-    "extend_overrunning",
-    "retract_resistive",
-    "retract_overrunning",
-}
+MOVES = ("extend_resistive", "extend_overrunning", "retract_resistive", "retract_overrunning")
+PLAIN = {"hold", *MOVES}
 ALL = set(codes.FUNCTIONS) - {codes.FUNCTIONS[f] for f in fn.SPARE}
 SUPPLY, TANK, HEAD, ROD = range(4)
 A1, A2, PS = 2.0268e-3, 1.0688e-3, 6.9e6
 FIVE = ((HEAD, TANK, 0), (SUPPLY, HEAD, 1), (HEAD, ROD, 2), (SUPPLY, ROD, 3), (ROD, TANK, 4))
+FOUR_WAY = ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1))
+LIFT = ((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))
 
 
 def shipped_circuit(rig: str, cylinder: str) -> fn.Circuit:
@@ -85,20 +81,14 @@ def test_oil_drawn_from_the_supply():
 def test_what_the_shipped_rigs_can_do(rig, cylinder, expected, one_command):
     c = shipped_circuit(rig, cylinder)
     assert set(fn.available(c)) == expected
-    assert [fn.coupled(c, f) for f in range(8)] == [
-        one_command and f in (1, 2, 4, 5) for f in range(8)
-    ]
+    moves = [1, 2, 4, 5] if one_command else []
+    assert [f for f in range(8) if fn.coupled(c, f)] == moves
 
 
 def test_what_other_circuits_can_do():
-    four_way = ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1))
-    assert set(fn.available(circuit(four_way, ranges=(-10.0, 10.0)))) == PLAIN
+    assert set(fn.available(circuit(FOUR_WAY, ranges=(-10.0, 10.0)))) == PLAIN
     # a driver that never goes negative closes half of the spool
-    assert set(fn.available(circuit(four_way))) == {
-        "hold",
-        "extend_resistive",
-        "extend_overrunning",
-    }
+    assert set(fn.available(circuit(FOUR_WAY))) == {"hold", *MOVES[:2]}
     # a cross-port check valve lets oil through one way only, an edge drawn the other way round
     # serves as well
     checked = (*FIVE[:2], (ROD, HEAD, 2, 1, 1), (ROD, SUPPLY, 3), FIVE[4])
@@ -107,13 +97,9 @@ def test_what_other_circuits_can_do():
     leaky = ((SUPPLY, HEAD, 0), (ROD, TANK, 0), (HEAD, TANK, 0), (SUPPLY, ROD, 1))
     assert fn.available(circuit(leaky)) == ("hold",)
     # lifting on regeneration alone: no way from the rod end to tank
-    lift = ((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))
-    assert set(fn.available(circuit(lift))) == {
-        "hold",
-        "extend_overrunning_regeneration",
-        "extend_resistive_regeneration",
-        "retract_overrunning_regeneration",
-    }
+    crossed = ("extend_overrunning", "extend_resistive", "retract_overrunning")
+    expected = {"hold", *(f"{name}_regeneration" for name in crossed)}
+    assert set(fn.available(circuit(LIFT))) == expected
     # of two valves on one path the larger one serves
     both = circuit((*FIVE, (SUPPLY, HEAD, 5)))
     assert both.paths[fn.SUPPLY_HEAD] == 1
@@ -127,13 +113,9 @@ CIRCUITS = {
     "five": circuit(FIVE),
     "small cross-port": circuit(FIVE, gain=1.2e-5),
     "four": circuit((*FIVE[:2], *FIVE[3:])),
-    "four-way": circuit(
-        ((SUPPLY, HEAD, 0, 1), (ROD, TANK, 0, 1), (SUPPLY, ROD, 0, -1), (HEAD, TANK, 0, -1)),
-        ranges=(-5.0, 5.0),
-        law=ORIFICE,
-    ),
+    "four-way": circuit(FOUR_WAY, ranges=(-5.0, 5.0), law=ORIFICE),
     "equal areas": circuit(FIVE, areas=(A1, A1)),
-    "lift only": circuit(((SUPPLY, HEAD, 0), (ROD, HEAD, 1), (HEAD, TANK, 2))),
+    "lift only": circuit(LIFT),
     "no head to tank": circuit(FIVE[1:]),
     "no supply to head": circuit((FIVE[0], *FIVE[2:])),
     "no rod to tank": circuit(FIVE[:4]),
@@ -179,9 +161,9 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
     c = CIRCUITS[name]
     rules = fn.pack_rules(c.area_rod, PS, allow_seventh=seventh)
     seen = set()
-    grid = itertools.product(
-        (-0.2, -0.02, 0.0, 0.02, 0.2), GRID, GRID, (1e6, PS), range(10), (0.0, 1e9)
-    )
+    speeds = (-0.2, -0.02, 0.0, 0.02, 0.2)
+    grid = itertools.product(speeds, GRID, GRID, (1e6, PS), range(10), (0.0, 1e9))
+    offered = [f for f in range(1, 10) if c.able[f] and (f != 7 or seventh)]
     for v_d, p_head, p_rod, p_supply, now, age in grid:
         if not c.able[now] or (now == 7 and not seventh):
             continue
@@ -193,15 +175,9 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         load = p_head * c.area_head - p_rod * c.area_rod
         if chosen == codes.HOLD:
             assert status == codes.UNABLE
-            lacking = [
-                f
-                for f in range(1, 10)
-                if fn.DIRECTION[f] * v_d > 0 and c.able[f] and (f != 7 or seventh)
-            ]
-            assert all(
-                fn.OVERRUNNING[f] != (-v_d * load > 0) or abs(load) <= rules.force_band
-                for f in lacking
-            )
+            lacking = [f for f in offered if fn.DIRECTION[f] * v_d > 0]
+            if abs(load) > rules.force_band:
+                assert all(fn.OVERRUNNING[f] != (-v_d * load > 0) for f in lacking)
             continue
         assert fn.DIRECTION[chosen] * v_d > 0
         if age == 0.0 and fn.DIRECTION[now] * v_d > 0:
@@ -212,14 +188,8 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         if abs(load) > rules.force_band:
             assert fn.OVERRUNNING[chosen] == (against > 0)
         state = (v_d, load, Pressures(p_head, p_rod, p_supply, 0.0), c, rules)
-        rivals = [
-            f
-            for f in range(1, 10)
-            if c.able[f]
-            and fn.DIRECTION[f] == fn.DIRECTION[chosen]
-            and fn.OVERRUNNING[f] == fn.OVERRUNNING[chosen]
-            and (f != 7 or seventh)
-        ]
+        kind = fn.DIRECTION[chosen], fn.OVERRUNNING[chosen]
+        rivals = [f for f in offered if (fn.DIRECTION[f], fn.OVERRUNNING[f]) == kind]
         fit = [f for f in rivals if fn.feasible(f, f == now, *state)]
         assert status == (codes.OK if fit else codes.STALLED)
         draw = {f: fn.supply_draw(f, c) for f in rivals}
@@ -227,10 +197,7 @@ def test_every_state_has_one_function_and_it_suits(name, seventh):
         if status == codes.OK and chosen in (3, 6):
             drop = p_rod - p_head if chosen == 3 else p_head - p_rod
             assert fn.capacity(c, fn.CROSS[chosen], drop) >= c.area_rod * abs(v_d)
-    expected = {
-        f for f in range(1, 10) if c.able[f] and (f != 7 or (seventh and c.area_head > c.area_rod))
-    }
-    assert seen == expected
+    assert seen == {f for f in offered if f != 7 or c.area_head > c.area_rod}
 
 
 # upstream and downstream end of the path that sets the motion of each function (thesis 3.1)
@@ -240,18 +207,13 @@ METERS = {1: "sh", 2: "rt", 3: "rh", 4: "sr", 5: "ht", 6: "ht", 7: "sh"}
 @pytest.mark.parametrize("choice", fn.CHOICES)
 @pytest.mark.parametrize("seventh", [False, True])
 def test_what_is_called_ok_moves_oil_the_right_way(seventh, choice):
-    """Over directions, pressures from cavitation to beyond the supply, predecessors and dwell: OK
-    only where the drop of the metering path is along the flow and the supply carries the load.
+    """Over pressures from cavitation to beyond the supply, predecessors and dwell: OK only where
+    the drop of the metering path is along the flow and the supply carries the load.
     """
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, allow_seventh=seventh, choice=choice)
-    grid = itertools.product(
-        (-0.1, 0.1),
-        np.linspace(-9e4, 7.2e6, 9),
-        np.linspace(-9e4, 7.2e6, 9),
-        range(8 if seventh else 7),
-        (0.0, 1e9),
-    )
+    pressures, functions = np.linspace(-9e4, 7.2e6, 9), range(8 if seventh else 7)
+    grid = itertools.product((-0.1, 0.1), pressures, pressures, functions, (0.0, 1e9))
     stalled = called = 0
     for v_d, p_head, p_rod, now, age in grid:
         chosen, status = choose(c, rules, v_d, p_head, p_rod, now, age)
@@ -269,12 +231,10 @@ def test_what_is_called_ok_moves_oil_the_right_way(seventh, choice):
 def test_regeneration_needs_drop_and_an_edge_that_carries_it():
     rules = fn.pack_rules(A2, PS)
     wide, narrow = circuit(FIVE), circuit(FIVE, gain=1.2e-5)
-    assert choose(wide, rules, -0.1, 2e6, 3e5) == (codes.RETRACT_OVERRUNNING_REGENERATION, codes.OK)
+    crossed = codes.RETRACT_OVERRUNNING_REGENERATION, codes.OK
+    assert choose(wide, rules, -0.1, 2e6, 3e5) == crossed
     assert choose(narrow, rules, -0.1, 2e6, 3e5) == (codes.RETRACT_OVERRUNNING, codes.OK)
-    assert choose(narrow, rules, -0.03, 2e6, 3e5) == (
-        codes.RETRACT_OVERRUNNING_REGENERATION,
-        codes.OK,
-    )
+    assert choose(narrow, rules, -0.03, 2e6, 3e5) == crossed
     start, stop = rules.drop_start, rules.drop_stop
     for drop, now, expected in (
         (1.01 * start, 5, 6),
@@ -304,10 +264,8 @@ def test_the_seventh_where_the_supply_carries_the_load_on_the_area_difference():
 
 
 def test_a_load_beyond_the_supply_is_called_stalled():
-    assert choose(circuit(FIVE), fn.pack_rules(A2, PS), 0.1, 1.02 * PS, 0.0) == (
-        codes.EXTEND_RESISTIVE,
-        codes.STALLED,
-    )
+    chosen = choose(circuit(FIVE), fn.pack_rules(A2, PS), 0.1, 1.02 * PS, 0.0)
+    assert chosen == (codes.EXTEND_RESISTIVE, codes.STALLED)
 
 
 def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
@@ -332,9 +290,8 @@ def test_no_chatter_on_noisy_pressures():
         quiet = run(c, rules, v_d, head, rod)
         noisy = run(c, rules, v_d, head + noise[0], rod + noise[1])
         assert (np.diff(noisy) != 0).sum() == (np.diff(quiet) != 0).sum() <= 3
-        bare = fn.pack_rules(
-            A2, PS, dwell=0.0, force_band=0.0, drop_stop=rules.drop_start, reserve=0.0
-        )
+        less = {"force_band": 0.0, "drop_stop": rules.drop_start, "reserve": 0.0}
+        bare = fn.pack_rules(A2, PS, dwell=0.0, **less)
         assert (np.diff(run(c, bare, v_d, head + noise[0], rod + noise[1])) != 0).sum() > 20
 
 
@@ -351,9 +308,8 @@ def test_dwell_is_kept_whatever_the_pressures():
 def test_direction_changes_at_once_and_small_speeds_hold():
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, dwell=10.0, speed_start=2e-3, speed_stop=1e-3)
-    v_d = np.array(
-        [0.0, 0.0019, 0.0021, 0.0011, 0.0009, 0.0019, -0.0019, -0.05, 0.0015, 0.05, -0.05]
-    )
+    slow = [0.0, 0.0019, 0.0021, 0.0011, 0.0009, 0.0019, -0.0019]
+    v_d = np.array([*slow, -0.05, 0.0015, 0.05, -0.05])
     way = fn.DIRECTION[run(c, rules, v_d, 2e6, 5e5)]
     assert way.tolist() == [0, 0, 1, 1, 0, 0, 0, -1, 0, 1, -1]
 
@@ -365,25 +321,23 @@ def test_head_and_rod_mirror():
     rules = fn.pack_rules(A1, PS)
     for v_d, p_head, p_rod, now in itertools.product((-0.1, 0.1), GRID, GRID, range(7)):
         if p_head != p_rod:  # the sign of no load is a matter of taste
-            assert (
-                choose(c, rules, -v_d, p_rod, p_head, mirror[now])[0]
-                == mirror[choose(c, rules, v_d, p_head, p_rod, now)[0]]
-            )
+            chosen = choose(c, rules, v_d, p_head, p_rod, now)[0]
+            assert choose(c, rules, -v_d, p_rod, p_head, mirror[now])[0] == mirror[chosen]
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "key"),
     [
-        {"dwell": -1.0},
-        {"reserve": np.nan},
-        {"speed_start": 1e-5},
-        {"drop_start": 1e5, "drop_stop": 2e5},
-        {"cross_drop": np.inf},
+        ({"dwell": -1.0}, "negative_rule"),
+        ({"reserve": np.nan}, "negative_rule"),
+        ({"speed_start": 1e-5}, "stop_above_start"),
+        ({"drop_start": 1e5, "drop_stop": 2e5}, "stop_above_start"),
+        ({"cross_drop": np.inf}, "negative_rule"),
+        ({"dwel": 0.2}, "unknown_rule"),
     ],
 )
-def test_rules_that_make_no_sense_are_refused(wrong):
-    keys = ("control.negative_rule", "control.stop_above_start")
-    with pytest.raises(InputError, check=lambda error: error.key in keys):
+def test_rules_that_make_no_sense_are_refused(wrong, key):
+    with refused(f"control.{key}"):
         fn.pack_rules(A2, PS, **wrong)
 
 
@@ -394,11 +348,6 @@ def test_circuits_that_are_none_are_refused():
         fn.circuit(1, A1, A2, c.edges, c.maps, ranges)
     with refused("control.foreign_edges"):
         fn.circuit(0, A1, A2, np.zeros((3, 4)), c.maps, ranges)
-
-
-def test_an_unknown_rule_is_refused():
-    with pytest.raises(InputError, check=lambda error: error.fields["name"] == "dwel"):
-        fn.pack_rules(A2, PS, dwel=0.2)
 
 
 def low_passed(c, rules, v_d, tick=1e-3, steady=True):
@@ -434,10 +383,7 @@ def test_a_wish_beyond_noise_acts_at_once_and_a_slow_one_soon():
     assert np.argmax(way == 1) < 30 and np.argmax(way[300:] == -1) <= 60
     # one that grows as a motion begins, 6 m/s³: the way that is lost is less than a sensor's count
     v_d = 3.0 * (1e-3 * np.arange(40)) ** 2
-    late = (
-        np.argmax(low_passed(c, rules, v_d) != 0),
-        np.argmax(low_passed(c, rules, v_d, steady=False)),
-    )
+    late = [np.argmax(low_passed(c, rules, v_d, steady=on) != 0) for on in (True, False)]
     assert v_d[late[1] : late[0]].sum() * 1e-3 < 1e-5
 
 
@@ -451,7 +397,8 @@ def following(**numbers) -> fn.Circuit:
 
 def test_least_power_counts_what_the_pumps_give():
     """Costs [J/m] in closed form: p·(A1, A2, A1 − A2 or 0) at the pressure of the supply in use."""
-    rules = fn.pack_rules(A2, PS, low_pressure=3e5, cross_drop=3e5, allow_seventh=True)
+    pressures = {"low_pressure": 3e5, "cross_drop": 3e5, "allow_seventh": True}
+    rules = fn.pack_rules(A2, PS, **pressures)
     load, margin, rail = 2000.0, 1e6, 0.4 * PS
     heads = {1: (load + 3e5 * A2) / A1, 7: (load + 3e5 * A2) / (A1 - A2)}
     draws = {1: A1, 7: A1 - A2}
@@ -479,11 +426,8 @@ def test_least_power_counts_what_the_pumps_give():
         found[kind], status = choose(c, least, 0.03, heads[1], 3e5)
         assert status == codes.OK
     # the low rail carries the load on the whole piston, regeneration would need the high one
-    assert found == {
-        "constant": codes.EXTEND_RESISTIVE_REGENERATION,
-        "sensing": codes.EXTEND_RESISTIVE_REGENERATION,
-        "rails": codes.EXTEND_RESISTIVE,
-    }
+    crossed, plain = codes.EXTEND_RESISTIVE_REGENERATION, codes.EXTEND_RESISTIVE
+    assert found == {"constant": crossed, "sensing": crossed, "rails": plain}
     assert choose(kinds["rails"], rules, 0.03, heads[1], 3e5)[0] == found["constant"]
 
 
