@@ -151,6 +151,7 @@ class _Search:
         channels = dict.fromkeys(name for item in self.cases for name in item.channels)
         records = [item.record for item in self.cases]
         rows = hypotheses(case.model.rig, [*cylinders], [*channels], records, case.maps)
+        rows = [item for item in rows if item.kind != "payload"]  # the model carries it: see load
         return [item for item in rows if item.row.step != 0.0 or item.row.trials]
 
     def _at(self, points: Sequence[Point]) -> list[list[np.ndarray] | None]:

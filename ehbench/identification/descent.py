@@ -66,11 +66,15 @@ class _Descent:
     steps: int = 0
 
 
-def solve(problem: Problem, state: State, tolerance: float) -> tuple[State, bool]:
+def solve(
+    problem: Problem, state: State, tolerance: float, secant: bool = False
+) -> tuple[State, bool]:
     """(the minimum over the free parameters and the logs' initial states, whether it converged).
 
     Args:
         tolerance: of the cost, as a share, that a last step would gain.
+        secant: derivatives are carried from point to point (`carried`), and simulated only where
+            they are not known.
     """
     journal, effort = problem.journal, problem.simulator.effort
     saved = journal.begin("descent", tolerance, *start_of(problem, state))
@@ -80,7 +84,7 @@ def solve(problem: Problem, state: State, tolerance: float) -> tuple[State, bool
         return descent.state, saved["ended"]
     while descent.steps < problem.max_iterations and not converged:
         effort.iterations += 1
-        after = _stepped(problem, descent, tolerance)
+        after = _stepped(problem, descent, tolerance, secant)
         descent, converged = after or descent, after is None
         if after is not None:
             journal.keep(
@@ -96,7 +100,9 @@ def solve(problem: Problem, state: State, tolerance: float) -> tuple[State, bool
     return descent.state, converged
 
 
-def _stepped(problem: Problem, descent: _Descent, tolerance: float) -> _Descent | None:
+def _stepped(
+    problem: Problem, descent: _Descent, tolerance: float, secant: bool
+) -> _Descent | None:
     """A descent after one more step; None where no step would gain more than the tolerance."""
     state, damping = descent.state, descent.damping
     problem.report("output error: fitting", _share(problem))
@@ -110,13 +116,39 @@ def _stepped(problem: Problem, descent: _Descent, tolerance: float) -> _Descent 
         problem.report("output error: fitting", _share(problem))
         gained = before - cost(problem, there)
         if gained > 0.0:
+            there = carried(there, state) if secant else there
             if gained > SETTINGS.good * gain:
                 damping = max(damping * SETTINGS.easier, SETTINGS.damping_min)
             faithful = abs(gained - gain) < SETTINGS.faithful * gain
-            origin = descent.origin if faithful else there
+            origin = descent.origin if faithful or secant else there
             return _Descent(there, origin, damping, descent.steps + 1)
         damping *= SETTINGS.harder
     return None
+
+
+def carried(there: State, before: State) -> State:
+    """A state with the derivatives of the one before, turned along the step between them until they
+    explain what it has changed (Broyden 1965); parameters count by the size of their effect.
+    """
+    here, point = before.here, there.here
+    moves = {i: float(point.theta[i] - here.theta[i]) for i in before.free}
+    sizes = {
+        i: sum(float(np.sum(column**2)) for (j, _), column in here.columns.items() if j == i)
+        for i in moves
+    }
+    total = sum(moves[i] ** 2 * size for i, size in sizes.items())
+    columns = dict(here.columns)
+    for k, (after, residual) in enumerate(zip(point.residuals, here.residuals, strict=True)):
+        left = after - residual
+        for j, shift in enumerate(point.shifts[k] - here.shifts[k]):
+            left = left - here.start_columns.get((k, j), 0.0) * shift
+        for i, move in moves.items():
+            left = left - columns.get((i, k), 0.0) * move
+        for i, move in moves.items():
+            if (i, k) in columns and total > 0.0:
+                columns[i, k] = columns[i, k] + left * (move * sizes[i] / total)
+    known = {"columns": columns, "start_columns": dict(here.start_columns)}
+    return replace(there, point=replace(point, **known))
 
 
 def step(

@@ -118,7 +118,7 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
     iterations = problem.simulator.effort.iterations
     doubts = doubts_of(problem, state, errors)
     problem.report("output error: done", 1.0)
-    return result_of(problem, state, errors, converged, iterations, *doubts), state
+    return result_of(problem, state, errors, converged, iterations, doubts), state
 
 
 def estimate_starts(problem: Problem, values: Sequence[float]) -> State:

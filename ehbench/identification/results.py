@@ -186,6 +186,18 @@ class Lean:
 
 
 @dataclass(frozen=True)
+class Doubts:
+    """What a fit took as known: ``warnings`` of the fixed gain that the logs deny most, the fixed
+    numbers with which estimates would leave their intervals, the likeliest first (``leans``), and
+    what was not asked because the fit itself took few simulations (``unasked``).
+    """
+
+    warnings: tuple[str, ...] = ()
+    leans: tuple[Lean, ...] = ()
+    unasked: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class HydraulicsFit:
     """What an identification found. ``rig`` carries the fitted values; ``correlation`` is between
     the parameters with a standard error, in the order of ``correlated_names``; ``scales`` [SI] is
@@ -195,7 +207,7 @@ class HydraulicsFit:
     ``left_over`` one on what the model does not follow, empty where that is little or noise,
     ``compared`` one on each log that is compared as means of several samples, ``leans`` the held
     numbers that the logs deny and without which the parameters would come out beyond their
-    intervals."""
+    intervals, ``unasked`` faults that so short a fit did not ask for."""
 
     rig: Rig
     method: str
@@ -215,6 +227,7 @@ class HydraulicsFit:
     left_over: str = ""
     compared: tuple[str, ...] = ()
     leans: tuple[Lean, ...] = ()
+    unasked: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The fitted parameter of that name.
@@ -266,7 +279,7 @@ class Estimate:
     held: Sequence[float] = ()
     sensors: Sequence[SensorFit] = ()
     groups: Sequence[Group] = ()
-    leans: Sequence[Lean] = ()
+    doubts: Doubts = Doubts()
 
 
 def not_excited(c: Coordinate, samples: int) -> FittedParameter:
@@ -334,7 +347,8 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
         counts_on=counts_on(simulator.rig, known, moving),
         left_over=_left_over(simulator.logs, logs),
         compared=_compared(simulator.logs),
-        leans=tuple(result.leans),
+        leans=result.doubts.leans,
+        unasked=result.doubts.unasked,
     )
 
 

@@ -9,13 +9,14 @@ further fit before it is reported."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
-from ehbench.identification.covariance import Block, Prior, gains_of, release_of
+from ehbench.identification.covariance import Block, Prior, Release, gains_of, release_of
 from ehbench.identification.descent import solve
 from ehbench.identification.problem import (
     Problem,
@@ -26,15 +27,17 @@ from ehbench.identification.problem import (
     initial,
     prior_of,
     problem_of,
+    scaled,
     squares,
+    start_jacobian,
 )
-from ehbench.identification.results import Lean, Moved
+from ehbench.identification.results import Doubts, Lean, Moved
 from ehbench.identification.search import coordinates
 from ehbench.identification.simulator import Effort, Log, Simulator
 from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.plant.ties import position_channel, tied_words
 from ehbench.preprocessing.sensors import VAGUE, Term
-from ehbench.signals.series import white_noise
+from ehbench.signals.series import lowpass, white_noise
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.settings import setting
@@ -66,16 +69,16 @@ class SensitivitySettings:
         "the machine may lack both: leakage past the piston and to the outside",
     )
     looked: int = setting(
-        8,
-        "",
-        "rows that promise most, of which a standard error is asked",
-        "an error costs as much as ten simulations",
+        8, "", "rows that promise most, which are asked of every log", "some of each kind"
     )
     effort: float = setting(
-        0.2,
-        "",
-        "share of the fit's simulations after which no further row is freed",
-        "one row is freed whatever it takes",
+        0.2, "", "share of the fit's simulations that this may take", "what people would wait for"
+    )
+    quick: float = setting(
+        200.0, "", "simulations that a fit of fewer counts as", "it takes part of a second"
+    )
+    first: float = setting(
+        0.6, "", "share of these that ask each row of one log", "the rest asks the best of all"
     )
 
 
@@ -84,16 +87,17 @@ SETTINGS = SensitivitySettings()
 
 @dataclass(frozen=True, eq=False)
 class _Suspect:
-    """A row with by how much δ changes the scaled residuals of each log, shape (samples,
-    channels), the share of the squares that its best δ explains, that δ and its standard error, and
-    the estimates that would move.
+    """A row with by how much δ changes the scaled residuals of some logs (``asked``, by index),
+    shape (samples, channels), the share of the squares that its best δ explains, that δ, the steps
+    of what is live that follow it and the estimates that would move.
     """
 
     row: Hypothesis
     columns: list[np.ndarray]
+    asked: tuple[int, ...]
     explains: float = 0.0
     delta: float = 0.0
-    std: float = 0.0
+    follow: np.ndarray = field(default_factory=lambda: np.zeros(0))
     moved: tuple[Moved, ...] = ()
 
     @property
@@ -101,43 +105,50 @@ class _Suspect:
         return self.moved[0].halves if self.moved else 0.0
 
 
-def doubts_of(fit: Problem, state: State, result: Errors) -> tuple[list[str], tuple[Lean, ...]]:
-    """(a warning of the fixed gain that the logs deny most; the fixed numbers with which estimates
-    would leave their intervals, the likeliest first).
+def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
+    """What a fit took as known, and the logs deny. It takes a share of the simulations that the fit
+    took: the least sure numbers are asked first, each of the log that is followed worst, the most
+    promising of all logs, and these are freed while the share lasts.
     """
     if _only_noise(fit, state):
-        return [], ()
-    effort = Effort()
-    suspects = _promising(fit, result, list(_columns(fit, state, _fixed_rows(fit, state), effort)))
-    rig = fit.simulator.rig
-    warnings: list[str] = [
-        message(
-            "identification.gain_fixed",
-            name=", ".join(item.row.parameters),
-            move=100.0 * item.delta,
-            half=100.0 * Z95 * item.std,
-            share=item.explains,
-            remedy=item.row.remedy(rig, item.delta),
-        )
-        for item in [item for item in suspects if item.row.kind == "gain"][:1]
-    ]
-    if not any(item.beyond > BEYOND for item in suspects):
-        return warnings, ()
-    suspects.sort(key=lambda item: item.beyond <= BEYOND)
+        return Doubts()
+    effort, took = Effort(), max(fit.simulator.effort.evaluations, SETTINGS.quick)
+    limit = SETTINGS.effort * took
+    asked, unasked = _screened(fit, state, effort, round(SETTINGS.first * limit))
+    suspects = _promising(fit, result, asked, effort)
+    warnings = _gain_fixed(fit, result, [item for item in suspects if item.row.kind == "gain"][:1])
     confirmed: list[tuple[Hypothesis, Lean]] = []
     for item in suspects:
-        pair = _confirmed(fit, result, item, effort)
-        confirmed += [] if pair is None else [pair]
-        if effort.evaluations > SETTINGS.effort * fit.simulator.effort.evaluations:
-            break
-    best = max((item.explains for _, item in confirmed), default=0.0)
+        # to first order about a wrong fit half of what a number moves is easily missed
+        if 2.0 * item.beyond > BEYOND and effort.evaluations < limit:
+            pair = _confirmed(fit, result, item, effort)
+            confirmed += [] if pair is None else [pair]
+    best = max((item.explains for item in (*suspects, *(i for _, i in confirmed))), default=0.0)
     likely = [
         (row, item)
         for row, item in confirmed
         if item.explains >= SETTINGS.alike * best and item.beyond > BEYOND
     ]
     likely.sort(key=lambda pair: (pair[0].certainty, -pair[1].explains))
-    return warnings, tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
+    leans = tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
+    return Doubts(warnings, leans, unasked)
+
+
+def _gain_fixed(fit: Problem, result: Errors, some: Sequence[_Suspect]) -> tuple[str, ...]:
+    """A warning of each fixed gain that the logs surely would have otherwise."""
+    warnings = []
+    for item in some:
+        std = _release(fit, result, item, 0.0).std
+        if abs(item.delta) > SETTINGS.surely * std:
+            fields = {
+                "name": ", ".join(item.row.parameters),
+                "move": 100.0 * item.delta,
+                "half": 100.0 * Z95 * std,
+                "share": item.explains,
+                "remedy": item.row.remedy(fit.simulator.rig, item.delta),
+            }
+            warnings.append(message("identification.gain_fixed", **fields))
+    return tuple(warnings)
 
 
 def _only_noise(fit: Problem, state: State) -> bool:
@@ -198,14 +209,77 @@ def _with_terms(logs: Sequence[Log], terms: Sequence[Term]) -> list[Log]:
     ]
 
 
+def _screened(
+    fit: Problem, state: State, effort: Effort, count: int
+) -> tuple[list[_Suspect], tuple[str, ...]]:
+    """(the rows that change something in the log that is followed worst of those that show them, or
+    in all logs where no simulation is needed for it; the names of rows beyond ``count``).
+    """
+    rows, left = _fixed_rows(fit, state), [float(np.sum(r**2)) for r in _scaled(fit, state)]
+    shown = {row: _read_off(fit, state, row) for row in rows}
+    asked = [row for row in rows if shown[row] is None]
+    asked.sort(key=lambda row: row.certainty)
+    worst = {row: max(_logs_of(fit, row), key=left.__getitem__, default=0) for row in asked[:count]}
+    every = tuple(range(len(fit.logs)))
+    suspects = [_Suspect(row, parts, every) for row, parts in shown.items() if parts is not None]
+    columns = _columns(fit, state, {row: [k] for row, k in worst.items()}, effort)
+    for row, parts in columns.items():  # nothing changes in the logs that do not show it
+        known = {worst[row], *every} - {k for k in _logs_of(fit, row) if k != worst[row]}
+        suspects.append(_Suspect(row, parts, tuple(sorted(known))))
+    suspects = [item for item in suspects if any(map(np.any, item.columns))]
+    return suspects, tuple(row.name for row in asked[count:])
+
+
+def _scaled(fit: Problem, state: State) -> list[np.ndarray]:
+    return scaled(fit, state, state.here.residuals)
+
+
+def _logs_of(fit: Problem, row: Hypothesis) -> list[int]:
+    """Logs, by index, in which a row may show."""
+    loads = {log.payload for log in fit.logs if log.payload}
+    load = next((load for load in loads if row.about.startswith(f"{load}.")), None)
+    return [
+        k
+        for k, log in enumerate(fit.logs)
+        if row.cylinder in ("", *log.asked) and load in (None, log.payload)
+    ]
+
+
+def _read_off(fit: Problem, state: State, row: Hypothesis) -> list[np.ndarray] | None:
+    """What a row of a compared channel's sensor changes, to first order, for which nothing is
+    simulated: its reading, and with it the pressure at which a log begins; None for other rows.
+    """
+    if row.numbers or len(row.readings) != 1:
+        return None
+    ((channel, word, unit),) = row.readings
+    if not all(channel in log.channels for log in fit.logs):
+        return None
+    results, begun = [], start_jacobian(fit, state)
+    for log, residual, slopes in zip(fit.logs, state.here.residuals, begun, strict=True):
+        i, size = log.channels.index(channel), by_channel(state.scales, log)
+        seen = log.recorded[:, i] + residual[:, i]
+        by = {"offset": np.full_like(seen, unit), "scale": unit * seen}.get(word)
+        change = np.zeros_like(residual)
+        change[:, i] = -unit * np.gradient(seen, log.sample_time) if by is None else by
+        change = lowpass(change, log.sample_time, fit.cutoff) if fit.cutoff else change
+        change = change * log.counts / size
+        if by is not None:
+            moved = [n.std for n in log.start.uncertain if n.name == channel]
+            at = [j for j, n in enumerate(log.start.uncertain) if n.name == channel]
+            change -= slopes[..., at] @ (by[0] / np.array(moved))
+        results.append(change)
+    return results
+
+
 def _columns(
-    fit: Problem, state: State, rows: Sequence[Hypothesis], effort: Effort
-) -> Iterator[_Suspect]:
-    """The rows that change something: those of numbers that the rig has at once, those of sensors
-    at once, each of those that alter the rig by itself.
+    fit: Problem, state: State, rows: Mapping[Hypothesis, Sequence[int]], effort: Effort
+) -> dict[Hypothesis, list[np.ndarray]]:
+    """What rows change in some logs each, none in the others: those of numbers that the rig has at
+    once, those of sensors at once, each of those that alter the rig by itself.
     """
     numbers = [row for row in rows if not row.edits and row.numbers]
     sensors = [row for row in rows if row.readings and row not in numbers]
+    results: dict[Hypothesis, list[np.ndarray]] = {}
     for group in [numbers, sensors, *([row] for row in rows if row.edits and not row.readings)]:
         if not group:
             continue
@@ -229,58 +303,81 @@ def _columns(
                 *(changed.get(name, number.here) for name, number in each.items()),
                 *(changed.get(term.name, 0.0) for term in terms),
             ]
-            which = [k for k, log in enumerate(logs) if row.cylinder in ("", *log.asked)]
-            points += [(vector, k, here.shifts[k]) for k in which]
-            keys += [(row, k) for k in which]
+            points += [(vector, k, here.shifts[k]) for k in rows[row]]
+            keys += [(row, k) for k in rows[row]]
         steps = None if alters else here.mesh.steps
-        columns = {row: [np.zeros_like(left) for left in here.residuals] for row in group}
+        some = {row: [np.zeros_like(left) for left in here.residuals] for row in group}
         for (row, k), simulated in zip(keys, built.each(points, steps)[0], strict=True):
             if simulated is None:
-                columns.pop(row, None)
-            elif row in columns:
+                some.pop(row, None)
+            elif row in some:
                 change = fit.residual(fit.logs[k], simulated) - here.residuals[k]
-                columns[row][k] = change / (row.inside * by_channel(state.scales, fit.logs[k]))
-        yield from (_Suspect(r, parts) for r, parts in columns.items() if any(map(np.any, parts)))
+                some[row][k] = change / (row.inside * by_channel(state.scales, fit.logs[k]))
+        results |= some
+    return results
 
 
-def _promising(fit: Problem, result: Errors, every: Sequence[_Suspect]) -> list[_Suspect]:
-    """Those by which the logs surely would be followed better, to first order: the likeliest first,
-    of those that are as likely the less sure number first.
+def _promising(
+    fit: Problem, result: Errors, every: Sequence[_Suspect], effort: Effort
+) -> list[_Suspect]:
+    """Those by which the logs would be followed better, to first order: the likeliest first, of
+    those that are as likely the less sure number first.
     """
-    if not every:
-        return []
     state = result.state
     live, total = list(state.live), cost(fit, state)
     prior, minimum = prior_of(fit, state, live), SETTINGS.worth * total
-    known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
+    gains: list[tuple[float, _Suspect]] = []
+    for asked in dict.fromkeys(item.asked for item in every):
+        alike = [item for item in every if item.asked == asked]
+        gains += zip(gains_of(_with(result, alike), prior), alike, strict=True)
+    gains = [pair for pair in gains if pair[0] > minimum / len(fit.logs)]
+    best = [item for _, item in sorted(gains, key=lambda pair: -pair[0])[: SETTINGS.looked]]
+    rest = {i.row: [k for k in _logs_of(fit, i.row) if k not in i.asked] for i in best}
+    more = _columns(fit, state, {row: which for row, which in rest.items() if which}, effort)
     suspects = []
-    for k in np.argsort(-gains_of(_with(result, every), prior))[: SETTINGS.looked]:
-        item, release = every[k], release_of(_with(result, [every[k]]), known, minimum)
-        low, high = item.row.bounds
-        delta = min(max(release.move, low), high)
-        if delta == 0.0 or not abs(release.move) > SETTINGS.surely * release.std:
+    for item in best:
+        if rest[item.row] and item.row not in more:
             continue
-        moved, share = _moved(fit, result, state.theta[live] + release.follow), release.gain / total
-        suspects.append(replace(item, explains=share, delta=delta, std=release.std, moved=moved))
-    best = SETTINGS.alike * max((item.explains for item in suspects), default=0.0)
+        parts = zip(item.columns, more.get(item.row, item.columns), strict=True)
+        columns = [old if k in item.asked else new for k, (old, new) in enumerate(parts)]
+        item = replace(item, columns=columns, asked=tuple(range(len(columns))))
+        release = _release(fit, result, item, math.inf)
+        delta = min(max(release.move, item.row.bounds[0]), item.row.bounds[1])
+        if delta == 0.0 or release.gain < minimum:
+            continue
+        follow = release.follow * delta / release.move
+        known = {"explains": release.gain / total, "delta": delta, "follow": follow}
+        moved = _moved(fit, result, state.theta[live] + follow)
+        suspects.append(replace(item, moved=moved, **known))
+    likely = SETTINGS.alike * max((item.explains for item in suspects), default=0.0)
     return sorted(
         suspects,
         key=lambda s: (
-            (0, s.row.certainty, -s.explains) if s.explains >= best else (1, 0, -s.explains)
+            (0, s.row.certainty, -s.explains) if s.explains >= likely else (1, 0, -s.explains)
         ),
     )
 
 
+def _release(fit: Problem, result: Errors, item: _Suspect, minimum: float) -> Release:
+    """What freeing a row would do, to first order; arguments as of `release_of`."""
+    prior = prior_of(fit, result.state, list(result.state.live))
+    known = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), prior.weight)
+    return release_of(_with(result, [item]), known, minimum)
+
+
 def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
-    """What each log says, with some fixed numbers after those that are fitted."""
+    """What each log that they were asked of says, with some fixed numbers after those that are
+    fitted.
+    """
     return [
         replace(
-            block,
+            result.blocks[k],
             jacobian=np.concatenate(
-                [block.jacobian, *(item.columns[k][..., None] for item in some)], axis=-1
+                [result.blocks[k].jacobian, *(item.columns[k][..., None] for item in some)],
+                axis=-1,
             ),
         )
-        for k, block in enumerate(result.blocks)
+        for k in some[0].asked
     ]
 
 
@@ -304,53 +401,81 @@ def _confirmed(
     fit: Problem, result: Errors, item: _Suspect, effort: Effort
 ) -> tuple[Hypothesis, Lean] | None:
     """A row by a fit in which it is free; None where that has it otherwise."""
-    row, old, state = item.row, fit.simulator, result.state
-    fit.journal.search = row.name
-    sensor = len(row.readings) == 1 and (bool(row.edits) or not row.numbers)
-    terms = _terms([row], True) if sensor else ()
-    starts = {} if sensor else {n.name: n.begin(item.delta) for n in row.numbers}
+    row, state = item.row, result.state
     try:
-        rig = old.rig if sensor else row.altered(old.rig)
-        more = coordinates(rig, [*starts], starts, upper=row.upper) if starts else []
-        names = [*old.names[: fit.requested], *starts, *old.names[fit.requested :]]
-        names += [term.name for term in terms]
-        logs = _with_terms(fit.logs, terms)
-        simulator = Simulator(rig, logs, names, old.maps, old.workers, old.step)
-        simulator.effort = effort
-        search = [*fit.search[: fit.requested], *more]
-        given = None, fit.max_iterations, fit.cutoff, fit.journal
-        freed = problem_of(simulator, search, *given)
-        index = {c.name: i for i, c in enumerate(freed.search)}
-        live = [index[fit.search[i].name] for i in state.live]
-        new = [index[name] for name in (*starts, *(term.name for term in terms))]
-        begin = initial(freed)
-        for c, theta in zip(fit.search, state.theta, strict=True):
-            begin.theta[index[c.name]] = theta
-        if sensor:
-            begin.theta[new[0]] = freed.search[new[0]].of(item.delta * row.readings[0][2])
-        begin = replace(
-            begin,
-            shifts=state.shifts,
-            scales=state.scales,
-            free=tuple(sorted((*live, *new))),
-            prior_weight=state.prior_weight,
-            coarse=False,
-        )
-        end, _ = solve(freed, begin, 1e-3)
+        freed, begin, new = _freed(fit, state, item, effort)
+        end, _ = solve(freed, begin, 1e-3, secant=True)
         there = errors_of(freed, evaluate(freed, end))
     except IMPOSSIBLE:
         return None
+    index = {c.name: i for i, c in enumerate(freed.search)}
     after, before = cost(freed, there.state), cost(fit, state)
-    number = next((n for n in row.numbers if n.unit != 0.0), None)
-    at = new[0] if sensor or number is None else index[number.name]
-    c, here = freed.search[at], 0.0 if sensor or number is None else number.here
+    number = next((n for n in row.numbers if n.unit != 0.0 and n.name in index), None)
+    at = new[0] if number is None else index[number.name]
+    c, here = freed.search[at], 0.0 if number is None else number.here
     value = c.at(there.state.theta[at])
     std = (value if c.log else c.unit) * there.by_index[at].std
     if abs(value - here) <= SETTINGS.surely * std or before - after < SETTINGS.worth * before:
         return None
+    live = [index[fit.search[i].name] for i in state.live]
     moved = _moved(fit, result, there.state.theta[live])
-    remedy = row.remedy(old.rig, item.delta)
+    remedy = row.remedy(fit.simulator.rig, item.delta)
     return row, Lean(c.name, here, value, std, 1.0 - after / before, moved, remedy)
+
+
+def _freed(
+    fit: Problem, state: State, item: _Suspect, effort: Effort
+) -> tuple[Problem, State, list[int]]:
+    """(the problem in which a row is free, where its descent begins, with all derivatives that are
+    known, and which of its parameters are new).
+
+    Raises:
+        EhbenchError, ValueError, ArithmeticError: there is no such rig.
+    """
+    row, old = item.row, fit.simulator
+    sensor = bool(row.readings) and (bool(row.edits) or not row.numbers)
+    terms = _terms([row], True) if sensor else ()
+    starts = {} if sensor else {n.name: n.begin(item.delta) for n in row.numbers}
+    rig = old.rig if sensor else row.altered(old.rig)
+    more = coordinates(rig, [*starts], starts, upper=row.upper) if starts else []
+    names = [*old.names[: fit.requested], *starts, *old.names[fit.requested :]]
+    names += [term.name for term in terms]
+    simulator = Simulator(rig, _with_terms(fit.logs, terms), names, old.maps, old.workers, old.step)
+    simulator.effort = effort
+    search = [*fit.search[: fit.requested], *more]
+    freed = problem_of(simulator, search, None, fit.max_iterations, fit.cutoff)
+    index = {c.name: i for i, c in enumerate(freed.search)}
+    units = {n.name: n.unit for n in row.numbers} if starts else {}
+    units |= {f"{c}.{w}": unit for c, w, unit in (row.readings if sensor else ())}
+    begin = initial(freed)
+    for c, theta in zip(fit.search, state.theta, strict=True):
+        begin.theta[index[c.name]] = theta
+    for i, by in zip(state.live, item.follow, strict=True):
+        c = fit.search[i]
+        begin.theta[index[c.name]] = min(max(state.theta[i] + by, c.bounds[0]), c.bounds[1])
+    for term in terms:
+        begin.theta[index[term.name]] = (
+            item.delta * units[term.name] / freed.search[index[term.name]].unit
+        )
+    new = [index[name] for name in units]
+    begin = replace(
+        begin,
+        shifts=state.shifts,
+        scales=state.scales,
+        free=tuple(sorted((*(index[fit.search[i].name] for i in state.live), *new))),
+        prior_weight=state.prior_weight,
+        coarse=False,
+    )
+    point = evaluate(freed, begin).here
+    point.start_columns.update(state.here.start_columns)
+    for (i, k), column in state.here.columns.items():
+        point.columns[index[fit.search[i].name], k] = column
+    if len(new) == 1:  # of several that δ moves together each is simulated
+        c, (unit,) = freed.search[new[0]], units.values()
+        per = (c.at(begin.theta[new[0]]) if c.log else c.unit) / unit
+        for k, column in enumerate(item.columns):
+            point.columns[new[0], k] = column * by_channel(state.scales, fit.logs[k]) * per
+    return freed, replace(begin, point=point), new
 
 
 def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:

@@ -12,10 +12,10 @@ from ehbench.identification.groups import Group, groups_of, sentence
 from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.identification.problem import Problem, State, effects, linearised, prior_of
 from ehbench.identification.results import (
+    Doubts,
     Estimate,
     FittedParameter,
     HydraulicsFit,
-    Lean,
     SensorFit,
     finish,
     not_excited,
@@ -116,19 +116,16 @@ def result_of(
     errors: Errors,
     converged: bool,
     iterations: int,
-    sensitive: Sequence[str] = (),
-    leans: Sequence[Lean] = (),
+    doubts: Doubts,
 ) -> HydraulicsFit:
-    """A fit as it leaves: ``sensitive`` are warnings of its fixed numbers, ``leans`` those to which
-    it is sensitive.
-    """
+    """A fit as it leaves, with what it took as known and the logs deny."""
     flat = [
         _flat(problem, problem.search[i], ends)
         for i, ends in state.ranges.items()
         if i < problem.requested
     ]
     fitted = [_fitted(problem, state, errors, i) for i in range(problem.requested)]
-    warnings = [*sensitive, *flat]
+    warnings = [*doubts.warnings, *flat]
     if not converged:
         count = problem.max_iterations
         warnings.append(message("identification.not_converged", count=count))
@@ -149,7 +146,7 @@ def result_of(
             cutoff=problem.cutoff,
             shifts=state.shifts,
             groups=groups,
-            leans=leans,
+            doubts=doubts,
             held=[problem.search[i].at(state.theta[i]) for i in shared],
             sensors=_sensors(problem, errors),
         ),

@@ -103,3 +103,4 @@ FAULTS = (
     Fault("force", ("force_extending", "force_retracting"), step=0.05, rank=5),
     Fault("spring", ("stiffness",), step=0.05, rank=5),
 )
+PAYLOAD = (Fault("payload", ("mass",), step=0.05, rank=4, wide=True),)

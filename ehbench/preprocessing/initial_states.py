@@ -18,6 +18,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.valve import valve_lag, valve_settle
+from ehbench.plant.build import Plant
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.many import Replay, replay_many
@@ -87,6 +88,12 @@ class Uncertain:
     def share(self) -> float:
         """Its step in standard deviations."""
         return self.step / self.std
+
+    def place(self, plant: Plant) -> int:
+        """Where it stands in the state of a plant, to which a fault may have added states."""
+        if self.valve >= 0:
+            return int(plant.valves[self.valve].output)
+        return int(plant.at.supply) if self.name == SUPPLY_CHANNEL else self.state
 
 
 @dataclass(frozen=True)
@@ -162,10 +169,10 @@ class InitialState:
                 continue
             if number.valve >= 0:
                 valve = model.plant.valves[number.valve]
-                value = min(max(y[number.state] + by, valve.lowest), valve.highest)
+                value = min(max(y[number.place(model.plant)] + by, valve.lowest), valve.highest)
                 valve_settle(valve, value, model.plant, y)
                 continue
-            y[number.state] += by
+            y[number.place(model.plant)] += by
             if number.name == SUPPLY_CHANNEL and supply is not None:
                 supply += by
         for index, row in enumerate(model.plant.cylinders):

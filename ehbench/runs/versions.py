@@ -15,10 +15,10 @@ METHODS: Mapping[str, int] = {
     "plant": 1,  # equations of the plant, its parts and their integration
     "bench": 1,  # virtual bench: delays, noise, quantisation
     "flow_maps": 2,
-    "output_error": 3,  # identification, its intervals, what `--suggest` and profiles tell
+    "output_error": 4,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 4,
+    "diagnosis": 5,
     "validation": 4,
     "control": 1,  # controllers
     "tuning": 3,
@@ -32,7 +32,7 @@ _TRIAL = (*_SIMULATED, "bench", "control", "trial", "ledger")
 # by stage: its schema and the methods that it uses
 STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
     "flow_map": (2, (*_SIMULATED, "flow_maps")),
-    "hydraulics": (2, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
+    "hydraulics": (3, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (2, (*_SIMULATED, "frequency_response")),
     "validation": (5, (*_SIMULATED, "diagnosis", "validation")),

@@ -2,14 +2,20 @@
 what the estimates would be. `python -m tools.studies.held_study` has every held number of every
 rig."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ehbench.diagnosis.faults import hypotheses
+from ehbench.identification import sensitivity
 from ehbench.identification.covariance import Block, Prior, release_of
+from ehbench.identification.descent import carried
 from ehbench.identification.hydraulics import identify_hydraulics
-from tests.virtual_logs import virtual_log
-from tools.studies.held_study import FATIGUE, fitted, held_wrong, off_by, rig_of
+from ehbench.identification.problem import Mesh, Point, State
+from ehbench.identification.simulator import Effort
+from tests.virtual_logs import clean_log, noisy, virtual_log
+from tools.studies.held_study import FATIGUE, fitted, held_wrong, log_of, off_by, rig_of
 
 
 def machine_of(name, words):
@@ -86,3 +92,91 @@ def test_a_law_of_friction_that_the_rig_file_does_not_have_is_named():
     assert lean.sentence.key == "identification.absent_fixed"
     moved = {item.name: item for item in lean.moved}["press.friction_coulomb"]
     assert moved.here > moved.there >= coulomb and moved.halves > 2.0
+
+
+def of_slide(machine, rig, payload=None, seed=11):
+    """A fit to steps of the empty slide and of a loaded or late one; what its checks simulated."""
+    logs = []
+    for k, load in enumerate((None, payload)):
+        simulated = clean_log("slide_servo", machine.with_payload(load), "quick steps", 2.0)
+        logs.append((f"log {k}", noisy(simulated, seed + k, load)))
+    return identify_hydraulics(
+        rig, logs, ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+    )
+
+
+def test_a_payload_that_weighs_other_than_written_is_named():
+    rig = rig_of("slide_servo")
+    name = "100 kg.carriage.mass"
+    machine = rig.with_values({name: 1.2 * float(rig.parameters()[name])})
+    lean = of_slide(machine, rig, "100 kg").leans[0]
+    assert lean.name == name and lean.there == pytest.approx(420.0, rel=0.02)
+    assert lean.remedy.fields["quoted"] == f'"{name}"'
+
+
+def test_bristles_that_stick_at_rest_are_named_as_the_law_of_lugre():
+    """The machine's friction has a state more than the model's, before the supply's."""
+    rig = rig_of("slide_servo").with_values({"press.friction_coulomb": 200.0})
+    log = virtual_log("slide_servo", rig, "steps", 3)
+    rows = hypotheses(rig, ["press"], ["press.v"], [log])
+    machine = next(row for row in rows if row.kind == "sticking").rig(rig, 0.02)
+    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
+    names = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+    lean = identify_hydraulics(rig, logs, names).leans[0]
+    assert lean.name == "press.friction_static" and lean.explains > 0.7
+    assert "lugre" in lean.remedy.fields["lines"]
+    assert lean.sentence.key == "identification.absent_fixed"
+
+
+def test_commands_of_cartridges_that_are_written_late_are_named():
+    """All four are written 3 ms after they act: a delay below zero."""
+    rig = rig_of("boom_four_valve")
+    log = log_of("boom_four_valve", rig, "chirp", 5, ("command", -0.003))
+    fit = identify_hydraulics(rig, [("log", log)], ["bulk_modulus", "boom.joint_damping"])
+    lean = fit.leans[0]
+    assert lean.name.endswith(".command.delay") and lean.there == pytest.approx(-0.003, rel=0.2)
+    assert lean.remedy.key == "faults.written_late"
+
+
+@pytest.mark.parametrize("short", [False, True])
+def test_fixed_numbers_take_a_fifth_of_the_simulations_the_least_sure_first(monkeypatch, short):
+    """What a short fit has no simulations left for is listed, and was the surest."""
+    efforts, rows = [], []
+
+    def counted():
+        efforts.append(Effort())
+        return efforts[-1]
+
+    def fixed(fit, state, known=sensitivity._fixed_rows):
+        rows.extend(known(fit, state))
+        return rows
+
+    if short:
+        few = replace(sensitivity.SETTINGS, quick=0.0, effort=0.05)
+        monkeypatch.setattr(sensitivity, "SETTINGS", few)
+    monkeypatch.setattr(sensitivity, "Effort", counted)
+    monkeypatch.setattr(sensitivity, "_fixed_rows", fixed)
+    rig = rig_of("slide_servo")
+    fit = of_slide(rig.with_values({"press.bore": 0.0515}), rig)
+    assert short or fit.leans[0].name == "press.bore"
+    assert 8 <= efforts[0].evaluations <= sensitivity.SETTINGS.effort * fit.evaluations + 12
+    surest = {row.name: row.certainty for row in rows}
+    left = [surest[name] for name in fit.unasked]
+    rest = [row.certainty for row in rows if row.name not in fit.unasked and row.numbers]
+    assert bool(left) == short and min(left, default=9) >= max(rest) * short
+
+
+def test_derivatives_that_are_carried_explain_the_last_step():
+    """Of a function that bends: along the step the secant is exact, across it nothing changes."""
+    mesh = Mesh(np.zeros(2), [np.zeros(0)], [np.zeros(1)], 1.0)
+
+    def at(x, columns=None):
+        value = np.array([[x[0] ** 2 + x[1]], [3.0 * x[1] + x[0]]])
+        point = Point(x, [np.zeros(0)], [value], mesh, columns or {})
+        return State(x, [np.zeros(0)], {}, np.ones((2, 1), bool), (0, 1), point=point)
+
+    slopes = {(0, 0): np.array([[2.0], [1.0]]), (1, 0): np.array([[1.0], [3.0]])}
+    here, there = at(np.array([1.0, 0.0]), dict(slopes)), at(np.array([2.0, 0.0]))
+    after = carried(there, here).here.columns
+    assert after[0, 0] == pytest.approx(np.array([[3.0], [1.0]]))
+    assert after[1, 0] == pytest.approx(slopes[1, 0])

@@ -96,7 +96,7 @@ class Rig(FileModel):
                     raise Misplaced(text, "cylinder", at, "valve", i, "dynamics")
         if "none" in self.payload:
             raise Misplaced(message("config.payload_none"), "payload", "none")
-        for load, link in ((load, link) for load, links in self.payload.items() for link in links):
+        for load, link, _ in self.loads():
             if link not in joints:
                 text = message("config.no_link", link=link, joints=", ".join(joints))
                 raise Misplaced(text, "payload", load, link)
@@ -137,12 +137,11 @@ class Rig(FileModel):
         if not float(bodies[-1].mass) > 0.0:
             raise Misplaced(message("config.no_mass", name=bodies[-1].name), *where, "mass")
         empty = {body.name: float(body.mass) for body in bodies}
-        for load, links in self.payload.items():
-            for link, change in links.items():
-                if change.mass is not None and float(change.mass) < empty[link]:
-                    fields = {"mass": float(change.mass), "empty": empty[link]}
-                    text = message("config.payload_light", load=load, link=link, **fields)
-                    raise Misplaced(text, "payload", load, link, "mass")
+        for load, link, change in self.loads():
+            if change.mass is not None and float(change.mass) < empty[link]:
+                fields = {"mass": float(change.mass), "empty": empty[link]}
+                text = message("config.payload_light", load=load, link=link, **fields)
+                raise Misplaced(text, "payload", load, link, "mass")
         return self
 
     @model_validator(mode="after")
@@ -323,6 +322,12 @@ class Rig(FileModel):
             raise InputError(str(error)) from None
         return self.model_copy(update={"supply": supply})
 
+    def loads(self) -> Iterator[tuple[str, str, LinkLoad]]:
+        """(payload, link, what it changes of it) of each link of each payload."""
+        for load, links in self.payload.items():
+            for link, part in links.items():
+                yield load, link, part
+
     def parts(self) -> Iterator[tuple[str, tuple[str | int, ...], Any]]:
         """(what its parameters' names begin with, where it is, the table) of each part of the rig,
         a part before those inside it.
@@ -337,6 +342,8 @@ class Rig(FileModel):
         else:
             for i, joint in enumerate(self.mechanism.joint):
                 yield f"{joint.name}.", ("mechanism", "joint", i), joint
+        for load, link, part in self.loads():
+            yield f"{load}.{link}.", ("payload", load, link), part
         for i, cylinder in enumerate(self.cylinder):
             yield f"{cylinder.name}.", ("cylinder", i), cylinder
             for key, part in tables_of(cylinder).items():
@@ -364,6 +371,7 @@ class Rig(FileModel):
         """Every scalar parameter by the name recipes use.
 
         ``bulk_modulus``, ``supply.pressure``, ``<joint>.joint_damping``, ``<joint>.mass``,
+        ``<payload>.<joint>.mass``,
         ``<cylinder>.leakage_internal``, ``<dynamics>.natural_frequency`` (also where the file gives
         s1 and s2), ``<edge>.flow_gain``, ``<cylinder>.<force>.stiffness`` and so on."""
         results: dict[str, Value] = {}

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.rig import Cylinder, Joint, Rig, Slide
+from ehbench.config.rig import Cylinder, Joint, LinkLoad, Rig, Slide
 from ehbench.config.rig.cylinder import Force
 from ehbench.config.rig.supply import Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
@@ -27,7 +27,7 @@ from ehbench.parts.line import Line
 from ehbench.parts.valve import delay, first_order, second_order
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.plant.build import Maps, map_of
-from ehbench.preprocessing.observations import least_change, position_of
+from ehbench.preprocessing.observations import least_change, payload_of, position_of
 
 __all__ = ["TABLE", "Hypothesis", "hypotheses"]
 
@@ -49,6 +49,7 @@ TABLE: dict[type, tuple[Fault, ...]] = {
     Joint: load.FAULTS,
     Slide: load.FAULTS,
     Force: load.FAULTS,
+    LinkLoad: load.PAYLOAD,
     Cylinder: (*friction.FAULTS, *cylinder.FAULTS, *mount.FAULTS, *sway.FAULTS),
     Line: line.FAULTS,
     Valve: valve.FAULTS,
@@ -175,6 +176,10 @@ class _Rows:
             valve = owner.valve[place[3]] if place[2:3] == ("valve",) else None
             shown = owner in self.cylinders and (valve is None or valve in self.moved[owner.name])
             return Scales(self.rig, owner, valve, self.records, part=part) if shown else None
+        if isinstance(part, LinkLoad):
+            carried = any(payload_of(log) == place[1] for log in self.records)
+            owner = self.cylinders[0] if carried and self.cylinders else None
+            return owner and Scales(self.rig, owner, None, self.records, part=part)
         name = prefix.removesuffix(".")
         if isinstance(part, Supply) and all("p_supply" in log for log in self.records):
             return None

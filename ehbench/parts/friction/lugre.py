@@ -145,7 +145,11 @@ FAULTS = (
     Fault(
         "sticking",
         ("friction_coulomb", "friction_static"),
-        step=0.0,
+        unit="force",
+        step=0.01,
+        low=0.0,
+        high=1.0,
+        rank=4,
         start=Amount((0.006,), "force"),
         upper=Amount((0.3,), "force"),
         table="friction",
@@ -155,6 +159,8 @@ FAULTS = (
             "stribeck_speed": "20 mm/s",
             "bristle_stiffness": Amount((1.0e4,), "friction", "N/m"),
         },
+        moved=("friction_static",),
+        neutral=Amount((1.0,), "coulomb"),
         costly=True,
     ),
 )

@@ -60,6 +60,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     sensitive = [item["sentence"] for item in fit.get("leans", [])]
     notes = [fit["left_over"]] if fit.get("left_over") else []
     notes += [*fit.get("counts_on", []), *fit.get("compared", [])]
+    unasked = ", ".join(fit.get("unasked", []))
+    notes += [message("identification.unasked", names=unasked)] if unasked else []
     inside: list[Block] = [_parameters(page, parameters, fit.get("sensors", []))]
     inside += [Bullets(sensitive, "warn")] if sensitive else []
     inside += [Bullets(notes)] if notes else []
