@@ -1,6 +1,4 @@
-"""The command line: parse, call one workflow function, print where the result lies, return the exit
-code.
-"""
+"""The command line: parse, call a workflow function, print its result, return the exit code."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from functools import partial
 from inspect import Parameter, Signature
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 from typer.core import TyperGroup
@@ -726,9 +724,7 @@ _OUTSIDE = (
 
 
 def main() -> None:
-    """Entry point: errors of ours become one sentence on stderr and their exit code, and nothing
-    half-written stays.
-    """
+    """Entry point: an error becomes a sentence on stderr and an exit code."""
     listen()
     codecs.register_error("spelled", _spelled)
     for stream in (sys.stdout, sys.stderr):
@@ -740,13 +736,27 @@ def main() -> None:
     try:
         app()
     except BaseException as error:
-        _end_by(error, ended())
+        requested = ended()
+        if requested and isinstance(error, (Terminated, Exception)):
+            if requested == signal.SIGINT:
+                print(message("app.interrupted"), file=sys.stderr)
+            for note in getattr(error, "__notes__", []):
+                print(note, file=sys.stderr)
+            sys.exit(128 + requested)
+        if isinstance(error, EhbenchError):
+            print(f"error: {error}", file=sys.stderr)
+            sys.exit(error.exit_code)
+        if isinstance(error, OSError) and error.errno in _OUTSIDE:
+            where = f"{shortened_path(error.filename)}: " if error.filename else ""
+            print(f"error: {where}{error.strerror}", file=sys.stderr)
+            with suppress(OSError):
+                sys.stdout.close()
+            sys.exit(2)
+        raise error
 
 
 def _spelled(error: UnicodeError) -> tuple[bytes, int]:
-    """What a stream writes of text that its encoding has not: the bytes of a file's name as the
-    disk has them, anything else as ``\\uXXXX``.
-    """
+    """What its encoding lacks: bytes of a file's name as they are, else ``\\uXXXX``."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text = error.object[error.start : error.end]
@@ -754,28 +764,6 @@ def _spelled(error: UnicodeError) -> tuple[bytes, int]:
         return text.encode("ascii", "surrogateescape"), error.end
     except UnicodeEncodeError:
         return text.encode("ascii", "backslashreplace"), error.end
-
-
-def _end_by(error: BaseException, requested: int) -> NoReturn:
-    """End the process by what came out of a command; ``requested`` is the signal that it was to end
-    by, which libraries may have turned into errors of theirs.
-    """
-    if requested and isinstance(error, (Terminated, Exception)):
-        if requested == signal.SIGINT:
-            print(message("app.interrupted"), file=sys.stderr)
-        for note in getattr(error, "__notes__", []):
-            print(note, file=sys.stderr)
-        sys.exit(128 + requested)
-    if isinstance(error, EhbenchError):
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    if isinstance(error, OSError) and error.errno in _OUTSIDE:
-        where = f"{shortened_path(error.filename)}: " if error.filename else ""
-        print(f"error: {where}{error.strerror}", file=sys.stderr)
-        with suppress(OSError):
-            sys.stdout.close()
-        sys.exit(2)
-    raise error
 
 
 if __name__ == "__main__":

@@ -88,7 +88,25 @@ def check(path: Path, dry_run: DryRun | None = None, verbose: bool = False) -> I
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise InputError(message("app.is_folder"), file=path)
     if path.suffix == ".csv" and is_flowmeter(path):
-        return _flowmeter(path)
+        data = read_flowmeter(path)
+        lines = [f"flowmeter readings: {data.flow.size} rows"]
+        for valve, direction in data.groups():
+            rows = data.select(valve, direction)
+            drop = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
+            drops = "no pressures"
+            if drop.size:
+                ends = (rows.shown("pressure_drop", value) for value in (drop.min(), drop.max()))
+                drops = f"drops {' to '.join(ends)}"
+            text = message(
+                "app.readings",
+                map=f"{valve} {direction}",
+                readings=plural(len(rows.flow), "reading"),
+                commands=plural(len(set(rows.command.tolist())), "command"),
+                drops=drops,
+                flow=rows.shown("flow", abs(rows.flow).max()),
+            )
+            lines.append(text)
+        return Inspection((*lines, "ok"))
     return _log(path, verbose)
 
 
@@ -195,28 +213,6 @@ def _map(path: Path) -> Inspection:
         lines.append(f"  {name}: {column.channel}{unit}")
     if not any(column.channel != "t" for column in columns.names.values()):
         raise InputError(message("app.maps_nothing"), file=path)
-    return Inspection((*lines, "ok"))
-
-
-def _flowmeter(path: Path) -> Inspection:
-    data = read_flowmeter(path)
-    lines = [f"flowmeter readings: {data.flow.size} rows"]
-    for valve, direction in data.groups():
-        rows = data.select(valve, direction)
-        drop = rows.pressure_drop[np.isfinite(rows.pressure_drop)]
-        drops = "no pressures"
-        if drop.size:
-            ends = (rows.shown("pressure_drop", value) for value in (drop.min(), drop.max()))
-            drops = f"drops {' to '.join(ends)}"
-        text = message(
-            "app.readings",
-            map=f"{valve} {direction}",
-            readings=plural(len(rows.flow), "reading"),
-            commands=plural(len(set(rows.command.tolist())), "command"),
-            drops=drops,
-            flow=rows.shown("flow", abs(rows.flow).max()),
-        )
-        lines.append(text)
     return Inspection((*lines, "ok"))
 
 

@@ -48,9 +48,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Trial:
-    """A test to run: ``commands`` as entries of a trial recipe, SI; ``stroke`` [m] where its
-    cylinder starts.
-    """
+    """A test: ``commands`` as a trial recipe has them, SI; ``stroke`` [m] where it starts."""
 
     cylinder: str
     wave: str
@@ -87,9 +85,7 @@ class Known:
 
 
 def widest(fitted: Sequence[Known], search: Sequence[Coordinate]) -> str:
-    """The parameter that is known least: one without an interval, else of the widest in its own
-    units.
-    """
+    """The least known parameter: one without an interval, else with the widest."""
 
     def width(item: Known, c: Coordinate) -> float:
         if item.interval is None or item.status == "not_excited":
@@ -227,9 +223,7 @@ class _Planner:
         postures: Sequence[float] = (0.5,),
         loads: Sequence[str | None] = (None,),
     ) -> list[Trial]:
-        """A waveform at an amplitude, from some shares of the stroke and with some loads, only the
-        first of either where the other changes.
-        """
+        """A waveform at an amplitude from several strokes, then with several loads."""
         stroke = float(self.rig.cylinder_named(drive.cylinder).stroke)
         commands = tuple(entries_of(self.shut, drive, wave, amplitude))
         starts = [(share, None) for share in postures] + [(postures[0], load) for load in loads[1:]]

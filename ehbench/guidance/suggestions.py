@@ -206,9 +206,7 @@ def suggest(
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """A fit with some windows left out: its numbers, and mean squares of what it leaves [SI²] by
-    (log, window) left out and channel.
-    """
+    """A fit without some windows: its numbers, and what it leaves there [SI²] by channel."""
 
     cost: float
     numbers: dict[str, float]
@@ -260,7 +258,12 @@ class _Trials:
             better = [item for item in reached if self._better(item, now)]
             if not better:
                 break
-            now = self._simplest(now, min(better, key=lambda entry: self._misfit(entry, now)))
+            best = min(better, key=lambda entry: self._misfit(entry, now))
+            parts = [self._try(now, item) for item in best.setup.changes[-1].parts(self.rows)]
+            results = [part for part in parts if part is not None]
+            self.tried += results
+            retained = [item for item in results if self._not_worse(item, best)]
+            now = min(retained, key=lambda entry: self._misfit(entry, best), default=best)
         self.report("suggest: done", 1.0)
         return self._table(untried)
 
@@ -347,16 +350,6 @@ class _Trials:
         """
         _, problem = self._prepared(setup, 0)
         return min(foreseen(problem, {**now.numbers[0], **start}) for start in starts)
-
-    def _simplest(self, now: Tried, best: Tried) -> Tried:
-        """The best of the parts of the last change of a fit that are not worse than the whole; the
-        fit itself where there are none.
-        """
-        parts = [self._try(now, item) for item in best.setup.changes[-1].parts(self.rows)]
-        results = [part for part in parts if part is not None]
-        self.tried += results
-        retained = [item for item in results if self._not_worse(item, best)]
-        return min(retained, key=lambda entry: self._misfit(entry, best), default=best)
 
     def _first(self) -> Tried:
         """The fit as the recipe has it, from a look over the whole range of its parameters."""
@@ -528,9 +521,7 @@ class _Trials:
         return Suggestions(tuple(rows), setups, untried)
 
     def _begun(self, item: Tried) -> Setup:
-        """A fit that begins where it was tried; parameters that the logs do not excite stay at
-        the rig's values.
-        """
+        """A fit that begins where it was tried; what logs do not excite stays as in the rig."""
         setup, result = item.setup, item.numbers[int(np.argmin(item.costs))]
         logs, problem = self._prepared(setup, None)
         state = evaluate(problem, at_values(problem, result))
@@ -567,9 +558,7 @@ def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
 
 
 def _windows(log: Log, long: float = 0.5, short: float = 0.02) -> np.ndarray:
-    """Number of the window that each sample is in: 4 to 16 of a log, ``long`` [s] if they may be,
-    none below ``short`` [s].
-    """
+    """The window of each sample: 4 to 16 of a log, ``long`` [s] if possible, at least ``short``."""
     size, tick = len(log.recorded), log.sample_time
     count = min(max(round(size * tick / long), 4), 16)
     count = max(1, min(count, int(size * tick / short)))

@@ -96,9 +96,7 @@ class Bounds:
 
 
 def travels(x: np.ndarray, apart: float) -> tuple[float, float]:
-    """(way out, way in) [m] of a stroke, counted between turning points at least ``apart`` [m]
-    from each other, so that noise is no way.
-    """
+    """(way out, way in) [m] of a stroke, between turning points ``apart`` [m] or more."""
     anchor, extreme, going = float(x[0]), float(x[0]), 0
     ways = [0.0, 0.0]
     for value in x:
@@ -254,9 +252,7 @@ def _beyond(
     ways: tuple[float, float],
     drawn: dict[str, dict[str, float]],
 ) -> tuple[Beyond, ...]:
-    """What each working function drew against its share of the way out and in, ``ways`` [m], at
-    ``price`` [J/m] each.
-    """
+    """What each function drew against its share of ``ways`` [m] at ``price`` [J/m]."""
     rig, record, item, x, function = built
     squeezed = _squeezed(rig, record, item, x)
     turns = np.flatnonzero(np.diff(function, prepend=-1))
@@ -277,9 +273,7 @@ def _beyond(
 
 
 def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.ndarray:
-    """Volume [m³] by which the oil of both chambers was pressed together from each sample to the
-    next, ``∫ V/β dp``.
-    """
+    """Compressed volume of both chambers [m³] from sample to sample, ``∫ V/β dp``."""
     areas, dead = item.areas(), (float(item.volume_head), float(item.volume_rod))
     oil = oil_fields(rig, item.bulk_modulus)
     squeezed = np.zeros(x.size - 1)
@@ -293,9 +287,7 @@ def _squeezed(rig: Rig, record: Record, item: Cylinder, x: np.ndarray) -> np.nda
 
 
 def _drawn(rig: Rig, record: Record, cylinder: str) -> float | None:
-    """``∫ Ps Q dt`` [J] of a cylinder's edges from the supply, None where the record has not all
-    their flows.
-    """
+    """``∫ Ps Q dt`` [J] of a cylinder's supply edges, None where a flow is missing."""
     total = 0.0
     for name, edge in rig.all_edges().items():
         if name.split(".", 1)[0] != cylinder or "supply" not in (edge.from_, edge.to):

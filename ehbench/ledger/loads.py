@@ -1,6 +1,4 @@
-"""Payloads that change during a record: what is stored while each is carried, and what goes with
-them.
-"""
+"""Payloads that change during a record: what is stored with each, and what goes with them."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ class Loads:
         return cls(first or message, tuple(changes))
 
     def spans(self, model: Model, t: np.ndarray) -> Iterator[tuple[slice, Plant]]:
-        """Rows that one payload is carried in, and the plant with it; each begins with the row in
-        which the one before ends.
-        """
+        """Rows with one payload and its plant; each begins with the last row of the one before."""
         rows = [0, *(int(np.searchsorted(t, at - 1e-9)) for at, _ in self.changes), t.size - 1]
         payloads = [self.first, *(name for _, name in self.changes)]
         for first, last, payload in zip(rows, rows[1:], payloads, strict=False):

@@ -27,9 +27,7 @@ from ehbench.vocabulary.messages import message
 
 
 class Measured(NamedTuple):
-    """What a log gave: its model, payload and readings; states, flows and powers at each sample;
-    energies [J] of all rows.
-    """
+    """What a log gave: model, payload, readings; states, flows, powers; energies [J] of rows."""
 
     model: Model
     payload: str
@@ -62,9 +60,7 @@ class Accuracy:
 
 
 class Account:
-    """Energies of readings on a model: what `ledger_of_log` evaluates again for every source of
-    doubt.
-    """
+    """Energies of readings on a model, evaluated again for every source of doubt."""
 
     def __init__(self, sheet: Sheet, loads: Loads, accuracy: Accuracy) -> None:
         self.sheet, self.loads, self.accuracy = sheet, loads, accuracy
@@ -82,9 +78,7 @@ class Account:
         return states
 
     def flows(self, model: Model, m: Readings, states: np.ndarray) -> np.ndarray:
-        """Edge flows [m³/s] at the states, shape (samples, edges + 1); the last column is the
-        measured flow of the pump, or 0.
-        """
+        """Edge flows [m³/s], shape (samples, edges + 1); last the pump's measured flow, or 0."""
         plant = model.plant.at_pressures()
         flows = np.empty((m.t.size, len(model.layout.edges) + 1))
         flows_at(states, m.commands, m.p_tank, plant, flows)
@@ -269,9 +263,7 @@ def ledger_of_log(
 def _effects(
     rig: Rig, maps: Maps | None, account: Account, result: Measured, accuracy: Accuracy
 ) -> tuple[dict[str, np.ndarray], list[str]]:
-    """(what one standard error of each source of doubt does to the energies [J], what had to be
-    assumed).
-    """
+    """(effect of one standard error of each source on the energies [J], assumptions)."""
     model, readings, states = result.model, result.readings, result.states
     flows, power, base = result.flows, result.power, result.energies
     load = None if result.payload in ("none", "") else result.payload
@@ -325,9 +317,7 @@ def _at(m: Readings, rows: np.ndarray) -> Readings:
 def _flow_std(
     maps: Maps | None, e: int, result: Measured, accuracy: Accuracy
 ) -> tuple[np.ndarray, list[str]]:
-    """(standard error [m³/s] of an edge's flow at every sample, in the direction of the flow; what
-    had to be assumed).
-    """
+    """(standard error [m³/s] of an edge's flow at each sample, along it; assumptions)."""
     model, m, states, flow = result.model, result.readings, result.states, result.flows[:, e]
     plant, name = model.plant, model.layout.edges[e]
     edge = model.rig.all_edges()[name]
@@ -358,9 +348,7 @@ def _flow_std(
 
 
 def _doubts(model: Model, m: Readings, accuracy: Accuracy) -> Iterator[tuple[str, Readings]]:
-    """Readings moved by one standard error of each sensor, and of the alignment of commands with
-    them.
-    """
+    """Readings moved by a standard error of each sensor, and of the commands' alignment."""
     zero = accuracy.pressure * model.plant.supply.pressure
     for i, name in enumerate(model.layout.cylinders):
         for side, key in enumerate(("p_head", "p_rod")):
@@ -383,9 +371,7 @@ def _doubts(model: Model, m: Readings, accuracy: Accuracy) -> Iterator[tuple[str
 
 
 def _noise(account: Account, model: Model, m: Readings, draws: int) -> np.ndarray:
-    """Energies of readings that carry their own noise once more, shape (draws, rows); the same
-    draws every time.
-    """
+    """Energies with the readings' noise added once more, (draws, rows); the same draws always."""
     rng = np.random.default_rng(0)
     names = ("q", "qd", "x", "p", "p_supply", "p_tank")
     sizes = {name: np.apply_along_axis(noise_of, 0, getattr(m, name)) for name in names}

@@ -48,8 +48,7 @@ class CylinderPowers(NamedTuple):
 
 
 class CylinderStores(NamedTuple):
-    """Where what is stored stands among that of its cylinder: oil of head and rod, end stops,
-    springs on the rod."""
+    """Places of what a cylinder stores: oil of head and rod, end stops, springs on the rod."""
 
     head: int = 0
     rod: int = 1
@@ -148,9 +147,7 @@ def powers(y, command, flows, plant, owner, out):
 
 @kernel
 def _pump(e, y, flow, plant, shaft, out):
-    """Write what an edge takes that is a pump, the slip, and what its shaft gives, ``D ω (p_b −
-    p_a)``, into column ``shaft``.
-    """
+    """Write a pump edge's power, its slip, and that of its shaft, ``D ω (p_b − p_a)``."""
     edge = plant.edges[e]
     drop = node_pressure(y, plant, edge.from_node) - node_pressure(y, plant, edge.to_node)
     out[FIRST_EDGE + e] = slip_loss(drop, edge)
@@ -159,9 +156,7 @@ def _pump(e, y, flow, plant, shaft, out):
 
 @kernel
 def _line(i, y, flows, plant, at, out):
-    """Write what a line takes into column ``at``; add what its oil lets go and the cavitation floor
-    gives to its cylinder's.
-    """
+    """Write a line's power into column ``at``; its oil and cavitation count as its cylinder's."""
     row = plant.lines[i]
     own = power_at(plant.edges.shape[0], row.cylinder, 0)
     p, u = _node(row.node, y, plant)

@@ -74,9 +74,7 @@ def integrate(t, states, commands, plant, line, owner, step, out):
 
 @allocating_kernel
 def flows_at(states, commands, tank, plant, flows):
-    """Edge flows and the pump's at given states; ``tank`` [Pa] is written into the plant's nodes as
-    it goes along.
-    """
+    """Edge flows and the pump's at given states; ``tank`` [Pa] goes into the plant's nodes."""
     k = np.empty(states.shape[1])
     work = np.empty(plant.at.work)
     for i in range(states.shape[0]):

@@ -81,9 +81,7 @@ class Ledger:
 
     @property
     def pump(self) -> float:
-        """Pump energy [J]: ``∫ Ps Q dt`` (SPEC 4), that of the low rail, and that of pumps at
-        cylinders.
-        """
+        """Energy [J] of the pump, ``∫ Ps Q dt`` (SPEC 4), the low rail and cylinders' pumps."""
         given = (row for row in self.rows if row.name in ("pump", "low_rail"))
         shafts = (row for row in self.rows if row.name.endswith(".shaft"))
         return math.fsum(row.energy for row in (*given, *shafts))

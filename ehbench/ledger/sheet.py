@@ -92,9 +92,7 @@ class Sheet:
             vector[[at[name] for name in minus]] -= 1.0
 
     def expand(self, vector: np.ndarray) -> np.ndarray:
-        """Energies of columns, shape (..., columns), with the parts of the residual and their sum
-        behind them.
-        """
+        """Energies of columns, shape (..., columns), then the residual's parts and their sum."""
         parts = vector @ self.combinations.T
         return np.concatenate([vector, parts, parts.sum(axis=-1, keepdims=True)], axis=-1)
 
@@ -245,9 +243,7 @@ def _parts(rows: list[Named], cylinders: Sequence[str], word: str) -> list[Part]
 
 
 def function_of(record: Record, cylinder: str) -> np.ndarray | None:
-    """The working function of every tick, shape (samples − 1,), as a controller logged it; None
-    where none did.
-    """
+    """The working function of every tick as logged, shape (samples − 1,); None without."""
     channel = record.channels.get(f"{cylinder}.function")
     if channel is None:
         return None
@@ -255,9 +251,7 @@ def function_of(record: Record, cylinder: str) -> np.ndarray | None:
 
 
 def oil_drawn(model: Model, t: np.ndarray, flows: np.ndarray) -> float:
-    """Oil [m³] that the edges took from the supply, by trapezes of their flows, shape (samples,
-    edges + 1).
-    """
+    """Oil [m³] that edges took from the supply, by trapezes, shape (samples, edges + 1)."""
     sign, edges = np.zeros(flows.shape[1]), model.plant.edges
     sign[:-1] = 1.0 * (edges.from_node == SUPPLY) - 1.0 * (edges.to_node == SUPPLY)
     drawn = flows @ sign

@@ -1,6 +1,4 @@
-"""Draw saved results: figures of one run, and one self-contained HTML page over many. Reads files
-only, re-runs nothing.
-"""
+"""Draw saved results: a run's figures, and one HTML page over many runs; re-runs nothing."""
 
 from __future__ import annotations
 

@@ -12,9 +12,7 @@ from typing import ClassVar, TypeAlias
 
 @dataclass(frozen=True)
 class Cell:
-    """A table cell. ``look``: ``number``, ``mute``, ``code``, or a chip: ``good``, ``bad``,
-    ``warn``, ``plain``.
-    """
+    """A table cell; ``look``: ``number``, ``code``, or a chip: ``good``, ``bad``, ``warn``…"""
 
     text: str
     look: str = ""
@@ -57,9 +55,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Card:
-    """A number of the first screen: its name, the number with its unit, what is to be known of it,
-    and where it is from.
-    """
+    """A number of the first screen: its name, the number with its unit, a remark, a link."""
 
     label: str
     value: str
@@ -126,9 +122,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page. ``chip`` stands beside the title; parts appear in the table of
-    contents.
-    """
+    """A section of the page: ``chip`` beside the title; its parts are in the table of contents."""
 
     title: str
     inside: Sequence[Block]

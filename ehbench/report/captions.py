@@ -60,9 +60,7 @@ def percent(share: float | None, digits: int = 2) -> str:
 def ranged(
     text_of: Callable[[float | None], str], value: float | None, ends: Sequence[float] | None
 ) -> str:
-    """A median with the least and the largest of several runs, ``0.23 (0.2 to 0.31)``; alone
-    where there are none.
-    """
+    """A median with the ends of several runs, ``0.23 (0.2 to 0.31)``, or alone."""
     text = text_of(value)
     if value is None or ends is None:
         return text
@@ -101,9 +99,7 @@ def load_name(payload: str) -> str:
 
 
 def stroke(rig: Rig, row: Table | None, value: float | None, digits: int = 3) -> str:
-    """An error of stroke [m] in the rig's unit, no finer than what the machine of a trial measured
-    it by.
-    """
+    """An error of stroke [m] in the rig's unit, no finer than the machine measured it."""
     if value is None:
         return number(None)
     measured = {} if row is None or row["on"] == MODEL else row.get("gains", {})

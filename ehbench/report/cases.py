@@ -21,9 +21,7 @@ SLOW = 0.2  # share by which a steady speed may miss what was asked and still be
 
 @dataclass(frozen=True)
 class Case:
-    """One trial under a controller as a run saved it: its row of the table, its log, and its energy
-    ledger if there is one.
-    """
+    """One trial under a controller: its row of the table, its log, its energy ledger if any."""
 
     row: Table
     stem: str
@@ -48,9 +46,7 @@ class Case:
 
     @property
     def fit(self) -> bool:
-        """Whether it did what was asked, so that it may be compared: not stopped, and no step far
-        slower than asked.
-        """
+        """Whether it may be compared: not stopped, and no step far slower than desired."""
         return not self.row.get("stopped") and all(
             abs(step["steady_error"]) < SLOW for step in self.steps
         )
@@ -111,16 +107,12 @@ def by_controller(cases: Sequence[Case]) -> dict[str, list[Case]]:
 
 
 def damping(item: Table) -> tuple[float | None, str]:
-    """(damping ratio of a step's decay, doubt about it); of a speed that hardly rings it is that of
-    the fit.
-    """
+    """(damping ratio of a step's decay, doubt); of a speed that hardly rings that of the fit."""
     return item.get("damping_ratio_fitted", item.get("damping_ratio")), item["ringing"]
 
 
 def limits_of(row: Table) -> dict[str, float]:
-    """Shares of the time at the limits of the valve level, and without a function that can move the
-    load.
-    """
+    """Shares of the time at limits of the valve level, or without a function for the load."""
     functions = row.get("functions", {})
     return dict(row.get("limits", {})) | {
         name: functions[name] for name in STATUS_MEANS if name in functions

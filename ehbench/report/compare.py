@@ -1,6 +1,4 @@
-"""What differs between two runs of one kind: inputs, parameters (by how many intervals), verdict
-and headline numbers.
-"""
+"""What differs between two runs of one kind: inputs, parameters, verdict, headline numbers."""
 
 from __future__ import annotations
 
@@ -70,9 +68,7 @@ class Shift:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between two runs. ``same``: parameters that both runs have alike; ``changes``:
-    what no longer supports either run.
-    """
+    """What differs; ``same`` counts equal parameters, ``changes`` is what supports no more."""
 
     stage: str
     verdicts: tuple[str, str]
@@ -171,9 +167,7 @@ def _interval(interval: Any) -> Ends | None:
 
 
 def answer(result: Comparison, rig: Rig | None) -> Answer:
-    """What differs between two runs, in the units of a rig: parameters first, then other numbers,
-    then inputs.
-    """
+    """What differs, in the units of a rig: parameters first, then other numbers, inputs."""
     head = ["parameter", "first", "second", "unit", "intervals apart"]
     inputs, numbers = (
         [[item.what, _abbreviated(item.first), _abbreviated(item.second)] for item in items]

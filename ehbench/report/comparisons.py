@@ -1,21 +1,19 @@
-"""What identification and validation share: recorded against simulated, over time and frequency,
-and ringing side by side.
-"""
+"""Recorded against simulated, over time and frequency, and ringing side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Grid
-from ehbench.report.figures.comparison import comparison
-from ehbench.report.figures.sweeps import sweeps
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Series, Table
+from ehbench.report.style import MUTED, RECORDED, SIMULATED, Look, canvas, key, legend, thin
 from ehbench.report.template import Template
-from ehbench.report.words import words
+from ehbench.report.words import axis, number, pretty, shown, title_of, unit_of, words
 
 _TWINS = {"x": "q", "v": "qd"}  # a joint's angle and its cylinder's stroke say the same
 
@@ -45,15 +43,16 @@ def draw_comparisons(
             off=off,
         )
         title = f"{lead}: {words(log)}" + (f", {cylinder}" if cylinder else "")
-        about = FigureKey(kind, log=log, cylinder=cylinder)
-        path = index.add(f"{kind}_{log}_{cylinder}", title, caption, about)
-        comparison(path, run.rig, series, channels)
+        about = {"log": log, "cylinder": cylinder}
+        path = index.add(f"{kind}_{log}_{cylinder}", title, caption, kind, **about)
+        draw_panels(path, run.rig, series, channels)
 
 
 def draw_responses(
     run: Saved,
     index: FigureIndex,
-    about: FigureKey,
+    kind: str,
+    log: str,
     key: str,
     result: Sequence[Table],
     limit: float,
@@ -61,16 +60,14 @@ def draw_responses(
     """Frequency responses of a log to one command, where the coherence reaches a limit."""
     command = result[0]["input"].removesuffix(".command")
     caption = Template("comparisons").text("responses")
-    title = f"Response to {command} in {words(about.log or '')}"
-    sweeps(index.add(key, title, caption, about), run.rig, result, limit)
+    title = f"Response to {command} in {words(log)}"
+    draw_sweeps(index.add(key, title, caption, kind, log=log), run.rig, result, limit)
 
 
 def lasting(
     series: Series, channels: Sequence[str], off: float = 0.1, long: float = 0.2
 ) -> list[tuple[str, float]]:
-    """(channel, longest time [s]) of each whose simulation lies off to one side of the recording
-    for a share ``long`` of the log.
-    """
+    """(channel, time [s]) where a simulation lies to one side for a share ``long`` of the log."""
     lasting, t = [], series.t
     for channel in channels:
         if channel not in series.recorded or channel not in series.simulated:
@@ -91,3 +88,106 @@ def lasting(
 def ringing_table(rig: Rig | None, matches: Sequence[Table], with_log: bool = False) -> Grid:
     """Ringing of recorded and simulated transients, a row each, perhaps with the log's name."""
     return Template("comparisons", rig).table("ringing", matches, with_log=with_log)
+
+
+_RECORDED: Look = {"color": RECORDED, "linewidth": 0.9}
+_SIMULATED: Look = {"color": SIMULATED, "linewidth": 1.7, "linestyle": (0, (4, 1.6))}
+
+
+def draw_panels(path: Path, rig: Rig, series: Series, channels: Sequence[str]) -> None:
+    """Recorded solid, simulated dashed, below each the error (thesis Fig. 2.12)."""
+    both = {c for c in channels if c in series.recorded and c in series.simulated}
+    columns = min(2, len(channels))
+    rows = -(-len(channels) // columns)
+    deep = 2 if both else 1
+    size = (7.4, (2.7 if both else 2.0) * rows + 0.3)
+    ratios = [3.4, 1] * rows if both else [1] * rows
+    look = {"sharex": True, "squeeze": False, "height_ratios": ratios}
+    with canvas(path, deep * rows, columns, size, **look) as (figure, axes):
+        for place in range(rows * columns):
+            top = deep * (place // columns)
+            cells = axes[top : top + deep, place % columns]
+            if place >= len(channels):
+                for ax in cells:
+                    ax.remove()
+            else:
+                last = place + columns >= len(channels)
+                recorded, simulated = (
+                    shown(rig, channels[place], side.get(channels[place]))
+                    for side in (series.recorded, series.simulated)
+                )
+                main = bottom = cells[0]
+                if recorded is not None:
+                    main.plot(*thin(series.t, recorded), **_RECORDED)
+                if simulated is not None:
+                    main.plot(*thin(series.t, simulated), alpha=0.95, **_SIMULATED)
+                main.set_title(axis(rig, channels[place], title_of(channels[place])))
+                main.margins(y=0.08)
+                if recorded is not None and simulated is not None:
+                    bottom, error = cells[1], simulated - recorded
+                    bottom.plot(*thin(series.t, error), color=MUTED, linewidth=0.8)
+                    bottom.axhline(0.0, color="#111827", linewidth=0.6)
+                    maximum = 1.1 * float(np.nanmax(np.abs(error), initial=1e-12))
+                    bottom.set_ylim(-maximum, maximum)
+                    bottom.set_ylabel("error", fontsize=8)
+                    bottom.locator_params(axis="y", nbins=3)
+                elif len(cells) == 2:
+                    cells[1].remove()
+                bottom.tick_params(labelbottom=last)
+                if last:
+                    bottom.set_xlabel("time [s]")
+        handles = [key("recorded", **_RECORDED | {"linewidth": 1.0})] if series.recorded else []
+        handles += [key("simulated", **_SIMULATED)] if series.simulated else []
+        legend(figure, handles)
+
+
+_LOOKS = {
+    "recorded": {"color": RECORDED, "linestyle": "-", "marker": "o", "markersize": 2.2},
+    "simulated": {"color": SIMULATED, "linestyle": (0, (4, 1.6)), "marker": "", "linewidth": 1.7},
+}
+
+
+def draw_sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -> None:
+    """A column a channel: coherence; gain and phase where it reaches ``minimum``."""
+    from matplotlib.ticker import LogLocator
+
+    rows = ("gain", "phase", "coherence")
+    shape = {"sharex": True, "squeeze": False, "height_ratios": (3, 3, 1.6)}
+    with canvas(path, 3, len(result), (7.4, 5.4), **shape) as (figure, axes):
+        for column, sweep in enumerate(result):
+            for side, look in _LOOKS.items():
+                if sweep.get(side) is not None:
+                    _draw_side(axes[:, column], rig, sweep, side, look)
+            top, middle, bottom = axes[:, column]
+            unit = pretty(unit_of(rig, sweep["channel"]))
+            title = title_of(sweep["channel"])
+            top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
+            top.set(xscale="log", yscale="log")
+            for way, marks in (
+                (top.xaxis, (1.0, 2.0, 5.0)),
+                (top.yaxis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)),
+            ):
+                way.set_major_locator(LogLocator(subs=marks, numticks=9))
+                way.set_major_formatter(lambda tick, _: number(tick))
+                way.set_minor_formatter(lambda tick, _: "")
+            middle.locator_params(axis="y", nbins=6)
+            bottom.axhline(minimum, color=MUTED, linewidth=0.8, linestyle="--")
+            bottom.set_ylim(0.0, 1.05)
+            bottom.set_xlabel("frequency [Hz]")
+        for ax, row in zip(axes[:, 0], rows, strict=True):
+            ax.set_ylabel("phase [°]" if row == "phase" else row)
+        legend(figure, [key(side, **look) for side, look in _LOOKS.items()])
+
+
+def _draw_side(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> None:
+    curve, channel = sweep[side], sweep["channel"]
+    frequency = np.array(curve["frequency"], float)
+    coherent = np.array(sweep["recorded"]["coherent"], bool)
+    scale = shown(rig, channel, 1.0) - shown(rig, channel, 0.0)
+    gain, phase, coherence = (np.array(curve[row], float) for row in ("gain", "phase", "coherence"))
+    if side == "simulated":
+        recorded = np.array(sweep["recorded"]["phase"], float)
+        phase = phase + 360.0 * np.round((recorded - phase) / 360.0)  # on the nearest turn
+    axes[0].plot(frequency[coherent], scale * gain[coherent], **look)
+    axes[1].plot(frequency[coherent], phase[coherent], **look)
+    axes[2].plot(frequency, coherence, **look | {"marker": ""})

@@ -1,41 +1,26 @@
-"""What a stage gives to the report: its figures, its section, and the cells that sections are
-made of.
-"""
+"""What a stage gives to the report: its figures, its section, and cells of tables."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Part, Picture
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved
-from ehbench.report.words import count, number, shown, words
+from ehbench.report.words import count, words
 from ehbench.vocabulary.messages import Message, message
 
-Pictures = Callable[[FigureKey], list[Picture]]  # the run's figures that answer a question
+Pictures = Callable[..., list[Picture]]  # the run's figures that show something
+# how status words look as a chip; all others are plain
 _LOOKS = {
-    "accepted": "good",
-    "met": "good",
-    "estimated": "good",
-    "passed": "good",
-    "done": "good",
-    "rejected": "bad",
-    "missed": "bad",
-    "failed": "bad",
-    "stopped": "bad",
-    "undecided": "warn",
-    "not_measured": "warn",
-    "accepted_with_reservation": "warn",
-    "estimated, doubtful": "warn",
-    "at_bound": "warn",
-    "not_excited": "warn",
-    "correlated": "warn",
-    "fitted": "warn",
-    "still": "warn",
-    "partly_estimated": "warn",
+    "good": ("accepted", "met", "estimated", "passed", "done"),
+    "bad": ("rejected", "missed", "failed", "stopped"),
+    "warn": (
+        *("undecided", "not_measured", "accepted_with_reservation", "estimated, doubtful"),
+        *("at_bound", "not_excited", "correlated", "fitted", "still", "partly_estimated"),
+    ),
 }
 
 
@@ -63,16 +48,14 @@ class Findings:
     """
 
     numbers: Sequence[Headline] = ()
-    figures: Sequence[FigureKey] = ()
+    figures: Sequence[Mapping[str, str]] = ()
     against: Sequence[str] = ()
     next: Sequence[Message] = ()
 
 
 @dataclass(frozen=True)
 class SectionContent:
-    """What a stage tells of a run: a status word, one sentence, the parts of the section, and
-    more sentences, each of one controller.
-    """
+    """A status word, a sentence, the parts of the section, and a sentence a controller."""
 
     status: str
     sentence: str
@@ -100,9 +83,7 @@ class StageReport:
 
 
 def names(run: Saved) -> dict[str, str]:
-    """What steps call a run: its folder ``run``, its ``recipe``, and the ``name`` that a recipe
-    next to it takes for the run.
-    """
+    """What steps call a run: its folder ``run``, its ``recipe``, and the run's ``name``."""
     recipe = run.facts["recipe"]["path"]
     return {"run": run.folder.name, "recipe": recipe, "name": recipe}
 
@@ -120,7 +101,7 @@ def remedy_step(remedy: str) -> Message:
 
 def look_of(status: str) -> str:
     """How a status word looks as a chip."""
-    return _LOOKS.get(status, "plain")
+    return next((look for look, words in _LOOKS.items() if status in words), "plain")
 
 
 def chip(status: str) -> Cell:
@@ -133,16 +114,6 @@ def num(text: str) -> Cell:
     return Cell(text, "number")
 
 
-def quantity_cell(rig: Rig, name: str, value: float | None, digits: int = 4) -> Cell:
-    """An SI number in the rig's unit, as a cell."""
-    return num(number(shown(rig, name, value), digits))
-
-
 def folded(figures: Sequence[Picture], what: str) -> list[Block]:
     """Figures that open on a click, under their count; nothing where there are none."""
     return [Fold(f"{count(len(figures), 'figure')}: {what}", figures)] if figures else []
-
-
-def stopped_status(stopped: object) -> str:
-    """The status word of a trial or a set of them."""
-    return "stopped" if stopped else "done"

@@ -1,6 +1,4 @@
-"""Energy of trials: what controllers saved, against which bound, what ate the rest, where all of
-it went, and what other supplies took.
-"""
+"""Energy of trials: what was saved, against which bound, what ate the rest, other supplies."""
 
 from __future__ import annotations
 
@@ -15,8 +13,7 @@ from ehbench.report.blocks import Block, Bullets, Cell, Text
 from ehbench.report.captions import load_name
 from ehbench.report.cases import Case, by_controller
 from ehbench.report.content import num
-from ehbench.report.figures.energy import half_of, part_of
-from ehbench.report.figures.energy_bars import SEEN
+from ehbench.report.figures.energy import SEEN, half_of, part_of
 from ehbench.report.saved import Table, grouped
 from ehbench.report.template import Template
 from ehbench.report.words import number, shown, with_error, words
@@ -178,9 +175,7 @@ def saved_caption(
 
 
 def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
-    """Why some cycle saves more than its bound says, in numbers of the four-way valve that it is
-    compared with; empty where none does.
-    """
+    """Why a cycle saves more than its bound says, by the four-way valve; else empty."""
     better = [
         saving
         for saving in savings
@@ -236,9 +231,7 @@ def lost_caption(savings: Sequence[Saving], controller: str) -> str:
 
 
 def went(item: Saving) -> dict[str, float]:
-    """Energies [J] by what they went into: throttling by what an edge joins, then the kinds of the
-    bar chart.
-    """
+    """Energies [J] by what an edge that throttles joins, then by the kinds of the bar chart."""
     sums: dict[str, float] = {}
     for _, joins, energy in valves_of(item.ledger, item.case.cylinder):
         sums[joins] = sums.get(joins, 0.0) + energy
@@ -251,9 +244,7 @@ def went(item: Saving) -> dict[str, float]:
 
 
 def spent_in(item: Saving, function: str, groups: Sequence[str], joins: str = "") -> float:
-    """What rows of some groups took while a working function was at work [J], of those only that
-    join two nodes if named.
-    """
+    """What rows of some groups, perhaps only those that join two nodes, took [J]."""
     ledger, cylinder = item.ledger, item.case.cylinder
     taken = ledger.get("functions", {}).get(cylinder, {}).get(function, {})
     rows = [
@@ -267,17 +258,13 @@ def spent_in(item: Saving, function: str, groups: Sequence[str], joins: str = ""
 
 
 def low_side(item: Saving) -> float:
-    """What the pressure kept on the off-side chamber took where the load resists: throttling on the
-    way out to tank [J].
-    """
+    """What the off-side pressure cost where the load resists: throttling out to tank [J]."""
     ways = (("extend_resistive", "rod → tank"), ("retract_resistive", "head → tank"))
     return math.fsum(spent_in(item, function, ("valve",), joins) for function, joins in ways)
 
 
 def saving_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
-    """Sentences and tables on the closed cycles of a set of trials; nothing where there are
-    none.
-    """
+    """Sentences and tables on closed cycles of a set of trials, if there are any."""
     page, savings = Template("energy", rig), savings_of(cases)
     caption = open_caption(rig, cases)
     left_out: list[Block] = [Text(caption, "note")] if caption else []
@@ -334,9 +321,7 @@ def supply_of(case: Case) -> str:
 
 
 def supply_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
-    """What each supply took, against the four-way valve on it and on constant pressure; nothing
-    where all trials have one kind of supply.
-    """
+    """What each kind of supply took, against the four-way valve; nothing of one kind alone."""
     kinds = list(dict.fromkeys(map(supply_of, cases)))
     if len(kinds) < 2:
         return []

@@ -99,9 +99,7 @@ def overview(chapters: Sequence[Chapter]) -> Grid:
 
 
 def cards_of(chapters: Sequence[Chapter], maximum: int = 5) -> list[Card]:
-    """One number of each rank, from a machine where one has it and from the run that others build
-    on, then others of the last ranks.
-    """
+    """One number of each rank, preferring machines and runs others build on, then the rest."""
     inputs = [i for c in chapters if c.run.what == "validation" for i in c.run.facts["inputs"]]
     used = {Path(item["path"]).name for item in inputs}
     best: dict[int, tuple[tuple[bool, bool, int], Chapter, Headline]] = {}
@@ -168,14 +166,12 @@ def logs_judged(run: Saved) -> set[str]:
 
 
 def _figure(chapters: Sequence[Chapter], prefix: str = "first-") -> list[Block]:
-    """The first figure of the furthest run that has one, of a machine where one ran, under ids of
-    its second place.
-    """
+    """The first figure of the furthest run with one, preferring machines, with other ids."""
     order = [chapter for chapter in chapters if chapter.findings.figures]
     machine = [c for c in order if not any(number.on_model for number in c.findings.numbers)]
     for chapter in [*reversed(machine), *reversed(order)]:
         for key in chapter.findings.figures:
-            for picture in chapter.pictures(key)[:1]:
+            for picture in chapter.pictures(**key)[:1]:
                 svg = picture.svg
                 for text in ('id="', 'href="#', "url(#"):
                     svg = svg.replace(text, text + prefix)

@@ -1,16 +1,17 @@
-"""One self-contained HTML page over several runs: saved files in, text out, the same text from the
-same files.
-"""
+"""One self-contained HTML page over several runs; the same files give the same text."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from ehbench.config.recipe import Campaign
+from ehbench.config.rig import Rig, Slide
 from ehbench.report.blocks import (
     Block,
     Bullets,
@@ -26,22 +27,21 @@ from ehbench.report.blocks import (
     prose,
     slug,
 )
-from ehbench.report.content import chip
-from ehbench.report.dark import dark
+from ehbench.report.captions import as_fitted, capital, plus
+from ehbench.report.content import chip, num
 from ehbench.report.first_screen import Chapter, chapters_of, first_screen, overview
-from ehbench.report.index import FigureKey
 from ehbench.report.provenance import TracedRun, unsupported
-from ehbench.report.rig_table import rig_table
-from ehbench.report.saved import Saved
+from ehbench.report.saved import Saved, Table, grouped
 from ehbench.report.stages import place_of
-from ehbench.report.stages.campaign import Titles, campaign_sections, heading
 from ehbench.report.svg import sound
-from ehbench.report.words import count, words
+from ehbench.report.words import count, number, pretty, row_of, shown, unit_of, words
 from ehbench.runs import rundir
 from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.terms import Z95
 
 
 def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
@@ -117,16 +117,16 @@ class RunPictures:
         self._run, self._anchor, self._titles, self._looks = run, anchor, titles, looks
         self._entries = run.figures()
 
-    def __call__(self, required: FigureKey) -> list[Picture]:
-        """The figures that answer a question: those that the campaign names in its order, then the
-        others in that of the index.
+    def __call__(self, **shows: str) -> list[Picture]:
+        """The figures that show something, such as ``kind="trial"``: those that the campaign names
+        in its order, then the others in that of the index.
 
         Raises:
             InputError: the index names a file that is not there.
         """
         results = []
         for place, entry in enumerate(self._entries, 1):
-            if not required.takes(FigureKey.of(entry["about"])):
+            if not shows.items() <= entry["about"].plain().items():
                 continue
             path = self._run.folder / "figures" / Path(entry["file"]).name
             try:
@@ -144,9 +144,7 @@ class RunPictures:
 
 
 def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
-    """The pieces of a part, with the campaign's title on every table that has a key, folded ones as
-    well.
-    """
+    """The pieces of a part, every table with a key under the campaign's title."""
     pieces: list[Block] = []
     for piece in inside:
         if isinstance(piece, Fold):
@@ -159,9 +157,7 @@ def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
 
 
 def _rigs(chapters: Sequence[Chapter]) -> list[Section]:
-    """The machine as far as the runs brought it: for each rig, the last one judged, else
-    identified, else given.
-    """
+    """For each rig, the machine as last judged, else identified, else given."""
     furthest: dict[str, Chapter] = {}
     for chapter in (chapter for chapter in chapters if chapter.has_rig):
         fixed = furthest.get(chapter.run.rig.name)
@@ -228,9 +224,6 @@ def _render(
         (package / f"page.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js")
     )
     style += "".join(f".{name}{{{look}}}\n" for look, name in looks.items())
-    style += "@media screen and (prefers-color-scheme: dark) {\n"
-    inverted = {name: dark(look) for look, name in looks.items()}
-    style += "".join(f".{name}{{{look}}}\n" for name, look in inverted.items() if look) + "}\n"
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -241,3 +234,99 @@ def _render(
     environment.filters["soft"] = lambda name: name.replace(".", ".\u200b").replace("_", "_\u200b")
     template = environment.from_string(page)
     return template.render(title=title, note=note, sections=sections, style=style, script=script)
+
+
+def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
+    """Every parameter of a rig, with value, unit, how sure it is, and source; the notes on its
+    valve dynamics before.
+
+    Args:
+        rig: the rig.
+        fits: rows of ``parameters.json``, whose interval a value has that came from one of them;
+            the others have 1.96 of their standard error.
+    """
+    known: dict[tuple[str, Any], Table] = {(fit["name"], fit.number("value")): fit for fit in fits}
+    # centres of mass, inertias, and what payloads change, besides what the rig counts as parameters
+    bodies = [rig.mechanism] if isinstance(rig.mechanism, Slide) else rig.mechanism.joint
+    vectors: dict[str, Value] = {
+        f"{body.name}.{key}": getattr(body, key)
+        for body in bodies
+        for key in ("com", "inertia")
+        if hasattr(body, key)
+    }
+    for load, links in rig.payload.items():
+        for link, change in links.items():
+            for key in ("mass", "com", "inertia"):
+                if getattr(change, key) is not None:
+                    vectors[f"payload {load}: {link}.{key}"] = getattr(change, key)
+    every = [*rig.parameters().items(), *vectors.items()]
+    groups = grouped(every, lambda item: item[0].rpartition(".")[0])
+    rows = [
+        [group, *_value_row(rig, name, value, known.get((name, value.value)))]
+        for group, members in groups.items()
+        for name, value in members
+    ]
+    notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
+    head = ["of", "parameter", "value", "unit", "how sure", "source"]
+    return [*([Bullets(notes)] if notes else []), Grid(head, rows)]
+
+
+def _value_row(rig: Rig, name: str, value: Value, fit: Table | None) -> list[Cell | str]:
+    if isinstance(value.value, tuple):
+        text: Cell | str = f"({', '.join(number(shown(rig, name, v), 5) for v in value.value)})"
+    elif fit is not None:
+        text = num(as_fitted(rig, name, fit))
+    elif value.std:
+        text = num(plus(rig, name, value.value, Z95 * value.std))
+    else:
+        text = num(number(shown(rig, name, value.value), 6))
+    source = value.source.removeprefix(value.sure).lstrip(":, ")
+    label = Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning)
+    return [label, text, pretty(unit_of(rig, name)), value.sure, source]
+
+
+class Titles:
+    """Titles that a campaign gives by ``key`` or ``run/key``; remembers which keys exist."""
+
+    def __init__(self, campaign: Campaign | None) -> None:
+        self._campaign = campaign
+        self._given = dict(campaign.figures) if campaign else {}
+        self._keys: set[str] = set()
+
+    def of(self, run: Saved, key: str) -> tuple[str, int] | None:
+        """(the campaign's title of a figure or table, its place among all), if it has one."""
+        names = (f"{run.name}/{key}", key)
+        self._keys.update(names)
+        name = next((name for name in names if name in self._given), None)
+        return None if name is None else (self._given[name], [*self._given].index(name))
+
+    def refuse_unused(self) -> None:
+        """See that every title found its figure.
+
+        Raises:
+            InputError: one did not; names the nearest key.
+        """
+        for key in self._given:
+            if key not in self._keys:
+                near = get_close_matches(key, self._keys, 1, 0.3)
+                place = self._campaign.at("figures", key) if self._campaign else {}
+                hint = f"nearest is '{near[0]}'" if near else None
+                raise InputError(message("report.no_title", key=key), hint=hint, **place)
+
+
+def heading(campaign: Campaign | None, rigs: Sequence[Rig]) -> tuple[str, Sequence[Block]]:
+    """(title, note) of the page: the campaign's, else those of the rigs."""
+    if campaign is not None:
+        return campaign.title or words(campaign.name).capitalize(), prose(campaign.note)
+    titles = dict.fromkeys(rig.title or capital(words(rig.name)) for rig in rigs)
+    notes = prose(rigs[0].note) if len(titles) == 1 else []
+    return ", ".join(titles) or "Report", notes[:1]
+
+
+def campaign_sections(campaign: Campaign | None) -> list[Section]:
+    """The campaign's own sections, which stand before those of the runs."""
+    written = campaign.section if campaign else []
+    return [
+        Section(item.title, prose(item.text), f"section-{i}-{slug(item.title)}")
+        for i, item in enumerate(written, 1)
+    ]

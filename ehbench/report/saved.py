@@ -1,6 +1,4 @@
-"""Run folders as the report reads them: strict where a key is needed, with an error that names file
-and key.
-"""
+"""Run folders as the report reads them; a missing key is an error with file and key."""
 
 from __future__ import annotations
 
@@ -103,9 +101,7 @@ class Table(Mapping):
 
 @dataclass(frozen=True)
 class Series:
-    """A saved comparison, SI: time [s] and, by channel, what was recorded and what was simulated
-    (None: not there).
-    """
+    """A saved comparison, SI: time [s] and, by channel, what was recorded and simulated."""
 
     t: np.ndarray
     recorded: dict[str, np.ndarray]
@@ -230,9 +226,7 @@ class Saved:
         return self.json(f"figures/{INDEX}")["figures"]
 
     def series(self, log: str) -> Series | None:
-        """The series of a log; None where the run saved none for it (a log that could not be
-        simulated).
-        """
+        """The series of a log; None where it could not be simulated."""
         path = self.folder / "series" / f"{log}.csv"
         return read_series(path) if path.is_file() else None
 

@@ -161,9 +161,7 @@ def swatch(label: str, colour: str, **look: Any) -> Patch:
 def tag(
     ax, text: str, x: float, y: float, offset: tuple[int, int], within: str = "", **look: Any
 ) -> None:
-    """A small word so many points off a place of a panel; of the axes named in ``within``, x or y,
-    the place is a share.
-    """
+    """A small word some points off a place; of the axes in ``within`` the place is a share."""
     where = tuple("axes fraction" if name in within else "data" for name in "xy")
     ax.annotate(text, (x, y), offset, where, "offset points", **{"fontsize": 8} | look)
 

@@ -104,7 +104,7 @@ def reported(folder: Path) -> tuple[Saved, SectionContent, Sequence[Block]]:
     """
     run = Saved(folder)
     stage = report_of(run)
-    content = stage.section(run, lambda key: [])
+    content = stage.section(run, lambda **shows: [])
     parts = {part.title: part.inside for part in content.parts}
     return run, content, next((parts[title] for title in stage.shows if title in parts), ())
 
@@ -118,7 +118,7 @@ def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool 
     run, content, blocks = reported(folder)
     bullets = [item for block in blocks if isinstance(block, Bullets) for item in block.items]
     steps = [message("steps.lost", **names(run))] if losses else []
-    steps += next_steps(chapters_of([run], [lambda key: []]))
+    steps += next_steps(chapters_of([run], [lambda **shows: []]))
     tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
     # the sentence, a verdict before it in capitals
     status, sentence = words(content.status), content.sentence
@@ -145,7 +145,7 @@ def report_answer(folder: Path, notes: Sequence[str] = (), code: int = 0) -> Ans
     """
     places = [item.place for item in TracedRun(folder).sources if item.role == "run"]
     runs = [place for place in places if place is not None]
-    chapters = chapters_of([Saved(run) for run in runs], [lambda key: []] * len(runs))
+    chapters = chapters_of([Saved(run) for run in runs], [lambda **shows: []] * len(runs))
     verdict, grid, steps = summary(chapters)
     return Answer(
         verdict,

@@ -26,7 +26,29 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     tables: list[Block] = []
     if any(case.steps for case in cases):
         tables.append(_steps_table(page, ordered, runs))
-    tables.append(_tracking(page, ordered, runs))
+    groups = groups_of(ordered)
+
+    def relative(case: Case) -> float | None:
+        """The energy of a trial over the least of its rivals."""
+        rivals = groups[case.row["payload"], case.row["motion"], case.cylinder]
+        minimum = min((rival.row["energy"]["pump"] for rival in rivals if rival.fit), default=0.0)
+        return case.row["energy"]["pump"] / minimum if case.fit and minimum > 0.0 else None
+
+    tables.append(
+        page.table(
+            "tracking",
+            ordered,
+            several=any(len(group) > 1 for group in groups.values()),
+            swings=any(case.row.get("limit_cycle") for case in ordered),
+            truth=any(case.row.get("tracking_true") for case in ordered),
+            tips=any(case.row.get("tip") for case in ordered),
+            rails=any("low_rail" in case.row["energy"] for case in ordered),
+            relative=relative,
+            sources=list(dict.fromkeys(case.row["energy"]["source"] for case in ordered)),
+            valves=valves_note(page.rig, ordered),
+            runs=runs,
+        )
+    )
     shares = [share for case in ordered for share in limits_of(case.row).items()]
     if met := list(dict.fromkeys(name for name, share in shares if share > 0.0)):
         means = LIMITS_MEAN | STATUS_MEANS
@@ -68,31 +90,6 @@ def _steps_table(page: Template, cases: Sequence[Case], runs: str, stands: float
     return page.table("steps", rows, doubts=list(doubts), runs=runs)
 
 
-def _tracking(page: Template, cases: Sequence[Case], runs: str) -> Grid:
-    """Errors and energies, a row a trial; what only some trials have where some have it."""
-    groups = groups_of(cases)
-
-    def relative(case: Case) -> float | None:
-        """The energy of a trial over the least of its rivals."""
-        rivals = groups[case.row["payload"], case.row["motion"], case.cylinder]
-        minimum = min((rival.row["energy"]["pump"] for rival in rivals if rival.fit), default=0.0)
-        return case.row["energy"]["pump"] / minimum if case.fit and minimum > 0.0 else None
-
-    return page.table(
-        "tracking",
-        cases,
-        several=any(len(group) > 1 for group in groups.values()),
-        swings=any(case.row.get("limit_cycle") for case in cases),
-        truth=any(case.row.get("tracking_true") for case in cases),
-        tips=any(case.row.get("tip") for case in cases),
-        rails=any("low_rail" in case.row["energy"] for case in cases),
-        relative=relative,
-        sources=list(dict.fromkeys(case.row["energy"]["source"] for case in cases)),
-        valves=valves_note(page.rig, cases),
-        runs=runs,
-    )
-
-
 def valves_note(rig: Rig | None, cases: Sequence[Case]) -> str:
     """How fast each controller's valves are, where they are not equally fast."""
     assert rig is not None
@@ -106,9 +103,7 @@ def valves_note(rig: Rig | None, cases: Sequence[Case]) -> str:
 
 
 def settings_blocks(rig: Rig, cases: Sequence[Case]) -> list[Block]:
-    """Gains really used (thesis Tables B.3, C.1, C.3); motions and controllers as the recipe has
-    them (Table B.2).
-    """
+    """Gains in use (thesis Tables B.3, C.1, C.3), motions (B.2) and controllers as written."""
     if not cases:
         return []
     page, text = Template("trial", rig), cases[0].record().attachments.get("recipe.toml", b"")
@@ -157,9 +152,7 @@ def _recipe_rows(recipe: Mapping[str, Any], key: str) -> list[list[Cell | str]]:
 def _by_controller(
     rig: Rig, cases: Sequence[Case], key: str
 ) -> tuple[list[str], list[list[Cell | str]]] | None:
-    """(head, rows) of the numbers by name that trials hold under ``key``, a column a controller;
-    None where none has any.
-    """
+    """(head, rows) of the numbers under ``key``, a column a controller; None without."""
     known = by_controller([case for case in cases if len(case.row.get(key, {}))])
     tables = {name: [case.row[key] for case in group] for name, group in known.items()}
     names = dict.fromkeys(name for item in tables.values() for table in item for name in table)
@@ -178,9 +171,7 @@ def _by_controller(
 
 
 def _span_cell(rig: Rig, name: str, values: Sequence[Any]) -> Cell:
-    """A number that a controller had in all trials, or from the least to the largest; a pair of
-    bounds as ``low … high``.
-    """
+    """A number of a controller over all trials, as a span; a pair as ``low … high``."""
     if not values:
         return num(DASH)
     pairs = [value if isinstance(value, list) else (value, value) for value in values]

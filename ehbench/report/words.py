@@ -31,9 +31,7 @@ _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def row_of(name: str) -> Quantity:
-    """The vocabulary row of a channel or parameter; an unknown word stands for itself, without
-    unit.
-    """
+    """The vocabulary row of a name; an unknown word stands for itself, without unit."""
     word = name.rsplit(".", 1)[-1]
     return VOCABULARY.get(word) or Quantity(
         word, word, "dimensionless", "dimensionless", word.replace("_", " ")
@@ -60,9 +58,7 @@ def shown(rig: Rig, name: str, value: Any) -> Any:
 
 
 def pretty(unit: str) -> str:
-    """A unit with real powers and dots: ``m^3/(s*Pa)`` → ``m³/(s·Pa)``; nothing for a
-    pure number.
-    """
+    """A unit with real powers: ``m^3/(s*Pa)`` → ``m³/(s·Pa)``; empty for a pure number."""
     if unit in ("dimensionless", "1", ""):
         return ""
     unit = re.sub(r"(\w+)(?:\^|\*\*)0\.5", r"√\1", unit)
@@ -73,17 +69,13 @@ def pretty(unit: str) -> str:
 
 
 def axis(rig: Rig, name: str, text: str = "") -> str:
-    """``joint angle [°]``: an axis label or table head of a quantity, with its unit if it has
-    one.
-    """
+    """``joint angle [°]``: an axis label or table head, with the unit if there is one."""
     unit = pretty(unit_of(rig, name))
     return (text or words(name)) + (f" [{unit}]" if unit else "")
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number to so many significant digits, with a true minus and powers of ten outside of 1e-3 …
-    1e5.
-    """
+    """A number to some significant digits; with powers of ten outside of 1e-3 … 1e5."""
     if value is None or not math.isfinite(value):
         return DASH if value is None or math.isnan(value) else ("∞" if value > 0 else "−∞")
     if value == 0.0:
@@ -114,9 +106,7 @@ def places_of(half: float) -> int:
 
 
 def with_error(value: float | None, half: float | None) -> str:
-    """``271.3 ± 2.4``: half the width of the 95 % interval to two significant digits, the value as
-    far as that; without it four digits.
-    """
+    """``271.3 ± 2.4``: half the 95 % interval to two digits; without it four digits."""
     if (
         value is None
         or half is None

@@ -61,9 +61,7 @@ def shipped(name: str) -> Path:
 
 @lru_cache(maxsize=1)
 def commit() -> str:
-    """The commit of the checkout the package runs from (``+changes`` when tracked files differ), or
-    ``none``.
-    """
+    """The commit of the package's checkout (``+changes`` when files differ), or ``none``."""
     try:
         done = subprocess.run(
             ["git", "-C", str(PACKAGE), "describe", "--always", "--abbrev=12", "--dirty=+changes"],
@@ -78,9 +76,7 @@ def commit() -> str:
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON can hold it: arrays as lists, numpy numbers as Python's, NaN and infinities
-    as null.
-    """
+    """``value`` as JSON holds it: arrays as lists, NaN and infinities as null."""
     if isinstance(value, Message):
         if not value.key:
             return str(value)
@@ -101,9 +97,7 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as JSON with stable bytes; of a file's name the bytes that are no UTF-8 as
-    ``\\udcXX``, which `read_json` gives back.
-    """
+    """Write JSON with stable bytes; bytes of names that are no UTF-8 as ``\\udcXX``."""
     text = json.dumps(plain(value), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     write_text(path, text.encode("utf-8", "backslashreplace").decode())
 
@@ -143,9 +137,7 @@ class Run:
     left_over: tuple[str, ...] = ()
 
     def save(self) -> None:
-        """Write ``run.json`` over the files that are there; figures are drawn from a folder that
-        has one.
-        """
+        """Write ``run.json`` over the files that are there."""
         outputs = {
             path.relative_to(self.path).as_posix(): sha256(path)
             for path in sorted(self.path.rglob("*"))
@@ -156,9 +148,7 @@ class Run:
 
 
 def checksum(facts: Mapping[str, Any]) -> str:
-    """SHA-256 over the content of ``run.json`` without its checksum: shows an edit, proves no
-    author.
-    """
+    """SHA-256 of ``run.json`` without its checksum: shows an edit, proves no author."""
     text = json.dumps(plain(facts), ensure_ascii=False, allow_nan=False, sort_keys=True)
     return hashlib.sha256(text.encode("utf-8", "backslashreplace")).hexdigest()
 
@@ -463,9 +453,7 @@ def _abandoned(folder: Path, pid: int) -> bool:
 
 
 def _lock(folder: Path) -> int | None:
-    """An open folder that only this process locks until it is closed, or ends; None where another
-    one does, or the system has no such lock.
-    """
+    """A folder that only this process locks until it ends; None where it cannot."""
     try:
         import fcntl
 

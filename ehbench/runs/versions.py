@@ -82,9 +82,7 @@ def read_versions(facts: Mapping[str, Any]) -> Versions:
 
 
 def outdated(facts: Mapping[str, Any]) -> list[str]:
-    """The schema and methods of a run that are not current, as ``plant 1, now 2``; a stage whose
-    runs have no schema is always current.
-    """
+    """What is not current in a run, as ``plant 1, now 2``; nothing without a schema."""
     run = read_versions(facts)
     now = Versions.of(str(facts.get("what") or facts["stage"]))
     current = {"schema": now.schema, **now.methods}

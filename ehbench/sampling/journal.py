@@ -1,6 +1,4 @@
-"""The samples of a running study on disk, as they come: what a killed study goes on from.
-
-A line is a sample; the last one may be torn."""
+"""The samples of a running study on disk, a line each; the last one may be torn."""
 
 from __future__ import annotations
 

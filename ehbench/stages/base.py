@@ -53,9 +53,7 @@ class Outcome:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Identified parameters by name [SI]: value, standard error ``std``, 95 % interval ``low``
-        and ``high``, unit, status.
-        """
+        """Parameters by name [SI]: value, standard error, 95 % interval, unit, status."""
         import pandas as pd
 
         rows = {
@@ -214,9 +212,7 @@ def stage_of(recipe: Recipe) -> Checked[Any]:
 
 
 class Stage(Checked[R], Generic[R, P]):
-    """One stage: ``name`` is also that of its section in the report, ``command`` runs its recipes,
-    ``writes`` says which files a run leaves.
-    """
+    """A stage: ``name`` as in the report, its ``command``, the files it ``writes``."""
 
     name: ClassVar[str]
     command: ClassVar[str]
@@ -234,9 +230,7 @@ class Stage(Checked[R], Generic[R, P]):
         """
 
     def results(self, prepared: P) -> list[Any]:
-        """What the results look like, as `sampling.measures.refuse_unknown` takes them; nothing
-        where that is not known.
-        """
+        """Types of the results for `sampling.measures.refuse_unknown`; nothing if unknown."""
         return []
 
     def place(self, prepared: P, host: Host) -> Path:
@@ -253,9 +247,7 @@ class Stage(Checked[R], Generic[R, P]):
         return Versions.of(self.name)
 
     def run(self, prepared: P, host: Host) -> Outcome:
-        """Do the work in a new run folder and draw its figures; a finished run of these very inputs
-        is left alone if the host keeps.
-        """
+        """Do the work in a new run folder and draw its figures; the host may keep an old run."""
         from ehbench.report import draw
 
         recipe, inputs = prepared.recipe, prepared.inputs or ()

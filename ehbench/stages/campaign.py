@@ -1,6 +1,4 @@
-"""Several recipes in order, then one report over their runs. A rejected or stopped run is shown,
-not dropped.
-"""
+"""Several recipes in order, then one report; a rejected or stopped run is shown too."""
 
 from __future__ import annotations
 

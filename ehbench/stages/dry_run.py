@@ -73,9 +73,7 @@ class DryRun:
         return message("stages.folder_is_current", name=str(folder))
 
     def _run_of(self, notes: Notes, path: Path) -> Path | None:
-        """The run of a recipe that the recipe of ``notes`` names; without one, that and its errors
-        are noted.
-        """
+        """The run of a recipe that ``notes`` name; without one, that and its errors are noted."""
         upstream = self.check(path)
         if path in self._finished:
             return self._finished[path]

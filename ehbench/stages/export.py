@@ -272,9 +272,7 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
 
 
 def withdraw(path: Path, source: Path, error: EhbenchError) -> None:
-    """Delete the written recipe of an export that failed; its error names the source in its place,
-    where a user can look.
-    """
+    """Delete the recipe of an export that failed; its error names the source instead."""
     path.unlink(missing_ok=True)
     if error.file == str(path):
         error.file, error.line = str(source), None

@@ -1,6 +1,4 @@
-"""Flowmeter readings → flow maps: ``flow_maps.json``, ``summary.json``, ``points.csv`` and a table
-over all maps.
-"""
+"""Flowmeter readings → ``flow_maps.json``, ``summary.json``, ``points.csv``, a table."""
 
 from __future__ import annotations
 
@@ -94,7 +92,21 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         for edge in prepared.readings.edges:
             more = {"meter_limit": float(recipe.meter_limit)}
             if recipe.method == "steps":
-                more = _shared_errors(recipe, rig, edge.edge)
+                pressure, volts = recipe.pressure_error, recipe.command_error
+                zero = (
+                    ERRORS.pressure * float(rig.supply.pressure)
+                    if pressure is None
+                    else float(pressure)
+                )
+                (valve,) = (
+                    valve
+                    for cylinder, valve in rig.valves()
+                    for name in map(valve.edge_name, valve.edge)
+                    if edge.edge in (name, f"{cylinder.name}.{name}")
+                )
+                maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+                command = ERRORS.command * maximum if volts is None else float(volts)
+                more = {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
             part, given = replace(prepared.readings, edges=(edge,)), replace(options, **more)
             try:
                 fits += readings.run_readings(part, given, progress)
@@ -167,20 +179,3 @@ def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:
     groups = ", ".join(" ".join(group) for group in part.groups())
     text = message("stages.reads_flowmeter", name=name, count=len(part), groups=groups)
     inputs.notes.add("reads", text)
-
-
-def _shared_errors(recipe: FlowMapRecipe, rig: Rig, edge: str) -> dict[str, float]:
-    """Standard errors that all readings of a machine's logs share: of the difference of two
-    pressure sensors [Pa], and of the command [V] of the valve of an edge.
-    """
-    pressure, volts = recipe.pressure_error, recipe.command_error
-    zero = ERRORS.pressure * float(rig.supply.pressure) if pressure is None else float(pressure)
-    (valve,) = (
-        valve
-        for cylinder, valve in rig.valves()
-        for name in map(valve.edge_name, valve.edge)
-        if edge in (name, f"{cylinder.name}.{name}")
-    )
-    maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-    command = ERRORS.command * maximum if volts is None else float(volts)
-    return {"drop_std": math.sqrt(2.0) * zero, "command_std": command}

@@ -1,6 +1,4 @@
-"""Step logs → identified rig: ``rig.toml`` with its maps, ``parameters.json``, a series for each
-log.
-"""
+"""Step logs → identified rig: ``rig.toml``, maps, ``parameters.json``, series of the logs."""
 
 from __future__ import annotations
 

@@ -129,9 +129,7 @@ class Inputs:
         raise InputError(text, file=self.recipe.path, hint=hint)
 
     def run_folder(self, path: Path) -> Path | None:
-        """A run folder, or that of a recipe; None where a dry run has none. A file that is no
-        recipe stays as it is.
-        """
+        """A run folder, or that of a recipe (None in a dry run without); other files as is."""
         is_recipe = path.is_file() and path.suffix == ".toml"
         return self.run_of(path) if is_recipe else path
 
@@ -259,9 +257,7 @@ class Inputs:
     def _read(
         self, item: DataFile, index: int, path: Path, is_run: bool, maps: list[tuple[str, Path]]
     ) -> tuple[Record, list[AdditionalFile]]:
-        """(the record of an entry, its additional files); their maps of columns are added to
-        ``maps``.
-        """
+        """(the record of an entry, its additional files); maps of columns go into ``maps``."""
         from ehbench.data import read
         from ehbench.data.additional import AdditionalFile
 
@@ -282,9 +278,7 @@ class Inputs:
         return record, others
 
     def _replayed(self, record: Record, item: DataFile, index: int) -> Record:
-        """A record with what a simulation along it takes from it, as its entry or the recipe
-        says.
-        """
+        """A record with what a simulation takes from it, by its entry or the recipe."""
         from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
         facts = {name: fact for name, fact in record.meta.items() if name not in (TIED, SUPPLY)}
@@ -345,9 +339,7 @@ def span_of(item: DataFile) -> tuple[float, float]:
 
 
 def _window(record: Record, item: DataFile, path: Path) -> Record:
-    """The part of a record between the data entry's start and stop, with the payload and forces
-    that it names.
-    """
+    """The part of a record that an entry names, with its payload and forces."""
     import numpy as np
 
     low, high = span_of(item)

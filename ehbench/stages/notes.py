@@ -46,9 +46,7 @@ class Notes:
     errors: list[EhbenchError] = field(default_factory=list)
 
     def add(self, kind: str, *texts: str) -> None:
-        """Add texts to ``reads``, ``required``, ``remarks``, ``undecided`` or ``losses``, each
-        once.
-        """
+        """Add texts to ``reads``, ``required``, ``remarks``, ``undecided``, ``losses``, once."""
         lines: list[str] = getattr(self, kind)
         lines += [text for text in dict.fromkeys(texts) if text not in lines]
 
@@ -85,9 +83,7 @@ class Notes:
 
 
 def line_naming(path: Path, message: str) -> int | None:
-    """The first line of a recipe that has one of the quoted words of a message as a text or key,
-    the last word first.
-    """
+    """The first line of a recipe that has a quoted word of a message, the last word first."""
     lines = path.read_text(encoding="utf-8-sig", errors="surrogateescape").splitlines()
     for word in reversed(re.findall(r"'([^']+)'", message)):
         known = re.compile(rf"""["']{re.escape(word)}["']|(?<![\w.-]){re.escape(word)}\s*=""")

@@ -1,6 +1,4 @@
-"""Samples of a study as runs of their own: recipe, rig and bench file written out, so that they can
-be opened, run again and changed.
-"""
+"""Samples of a study as runs, with all files, to be opened, run again and changed."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ from ehbench.vocabulary.progress import Progress
 def run_samples(
     plan: Plan, design: Design, indices: Sequence[int], folder: Path, progress: Progress | None
 ) -> list[dict[str, Any]]:
-    """Run samples once more, each into a folder of its own below ``folder``; of each its number,
-    folder, and why there is none.
-    """
+    """Run samples again, each in a folder; (number, folder, why there is none) of each."""
     rows = []
     for index in indices:
         if progress is not None:
@@ -120,9 +116,7 @@ class _Writer:
                     shutil.copyfile(code, self.folder / code.name)
 
     def _name(self, name: str, recipe: Recipe) -> str:
-        """A file of a recipe as it is named from the sample's folder; an upstream recipe that the
-        sample changes is written there.
-        """
+        """A file as named from the sample's folder; a changed upstream recipe is written."""
         path = recipe.file(name) if name else None
         if path and path in self.files.base.upstream.values() and self.files.is_changed(path):
             if path not in self.written:

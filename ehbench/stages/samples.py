@@ -79,9 +79,7 @@ class Plan:
         return replace(self, study=study, recipes=recipes, runs=runs).opened()
 
     def bundle(self) -> Bundle:
-        """All files that the samples may read: recipes with what they and their rigs and benches
-        name, and the upstream runs.
-        """
+        """All files that samples may read: recipes, rigs, benches, upstream runs."""
         files: dict[str, bytes] = {}
         waiting = [*self.recipes, *self.runs.values()]
         for path in self.recipes:
@@ -314,9 +312,7 @@ class Sampler:
         return 5 if facts.stopped else 0, facts.stopped, values
 
     def _watch(self, began: float) -> Progress | None:
-        """A progress callback that ends a sample beyond its time limit; not the first, which has to
-        load compiled code, or compile it.
-        """
+        """Progress that ends a sample beyond its limit; not the first, which compiles."""
         limit, warm = self.plan.limit, self._warm
         self._warm = True
         if limit is None or not warm:
@@ -377,9 +373,7 @@ def trial_roots(facts: Mapping[str, Any], ledger: Mapping[str, Any] | None) -> l
 
 
 def roots_of(folder: Path, facts: Mapping[str, Any]) -> list[Any]:
-    """Where the measures of a run are looked up: its tables of named rows, its JSON files, its
-    facts.
-    """
+    """Where measures of a run are looked up: named rows, JSON files, facts."""
     files = {path.stem: rundir.read_json(path) for path in sorted(folder.glob("*.json"))}
     files.pop("run", None)
     named = [

@@ -1,6 +1,4 @@
-"""A recipe over many samples → ``samples.parquet``, ``samples.csv``, ``study.json`` and the worst
-samples as whole runs.
-"""
+"""A recipe over many samples → tables, ``study.json``, and the worst as whole runs."""
 
 from __future__ import annotations
 
@@ -309,9 +307,7 @@ def _try_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs) -
 def _single_keys(
     recipe: StudyRecipe, design: Design, first: Mapping[str, Any]
 ) -> Iterator[tuple[tuple[str | int, ...], dict[str, Any]]]:
-    """(place in the study's file, what is set) of each key by itself; ``first`` is the first
-    sample's.
-    """
+    """(place in the study's file, what is set) of each key; ``first``: sample 0."""
     step = design.size
     for item in design.listed:
         step //= len(item.values)

@@ -1,6 +1,4 @@
-"""One trial on the model, the virtual bench or a machine at an address → ``log.mcap`` and
-``trial.json``; a limit stops it with exit 5.
-"""
+"""One trial → ``log.mcap``, ``trial.json``; a limit stops it with exit 5."""
 
 from __future__ import annotations
 
@@ -69,9 +67,7 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         return PreparedOne(recipe, named, does, state, prepared, *asked, seeds=seeds)
 
     def default_place(self, prepared: PreparedOne, root: Path) -> Path:
-        """As `Stage.default_place`; a machine does nothing twice, so each of its trials has a
-        folder by its time.
-        """
+        """As `Stage.default_place`; each trial of a machine has a folder by its time."""
         place = super().default_place(prepared, root)
         if prepared.recipe.on in PLACES:
             return place

@@ -1,6 +1,4 @@
-"""Payloads × motions × controllers → ``logs/<case>.mcap`` and one table over all, ``table.json``
-and ``table.csv``.
-"""
+"""Payloads × motions × controllers → ``logs/<case>.mcap``, ``table.json`` and ``.csv``."""
 
 from __future__ import annotations
 

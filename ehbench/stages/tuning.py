@@ -1,6 +1,4 @@
-"""Validated rig → controller gains: ``tuning.json`` with what was promised at every operating
-point.
-"""
+"""Validated rig → ``tuning.json``: gains, and what they promise at operating points."""
 
 from __future__ import annotations
 

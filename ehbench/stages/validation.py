@@ -1,6 +1,4 @@
-"""Held-out logs → validated rig: ``validation.json`` with the verdict, a series for each log, the
-rig judged.
-"""
+"""Held-out logs → the rig judged: ``validation.json`` with the verdict, series."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ from ehbench.stages.base import (
     write_series,
 )
 from ehbench.stages.fitted_sensors import inherited
-from ehbench.stages.inputs import Inputs, NamedFiles, RigState, span_of
+from ehbench.stages.inputs import Inputs, RigState, span_of
 from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
@@ -43,7 +41,6 @@ if TYPE_CHECKING:
     from ehbench.config.rig import Rig
     from ehbench.data.record import Record
     from ehbench.validation import PreparedValidation
-    from ehbench.validation.held_out import FittedSamples
 
 
 @dataclass(frozen=True)
@@ -71,7 +68,22 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         notes = inputs.notes
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         logs = inputs.logs(recipe.data)
-        used, fitted = _fitted_on(state.inputs)
+        from ehbench.report.saved import read_series
+        from ehbench.validation.held_out import FittedSamples
+
+        digests, result = set(), []
+        for folder in (path for _, path in state.inputs if path.is_dir()):
+            fitted_on = rundir.read_json(folder / "run.json").get("fitted_on", [])
+            digests.update(fitted_on)
+            if not fitted_on or not (folder / "parameters.json").is_file():
+                continue
+            names = rundir.read_json(folder / "parameters.json").get("recordings", [])
+            for name, digest in zip(names, fitted_on, strict=False):
+                path = folder / "series" / f"{name}.csv"
+                if path.is_file():
+                    series = read_series(path)
+                    result.append(FittedSamples(name, series.t, series.recorded, digest))
+        used, fitted = (digests, result)
         channels = [set(record.channels) for _, record in logs.records]
         shared = set.intersection(*channels) if channels else set()
         sensors, texts = inherited(state.origin, recipe.sensor, shared, state.rig)
@@ -168,28 +180,6 @@ def in_rig_unit(rig: Rig, name: str, value: float) -> str:
     """An SI value in the rig file's unit of its quantity."""
     unit = rig.unit_of(name)
     return f"{float(f'{from_si(float(value), unit, quantity(name)):.4g}'):g} {unit}"
-
-
-def _fitted_on(inputs: NamedFiles) -> tuple[set[str], list[FittedSamples]]:
-    """(SHA-256 of the logs that the runs among these inputs were fitted on, their samples as far
-    as the runs have them).
-    """
-    from ehbench.report.saved import read_series
-    from ehbench.validation.held_out import FittedSamples
-
-    digests, result = set(), []
-    for folder in (path for _, path in inputs if path.is_dir()):
-        fitted_on = rundir.read_json(folder / "run.json").get("fitted_on", [])
-        digests.update(fitted_on)
-        if not fitted_on or not (folder / "parameters.json").is_file():
-            continue
-        names = rundir.read_json(folder / "parameters.json").get("recordings", [])
-        for name, digest in zip(names, fitted_on, strict=False):
-            path = folder / "series" / f"{name}.csv"
-            if path.is_file():
-                series = read_series(path)
-                result.append(FittedSamples(name, series.t, series.recorded, digest))
-    return digests, result
 
 
 def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]:

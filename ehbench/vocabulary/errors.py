@@ -56,9 +56,7 @@ class InputError(EhbenchError):
 
 
 class UnitError(InputError):
-    """A unit is missing, unknown, of the wrong dimension, or makes the value implausible (exit
-    2).
-    """
+    """A unit is missing, unknown, of another dimension, or implausible (exit 2)."""
 
 
 class LogError(InputError):
@@ -72,9 +70,7 @@ class InsufficientData(EhbenchError):
 
 
 class ModelRejected(EhbenchError):
-    """A model failed its validation, or an unvalidated rig was used where a validated one is needed
-    (exit 4).
-    """
+    """A model failed its validation, or a rig was not validated (exit 4)."""
 
     exit_code = 4
 

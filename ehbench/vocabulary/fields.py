@@ -79,9 +79,7 @@ class Value:
     unit: str = ""
 
     def like(self, word: str, number: float) -> str:
-        """A number [SI] of the quantity ``word`` as text in the unit in which people see this
-        value, in the vocabulary's where any will do.
-        """
+        """A number [SI] of a quantity as text in this value's unit, else the vocabulary's."""
         row = VOCABULARY[word]
         unit = self.unit or row.display
         return f"{float(units.from_si(number, unit, row)):.6g} {unit}"
@@ -208,9 +206,7 @@ def _limits(table: Mapping[str, Any], row: Quantity) -> dict[str, float]:
 
 
 def write_value(value: Value, row: Quantity) -> Any:
-    """A ``Value`` as TOML would hold it: its own text if it was read from a file, else SI with all
-    digits.
-    """
+    """A ``Value`` for TOML: its text if read from a file, else SI with all digits."""
     if value.text is not None:
         return dict(value.text) if isinstance(value.text, Mapping) else value.text
     unit = "" if row.unit == "dimensionless" else f" {row.unit}"
@@ -234,9 +230,7 @@ def write_value(value: Value, row: Quantity) -> Any:
 
 @dataclass(frozen=True)
 class Q:
-    """Marks a ``Value`` as one quantity of the vocabulary, or as ``count`` of them in a list;
-    ``word`` may stand in its place.
-    """
+    """A ``Value`` of one quantity, or ``count`` of them; ``word`` may stand in its place."""
 
     name: str
     count: int = 1

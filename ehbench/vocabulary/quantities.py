@@ -42,9 +42,7 @@ class Quantity:
 
 
 def _rows() -> Iterator[Quantity]:
-    """The rows of the table ``quantities.csv``: an empty ``display`` is the unit itself, an empty
-    bound is none.
-    """
+    """The rows of ``quantities.csv``; without ``display`` the unit, without bound none."""
     text = Path(__file__).with_name("quantities.csv").read_text(encoding="utf-8")
     lines = (line for line in text.splitlines() if not line.startswith("#"))
     for row in csv.DictReader(lines, delimiter=";"):

@@ -11,9 +11,7 @@ from typing import Any, NamedTuple
 
 
 class SettingRow(NamedTuple):
-    """One number of a method: its ``unit`` is empty for a pure number, ``origin`` says why it has
-    this value.
-    """
+    """A number of a method; ``unit`` '' of a pure number, ``origin``: why this value."""
 
     name: str
     value: Any

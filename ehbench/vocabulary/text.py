@@ -38,9 +38,7 @@ def numbered(names: Iterable[str], joint: str = "_") -> list[str]:
 
 
 def shortened(value: Any, maximum: int) -> str:
-    """A value as Python writes it, cut where it would take ``maximum`` characters; only its type
-    where that fails.
-    """
+    """A value as Python writes it, cut at ``maximum`` characters, or its type."""
     try:
         text = repr(value)
     except Exception:
@@ -56,9 +54,7 @@ def shortened_path(path: Path | str) -> str:
 
 
 def folded(notes: Iterable[str]) -> list[str]:
-    """Notes, those of several logs or trials (``name: what``) that differ in numbers alone as one:
-    the first, and the names of the others.
-    """
+    """Notes; those (``name: what``) that differ in numbers alone as one with all names."""
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
         name, colon, what = note.partition(": ")

@@ -63,9 +63,7 @@ _INSTEAD = {
 
 
 class _Unit(NamedTuple):
-    """A unit as ``factor`` of SI units to the powers of ``_DIMENSIONS``; ``zero`` [SI] is where it
-    counts from.
-    """
+    """``factor`` of SI units to ``powers`` of the dimensions, counting from ``zero`` [SI]."""
 
     factor: float
     powers: tuple[float, ...]
@@ -201,9 +199,7 @@ def _unwrapped(text: str) -> str:
 
 @lru_cache(maxsize=512)
 def named_unit(text: str) -> str:
-    """The unit that a text of a foreign file means, as it is written here: ``bar`` of ``[bar(g)]``;
-    '' of one that is no unit.
-    """
+    """The unit a foreign text means: ``bar`` of ``[bar(g)]``; '' of one that is no unit."""
     plain = _unwrapped(text)
     if plain in _TWO_MEANINGS:
         return ""
@@ -215,9 +211,7 @@ def named_unit(text: str) -> str:
 
 
 def absolute_unit(text: str) -> str:
-    """The unit of an absolute pressure that a text of a foreign file means: ``bar`` of ``bar(a)``
-    or ``bara``; '' of any other.
-    """
+    """The unit of an absolute pressure in a foreign text: ``bar`` of ``bara``; '' else."""
     match = _ABSOLUTE.fullmatch(_unwrapped(text))
     return _GAUGE[match[1].lower()] if match else ""
 

@@ -700,7 +700,7 @@ def overlaps(monkeypatch):
     """Counts of labels that lie on one another, or out of the picture, one entry a figure drawn."""
     from contextlib import contextmanager
 
-    from ehbench.report.figures import energy_bars, sankey
+    from ehbench.report.figures import energy, sankey
 
     found, plain = [], sankey.canvas
 
@@ -717,7 +717,7 @@ def overlaps(monkeypatch):
             outside = len(boxes) - sum(inside)
             found.append((crowded, outside))
 
-    for figures in (energy_bars, sankey):
+    for figures in (energy, sankey):
         monkeypatch.setattr(figures, "canvas", watched)
     return found
 
@@ -725,7 +725,7 @@ def overlaps(monkeypatch):
 @pytest.mark.slow
 def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_path, request):
     """Every label stands free and inside; same ledger, same bytes, which one rig shows."""
-    from ehbench.report.figures.energy_bars import bars
+    from ehbench.report.figures.energy import bars
     from ehbench.report.figures.sankey import sankey
 
     one = ledger_of_model(model, made).as_json()

@@ -326,7 +326,7 @@ def test_rays_of_the_grid_have_their_damping_ratio():
     import matplotlib.pyplot as plt
 
     figure, ax = plt.subplots()
-    root_locus._damping_grid(ax, -120.0, 100.0)
+    root_locus.damping_grid(ax, -120.0, 100.0)
     for ratio, line in zip(np.arange(1, 10) / 10, ax.lines, strict=True):
         (x0, y0), (x1, y1) = np.asarray(line.get_xydata())
         assert (x0, y0) == (0.0, 0.0) and x1 >= -120.0 and y1 <= 100.0 + 1e-9

@@ -8,15 +8,13 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ehbench.report import build, terminal
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.content import Findings, Headline, SectionContent, StageReport
-from ehbench.report.dark import dark
 from ehbench.report.first_screen import Chapter, cards_of, logs_judged
-from ehbench.report.rig_table import rig_table
+from ehbench.report.page import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import report_of
 from ehbench.report.stages.validation import silence
@@ -140,14 +138,6 @@ def test_what_a_verdict_does_not_go_by_is_said(tmp_path):
 
 def test_every_limit_of_a_log_is_explained():
     assert set(LIMITS.values()) == set(LIMITS_MEAN)
-
-
-def test_dark_turns_lightness_about_and_keeps_the_rest():
-    assert dark("fill:none;stroke-width:1") == ""
-    white, black = dark("fill:#ffffff"), dark("stroke:#000000;stroke-width:2")
-    assert white == "fill:#171717" and black == "stroke:#ededed"
-    shades = [int(dark(f"fill:#{v:02x}{v:02x}{v:02x}")[-2:], 16) for v in range(0, 256, 15)]
-    assert np.all(np.diff(shades) < 0)
 
 
 def test_the_page_has_rules_for_paper_phones_and_dark_rooms(folders):

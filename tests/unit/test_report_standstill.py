@@ -11,7 +11,7 @@ from ehbench.data.record import Record
 from ehbench.report.cases import Case
 from ehbench.report.comparisons import lasting
 from ehbench.report.saved import Series, Table
-from ehbench.report.standstill import standstill_caption, swing_after
+from ehbench.report.trial_captions import standstill_caption, swing_after
 
 RIG = load_rig(Path(__file__).parents[2] / "recipes" / "rigs" / "thesis_arm.toml")
 T = np.arange(0.0, 4.0, 0.001)

@@ -96,9 +96,7 @@ class Guess:
 
 
 def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
-    """A guess for each column, by name; of several columns for a channel the most certain one has
-    it, none where two are as certain.
-    """
+    """A guess for each column, by name; only the most certain column of a channel has it."""
     results: dict[str, Guess] = {}
     for name, (i, j) in source.names().items():
         table = source.tables[i]
@@ -258,9 +256,7 @@ def _time_unit(values: np.ndarray) -> tuple[str, str]:
 
 
 def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
-    """(the quantity of a sensor, '' of none; how certain that is; why), by the unit and, where it
-    says none, by the name.
-    """
+    """(quantity of a sensor or '', certainty, why), by the unit, without one by the name."""
 
     def may(row: str, named: set[str]) -> bool:
         if unit and is_share(unit):  # counts and percents are none
@@ -270,7 +266,24 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
     if may("load_pressure", set()) and words & (WORDS["drop"] | WORDS["across"]):
         return "load_pressure", LIKELY, ()
     if may("p_head", WORDS["pressure"]):
-        return _pressure_end(unit, words)
+        pressure = words & WORDS["pressure"]
+        named = words if pressure else words - {"1", "2"}  # AI2 is no second chamber
+        ports = {end: named & WORDS[f"{end}_port"] for end in _ENDS}
+        if unit == "Pa":
+            ports["p_head"] = ports["p_head"] - {"pa"}
+        for end, letter in (("p_supply", "p"), ("p_tank", "t")):  # beside a word: Druck P
+            ports[end] = {letter} & words if pressure - {letter} else set()
+        full, letter = LIMITS.full, LIMITS.letter
+        weights = {
+            end: full * bool(named & WORDS[end]) + letter * bool(ports[end]) for end in _ENDS
+        }
+        first, second = sorted(weights, key=lambda end: -weights[end])[:2]
+        if weights[first] == weights[second]:
+            return "", UNDECIDED, ()
+        alone = weights[first] >= full and not weights[second]
+        spoken = sorted((named & WORDS[first]) | ports[first])
+        why = tuple(message("app.why_word", word=word) for word in spoken)
+        return first, CERTAIN if alone else LIKELY, why
     if unit and is_of(unit, VOCABULARY["command"]) or words & WORDS["command"]:
         return "", UNDECIDED, ()
     for channel, kind, by_unit in _SENSORS:
@@ -280,28 +293,6 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
             alone = LIKELY if by_unit else UNDECIDED
             return channel, CERTAIN if named else alone, why
     return "", UNDECIDED, ()
-
-
-def _pressure_end(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
-    """Which pressure a name says, as `reading_of`; of the ends of which it names several the one
-    with the most weight.
-    """
-    pressure = words & WORDS["pressure"]
-    named = words if pressure else words - {"1", "2"}  # AI2 is no second chamber
-    ports = {end: named & WORDS[f"{end}_port"] for end in _ENDS}
-    if unit == "Pa":
-        ports["p_head"] = ports["p_head"] - {"pa"}
-    for end, letter in (("p_supply", "p"), ("p_tank", "t")):  # beside a word: Druck P
-        ports[end] = {letter} & words if pressure - {letter} else set()
-    full, letter = LIMITS.full, LIMITS.letter
-    weights = {end: full * bool(named & WORDS[end]) + letter * bool(ports[end]) for end in _ENDS}
-    first, second = sorted(weights, key=lambda end: -weights[end])[:2]
-    if weights[first] == weights[second]:
-        return "", UNDECIDED, ()
-    alone = weights[first] >= full and not weights[second]
-    spoken = sorted((named & WORDS[first]) | ports[first])
-    why = tuple(message("app.why_word", word=word) for word in spoken)
-    return first, CERTAIN if alone else LIKELY, why
 
 
 def _cylinder(words: set[str], rig: Rig | None) -> tuple[str, str, tuple[str, ...]]:

@@ -121,9 +121,7 @@ class Recipe(FileModel):
         return path.resolve()
 
     def at(self, *location: str | int) -> dict[str, Any]:
-        """``file`` and ``line`` of a key of this recipe, as the errors take them; no line where the
-        file cannot say.
-        """
+        """``file`` and ``line`` of a key, as errors take them; no line where it is not known."""
         try:
             text = self.path.read_text(encoding="utf-8-sig", errors="surrogateescape")
         except OSError:

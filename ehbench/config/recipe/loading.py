@@ -31,9 +31,7 @@ def load_rig(path: str | Path) -> Rig:
 
 @lru_cache(maxsize=32)
 def _rig(text: str, path: Path) -> Rig:
-    """The rig of a file's text. A rig cannot be altered, and one campaign reads its file dozens of
-    times.
-    """
+    """The rig of a file's text; one campaign reads it dozens of times."""
     rig = validated(Rig, table_of(text, path), text, path)
     if rig.model is None:
         return rig
@@ -85,9 +83,7 @@ def load_recipe(path: str | Path) -> Recipe:
 
 
 def kind_of(path: Path) -> Literal["rig", "recipe", "map"]:
-    """Whether a TOML file is a rig (has a mechanism), a recipe (has a stage) or a map of columns
-    (has names).
-    """
+    """Whether a TOML file is a rig (mechanism), a recipe (stage) or a map of columns (names)."""
     table, _ = read_toml(path)
     if "stage" not in table and "names" in table:
         return "map"

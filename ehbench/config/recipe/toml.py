@@ -38,9 +38,7 @@ _REMEDIES = {
 
 
 def line_of(text: str, location: tuple[Any, ...]) -> int | None:
-    """The line of a TOML text of the key at ``location`` (names and list indices), or
-    the first one below it, or its nearest parent.
-    """
+    """The line of the key at ``location``, else the first below it, else its nearest parent."""
     flat, required = _flat_lines(text), _pieces(location)
     for size in range(len(required), 0, -1):
         head = required[:size]
@@ -52,9 +50,7 @@ def line_of(text: str, location: tuple[Any, ...]) -> int | None:
 
 @lru_cache(maxsize=32)
 def _flat_lines(text: str) -> dict[tuple[Any, ...], int]:
-    """`lines_of`, dotted names taken apart; a check asks for the places of all keys that it reads,
-    whether it has to name them or not.
-    """
+    """`lines_of` with dotted names taken apart; a check asks for the places of all keys."""
     flat: dict[tuple[Any, ...], int] = {}
     for known, number in lines_of(text).items():
         flat.setdefault(_pieces(known), number)
@@ -68,32 +64,28 @@ def lines_of(text: str) -> dict[tuple[Any, ...], int]:
     prefix: tuple[Any, ...] = ()
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
-            prefix = _table_at(_key_parts(header[2]), header[1] == "[[", counts)
+            parts = _key_parts(header[2])
+            is_entry = header[1] == "[["
+            prefix = ()
+            for index, part in enumerate(parts):
+                prefix += (part,)
+                if is_entry and index == len(parts) - 1:
+                    counts[prefix] = counts.get(prefix, -1) + 1
+                if prefix in counts:
+                    prefix += (counts[prefix],)
+            for known in list(counts):
+                if (
+                    len(known) >= len(prefix)
+                    and known[: len(prefix)] == prefix
+                    and known != prefix[:-1]
+                ):
+                    del counts[known]
             lines.setdefault(prefix, number)
             if isinstance(prefix[-1], int):
                 lines.setdefault(prefix[:-1], number)
         elif key := _KEY.match(line):
             lines.setdefault(prefix + tuple(_key_parts(key[1])), number)
     return lines
-
-
-def _table_at(
-    parts: list[str], is_entry: bool, counts: dict[tuple[Any, ...], int]
-) -> tuple[Any, ...]:
-    """The location of a header, with the number of each list entry it lies in; ``counts`` holds the
-    entries so far.
-    """
-    path: tuple[Any, ...] = ()
-    for index, part in enumerate(parts):
-        path += (part,)
-        if is_entry and index == len(parts) - 1:
-            counts[path] = counts.get(path, -1) + 1
-        if path in counts:
-            path += (counts[path],)
-    for known in list(counts):
-        if len(known) >= len(path) and known[: len(path)] == path and known != path[:-1]:
-            del counts[known]
-    return path
 
 
 def _key_parts(dotted: str) -> list[str]:
@@ -296,9 +288,7 @@ def _keyed(annotation: Any) -> int:
 def _valid_hint(
     model: Any, table: dict[str, Any], location: tuple[Any, ...], within: tuple[Any, ...]
 ) -> str | None:
-    """What to write in place of an unknown key: the nearest one, the table it belongs to, or the
-    valid keys.
-    """
+    """What to write for an unknown key: the nearest, its table, or the valid keys."""
     valid = _valid_keys(model, within[:-1])
     near = get_close_matches(str(location[-1]), valid, 1, 0.6)
     if near:

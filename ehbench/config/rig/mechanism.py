@@ -1,6 +1,4 @@
-"""What moves: a chain of joints or a slide, what a payload changes of it, and how a cylinder drives
-it.
-"""
+"""What moves: a chain of joints or a slide, what a payload changes, how a cylinder drives it."""
 
 from __future__ import annotations
 

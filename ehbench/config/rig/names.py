@@ -16,9 +16,7 @@ NODES = ("supply", "tank", "head", "rod")
 
 
 class Misplaced(ValueError):
-    """What is wrong with several keys together; ``where`` is the key at which to say so, below the
-    table that was checked.
-    """
+    """What is wrong with several keys; ``where`` is the key below the checked table to name."""
 
     def __init__(self, message: str, *where: str | int) -> None:
         super().__init__(message)

@@ -204,9 +204,7 @@ class Rig(FileModel):
         raise InputError(message("config.no_cylinder", name=self.name, name2=name), hint=there)
 
     def valves(self) -> Iterator[tuple[Cylinder, Valve]]:
-        """Every valve with its cylinder, in the order of the file: the order of all command
-        vectors.
-        """
+        """Every valve with its cylinder, in the order of the file and of all command vectors."""
         for cylinder in self.cylinder:
             for valve in cylinder.valve:
                 yield cylinder, valve
@@ -259,9 +257,7 @@ class Rig(FileModel):
 
     @cached_property
     def typed_units(self) -> dict[str, str]:
-        """The unit of each parameter that the file has in another than SI, and of each word whose
-        parameters all have the same.
-        """
+        """The unit of each parameter not in SI, and of each word whose parameters all share it."""
         typed = {name: value.unit for name, value in self.parameters().items() if value.unit}
         words: dict[str, set[str]] = {}
         for name, unit in typed.items():
@@ -329,9 +325,7 @@ class Rig(FileModel):
                 yield load, link, part
 
     def parts(self) -> Iterator[tuple[str, tuple[str | int, ...], Any]]:
-        """(what its parameters' names begin with, where it is, the table) of each part of the rig,
-        a part before those inside it.
-        """
+        """(name prefix, location, table) of each part of the rig, a part before those inside it."""
         yield "", (), self
         yield "", ("oil",), self.oil
         yield "supply.", ("supply",), self.supply
@@ -453,9 +447,7 @@ class Rig(FileModel):
         return self.model_copy(update={"cylinder": tuple(map(changed, self.cylinder))})
 
     def as_toml(self) -> dict[str, Any]:
-        """The rig as nested plain values that a TOML writer takes; reading them back gives the same
-        rig.
-        """
+        """The rig as nested plain values for a TOML writer; read back, they give the same rig."""
         return self.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
 
 

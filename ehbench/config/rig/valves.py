@@ -253,9 +253,7 @@ class Valve(FileModel):
         return max(float(self.command_min), -maximum), min(float(self.command_max), maximum)
 
     def edge_name(self, edge: Edge) -> str:
-        """The name a flow map of this edge goes by: the edge's own, else the valve's (or
-        valve_from_to with several).
-        """
+        """What its flow map is called: its name, else the valve's, or valve_from_to of several."""
         if edge.name is not None:
             return edge.name
         return self.name if len(self.edge) == 1 else f"{self.name}_{edge.from_}_{edge.to}"

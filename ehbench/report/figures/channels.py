@@ -18,9 +18,7 @@ _PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
 
 
 def live(rig: Rig, record: Record, travel: float = 0.01) -> dict[str, list[str]]:
-    """Channels to draw by cylinder: those with a changing command or that travel a share of the
-    stroke; all of them if none does.
-    """
+    """Channels by cylinder that is commanded or travels a share of its stroke, else all."""
     groups: dict[str, list[str]] = {}
     for channel in record.channels:
         if "." in channel:

@@ -26,7 +26,21 @@ def circuit(path: Path, function: Table) -> None:
     with canvas(path, size=(5.6, 3.7)) as (_, ax):
         ax.set_axis_off()
         ax.set(xlim=(0.0, _SIZE[0]), ylim=(0.0, _SIZE[1]), aspect="equal")
-        _draw_cylinder(ax, function)
+        _draw_box(ax, (1.6, 4.9), 6.6, 1.1, fill=False, edgecolor=INK, linewidth=1.5)
+        _draw_box(ax, (4.6, 4.9), 0.35, 1.1, facecolor=INK, edgecolor=INK)
+        _draw_box(ax, (4.95, 5.33), 4.0, 0.24, facecolor="#d1d5db", edgecolor=INK)
+        for x, y in _PORTS.values():
+            ax.plot([x, x], [y, 4.9], color=INK, linewidth=1.3)
+            ax.plot(x, y, marker="o", color=INK, markersize=3.5)
+        ax.text(2.0, 5.45, "head end", va="center", fontsize=7.5)
+        ax.text(5.3, 5.75, "rod end", va="center", fontsize=7.5)
+        way = function["direction"]
+        _draw_arrow(ax, (4.77, 6.2), (4.77 + 1.3 * way, 6.2), INK)
+        ax.text(4.77 - 0.15 * way, 6.2, "v", va="center", fontsize=9, ha="center")
+        load = way if function["along"] else -way
+        start = 9.2 if load > 0 else 9.95
+        _draw_arrow(ax, (start, 5.45), (start + 0.75 * load, 5.45), INK)
+        ax.text(9.55, 5.72, "load", ha="center", fontsize=7.5)
         for name, y in _RAILS.items():
             ax.plot([0.4, _SIZE[0] - 0.4], [y, y], color=INK, linewidth=1.6, zorder=1)
             ax.text(_SIZE[0] - 0.3, y, name, va="center", fontsize=8)
@@ -37,28 +51,8 @@ def circuit(path: Path, function: Table) -> None:
             drawn[nodes] += 1
 
 
-def _draw_cylinder(ax, function: Table) -> None:
-    _draw_box(ax, (1.6, 4.9), 6.6, 1.1, fill=False, edgecolor=INK, linewidth=1.5)
-    _draw_box(ax, (4.6, 4.9), 0.35, 1.1, facecolor=INK, edgecolor=INK)
-    _draw_box(ax, (4.95, 5.33), 4.0, 0.24, facecolor="#d1d5db", edgecolor=INK)
-    for x, y in _PORTS.values():
-        ax.plot([x, x], [y, 4.9], color=INK, linewidth=1.3)
-        ax.plot(x, y, marker="o", color=INK, markersize=3.5)
-    ax.text(2.0, 5.45, "head end", va="center", fontsize=7.5)
-    ax.text(5.3, 5.75, "rod end", va="center", fontsize=7.5)
-    way = function["direction"]
-    _draw_arrow(ax, (4.77, 6.2), (4.77 + 1.3 * way, 6.2), INK)
-    ax.text(4.77 - 0.15 * way, 6.2, "v", va="center", fontsize=9, ha="center")
-    load = way if function["along"] else -way
-    start = 9.2 if load > 0 else 9.95
-    _draw_arrow(ax, (start, 5.45), (start + 0.75 * load, 5.45), INK)
-    ax.text(9.55, 5.72, "load", ha="center", fontsize=7.5)
-
-
 def _draw_edge(ax, edge: Table, nth: int) -> None:
-    """An edge's pipe with its valve, an arrow along its flow where it is open; ``nth`` of those
-    that join the same two nodes.
-    """
+    """The ``nth`` pipe between two nodes with its valve, an arrow along its flow."""
     is_open = bool(edge["way"])
     colour = MUTED if not is_open else ACCENT if edge["meters"] else SIMULATED
     points = _pipe(edge["ends"], nth)
@@ -94,9 +88,7 @@ def _draw_edge(ax, edge: Table, nth: int) -> None:
 
 
 def _pipe(ends: tuple[str, str], nth: int, gap: float = 0.6) -> list[Place]:
-    """The corners of an edge's pipe from its first node to its second; ``gap``: between two edges
-    that join the same two nodes.
-    """
+    """The corners of an edge's pipe; ``gap`` between pipes of the same two nodes."""
     if set(ends) == set(_PORTS):
         first, last = (_PORTS[end] for end in ends)
         near, far = (x + (0.5 if x < _SIZE[0] / 2 else -0.5) for x, _ in (first, last))

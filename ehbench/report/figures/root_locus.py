@@ -63,9 +63,7 @@ def loci(path: Path, loci: Sequence[Table], by_name: dict[str, Table]) -> None:
 
 
 def _swing(item: Table) -> float:
-    """Size [rad/s] of the least damped pair of poles at the start of a locus, or of the slowest
-    pole where none swings.
-    """
+    """Size [rad/s] of the least damped poles at a locus's start, or of its slowest."""
     start = np.array(item["real"][0], float) + 1j * np.array(item["imag"][0], float)
     start = start[np.abs(start) > 0.0]
     pairs = start[start.imag > 1e-3 * np.abs(start)]
@@ -77,7 +75,7 @@ def _swing(item: Table) -> float:
 def _locus(ax, item: Table, frame: Frame) -> None:
     """One locus: its branches dark up to the choice and pale beyond, poles and zeros."""
     left, right, bottom, top = frame
-    _damping_grid(ax, left, top)
+    damping_grid(ax, left, top)
     ax.axvspan(0.0, right, color=ACCENT, alpha=0.06, linewidth=0)
     ax.axhline(0.0, color=MUTED, linewidth=0.8)
     ax.axvline(0.0, color=MUTED, linewidth=0.8)
@@ -176,10 +174,8 @@ def _poles(ax, poles, frame: Frame, **look) -> None:
         ax.plot(*np.array(inside).T, linestyle="", **look)
 
 
-def _damping_grid(ax, left: float, top: float) -> None:
-    """Rays of equal damping ratio ζ = cos φ, φ from the negative real axis, each labelled where it
-    leaves the frame.
-    """
+def damping_grid(ax, left: float, top: float) -> None:
+    """Rays of equal damping ratio ζ = cos φ, φ from the negative real axis, with labels."""
     box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
     look: Look = {"fontsize": 6.5, "color": MUTED, "va": "center", "bbox": box, "zorder": 2}
     for ratio in np.arange(1, 10) / 10.0:

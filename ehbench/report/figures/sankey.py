@@ -34,9 +34,7 @@ _MECHANICAL = (
 
 @dataclass(frozen=True, eq=False)
 class _Flow:
-    """A ribbon. ``end`` is a node, or None for a leaf at the right; ``start`` None for a source at
-    the left.
-    """
+    """A ribbon; ``end`` None: a leaf at the right, ``start`` None: a source at the left."""
 
     start: str | None
     end: str | None
@@ -100,9 +98,7 @@ class _Account:
 
 
 def _ribbons(account: _Account) -> list[_Flow]:
-    """The ribbons of a ledger: pump → oil of each cylinder → mechanism, and what leaves or enters
-    on the way.
-    """
+    """Pump → oil of each cylinder → mechanism, and what leaves or enters on the way."""
     flows = [flow for row in account.rows if (flow := _leaf(row, account)) is not None]
     for cylinder in account.busy:
         drawn = sum(
@@ -129,13 +125,31 @@ def _ribbons(account: _Account) -> list[_Flow]:
             given = sum(row["energy"] for row in rows)
             if given > 0.0:
                 flows.append(_Flow(None, PUMP, given, "supply", label, half_of(rows[0])))
-    return _merged(flows, account)
+    retained: list[_Flow] = []
+    little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
+    for flow in flows:
+        ends = flow.start is None or flow.end is None
+        if ends and flow.energy < account.small and flow.group != "supply":
+            little.setdefault((flow.start, flow.end, flow.group == "residual"), []).append(flow)
+        else:
+            retained.append(flow)
+    for (start, end, rest), few in little.items():
+        energy = sum(flow.energy for flow in few)
+        if energy < (0.5 if rest else 0.15) * account.small:
+            continue
+        if len(few) == 1:
+            retained += few
+            continue
+        halves = [flow.half for flow in few]
+        half = math.hypot(*(h for h in halves if h)) if None not in halves else None
+        group = few[0].group if len({flow.group for flow in few}) == 1 else "loss"
+        label = account.prefix(start or end) + f"{len(few)} smaller ones"
+        retained.append(_Flow(start, end, energy, group, label, half))
+    return retained
 
 
 def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
-    """The ribbon of a row that ends outside, or begins there where it is negative; None for rows
-    that are drawn otherwise.
-    """
+    """The ribbon of a row that ends or begins outside; None if it is drawn otherwise."""
     cylinder, name, energy, label = row["cylinder"], row["name"], row["energy"], row["label"]
     group = row["group"]
     if group in ("cylinder", "residual") or cylinder not in (None, *account.busy):
@@ -160,37 +174,8 @@ def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
     return _Flow(start, end, abs(energy), group, label, half_of(row))
 
 
-def _merged(flows: Sequence[_Flow], account: _Account) -> list[_Flow]:
-    """Small leaves and sources drawn together, by node, so that labels do not crowd; what is next
-    to nothing is not drawn.
-    """
-    retained: list[_Flow] = []
-    little: dict[tuple[str | None, str | None, bool], list[_Flow]] = {}
-    for flow in flows:
-        ends = flow.start is None or flow.end is None
-        if ends and flow.energy < account.small and flow.group != "supply":
-            little.setdefault((flow.start, flow.end, flow.group == "residual"), []).append(flow)
-        else:
-            retained.append(flow)
-    for (start, end, rest), few in little.items():
-        energy = sum(flow.energy for flow in few)
-        if energy < (0.5 if rest else 0.15) * account.small:
-            continue
-        if len(few) == 1:
-            retained += few
-            continue
-        halves = [flow.half for flow in few]
-        half = math.hypot(*(h for h in halves if h)) if None not in halves else None
-        group = few[0].group if len({flow.group for flow in few}) == 1 else "loss"
-        label = account.prefix(start or end) + f"{len(few)} smaller ones"
-        retained.append(_Flow(start, end, energy, group, label, half))
-    return retained
-
-
 def _fit(sizes: Sequence[float], lines: Sequence[float], gap: float = 0.012) -> float:
-    """Height per energy at which slots of max(size, label) and the gaps between them fill the
-    picture; ``lines``, heights of the labels.
-    """
+    """Height per energy at which slots of max(size, line) and their gaps fill the picture."""
     low, high = 0.0, 0.94 / max(sum(sizes), 1e-12)
     room = 1.0 - gap * max(len(sizes) - 1, 0)
     for _ in range(60):
@@ -198,22 +183,6 @@ def _fit(sizes: Sequence[float], lines: Sequence[float], gap: float = 0.012) -> 
         filled = sum(max(s * middle, line) for s, line in zip(sizes, lines, strict=True))
         low, high = (middle, high) if filled <= room else (low, middle)
     return low
-
-
-def _slots(
-    sizes: Sequence[float], scale: float, lines: Sequence[float], widest: float = 0.036
-) -> list[float]:
-    """Middles of slots stacked from the top, as high as their ribbon or label, spread a little over
-    the picture.
-    """
-    heights = [max(size * scale, line) for size, line in zip(sizes, lines, strict=True)]
-    gap = min((1.0 - sum(heights)) / max(len(heights) - 1, 1), widest)
-    y = 0.5 + 0.5 * (sum(heights) + gap * (len(heights) - 1))
-    middles = []
-    for height in heights:
-        middles.append(y - 0.5 * height)
-        y -= height + gap
-    return middles
 
 
 class _Dock:
@@ -272,7 +241,14 @@ def _layout(account: _Account) -> _Layout:
     scale = min(_fit(sizes, lines) for _, sizes, lines in columns)
     outer: dict[_Flow, float] = {}
     for ends, sizes, lines in columns:
-        outer |= zip(ends, _slots(sizes, scale, lines), strict=True)
+        heights = [max(size * scale, line) for size, line in zip(sizes, lines, strict=True)]
+        gap = min((1.0 - sum(heights)) / max(len(heights) - 1, 1), 0.036)
+        y = 0.5 + 0.5 * (sum(heights) + gap * (len(heights) - 1))
+        middles = []
+        for height in heights:
+            middles.append(y - 0.5 * height)
+            y -= height + gap
+        outer |= zip(ends, middles, strict=True)
     heights, middles = {}, {}
     for name in sorted(nodes, key=lambda name: -nodes[name][0]):
         out = [f for f in flows if f.start == name]
@@ -337,7 +313,12 @@ def sankey(path: Path, ledger: Ledger) -> None:
                 if flow.end is not None:
                     dock = layout.docks[flow.end]
                     end = (dock.x, dock.dock("left", thick))
-                _draw_ribbon(ax, start, end, thick, colour)
+                s = np.linspace(0.0, 1.0, 60)
+                x = start[0] + s * (end[0] - start[0])
+                y = start[1] + (3 * s**2 - 2 * s**3) * (end[1] - start[1])
+                half = 0.5 * max(thick, 0.0012)
+                look = {"facecolor": colour, "alpha": 0.42, "edgecolor": "none", "zorder": 2}
+                ax.fill(np.append(x, x[::-1]), np.append(y + half, (y - half)[::-1]), **look)
             if flow.end is None:
                 y, words = layout.outer[flow], energy_text(flow.energy, flow.half, unit, given)
                 _draw_bar(ax, 1.0, y, thick, colour)
@@ -359,9 +340,7 @@ def sankey(path: Path, ledger: Ledger) -> None:
 
 
 def _draw_source(ax, layout: _Layout, flow: _Flow, unit: Unit, account: _Account) -> None:
-    """Bar and label at the left; of the pump and a low rail in bold, with what compression gave
-    apart.
-    """
+    """Bar and label at the left; of the pump and a low rail in bold, compression apart."""
     y, thick = layout.outer[flow], flow.energy * layout.scale
     energy, style = flow.energy, {"fontsize": 8}
     if flow.has_compression:
@@ -381,15 +360,3 @@ def _draw_bar(ax, x: float, y: float, thick: float, colour: str) -> None:
 
     look = {"facecolor": colour, "edgecolor": "none", "zorder": 3}
     ax.add_patch(Rectangle((x, y - 0.5 * thick), _BAR, thick, **look))
-
-
-def _draw_ribbon(
-    ax, start: tuple[float, float], end: tuple[float, float], thick: float, colour: str
-) -> None:
-    """A band of even height that leaves and arrives level."""
-    s = np.linspace(0.0, 1.0, 60)
-    x = start[0] + s * (end[0] - start[0])
-    y = start[1] + (3 * s**2 - 2 * s**3) * (end[1] - start[1])
-    half = 0.5 * max(thick, 0.0012)
-    look = {"facecolor": colour, "alpha": 0.42, "edgecolor": "none", "zorder": 2}
-    ax.fill(np.append(x, x[::-1]), np.append(y + half, (y - half)[::-1]), **look)

@@ -46,9 +46,7 @@ def plot_channel(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
 
 
 def stretches(t: np.ndarray, mask: np.ndarray, runs: int = 700) -> list[tuple[float, float]]:
-    """(start, length) of the stretches where ``mask`` holds; gaps too short to be seen in a figure
-    that can show so many ``runs`` are closed.
-    """
+    """(start, length) where ``mask`` holds; gaps shorter than 1/``runs`` are closed."""
     shortest = float(t[-1] - t[0]) / runs
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     spans: list[list[float]] = []
@@ -68,9 +66,7 @@ def flags_of(record: Record, cylinder: str, word: str) -> np.ndarray:
 
 
 def function_bars(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -> list:
-    """Bars over time: the working function of each case, and below one row a limit that was met;
-    legend handles.
-    """
+    """Bars over time: each case's working function, and the limits it met; legend handles."""
     rows: list[str] = []
     seen: set[int] = set()
 
@@ -99,9 +95,7 @@ def function_bars(ax, cases: Sequence[tuple[str, Case, Record]], limits: bool) -
 
 
 def plot_commands(ax, rig: Rig, record: Record, cylinder: str) -> bool:
-    """The commands of a cylinder's valves that change, shaded where an edge is saturated; whether
-    one ever is.
-    """
+    """Draw the changing commands of a cylinder, saturation shaded; whether there is any."""
     names = [c for c in record.channels if c.startswith(f"{cylinder}.") and c.endswith(".command")]
     for index, name in enumerate(names):
         if np.ptp(record[name]) > 0.0:
@@ -117,9 +111,7 @@ def plot_commands(ax, rig: Rig, record: Record, cylinder: str) -> bool:
 
 
 def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
-    """One trial: desired and actual motion, pressures, commands with saturation shaded, working
-    function and limits over time.
-    """
+    """One trial: motion, pressures, commands, working function and limits over time."""
     cylinder = case.cylinder
     strip = ["strip"] if f"{cylinder}.function" in record else []
     motion = ["v", "x"] if case.steps else ["x", "error", "v"]
@@ -132,9 +124,19 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
     with canvas(path, len(panels), 1, size, **look) as (figure, axes):
         places = dict(zip(panels, axes[:, 0], strict=True))
         for word, text in (("x", "Stroke"), ("v", "Cylinder speed")):
-            _actual_and_desired(
-                places[word], rig, record, f"{cylinder}.{word}", axis(rig, word, text)
+            name = f"{cylinder}.{word}"
+            desired, shaped = f"{name}_desired", f"{name}_shaped"
+            plot_channel(
+                places[word], rig, record, name, color=RECORDED, linewidth=1.2, label="actual"
             )
+            dashed: Look = {"color": SIMULATED, "linewidth": 1.5, "linestyle": (0, (4, 1.6))}
+            plot_channel(places[word], rig, record, desired, label="desired", **dashed)
+            if shaped in record and not np.array_equal(record[shaped], record[desired]):
+                dotted: Look = {"color": MUTED, "linewidth": 1.0, "linestyle": ":"}
+                plot_channel(places[word], rig, record, shaped, label="shaped", **dotted)
+            places[word].set_title(axis(rig, word, text))
+            places[word].margins(y=0.08)
+            legend_right(places[word])
         if "error" in places:
             ax, error = places["error"], tracking_error(rig, record, cylinder)
             ax.plot(*thin(record.t, error), color=RECORDED, linewidth=1.0)
@@ -152,20 +154,6 @@ def controlled(path: Path, rig: Rig, case: Case, record: Record) -> None:
         axes[-1, 0].set_xlabel("time [s]")
         axes[-1, 0].set_xlim(record.t[0], record.t[-1])
         legend(figure, handles, 3)
-
-
-def _actual_and_desired(ax, rig: Rig, record: Record, name: str, title: str) -> None:
-    """Actual and desired, and shaped where the shaping changed it."""
-    desired, shaped = f"{name}_desired", f"{name}_shaped"
-    plot_channel(ax, rig, record, name, color=RECORDED, linewidth=1.2, label="actual")
-    dashed: Look = {"color": SIMULATED, "linewidth": 1.5, "linestyle": (0, (4, 1.6))}
-    plot_channel(ax, rig, record, desired, label="desired", **dashed)
-    if shaped in record and not np.array_equal(record[shaped], record[desired]):
-        dotted: Look = {"color": MUTED, "linewidth": 1.0, "linestyle": ":"}
-        plot_channel(ax, rig, record, shaped, label="shaped", **dotted)
-    ax.set_title(title)
-    ax.margins(y=0.08)
-    legend_right(ax)
 
 
 def tracking_error(rig: Rig, record: Record, cylinder: str) -> np.ndarray:
@@ -247,3 +235,76 @@ def _measured_payload(ax, rig: Rig, record: Record, cylinder: str) -> None:
     ax.fill_between(t, np.interp(t, low_t, low), np.interp(t, high_t, high), **band)
     look: Look = {"color": SIMULATED, "linewidth": 1.0, "label": "by pressures and motion"}
     plot_channel(ax, rig, record, names[2], **look)
+
+
+def tip(path: Path, rig: Rig, case: Case, record: Record) -> None:
+    """The tip's way, its error and that of each cylinder, flow against the pump's limit."""
+
+    def draw(ax, name: str, values: np.ndarray, label: str, **look) -> None:
+        ax.plot(*thin(record.t, shown(rig, name, values)), label=label, **look)
+
+    look: Look = {"height_ratios": [1.7, 1.0, 1.0, 1.0], "squeeze": False}
+    with canvas(path, 4, 2, (7.4, 9.4), **look) as (figure, axes):
+        _view(axes[0, 0], rig, record, "xy", "From above")
+        _view(axes[0, 1], rig, record, "xz", "From the side")
+        grid = axes[0, 0].get_gridspec()
+        for ax in axes[1:].flat:
+            ax.remove()
+        error, cylinders, flow = below = [figure.add_subplot(grid[row, :]) for row in (1, 2, 3)]
+        draw(error, "tip_error", record["tip_error"], "in all", color=RECORDED, linewidth=1.1)
+        look = {"color": CYCLE[2], "linewidth": 0.9}
+        draw(error, "tip_across", record["tip_across"], "across its way", **look)
+        error.set_title(axis(rig, "tip_error", "Error of the tip"))
+        error.set_ylim(bottom=0.0)
+        names = [c.removesuffix(".x_desired") for c in record.channels if c.endswith(".x_desired")]
+        for index, name in enumerate(names):
+            off = record[f"{name}.x"] - record[f"{name}.x_desired"]
+            draw(cylinders, "x", off, name, **cycled(index, linewidth=1.0))
+        cylinders.axhline(0.0, color=MUTED, linewidth=0.7)
+        cylinders.set_title(axis(rig, "x", "Error of each cylinder, actual minus desired"))
+        look = {"color": SIMULATED, "linewidth": 1.6}
+        draw(flow, "flow", record["flow_demand"], "of the motion", **look)
+        if np.any(record["pace"] < 1.0):
+            look = {"color": CYCLE[2], "linewidth": 1.6}
+            draw(flow, "flow", record["flow_planned"], "planned", **look)
+        if (requested := demanded(rig, record)) is not None:
+            look = {"color": RECORDED, "linewidth": 0.8}
+            draw(flow, "flow", requested, "asked for by controllers", **look)
+        if (limit := case.row["sharing"].get("flow_limit")) is not None:
+            look = {"color": ACCENT, "linewidth": 1.1, "linestyle": (0, (5, 3))}
+            flow.axhline(shown(rig, "flow", limit), label="the pump's limit", **look)
+        flow.set_title(axis(rig, "flow", "Flow from the supply"))
+        flow.set_ylim(bottom=0.0)
+        for ax in below:
+            legend_right(ax)
+            ax.set_xlim(record.t[0], record.t[-1])
+        mark_stop(below, record, (0, 3), ha="center")
+        flow.set_xlabel("time [s]")
+
+
+def _view(ax, rig: Rig, record: Record, ways: str, text: str) -> None:
+    """The desired and the travelled path in one plane, to scale, of 1500 points at most."""
+    step = max(1, record.t.size // 1500)
+    desired, travelled = (
+        [shown(rig, f"tip_{way}{end}", record[f"tip_{way}{end}"]) for way in ways]
+        for end in ("_desired", "")
+    )
+    look: Look = {"color": SIMULATED, "linewidth": 2.4, "label": "desired"}
+    ax.plot(*(values[::step] for values in desired), **look)
+    look = {"color": RECORDED, "linewidth": 1.0, "label": "travelled"}
+    ax.plot(*(values[::step] for values in travelled), **look)
+    look = {"color": ACCENT, "markersize": 4, "linestyle": "none", "label": "start"}
+    ax.plot(*(values[0] for values in desired), marker="o", **look)
+    words = {"x": "ahead", "y": "to the left", "z": "up"}
+    across, up = (axis(rig, f"tip_{way}", words[way]) for way in ways)
+    ax.set(title=text, xlabel=across, ylabel=up)
+    ax.margins(0.08)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(loc="best")
+
+
+def demanded(rig: Rig, record: Record) -> np.ndarray | None:
+    """Flow [m³/s] that controllers ask of the supply; None where none says so."""
+    names = [f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges() if e.from_ == "supply"]
+    flows = [record[f"{n}.flow_desired"] for n in names if f"{n}.flow_desired" in record]
+    return np.sum([np.abs(flow) for flow in flows], axis=0) if flows else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -100,9 +101,7 @@ def compare_controllers(path: Path, rig: Rig, cases: Sequence[Named], commands_o
 
 
 def _commands_row(axes: Sequence[Any], rig: Rig, cases: Sequence[Named]) -> bool:
-    """A panel of commands a controller, on one axis; one legend at the right. Whether an edge was
-    ever saturated, which is shaded.
-    """
+    """A panel of commands a controller, one axis and legend; whether an edge was saturated."""
     saturated = False
     labelled: dict[str, Any] = {}
     for ax, (name, _, record) in zip(axes, cases, strict=True):
@@ -162,3 +161,54 @@ def pump_energies(path: Path, rig: Rig, cases: Sequence[Case], names: Sequence[s
         ax.set_xlim(min(0.0, *values), 1.12 * max(*values, 1e-12))
         ax.grid(False, axis="y")
         ax.set_xlabel(axis(rig, "energy", "energy from the pump"))
+
+
+def energy_map(
+    path: Path,
+    panels: Sequence[tuple[str, np.ndarray]],
+    loads: Sequence[str],
+    speeds: Sequence[str],
+    unit: str,
+    columns: int = 2,
+    darkest: float = 1.0,
+) -> None:
+    """Cells of load × speed: the energy, and in per cent how far it lies above the least that any
+    controller takes there, which is its shade.
+
+    Args:
+        path: of the SVG.
+        panels: (controller, energies as shown, shape (loads, speeds), NaN where there is none).
+        loads, speeds: what rows and columns are of.
+        unit: of the energies.
+        columns: of panels.
+        darkest: share above the minimum from which a cell is as dark as can be.
+    """
+    minimum = np.fmin.reduce([energies for _, energies in panels])
+    rows = math.ceil(len(panels) / columns)
+    size = (7.4, rows * (0.42 * len(loads) + 0.75) + 0.5)
+    shape = {"sharex": True, "sharey": True, "squeeze": False}
+    with canvas(path, rows, columns, size, **shape) as (_, axes):
+        for ax in axes.flat[len(panels) :]:
+            ax.set_visible(False)
+        for ax, (title, energies) in zip(axes.flat, panels, strict=False):
+            above = energies / minimum - 1.0
+            ax.pcolormesh(
+                np.arange(len(speeds) + 1) - 0.5,
+                np.arange(len(loads) + 1) - 0.5,
+                np.minimum(above, darkest),
+                cmap="Oranges",
+                vmin=0.0,
+                vmax=2.0 * darkest,  # so that numbers stay readable
+                edgecolor="white",
+            )
+            for (row, column), energy in np.ndenumerate(energies):
+                if np.isfinite(energy):
+                    more = 100.0 * above[row, column]
+                    text = f"{number(energy, 3)}\n" + (f"+{more:.0f} %" if more >= 0.5 else "least")
+                    look = {"ha": "center", "va": "center", "fontsize": 7.5, "color": INK}
+                    ax.text(column, row, text, **look)
+            ax.set_title(title)
+            ax.set_xticks(range(len(speeds)), speeds)
+            ax.set_yticks(range(len(loads)), loads)
+            ax.grid(False)
+        axes[0, 0].set_ylabel(f"load; energy [{unit}]")

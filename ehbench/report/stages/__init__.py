@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureKey
 from ehbench.report.saved import Saved
 from ehbench.report.stages import (
     arc_tuning,
@@ -52,5 +51,5 @@ def place_of(run: Saved) -> int:
 def _files_section(run: Saved, pictures: Pictures) -> SectionContent:
     """Its figures and its files."""
     files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]
-    parts = [Part("Results", [*pictures(FigureKey()), Grid(["file"], files)])]
+    parts = [Part("Results", [*pictures(), Grid(["file"], files)])]
     return SectionContent("done", f"{count(len(files), 'file')}.", parts)

@@ -1,15 +1,15 @@
-"""Identification of hydraulic parameters: values with intervals, correlation, what was matched,
-and the fit to each log.
-"""
+"""Hydraulic parameters: values, intervals, correlation, what was matched, fit to each log."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Grid, Heat, Part, Text
 from ehbench.report.captions import as_fitted, capital
 from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
@@ -26,11 +26,11 @@ from ehbench.report.content import (
     num,
     remedy_step,
 )
-from ehbench.report.figures import hydraulics as figures
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
+from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
 from ehbench.report.template import Template
-from ehbench.report.words import DASH, axis, interval, number, row_of, words
+from ehbench.report.words import DASH, axis, interval, number, pretty, row_of, shown, unit_of, words
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import BEYOND, CORRELATED, Z95
 
@@ -42,15 +42,54 @@ def draw(run: Saved, index: FigureIndex) -> None:
     fit = run.json("parameters.json")
     parameters = [item for item in estimates_of(fit) if item.number("value") is not None]
     if parameters:
-        title, about = "Parameters within their bounds", FigureKey("parameters")
+        title = "Parameters within their bounds"
         caption = Template("hydraulics").text("parameters_caption")
-        path = index.add("parameters", title, caption, about)
-        figures.parameters(path, run.rig, parameters)
+        path = index.add("parameters", title, caption, "parameters")
+        draw_parameters(path, run.rig, parameters)
     for log in fit["logs"]:
         draw_comparisons(run, index, log["name"], "fit", "Fitted to")
         if responses := log.get("responses"):
-            about, key = FigureKey("response", log=log["name"]), f"response_{log['name']}"
-            draw_responses(run, index, about, key, responses, responses[0]["coherence"])
+            name, limit = log["name"], responses[0]["coherence"]
+            key = f"response_{name}"
+            draw_responses(run, index, "response", name, key, responses, limit)
+
+
+def draw_parameters(path: Path, rig: Rig, result: Sequence[Table]) -> None:
+    """A strip a parameter: value with 95 % interval on the bounds of the search, start."""
+    size = (7.2, 0.72 * len(result) + 0.3)
+    with canvas(path, len(result), 1, size, squeeze=False) as (_, axes):
+        for ax, item in zip(axes[:, 0], result, strict=True):
+            name = item["name"]
+            known = [item.number(key) for key in ("value", "start", "lower", "upper")]
+            value, start, low, high, *ends = (
+                None if v is None or not np.isfinite(v) else shown(rig, name, v)
+                for v in (*known, *(item.get("interval") or (None, None)))
+            )
+            known = [v for v in (value, start, low, high, *ends) if v is not None]
+            left, right = min(known), max(known)
+            if left > 0.0 and right / left > 30.0:
+                ax.set_xscale("log")
+                ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
+                room = (right / left) ** 0.03
+                left, right = left / room, right * room
+            else:
+                room = 0.03 * ((right - left) or abs(right) or 1.0)
+                left, right = left - room, right + room
+            ax.set(xlim=(left, right), ylim=(-1, 1), yticks=[])
+            bounds = [left if low is None else low, right if high is None else high]
+            ax.plot(bounds, [0, 0], color="#d1d5db", linewidth=7, solid_capstyle="butt")
+            if None not in ends:
+                ax.plot(ends, [0, 0], color=RECORDED, linewidth=3, solid_capstyle="butt")
+            hollow = {"markerfacecolor": "white", "markeredgecolor": MUTED, "markeredgewidth": 1.2}
+            ax.plot([start], [0], "o", markersize=6, **hollow)
+            colour = RECORDED if item["status"] == "estimated" else ACCENT
+            ax.plot([value], [0], "o", markersize=5.5, color=colour)
+            ax.spines["left"].set_visible(False)
+            ax.tick_params(axis="x", labelsize=7.5, pad=1)
+            text = f"{as_fitted(rig, name, item)} {pretty(unit_of(rig, name))}".rstrip()
+            ax.set_title(f"{name}   {text}", fontsize=8.5, pad=2)
+            status = {"fontsize": 8, "pad": 2, "color": colour, "fontweight": "normal"}
+            ax.set_title(words(item["status"]), loc="right", **status)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -65,7 +104,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     inside: list[Block] = [_parameters(page, parameters, fit.get("sensors", []))]
     inside += [Bullets(sensitive, "warn")] if sensitive else []
     inside += [Bullets(notes)] if notes else []
-    inside += pictures(FigureKey("parameters"))
+    inside += pictures(kind="parameters")
     names = fit.get("correlated_names", [])
     correlated = correlations(names, fit.get("correlation", [])) if len(names) > 1 else []
     groups, matches = fit.get("groups", []), fit.get("matches", [])
@@ -78,14 +117,14 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     channels = dict.fromkeys(name for log in fit["logs"] for name in log["fit_percent"])
     fitted = list(dict.fromkeys(channel.rsplit(".", 1)[1] for channel in channels))
     fits = [page.table("logs", rows, fitted=fitted)] if rows else []
-    fits += folded(pictures(FigureKey("fit")), "recorded and simulated")
+    fits += folded(pictures(kind="fit"), "recorded and simulated")
     variants = fit.get("dynamics_comparison", [])
     parts = [
         Part("Parameters", inside),
         Part("Correlation of the estimates", correlated),
         Part("What the logs know together", [page.table("groups", groups, z95=Z95)] * bool(groups)),
         Part("What was matched", matched),
-        Part("Frequency responses that were compared", pictures(FigureKey("response"))),
+        Part("Frequency responses that were compared", pictures(kind="response")),
         Part("Fit to each log", fits),
         Part("Valve dynamics compared", _dynamics(page, variants) if variants else []),
     ]
@@ -199,7 +238,7 @@ def findings(run: Saved) -> Findings:
     for status, parameter in first.items():
         key = "steps.bound" if status == "at_bound" else "steps.settle"
         steps.append(message(key, **names(run), parameter=parameter))
-    return Findings(numbers, [FigureKey("parameters")], against, steps)
+    return Findings(numbers, [{"kind": "parameters"}], against, steps)
 
 
 def estimates_of(fit: Table) -> list[Table]:

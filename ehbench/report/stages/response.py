@@ -12,7 +12,7 @@ from ehbench.config.rig import Rig
 from ehbench.report.blocks import Bullets, Grid, Part
 from ehbench.report.captions import capital
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
@@ -44,7 +44,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
     table = run.json("response.json")
     title = f"{table['output']} over {table['input']}"
     caption = Template("response").text("caption")
-    path = index.add("response", title, caption, FigureKey("response"))
+    path = index.add("response", title, caption, "response")
     unit, factor = gain_unit(run.rig, table)
     columns = read_columns(run.folder / "response.csv")
     for name in ("gain", "gain_low", "gain_high"):
@@ -124,7 +124,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     tables = [page.table("numbers", NUMBERS, table=table)]
     tables += [page.table("forms", forms, logs=table["logs"])] if forms else []
     parts = [
-        Part("Bode diagram", pictures(FigureKey("response"))),
+        Part("Bode diagram", pictures(kind="response")),
         Part("Numbers", tables),
         Part("How it was averaged", [Grid(["", ""], averaged)]),
     ]
@@ -143,7 +143,7 @@ def findings(run: Saved) -> Findings:
             about = Template("headlines").text("interval", ends=ends, unit=unit)
             value = f"{number(factor * result['value'], 3)} {unit}"
             numbers.append(Headline(OFTEN, capital(label), value, about))
-    return Findings(numbers, [FigureKey("response")], table["warnings"])
+    return Findings(numbers, [{"kind": "response"}], table["warnings"])
 
 
 REPORT = StageReport(

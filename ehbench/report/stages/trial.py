@@ -2,35 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
-from ehbench.report.captions import load_name
-from ehbench.report.cases import Case, cases_of
+from ehbench.report.captions import MODEL, load_name, measure, span
+from ehbench.report.cases import Case, by_controller, cases_of, damping
 from ehbench.report.content import (
     OFTEN,
+    SAVED,
+    STEPS,
+    TRACKING,
     Findings,
     Headline,
     Pictures,
     SectionContent,
     StageReport,
     names,
-    stopped_status,
 )
-from ehbench.report.energy_tables import saving_blocks
-from ehbench.report.figures import channels, sankey, tip
+from ehbench.report.energy_tables import Saving, saving_blocks, savings_of
+from ehbench.report.figures import channels, sankey
 from ehbench.report.figures import load_plane as plane
 from ehbench.report.figures import trial as figures
-from ehbench.report.index import FigureIndex, FigureKey
-from ehbench.report.saved import Saved
-from ehbench.report.standstill import standstill_caption
+from ehbench.report.index import FigureIndex
+from ehbench.report.saved import Saved, grouped
 from ehbench.report.template import Template
-from ehbench.report.trial_captions import ESTIMATES, case_caption, estimates_caption
-from ehbench.report.trial_headlines import trials_findings
+from ehbench.report.trial_captions import (
+    ESTIMATES,
+    case_caption,
+    estimates_caption,
+    standstill_caption,
+)
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import number, pretty, shown, unit_of, words
 from ehbench.vocabulary.messages import message
@@ -46,16 +52,15 @@ def draw(run: Saved, index: FigureIndex) -> None:
     controlled = {case.cylinder for case in cases}
     for cylinder, drawn in channels.live(run.rig, record).items():
         if cylinder not in controlled:
-            title, about = f"{run.title}: {cylinder}", FigureKey("trial", cylinder=cylinder)
+            key, title = f"trial_{cylinder}", f"{run.title}: {cylinder}"
             caption = Template("trial").text("channels")
-            path = index.add(f"trial_{cylinder}", title, caption, about)
+            path = index.add(key, title, caption, "trial", cylinder=cylinder)
             channels.trial(path, run.rig, record, cylinder, drawn)
     for case in cases[:1]:
-        draw_sankey(index, case, "sankey", run.title, FigureKey("sankey"))
+        draw_sankey(index, case, "sankey", run.title)
         if all(f"{case.cylinder}.{word}" in record for word in ("v", "p_head", "p_rod")):
-            about = FigureKey("load", cylinder=case.cylinder)
-            caption = Template("trial").text("load")
-            path = index.add("load", f"Load and speed: {run.title}", caption, about)
+            title, caption = f"Load and speed: {run.title}", Template("trial").text("load")
+            path = index.add("load", title, caption, "load", cylinder=case.cylinder)
             plane.load_plane(path, run.rig, record, case.cylinder)
 
 
@@ -65,36 +70,33 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
     if case.row.get("tip"):
         page = Template("trial", rig)
         text = f"{page.text('tip', row=case.row)} {page.text('sharing', row=case.row)}"
-        path = index.add(
-            f"tip_{case.stem}", f"Tip: {title}", text, FigureKey("tip", case=case_name)
-        )
-        tip.tip(path, rig, case, record)
+        path = index.add(f"tip_{case.stem}", f"Tip: {title}", text, "tip", case=case_name)
+        figures.tip(path, rig, case, record)
     caption = f"{case_caption(rig, case)} {standstill_caption(rig, [case], [record])}".rstrip()
-    about = FigureKey("trial", case=case_name, cylinder=case.cylinder)
-    path = index.add(f"trial_{case.stem}", title, caption, about)
+    about = {"case": case_name, "cylinder": case.cylinder}
+    path = index.add(f"trial_{case.stem}", title, caption, "trial", **about)
     figures.controlled(path, rig, case, record)
     learnt = [name for word in ESTIMATES if (name := f"{case.cylinder}.{word}") in record]
     if any(np.ptp(record[name]) > 0.0 for name in learnt):
         caption = estimates_caption(rig, case, record)
         key = f"estimates_{case.stem}"
-        about = FigureKey("estimates", case=case_name, cylinder=case.cylinder)
-        path = index.add(key, f"Estimates: {title}", caption, about)
+        path = index.add(key, f"Estimates: {title}", caption, "estimates", **about)
         figures.estimates(path, rig, case, record)
 
 
-def draw_sankey(index: FigureIndex, case: Case, key: str, title: str, about: FigureKey) -> None:
+def draw_sankey(index: FigureIndex, trial: Case, key: str, title: str, **about: str) -> None:
     """Where the energy of a trial went, if it has a ledger."""
-    if (ledger := case.energy()) is not None:
+    if (ledger := trial.energy()) is not None:
         caption = Template("trial").text("sankey", ledger=ledger)
-        path = index.add(key, f"Where the energy went: {title}", caption, about)
+        path = index.add(key, f"Where the energy went: {title}", caption, "sankey", **about)
         sankey.sankey(path, ledger)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
     """Where it ran, how it ended, and its figures; under a controller also how it did."""
     facts, cases, page = run.json("trial.json"), cases_of(run), Template("trial", run.rig)
-    stopped, on = facts.get("stopped", ""), facts["on"]
-    payload = facts.get("payload", "none")
+    stopped, on, payload = facts.get("stopped", ""), facts["on"], facts.get("payload", "none")
+    status = "stopped" if stopped else "done"
     posture = ", ".join(f"{name} {value}" for name, value in facts.get("posture", {}).items())
     rows: list[list[Cell | str]] = [
         ["on", on],
@@ -106,26 +108,24 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     ]
     inside: list[Block] = [Text(page.text("stopped", reason=stopped), "bad")] if stopped else []
     for kind in ("tip", "trial", "load", "estimates"):
-        inside += pictures(FigureKey(kind))
+        inside += pictures(kind=kind)
     if not cases:
         parts = [Part("Trial", [*inside, Grid(["", ""], rows)]), *_link_parts(run, facts)]
         fields = {"duration": facts["duration"], "on": on, "payload": payload, "stopped": stopped}
-        return SectionContent(stopped_status(stopped), page.text("open_loop", **fields), parts)
+        return SectionContent(status, page.text("open_loop", **fields), parts)
     rows.insert(1, ["controller", words(facts["controller"])])
     rows.insert(2, ["cylinder", ", ".join(item.cylinder for item in cases)])
     parts = [Part("Trial", inside), Part("Measures", measure_tables(run.rig, cases))]
     parts += _link_parts(run, facts)
-    if energy := pictures(FigureKey("sankey")):
+    if energy := pictures(kind="sankey"):
         parts.append(Part("Energy", [*saving_blocks(run.rig, cases[:1]), *energy]))
     settings = [Grid(["", ""], rows), *settings_blocks(run.rig, cases)]
     parts.append(Part("Settings", settings, paper=False))
-    return SectionContent(stopped_status(stopped), case_caption(run.rig, cases[0]), parts)
+    return SectionContent(status, case_caption(run.rig, cases[0]), parts)
 
 
 def _link_parts(run: Saved, facts: Mapping[str, Any]) -> list[Part]:
-    """How a machine behind a link differed from its dry run on the model, and how the link did;
-    nothing of a trial in this process.
-    """
+    """How a linked machine differed from its dry run, and how the link did, if any."""
     if "link" not in facts:
         return []
     link, rows, lines = facts["link"], [], []
@@ -152,7 +152,7 @@ def findings(run: Saved) -> Findings:
     value, payload = f"{number(facts['duration'])} s", load_name(facts.get("payload", "none"))
     numbers = [Headline(OFTEN, f"Trial on the {facts['on']}", value, payload)]
     step = message("steps.stopped" if stopped else "steps.fit_log", **names(run))
-    return Findings(numbers, [FigureKey("trial")], against, [step])
+    return Findings(numbers, [{"kind": "trial"}], against, [step])
 
 
 REPORT = StageReport(
@@ -163,3 +163,84 @@ REPORT = StageReport(
     shows=("Measures", "Trial"),
     numbers=("trial.json", ("duration", "stopped", "measures")),
 )
+
+
+def trials_findings(run: Saved) -> Findings:
+    rig, cases, page = run.rig, cases_of(run), Template("headlines", run.rig)
+    against = [
+        page.text("stopped", name=case.row["case"], reason=case.row["stopped"])
+        for case in cases
+        if case.row.get("stopped")
+    ]
+    numbers = [*_tracked(rig, cases), *_saved(page, cases), *_damped(page, cases)]
+    figures = [{"kind": kind} for kind in ("energy", "compare", "trial")]
+    steps = [message("steps.stopped", **names(run))] if against else []
+    steps += [message("steps.on_machine")] * (bool(cases) and _modelled(cases))
+    return Findings(numbers, figures, against, steps)
+
+
+def _tracked(rig: Rig, cases: Sequence[Case]) -> list[Headline]:
+    """The largest error of the controller that tracks best, of motions that are no steps: that of
+    the tip where there is one, of the true stroke where it is known. A four-way valve that others
+    are compared with is no choice.
+    """
+    spools = [item.case for item in savings_of(cases) if item.is_spool]
+    fit = [case for case in cases if case.fit and not case.steps]
+    fit = [case for case in fit if case not in spools] or fit
+    tips = [case for case in fit if case.row.get("tip")]
+    kind, quantity = ("tip", "tip_error") if tips else ("tracking", "x")
+
+    def error(case: Case) -> float:
+        return (case.row.get(f"{kind}_true") or case.row[kind])["max_error"]
+
+    groups = {case.row["case"]: [case] for case in tips} if tips else by_controller(fit)
+    if not groups:
+        return []
+    group = min(groups.values(), key=lambda group: max(map(error, group)))
+    worst = max(group, key=error)
+    law = worst.row["controller"]
+    law = law.removesuffix(f", {worst.cylinder}") if tips else law
+    page, errors = Template("headlines", rig), [error(case) for case in group]
+    about = page.text("tracked", law=law, case=worst, errors=errors)
+    label = "Largest tip error" if tips else "Largest tracking error"
+    value = measure(rig, quantity, error(worst), 2)
+    return [Headline(TRACKING, label, value, about, _modelled(group))]
+
+
+def _saved(page: Template, cases: Sequence[Case]) -> list[Headline]:
+    """What the controller that saves most draws less than a four-way valve."""
+    savings = [item for item in savings_of(cases) if not item.is_spool]
+    groups = grouped(savings, lambda item: item.case.row["controller"])
+    if not groups:
+        return []
+    compared = all(item.reference is not None for group in groups.values() for item in group)
+
+    def share(item: Saving) -> float:
+        return item.saved if compared and item.saved is not None else item.limits["saving"]
+
+    law = max(groups, key=lambda key: min(map(share, groups[key])))
+    group = groups[law]
+    halves = [100.0 * item.half / item.limits["standard"] for item in group if item.half]
+    fields = {"compared": compared, "law": law, "on": group[0].case.row["on"], "halves": halves}
+    value = f"{span([100.0 * share(item) for item in group], 2)} %"
+    on_model = _modelled([item.case for item in group])
+    return [Headline(SAVED, "Pump energy saved", value, page.text("saved", **fields), on_model)]
+
+
+def _damped(page: Template, cases: Sequence[Case]) -> list[Headline]:
+    """The damping ratio of steps under the best damped controller, and under the least damped."""
+    ratios = {
+        law: [ratio for case in group for ratio, _ in map(damping, case.steps) if ratio is not None]
+        for law, group in by_controller([case for case in cases if case.fit]).items()
+    }
+    ratios = {law: values for law, values in ratios.items() if values}
+    if not ratios:
+        return []
+    best, worst = (pick(ratios, key=lambda law: min(ratios[law])) for pick in (max, min))
+    fields = {"best": best, "worst": worst, "ratios": ratios[worst], "on": cases[0].row["on"]}
+    about, value = page.text("damped", **fields), span(ratios[best], 2)
+    return [Headline(STEPS, "Damping ratio of steps", value, about, _modelled(cases))]
+
+
+def _modelled(cases: Sequence[Case]) -> bool:
+    return all(case.row["on"] == MODEL for case in cases)

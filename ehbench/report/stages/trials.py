@@ -10,24 +10,23 @@ from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
 from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
-from ehbench.report.content import Pictures, SectionContent, StageReport, folded, stopped_status
+from ehbench.report.content import Pictures, SectionContent, StageReport, folded
 from ehbench.report.energy_tables import saving_blocks, supply_blocks
 from ehbench.report.figures import trials as figures
-from ehbench.report.figures.energy_bars import bars
-from ehbench.report.figures.energy_map import energy_map
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.figures.energy import bars
+from ehbench.report.figures.trials import energy_map
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved
-from ehbench.report.stages.trial import draw_case, draw_sankey
-from ehbench.report.standstill import standstill_caption
+from ehbench.report.stages.trial import draw_case, draw_sankey, trials_findings
 from ehbench.report.trial_captions import (
     compared_caption,
     controller_captions,
     energy_caption,
     map_caption,
+    standstill_caption,
     trajectory_caption,
     trials_caption,
 )
-from ehbench.report.trial_headlines import trials_findings
 from ehbench.report.trial_tables import measure_tables, settings_blocks
 from ehbench.report.words import pretty, shown, unit_of, words
 
@@ -37,15 +36,30 @@ def draw(run: Saved, index: FigureIndex) -> None:
     rig, cases = run.rig, cases_of(run)
     for group in groups_of(cases).values():
         if len(group) > 1:
-            _draw_comparison(rig, index, group)
+            first = group[0]
+            payload, motion = first.row["payload"], first.row["motion"]
+            records = [case.record() for case in group]
+            caption = (
+                f"{compared_caption(rig, group)} {standstill_caption(rig, group, records)}".rstrip()
+            )
+            path = index.add(
+                f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
+                f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
+                caption,
+                "compare",
+                payload=payload,
+                motion=motion,
+            )
+            names = [case.row["controller"] for case in group]
+            figures.compare_controllers(path, rig, list(zip(names, group, records, strict=True)))
     first = {case.row["motion"]: case for case in reversed(cases) if not case.steps}
     if first:  # what is desired of the cylinder in each motion that is no steps of speed
         drawn = [(name, first[name], first[name].record()) for name in reversed(first)]
         spans = "; ".join(
             f"{words(name)} {trajectory_caption(rig, case, log)}" for name, case, log in drawn
         )
-        title, about = f"Trajectories, on the {cases[0].row['on']}", FigureKey("trajectories")
-        path = index.add("trajectories", title, f"Desired motion. {capital(spans)}.", about)
+        title, caption = f"Trajectories, on the {cases[0].row['on']}", capital(spans)
+        path = index.add("trajectories", title, f"Desired motion. {caption}.", "trajectories")
         figures.trajectories(path, rig, drawn)
     for motion in dict.fromkeys(case.row["motion"] for case in cases):
         _draw_energies(rig, index, motion, [c for c in cases if c.row["motion"] == motion])
@@ -54,34 +68,15 @@ def draw(run: Saved, index: FigureIndex) -> None:
         name = case.row["case"]
         title = f"{name}, on the {case.row['on']}"
         draw_case(run, index, case, case.record(), title)
-        about = FigureKey("sankey", case=name)
-        draw_sankey(index, case, f"sankey_{case.stem}", title, about)
-
-
-def _draw_comparison(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
-    """All controllers on one motion with one payload."""
-    first = cases[0]
-    payload, motion = first.row["payload"], first.row["motion"]
-    records = [case.record() for case in cases]
-    caption = f"{compared_caption(rig, cases)} {standstill_caption(rig, cases, records)}".rstrip()
-    path = index.add(
-        f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
-        f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
-        caption,
-        FigureKey("compare", payload=payload, motion=motion),
-    )
-    names = [case.row["controller"] for case in cases]
-    figures.compare_controllers(path, rig, list(zip(names, cases, records, strict=True)))
+        draw_sankey(index, case, f"sankey_{case.stem}", title, case=name)
 
 
 def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:
-    """The bars of one motion: from the ledgers where all trials have one, else the pump's energy
-    alone.
-    """
+    """The bars of one motion: of the ledgers where all have one, else the pump's energy."""
     names = [f"{case.row['controller']}, {load_name(case.row['payload'])}" for case in cases]
     title = f"Energy: {words(motion)}, on the {cases[0].row['on']}"
-    about = FigureKey("energy", motion=motion)
-    path = index.add(f"energy_{stem_of(motion)}", title, energy_caption(rig, cases), about)
+    key, caption = f"energy_{stem_of(motion)}", energy_caption(rig, cases)
+    path = index.add(key, title, caption, "energy", motion=motion)
     ledgers = [ledger for case in cases if (ledger := case.energy()) is not None]
     if len(ledgers) == len(cases):
         limits = [
@@ -113,15 +108,13 @@ def _draw_map(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
     ]
     title = f"Pump energy over load and speed, on the {cases[0].row['on']}"
     caption = map_caption(panels)
-    path = index.add("energy_map", title, caption, FigureKey("energy_map"))
+    path = index.add("energy_map", title, caption, "energy_map")
     unit = pretty(unit_of(rig, "energy"))
     energy_map(path, panels, [load_name(p) for p in loads], [words(m) for m in motions], unit)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
-    """A set of trials: controllers compared, one table over all, energies, and each trial folded
-    away.
-    """
+    """A set of trials: controllers compared, a table, energies, each trial folded."""
     rig, cases = run.rig, cases_of(run)
     stopped = [case for case in cases if case.row.get("stopped")]
     first: list[Block] = []
@@ -135,7 +128,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         drawn = [
             picture
             for kind in ("tip", "trial", "estimates")
-            for picture in pictures(FigureKey(kind, case=name))
+            for picture in pictures(kind=kind, case=name)
         ]
         named += [picture for picture in drawn if picture.named is not None]
         if others := [picture for picture in drawn if picture.named is None]:
@@ -144,21 +137,22 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     energy = [
         *saving_blocks(rig, cases),
         *supply_blocks(rig, cases),
-        *pictures(FigureKey("energy_map")),
-        *pictures(FigureKey("energy")),
-        *folded(pictures(FigureKey("sankey")), "where the energy of each trial went"),
+        *pictures(kind="energy_map"),
+        *pictures(kind="energy"),
+        *folded(pictures(kind="sankey"), "where the energy of each trial went"),
     ]
     parts = [
         Part("Each trial" if named else "", named),
-        Part("Compared", [*first, *pictures(FigureKey("compare"))]),
-        Part("Trajectories", pictures(FigureKey("trajectories"))),
+        Part("Compared", [*first, *pictures(kind="compare")]),
+        Part("Trajectories", pictures(kind="trajectories")),
         Part("Measures", measure_tables(rig, cases)),
         Part("Energy", energy),
         Part("Other trials" if named else "Each trial", folds),
         Part("Settings", settings_blocks(rig, cases), paper=False),
     ]
     more = tuple(controller_captions(rig, cases))
-    return SectionContent(stopped_status(stopped), trials_caption(cases), parts, more)
+    status = "stopped" if stopped else "done"
+    return SectionContent(status, trials_caption(cases), parts, more)
 
 
 REPORT = StageReport(

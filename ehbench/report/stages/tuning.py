@@ -4,15 +4,15 @@ promise, loci, steps, what else was tried, draws.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ehbench.config.rig import Rig
+from ehbench.config.rig import Rig, Slide
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Part, Text
-from ehbench.report.captions import capital, measure
+from ehbench.report.captions import capital, load_name, measure
 from ehbench.report.content import (
     DAMPING,
     OFTEN,
@@ -24,20 +24,32 @@ from ehbench.report.content import (
     folded,
 )
 from ehbench.report.figures import root_locus
-from ehbench.report.figures import tuning as figures
 from ehbench.report.figures.circuit import circuit, flow_words
-from ehbench.report.figures.tuning import Equivalent, function_names
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
+from ehbench.report.style import (
+    ACCENT,
+    CYCLE,
+    MUTED,
+    RECORDED,
+    SIMULATED,
+    Look,
+    canvas,
+    cycled,
+    key,
+    legend,
+    tag,
+)
 from ehbench.report.template import Template
-from ehbench.report.words import count, number, words
+from ehbench.report.words import axis, count, number, shown, words
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.vocabulary.messages import message
 
-_EQUIVALENTS = {
-    "equivalent_mass": Equivalent("mass", "mass", "Equivalent mass"),
-    "equivalent_gravity": Equivalent("gravity_force", "force", "Equivalent gravity force"),
-}
+# (key of the figure, key in the file, vocabulary row, title)
+_EQUIVALENTS = (
+    ("equivalent_mass", "mass", "mass", "Equivalent mass"),
+    ("equivalent_gravity", "gravity_force", "force", "Equivalent gravity force"),
+)
 _LOCI = (
     ("feedback_gain", "locus", "Root locus over the feedback gain"),
     ("washout", "locus_washout", "Root locus over the washout corner"),
@@ -72,24 +84,26 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for item in tuning.get("functions", []):
         named = [[e["name"] for e in item["edges"] if bool(e["way"]) is on] for on in (True, False)]
         fields = {"opened": named[0], "shut": named[1], "metering": _metering(item)["name"]}
-        about = FigureKey("function", function=item["name"], cylinder=tuning["cylinder"])
+        about = {"function": item["name"], "cylinder": tuning["cylinder"]}
         title, key = f"{capital(words(item['name']))}: {cylinder}", f"function_{item['name']}"
-        circuit(index.add(key, title, page.text("function_caption", **fields), about), item)
-    for key, what in _EQUIVALENTS.items():
-        caption = page.text("equivalents", tuning=tuning, **vars(what))
-        path = index.add(key, f"{what.title}: {cylinder}", caption, FigureKey("equivalents"))
-        figures.equivalents(path, rig, tuning, what)
+        caption = page.text("function_caption", **fields)
+        circuit(index.add(key, title, caption, "function", **about), item)
+    for name, field, quantity, title in _EQUIVALENTS:
+        fields = {"key": field, "quantity": quantity, "title": title}
+        caption = page.text("equivalents", tuning=tuning, **fields)
+        path = index.add(name, f"{title}: {cylinder}", caption, "equivalents")
+        draw_equivalents(path, rig, tuning, **fields)
     gains = sorted(set(tuning["feedback_gain"].values()))
     caption = page.text("damping", tuning=tuning, points=counted(tuning), gains=gains)
     title = "Damping ratio over the feedback gain"
-    path = index.add("damping_over_gain", title, caption, FigureKey("damping"))
-    figures.damping_over_gain(path, rig, tuning)
+    path = index.add("damping_over_gain", title, caption, "damping")
+    damping_over_gain(path, rig, tuning)
     for function in function_names(tuning):
         _draw_function(page, tuning, function, index)
     if (draws := tuning["robustness"])["draws"]:
         title = "Worst damping ratio over draws of the identified parameters"
         caption = page.text("draws", draws=draws, target=tuning["target"])
-        figures.draws(index.add("draws", title, caption, FigureKey("draws")), tuning)
+        draw_draws(index.add("draws", title, caption, "draws"), tuning)
 
 
 def _draw_function(page: Template, tuning: Table, function: str, index: FigureIndex) -> None:
@@ -97,8 +111,7 @@ def _draw_function(page: Template, tuning: Table, function: str, index: FigureIn
     by_name = {point["name"]: point for point in tuning["points"]}
     counts = any(item["point"]["function"] == function for item in counted(tuning))
     whose = f"{words(tuning['cylinder'])}, {words(function)}"
-
-    about = partial(FigureKey, function=function, counts="yes" if counts else "no")
+    about = {"function": function, "counts": "yes" if counts else "no"}
 
     def of_function(key: str) -> list[Table]:
         return [r for r in tuning[key] if by_name[r["name"]]["point"]["function"] == function]
@@ -107,25 +120,157 @@ def _draw_function(page: Template, tuning: Table, function: str, index: FigureIn
         loci = [item for item in of_function("loci") if item["parameter"] == parameter]
         if loci:
             caption = page.text("locus", loci=loci, by_name=by_name, counts=counts)
-            path = index.add(f"{lead}_{function}", f"{text}: {whose}", caption, about("locus"))
+            key, title = f"{lead}_{function}", f"{text}: {whose}"
+            path = index.add(key, title, caption, "locus", **about)
             root_locus.loci(path, loci, by_name)
     if steps := of_function("steps"):
         caption = page.text("steps", steps=steps, by_name=by_name, overshoot=overshoot_of)
         title, key = f"Step response: {whose}", f"step_response_{function}"
-        path = index.add(key, title, caption, about("step_response"))
-        figures.step_responses(path, steps, by_name)
+        path = index.add(key, title, caption, "step_response", **about)
+        draw_steps(path, steps, by_name)
+
+
+_BLACK = "#111827"
+_UNCOUNTED: Look = {"linestyle": (0, (1, 2))}  # how points look that no load calls for
+
+
+def function_names(tuning: Table) -> list[str]:
+    """Working functions of a tuning, in its order."""
+    return list(dict.fromkeys(point["point"]["function"] for point in tuning["points"]))
+
+
+def draw_equivalents(
+    path: Path, rig: Rig, tuning: Table, key: str, quantity: str, title: str
+) -> None:
+    """A curve a payload over the stroke, dots at operating points (thesis B.1–B.4)."""
+    from scipy.interpolate import make_interp_spline
+
+    with canvas(path, size=(7.2, 3.4)) as (_, ax):
+        for index, equivalent in enumerate(tuning["equivalents"]):
+            x, y = (np.array(equivalent[name], float) for name in ("x", key))
+            look = cycled(index, label=load_name(equivalent["payload"]))
+            ax.plot(shown(rig, "x", x), shown(rig, quantity, y), **look)
+            points = [p["point"] for p in tuning["points"]]
+            places = np.unique([p["x"] for p in points if p["payload"] == equivalent["payload"]])
+            there = shown(rig, quantity, np.interp(places, x, y))
+            ax.plot(shown(rig, "x", places), there, "o", markersize=4, color=look["color"])
+        ax.set_xlabel(axis(rig, "x", "stroke"))
+        ax.set_ylabel(axis(rig, quantity, title.lower()))
+        ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
+        ax.legend()
+        if not isinstance(rig.mechanism, Slide) and tuning["equivalents"]:
+            first = tuning["equivalents"][0]
+            x, q = (shown(rig, n, np.array(first[n], float)) for n in ("x", "q"))
+            up = np.argsort(q)
+            # lines that go on straight beyond their ends, as an axis needs them
+            ways = make_interp_spline(x, q, 1), make_interp_spline(q[up], x[up], 1)
+            above = ax.secondary_xaxis("top", functions=ways)
+            above.set_xlabel(axis(rig, "q", "joint angle"))
+            above.spines["top"].set_visible(False)
+
+
+def damping_over_gain(path: Path, rig: Rig, tuning: Table, low: float = -0.08) -> None:
+    """Minimum damping ratio over K_p by operating point, target and choice."""
+    gains = np.array(tuning["gains"], float)
+    positive = gains > 0.0
+    x = shown(rig, "feedback_gain", gains)[positive]
+    names = function_names(tuning)
+    colours = {name: CYCLE[i % len(CYCLE)] for i, name in enumerate(names)}
+    with canvas(path, size=(7.4, 4.6)) as (figure, ax):
+        for point in tuning["points"]:
+            y = np.array(point["curve"], float)
+            y[1:][(y[1:] < low) & (y[:-1] < low)] = np.nan  # beyond the frame
+            look: Look = {"linewidth": 0.7, "alpha": 0.55}
+            if not point["counts"]:
+                look = {"linewidth": 0.8, "alpha": 0.5} | _UNCOUNTED
+            ax.plot(x, y[positive], color=colours[point["point"]["function"]], **look)
+        ax.plot(x, np.array(tuning["worst_curve"], float)[positive], color=_BLACK, linewidth=2.0)
+        ax.axhline(tuning["target"], color=MUTED, linewidth=1.0, linestyle=(0, (5, 3)))
+        tag(ax, "target", 0.0, tuning["target"], (4, 3), "x", color=MUTED)
+        ax.axhspan(low, 0.0, color=ACCENT, alpha=0.07, linewidth=0)
+        tag(ax, "unstable", 0.0, low, (4, 3), "x", color=ACCENT)
+        _choices(ax, rig, tuning, colours)
+        ax.set_xscale("log")
+        ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
+        ax.set(xlim=(x[0], x[-1]), ylim=(low, 1.02))
+        ax.set_xlabel(axis(rig, "feedback_gain", "feedback gain K_p"))
+        ax.set_ylabel("damping ratio of the least damped pole")
+        counting = {point["point"]["function"] for point in tuning["points"] if point["counts"]}
+        choice: Look = {"color": _BLACK, "linestyle": (0, (2, 2)), "linewidth": 0.9}
+        ring: Look = {"marker": "o", "markersize": 6, "markerfacecolor": "white"}
+        handles = [key("worst that counts", color=_BLACK, linewidth=2.0)]
+        handles.append(key("choice", **choice, **ring))
+        for name, colour in colours.items():
+            text, look = (", shown only", _UNCOUNTED) if name not in counting else ("", {})
+            handles.append(key(words(name) + text, color=colour, **look))
+        legend(figure, handles, 3)
+
+
+def _choices(ax, rig: Rig, tuning: Table, colours: Mapping[str, str]) -> None:
+    """A line a chosen gain, with a ring at the minimum damping that it gives."""
+    chosen = tuning["feedback_gain"]
+    gains = sorted(set(chosen.values()))
+    for gain in gains:
+        functions = [name for name in colours if chosen[name] == gain]
+        colour = _BLACK if len(gains) == 1 else colours[functions[0]]
+        x = shown(rig, "feedback_gain", gain)
+        ax.axvline(x, color=colour, linewidth=0.9, linestyle=(0, (2, 2)))
+        reached = [
+            point["damping_ratio_closed"]
+            for point in tuning["points"]
+            if point["counts"] and point["point"]["function"] in functions
+        ]
+        if reached:
+            look: Look = {"markerfacecolor": "white", "markeredgecolor": colour, "zorder": 6}
+            ax.plot([x], [min(reached)], "o", markersize=6.5, markeredgewidth=1.6, **look)
+
+
+def draw_steps(path: Path, steps: Sequence[Table], by_name: dict[str, Table]) -> None:
+    """A panel a payload: speed over desired speed, without any feedback and with it."""
+    looks = {
+        "v_open": ("without any feedback", {"color": RECORDED, "linewidth": 1.0}),
+        "v_closed": ("with pressure feedback", {"color": SIMULATED, "linewidth": 1.8}),
+    }
+    with canvas(path, 1, len(steps), (7.4, 3.1), squeeze=False, sharey=True) as (figure, axes):
+        for ax, step in zip(axes[0], steps, strict=True):
+            t = np.array(step["t"], float)
+            ax.axhline(1.0, color=MUTED, linewidth=0.8)
+            for name, (_, look) in looks.items():
+                ax.plot(t, step[name], **look)
+            ax.set_title(load_name(by_name[step["name"]]["point"]["payload"]))
+            ax.set_xlabel("time [s]")
+            ax.set_xlim(0.0, t[-1])
+        axes[0, 0].set_ylabel("speed over desired speed [1]")
+        axes[0, 0].set_ylim(bottom=min(0.0, axes[0, 0].get_ylim()[0]))
+        legend(figure, [key(text, **look) for text, look in looks.values()])
+
+
+def draw_draws(path: Path, tuning: Table) -> None:
+    """A histogram of each draw's worst damping ratio, with target and identified value."""
+    values = np.array(tuning["robustness"]["damping_ratios"], float)
+    room = 0.02 * max(float(np.ptp(values)), 1e-3)
+    with canvas(path, size=(7.2, 2.6)) as (_, ax):
+        bins = np.linspace(values.min() - room, values.max() + room, 25)
+        ax.hist(values, bins=bins, color=RECORDED, alpha=0.75)
+        marks = [(tuning["target"], "target", ACCENT)]
+        marks.append((tuning["damping_ratio"], "as identified", SIMULATED))
+        sides = (("right", -3), ("left", 3))  # away from one another
+        for (value, text, colour), (side, off) in zip(sorted(marks), sides, strict=True):
+            ax.axvline(value, color=colour, linewidth=1.4)
+            tag(ax, text, value, 1.0, (off, 1), "y", color=colour, ha=side, va="bottom")
+        ax.set_xlabel("worst damping ratio over the operating points")
+        ax.set_ylabel("draws")
+        ax.margins(x=0.06)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
-    """Working functions, equivalents, operating points, gains and what they promise, loci, steps,
-    what else was tried, draws.
-    """
+    """Functions, equivalents, points, gains, loci, steps, what else was tried, draws."""
     rig, tuning = run.rig, run.json("tuning.json")
     page, met, points = Template("tuning", rig), tuning["met"], tuning["points"]
     choice: list[Block] = [
         Text(page.text("verdict", tuning=tuning), "good" if met else "bad"),
         *supply_blocks(rig, tuning),
-        *pictures(FigureKey("damping")),
+        *pictures(kind="damping"),
         page.table("parameters", parameter_rows(tuning)),
     ]
     loads = [item["payload"] for item in tuning["equivalents"]]
@@ -145,10 +290,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if tuning["robustness"]["draws"]:
         names = [[Cell(name, "code")] for name in tuning["robustness"]["parameters"]]
         drawn = Grid(["drawn, with their covariance"], names)
-        draws = [*pictures(FigureKey("draws")), Fold(count(len(names), "parameter"), [drawn])]
+        draws = [*pictures(kind="draws"), Fold(count(len(names), "parameter"), [drawn])]
     parts = [
-        Part("Working functions", [*_functions(page, tuning), *pictures(FigureKey("function"))]),
-        Part("Equivalent mass and gravity force", pictures(FigureKey("equivalents"))),
+        Part("Working functions", [*_functions(page, tuning), *pictures(kind="function")]),
+        Part("Equivalent mass and gravity force", pictures(kind="equivalents")),
         Part("Operating points", [by_load, every]),
         Part("The gain", choice),
         Part("Root loci", _by_count(pictures, "locus")),
@@ -195,9 +340,7 @@ def _functions(page: Template, tuning: Table) -> list[Block]:
 
 
 def supply_blocks(rig: Rig, tuning: Table) -> list[Block]:
-    """The supply that was tuned on, where its pressure is not constant: more than its kind and one
-    pressure.
-    """
+    """The supply that was tuned on, where its pressure is not constant."""
     supply = tuning.get("supply", {})
     if len(supply) <= 2:
         return []
@@ -206,8 +349,8 @@ def supply_blocks(rig: Rig, tuning: Table) -> list[Block]:
 
 def _by_count(pictures: Pictures, kind: str) -> list[Block]:
     """Figures of the functions that count and those that a campaign names; the others folded."""
-    drawn = pictures(FigureKey(kind))
-    uncounted = {p.id for p in pictures(FigureKey(counts="no")) if p.named is None}
+    drawn = pictures(kind=kind)
+    uncounted = {p.id for p in pictures(counts="no") if p.named is None}
     others = [picture for picture in drawn if picture.id in uncounted]
     counting = [picture for picture in drawn if picture.id not in uncounted]
     return [*counting, *folded(others, "functions that no load calls for")]
@@ -219,9 +362,7 @@ def _minimum(points: Sequence[Table], key: str) -> float | None:
 
 
 def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
-    """Controller parameters (thesis Table B.3), then what was demanded and what is reached at
-    worst.
-    """
+    """Controller parameters (thesis Table B.3), then what is demanded and reached at worst."""
     gains = tuning["feedback_gain"].plain()
     if len(set(gains.values())) == 1:
         gains = {"all functions": next(iter(gains.values()))}
@@ -238,9 +379,9 @@ def parameter_rows(tuning: Table) -> list[dict[str, Any]]:
     ]
     ratio = {"demanded": tuning["target"], "reached": tuning["damping_ratio"]}
     rows.append({"name": "damping_ratio", "text": "damping ratio", **ratio})
-    for key, demanded in tuning["constraints"].items():
-        row = {"name": "natural_frequency" if key == "bandwidth" else key, "text": words(key)}
-        rows.append(row | {"demanded": demanded, "reached": _minimum(counted(tuning), key)})
+    for word, demanded in tuning["constraints"].items():
+        row = {"name": "natural_frequency" if word == "bandwidth" else word, "text": words(word)}
+        rows.append(row | {"demanded": demanded, "reached": _minimum(counted(tuning), word)})
     return rows
 
 
@@ -260,7 +401,7 @@ def findings(run: Saved) -> Findings:
     share = draws["share"] if draws["draws"] else 1.0
     if share < 1.0:
         against.append(page.text("missed_draws", share=1.0 - share))
-    return Findings(numbers, [FigureKey("damping")], against, steps)
+    return Findings(numbers, [{"kind": "damping"}], against, steps)
 
 
 REPORT = StageReport(

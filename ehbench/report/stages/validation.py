@@ -1,10 +1,12 @@
-"""Validation: the verdict with its reasons, every check, and each log with errors, ringing and
-residual correlations.
-"""
+"""Validation: verdict, reasons, checks, and each log's errors, ringing, correlations."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
 from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
@@ -19,11 +21,11 @@ from ehbench.report.content import (
     names,
     remedy_step,
 )
-from ehbench.report.figures import validation as figures
-from ehbench.report.index import FigureIndex, FigureKey
+from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
+from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
-from ehbench.report.words import number, words
+from ehbench.report.words import number, title_of, words
 from ehbench.vocabulary.messages import message
 
 
@@ -41,21 +43,51 @@ def draw(run: Saved, index: FigureIndex) -> None:
             if channel.get("autocorrelation") is not None:
                 by_cylinder.setdefault(channel["channel"].rpartition(".")[0], []).append(channel)
         for cylinder, channels in by_cylinder.items():
-            about = FigureKey("residuals", log=name, cylinder=cylinder)
+            about = {"log": name, "cylinder": cylinder}
             key, title = f"residuals_{name}_{cylinder}", f"Residuals of {words(name)}, {cylinder}"
-            figures.correlations(index.add(key, title, caption, about), channels)
+            draw_correlations(index.add(key, title, caption, "residuals", **about), channels)
         by_command: dict[str, list[Table]] = {}
         for sweep in log.get("sweeps", []):
             by_command.setdefault(sweep["input"], []).append(sweep)
         for command, result in by_command.items():
             key = f"sweep_{name}_{command.replace('.', '_')}"
-            draw_responses(run, index, FigureKey("sweep", log=name), key, result, coherence)
+            draw_responses(run, index, "sweep", name, key, result, coherence)
+
+
+def draw_correlations(path: Path, channels: Sequence[Table]) -> None:
+    """Each residual's correlation with itself and with earlier commands, with bands."""
+    crossed = [item for channel in channels for item in channel.get("cross_correlation", [])]
+    commands = dict.fromkeys(item["of"] for item in crossed)
+    looks = {name: cycled(i) for i, name in enumerate(commands)}
+    rows = 2 if crossed else 1
+    shape = {"sharex": True, "sharey": True, "squeeze": False}
+    with canvas(path, rows, len(channels), (7.4, 1.75 * rows + 0.5), **shape) as (figure, axes):
+        for column, channel in enumerate(channels):
+            top, auto = axes[0, column], channel["autocorrelation"]
+            _banded(top, [auto], {auto["of"]: {"color": RECORDED, "linestyle": "-"}})
+            top.set_title(title_of(channel["channel"]), fontsize=8.5)
+            if crossed:
+                _banded(axes[1, column], channel.get("cross_correlation", []), looks)
+            axes[-1, column].set_xlabel("lag [s]")
+        axes[0, 0].set_ylim(-1.05, 1.05)
+        axes[0, 0].set_ylabel("with itself [1]")
+        if crossed:
+            axes[1, 0].set_ylabel("with commands [1]")
+            legend(figure, [key(n.removesuffix(".command"), **look) for n, look in looks.items()])
+
+
+def _banded(ax, correlations: Sequence[Table], looks: dict) -> None:
+    for correlation in correlations:
+        lag, value, band = (np.array(correlation[key], float) for key in ("lag", "value", "band"))
+        ax.fill_between(
+            lag, -band, band, color=MUTED, alpha=0.22 / len(correlations) ** 0.5, linewidth=0
+        )
+        ax.plot(lag, value, linewidth=1.1, **looks[correlation["of"]])
+    ax.axhline(0.0, color=MUTED, linewidth=0.6)
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
-    """The verdict with its reasons, every check, the errors by channel, ringing side by side, and a
-    figure a log.
-    """
+    """Verdict, checks, errors by channel, ringing side by side, and a figure a log."""
     table, page = run.json("validation.json"), Template("validation", run.rig)
     status = "accepted" if table["accepted"] else "rejected"
     if table["accepted"] and table.get("reservations"):
@@ -118,9 +150,7 @@ def _verdict(page: Template, table: Table, status: str) -> list[Block]:
 
 
 def others_rows(table: Table) -> list[dict[str, Any]]:
-    """What others reached on the same recordings, with this model's figures among theirs, the
-    nearest to the recording first.
-    """
+    """What others and this model reached on the same recordings, the best first."""
     others, rows = table.get("references", []), []
     for channel, measure in dict.fromkeys((other["channel"], other["measure"]) for other in others):
         results = [
@@ -149,7 +179,7 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
         blocks.append(Text(page.text("unsimulated", reason=log["failure"]), "bad"))
     if scored := log.get("scored"):
         blocks.append(Text(page.text("scored", ends=scored)))
-    blocks += pictures(FigureKey("validation", log=log["name"]))
+    blocks += pictures(kind="validation", log=log["name"])
     if channels := log.get("channels", []):
         blocks.append(page.table("channels", channels))
     if sensors := log.get("sensors", {}):
@@ -159,9 +189,9 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
         if notes := [page.text("unjudged", ring=ring) for ring in rings if ring.get("note")]:
             blocks.append(Bullets(notes, "note"))
     if swept := log.get("sweeps", []):
-        blocks += pictures(FigureKey("sweep", log=log["name"]))
+        blocks += pictures(kind="sweep", log=log["name"])
         blocks.append(page.table("sweeps", swept))
-    if residuals := pictures(FigureKey("residuals", log=log["name"])):
+    if residuals := pictures(kind="residuals", log=log["name"]):
         blocks.append(Fold("Residual correlations", residuals))
     if log.get("warnings"):
         blocks.append(Bullets(log["warnings"], "note"))
@@ -177,14 +207,14 @@ def findings(run: Saved) -> Findings:
         for item in log.get("channels", [])
         if item.get("fit_percent") is not None
     ]
-    numbers, figures = [], [FigureKey("validation")]
+    numbers, figures = [], [{"kind": "validation"}]
     if fits:
         worst, channel, log = min(fits)
         is_judged = channel.rpartition(".")[2] in judged(table)
         fields = {"channel": channel, "log": log, "best": max(fits)[0], "judged": is_judged}
         label, about = page.text("worst_fit_label", logs=logs), page.text("worst_fit", **fields)
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
-        figures = [FigureKey("validation", log=log), *figures]
+        figures = [{"kind": "validation", "log": log}, *figures]
     remedies = [finding["remedy"] for finding in (table.get("structure") or {}).get("findings", [])]
     steps = [remedy_step(item) for item in dict.fromkeys(filter(None, remedies))][:3]
     if not table["accepted"] and not steps:
@@ -218,9 +248,7 @@ def judged(table: Table) -> list[str]:
 
 
 def silence(table: Table) -> str:
-    """What a verdict does not go by, with what it would have given there; empty if it goes by
-    all.
-    """
+    """What a verdict does not go by, and what it would give; empty if it goes by all."""
     page, limits = Template("headlines"), table.get("thresholds", {})
     channels = [channel for log in held_out(table) for channel in log.get("channels", [])]
     fits: dict[str, list[float]] = {}
@@ -230,17 +258,17 @@ def silence(table: Table) -> str:
             fits.setdefault(word, []).append(channel["fit_percent"])
     parts = [page.text("silent_fit", word=word, fits=fit) for word, fit in fits.items()]
     limit = limits.get("outside_percent")
-    for key in ("whiteness", "independence"):
+    for test in ("whiteness", "independence"):
         shares = [
             [item["outside_percent"] for item in channel.get("cross_correlation", [])]
-            if key == "independence"
+            if test == "independence"
             else [item["outside_percent"] for item in [channel.get("autocorrelation")] if item]
             for channel in channels
         ]
         tested = [item for item in shares if item]
         beyond = sum(max(item) > limit for item in tested) if limit is not None else 0
-        if beyond and not limits.get(key):
-            fields = {"key": key, "limit": limit, "beyond": beyond, "tested": len(tested)}
+        if beyond and not limits.get(test):
+            fields = {"key": test, "limit": limit, "beyond": beyond, "tested": len(tested)}
             parts.append(page.text("silent_test", **fields))
     return page.text("silence", parts=parts)
 

@@ -34,9 +34,7 @@ MARK = '<meta name="generator" content="ehbench show">'
 
 @dataclass(frozen=True)
 class Curve:
-    """A curve: what it is called, its unit, which of two sources it is of, its points, the
-    quantity in words; ``dots``: readings, not joined.
-    """
+    """A curve: name, unit, source (0 or 1), points, quantity; ``dots``: not joined."""
 
     name: str
     unit: str
@@ -49,9 +47,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Curves over one axis, in panels by unit; ``still`` are channels that never change, in
-    words.
-    """
+    """Curves over one axis, in panels by unit; ``still`` lists channels that never change."""
 
     title: str
     across: str
