@@ -1,5 +1,6 @@
 """Flow maps from noisy readings of valves that are no splines: within the fit's intervals."""
 
+import itertools
 import json
 from dataclasses import replace
 from functools import cache
@@ -15,6 +16,7 @@ from ehbench.flow_maps.shape import Shape, gaps_of, likeliest_smoothing
 from ehbench.flow_maps.spline import Axis
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
 from ehbench.vocabulary.errors import InsufficientData
+from tests.shared import refused
 
 GPM = 3.785411784e-3 / 60.0
 COMMANDS = np.array([0, 1, 1.25, 1.5, 1.75, 2, 2.25, 2.5, 3, 4, 5, 6, 7, 8, 9, 10.0])
@@ -43,10 +45,8 @@ def readings(
     law, seed, *, drops=DROPS, commands=COMMANDS, trials=3, noise=0.01, limit=0.4 * GPM, scale=1.0
 ):
     """Turbine readings above ``limit`` and cylinder-speed readings below, each with noise."""
-    rng = np.random.default_rng(seed)
-    command, drop, trial = (
-        a.ravel() for a in np.meshgrid(commands, drops, np.arange(1, trials + 1), indexing="ij")
-    )
+    rng, numbers = np.random.default_rng(seed), np.arange(1, trials + 1)
+    command, drop, trial = map(np.ravel, np.meshgrid(commands, drops, numbers, indexing="ij"))
     drop = drop * (1 + 0.5 * noise * rng.standard_normal(drop.size))
     true = law(drop, command)
     slow = true < limit
@@ -84,11 +84,10 @@ def keys(found):
     return {note.key.removeprefix("flow_maps.") for note in found.warnings}
 
 
-def refused(key, data):
+def refused_fit(key, data):
     """A fit is refused by a key."""
-    with pytest.raises(InsufficientData) as caught:
+    with refused(f"flow_maps.{key}", InsufficientData):
         fit(data)
-    assert caught.value.key == f"flow_maps.{key}"
 
 
 def compare(found, law, least=1.8, scale=1.0):
@@ -97,11 +96,8 @@ def compare(found, law, least=1.8, scale=1.0):
     at = found.map.inside(drop, command)
     error = (found.map.flow(drop, command) - scale * law(drop, command))[at]
     held = np.abs(error) <= 1.96 * found.map.flow_std(drop, command)[at]
-    return (
-        held.mean(),
-        np.sqrt(np.mean(error**2)) / found.map.rated_flow,
-        np.abs(error).max() / found.map.rated_flow,
-    )
+    rms, worst = np.sqrt(np.mean(error**2)), np.abs(error).max()
+    return held.mean(), rms / found.map.rated_flow, worst / found.map.rated_flow
 
 
 @pytest.mark.parametrize("law, deadband", [(poppet, 1.6), (compensated, 1.62)])
@@ -117,8 +113,8 @@ def test_recovers_flow_and_deadband_within_the_intervals(law, deadband, seed):
     assert found.deadband_std < 0.05 and found.status == "estimated"
     assert found.bracket == (1.5, 1.75) and not found.outliers and not found.warnings
     floor, share = found.noise["flowmeter"]
-    # some 300 degrees of freedom: the deviation is known to 4 %, four of them here, floor and share
-    # apart to less; turbine noise from 0.5 % in drop adds a quarter of a percent in quadrature
+    # some 300 degrees of freedom: the deviation is known to 4 %, four of them here; turbine noise
+    # from 0.5 % in drop adds a quarter of a percent in quadrature
     truth = 0.01 * np.hypot(GPM, 4 * GPM)
     assert np.hypot(floor, share * 4 * GPM) == pytest.approx(truth, rel=0.16)
 
@@ -284,22 +280,15 @@ def test_calibration_is_met_missed_undecided_or_not_measured():
     assert wide.drop_low == pytest.approx(3.3e6, rel=0.05) and wide.least < wide.flow < wide.most
 
 
-@pytest.mark.parametrize(
-    ("key", "change"),
-    [
+def test_too_little_data_is_refused():
+    for key, change in (
         ("few_commands", {"commands": np.array([1.0, 5.0, 10.0])}),
         ("mostly_shut", {"commands": np.array([0.0, 1.0, 1.4, 5.0, 10.0])}),
         ("mostly_shut", {"commands": np.array([0.0, 0.5, 1.0, 1.4])}),
         ("few_drops", {"drops": np.array([1e6, 2e6, 3e6])}),
-    ],
-)
-def test_too_little_data_is_refused(change, key):
-    refused(key, readings(poppet, 16, **change))
-
-
-def test_no_drop_above_zero_is_refused():
-    nothing = np.zeros(5)
-    refused("no_drop", {"command": np.arange(5.0), "pressure_drop": nothing, "flow": nothing})
+        ("no_drop", {"drops": np.zeros(5), "commands": np.arange(5.0)}),
+    ):
+        refused_fit(key, readings(poppet, 16, **change))
 
 
 def test_same_readings_same_bytes_in_any_order():
@@ -320,9 +309,8 @@ def test_from_csv_files_to_maps_of_both_directions(tmp_path):
     parts = []
     for k, ((valve, direction), law) in enumerate(laws.items()):
         data = readings(law, 20 + k)
-        columns = [
-            data[n].tolist() for n in ("command", "pressure_drop", "flow", "method", "trial")
-        ]
+        words = ("command", "pressure_drop", "flow", "method", "trial")
+        columns = [data[n].tolist() for n in words]
         lines = [
             f"{valve},{direction},{u!r},{p / 1e3!r},{q / GPM!r},{m},{t}"
             for u, p, q, m, t in zip(*columns, strict=True)
@@ -350,10 +338,8 @@ def kinked(drop, command):
 
 
 def kinked_readings(seed, commands, drops, trials, noise=0.005):
-    rng = np.random.default_rng(seed)
-    command, drop, trial = (
-        a.ravel() for a in np.meshgrid(commands, drops, np.arange(1, trials + 1), indexing="ij")
-    )
+    rng, numbers = np.random.default_rng(seed), np.arange(1, trials + 1)
+    command, drop, trial = map(np.ravel, np.meshgrid(commands, drops, numbers, indexing="ij"))
     true = kinked(drop * BAR, command)
     flow = true * (1 + noise * rng.standard_normal(drop.size))
     flow += 0.01 * LPM * (true > 0) * rng.standard_normal(drop.size)
@@ -378,9 +364,8 @@ KINK_CASES = {
 def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case, seed):
     commands, drops, trials = KINK_CASES[case]
     found = fit(kinked_readings(seed, commands, drops, trials))
-    command, drop = np.meshgrid(
-        np.linspace(commands[0], 10, 60), np.geomspace(drops[0], drops[-1], 60) * BAR
-    )
+    volts, bars = np.linspace(commands[0], 10, 60), np.geomspace(drops[0], drops[-1], 60)
+    command, drop = np.meshgrid(volts, bars * BAR)
     error = np.abs(found.map.flow(drop, command) - kinked(drop, command))
     assert np.mean(error <= 1.96 * found.map.flow_std(drop, command) + 1e-12) >= 0.9
     # between 5 and 10 bar the chord is 6 % below the kink, and no reading says where it is
@@ -411,9 +396,9 @@ def test_flow_that_falls_with_the_command_or_does_not_hang_on_it_is_refused():
     data, rng = readings(poppet, 1), np.random.default_rng(3)
     size = data["flow"].size
     for noise in (0.0, 0.02):
-        refused("idle", {**data, "flow": 7 * LPM * (1 + noise * rng.standard_normal(size))})
+        refused_fit("idle", {**data, "flow": 7 * LPM * (1 + noise * rng.standard_normal(size))})
     falls = data["flow"] * np.where(data["command"] > 5, 0.3, 1.0)
-    refused("no_map_fits", {**data, "flow": falls})
+    refused_fit("no_map_fits", {**data, "flow": falls})
 
 
 def test_sentences_show_no_flow_as_zero():
@@ -438,10 +423,8 @@ def parabola(drop, command):
 )
 @pytest.mark.parametrize("commands", [COMMANDS, np.arange(11.0)], ids=["fine", "volts"])
 def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, commands):
-    found = [
-        fit(readings(law, seed, commands=commands, trials=2, drops=DROPS[::2]))
-        for seed in range(30, 33)
-    ]
+    few = {"commands": commands, "trials": 2, "drops": DROPS[::2]}
+    found = [fit(readings(law, seed, **few)) for seed in range(30, 33)]
     ends = np.array([one.deadband_interval for one in found])
     # 95 % each: an interval that holds it every other time only fails in seven cases of eight
     assert np.all((ends[:, 0] <= start) & (start <= ends[:, 1]))
@@ -523,13 +506,8 @@ def test_a_smooth_opening_has_no_kink(law):
 def swept(law, seed, hysteresis):
     """Readings of two trials, each up and down at every drop, in the order they were taken."""
     rng = np.random.default_rng(seed)
-    rows = [
-        (u, drop, trial, way)
-        for trial in (1, 2)
-        for drop in DROPS[::2]
-        for way in (1, -1)
-        for u in COMMANDS[::way]
-    ]
+    sweeps = itertools.product((1, 2), DROPS[::2], (1, -1))
+    rows = [(u, drop, trial, way) for trial, drop, way in sweeps for u in COMMANDS[::way]]
     u, drop, trial, way = np.array(rows).T
     true = law(drop, np.maximum(u - 0.5 * way * hysteresis, 0.0))
     flow = true + 0.01 * np.hypot(0.3 * GPM, true) * rng.standard_normal(u.size)
@@ -592,13 +570,8 @@ def test_a_flow_that_falls_above_a_command_is_kept_and_inverted_on_its_rising_br
     command = np.linspace(one.deadband + 0.05, one.rising_to, 40)
     np.testing.assert_allclose(one.command(3e6, one.flow(3e6, command)), command, rtol=1e-9)
     assert one.command(3e6, 1.0) == one.rising_to and not one.reachable(3e6, 1.0)
-    again = load_flow_maps_text(dump_flow_maps(collect([one])))
+    again = FlowMap.from_dict(json.loads(dump_flow_maps(collect([one])))["maps"][0])
     assert again.rising_to == one.rising_to and again.flow(3e6, 9.9) == one.flow(3e6, 9.9)
-
-
-def load_flow_maps_text(text):
-    """The first map of a file's text."""
-    return FlowMap.from_dict(json.loads(text)["maps"][0])
 
 
 def test_a_speed_map_goes_by_the_command_alone():
@@ -613,7 +586,7 @@ def test_a_speed_map_goes_by_the_command_alone():
     assert found.map.level and "level" in keys(found)
     np.testing.assert_allclose(found.map.flow(1e6, command), found.map.flow(6e6, command))
     mixed = {**data, "pressure_drop": np.where(data["trial"] == 1, 3e6, np.nan)}
-    refused("some_drops", mixed)
+    refused_fit("some_drops", mixed)
 
 
 def test_what_all_readings_share_is_in_the_intervals():
@@ -643,9 +616,8 @@ def test_trials_that_differ_count_where_they_read():
 
 def close_commands(gap):
     """A shape with kinks between commands that hysteresis set ``gap`` [V] apart, and its cells."""
-    above = np.array(
-        [1.55, 1.8, 2.1, 2.6, 3.2, 4, 5, 6, 6.6, 7.9, 8.5, *(9.6 + gap * np.arange(4)), 10]
-    )
+    volts = [1.55, 1.8, 2.1, 2.6, 3.2, 4, 5, 6, 6.6, 7.9, 8.5]
+    above = np.array([*volts, *(9.6 + gap * np.arange(4)), 10])
     u, s = np.repeat(above, 6), np.tile(np.linspace(0.25, 1.0, 6), above.size)
     y = (u - 1.4) / 8.6 * s
     cells = Cells(u, s, y, np.full(u.size, 1e4), np.full(u.size, 2), y, 10)
@@ -656,7 +628,7 @@ def close_commands(gap):
 
 def test_kinks_close_together_leave_the_penalty_its_digits():
     """The least eigenvalue is of bends far from them, however narrow their spans; smoothing that
-    the arithmetic cannot carry is not likely, and no end of the fit. None is looked for there.
+    the arithmetic cannot carry is no end of the fit. None is looked for there.
     """
     least = [close_commands(gap)[0].spline().along_u.eigenvalues[1] for gap in (0.02, 0.005, 0.002)]
     np.testing.assert_allclose(least, least[0], rtol=1e-3)

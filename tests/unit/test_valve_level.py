@@ -25,23 +25,10 @@ def a_map(seed: int, valve: str, direction: str = "forward") -> FlowMap:
     knots = np.array([1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 8.0, 10.0])
     steps = rng.exponential(0.8 * GPM, (knots.size, 9)) * np.linspace(0.2, 1.0, 9) + 1e-9
     command, std = np.array([0.0, 2.0, 4.0, 10.0]), np.full((2, 2), 0.01 * GPM)
-    return FlowMap(
-        valve,
-        direction,
-        1.6,
-        (1.5, 1.7),
-        knots,
-        6e6,
-        2e4,
-        steps,
-        command,
-        np.array([1e5, 1e5, 2e5, 4e5]),
-        np.array([5e6, 5e6, 4e6, 2e6]),
-        np.array([0.0, 10.0]),
-        np.array([0.0, 2500.0]),
-        std,
-        8 * GPM,
-    )
+    low, high = np.array([1e5, 1e5, 2e5, 4e5]), np.array([5e6, 5e6, 4e6, 2e6])
+    ends = np.array([0.0, 10.0]), np.array([0.0, 2500.0])
+    law = valve, direction, 1.6, (1.5, 1.7), knots, 6e6, 2e4, steps
+    return FlowMap(*law, command, low, high, *ends, std, 8 * GPM)
 
 
 def of_rig(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
@@ -50,12 +37,9 @@ def of_rig(rig: str, cylinder: str, maps: dict | None = None) -> fn.Circuit:
     return circuit_of(model, model.layout.cylinders.index(cylinder), measured)
 
 
-MAPS = {
-    name: ValveMaps(
-        a_map(seed, name), a_map(seed + 9, name, "reverse") if name == "regen" else None
-    )
-    for seed, name in enumerate(("hect", "hepc", "regen", "repc", "rect"))
-}
+EDGES = ("hect", "hepc", "regen", "repc", "rect")
+MAPS = {name: ValveMaps(a_map(seed, name)) for seed, name in enumerate(EDGES)}
+MAPS["regen"] = ValveMaps(MAPS["regen"].forward, a_map(2 + 9, "regen", "reverse"))
 CIRCUITS = {
     "five, laws": of_rig("thesis_arm", "boom"),
     "five, maps": of_rig("thesis_arm", "boom", MAPS),
@@ -66,29 +50,13 @@ CIRCUITS = {
 
 
 class Given:
-    """What `allocate` writes, from a command vector of sevens."""
+    """What `allocate` writes for two flows, from a command vector of sevens."""
 
-    def __init__(
-        self,
-        c: fn.Circuit,
-        function: int,
-        flow_head: float,
-        flow_rod: float,
-        pressures,
-        floor: float = FLOOR,
-    ) -> None:
+    def __init__(self, c: fn.Circuit, function: int, head, rod, pressures) -> None:
         self.command = np.full(c.lowest.size, 7.0)
         self.flows, self.limits = np.full(c.count, 7.0), np.full(c.count, 7.0)
-        self.met = vl.allocate(
-            function,
-            vl.Flows(flow_head, flow_rod),
-            Pressures(*pressures),
-            floor,
-            c,
-            self.command,
-            self.flows,
-            self.limits,
-        )
+        asked, out = (vl.Flows(head, rod), Pressures(*pressures)), (self.flows, self.limits)
+        self.met = vl.allocate(function, *asked, FLOOR, c, self.command, *out)
 
 
 def passed(c: fn.Circuit, edge: int, command: np.ndarray, pressures) -> float:
@@ -106,15 +74,11 @@ def states(c: fn.Circuit, count: int, seed: int):
     for _ in range(count):
         function = int(rng.choice(able))
         p_supply, p_tank = rng.uniform(5e6, 8e6), rng.uniform(0.0, 2e5)
-        p_head, p_rod = np.sort(rng.uniform(p_tank + 3e5, p_supply - 3e5, 2))[
-            :: 1 if function in (3, 7) else -1
-        ]
+        way = 1 if function in (3, 7) else -1
+        p_head, p_rod = np.sort(rng.uniform(p_tank + 3e5, p_supply - 3e5, 2))[::way]
         if abs(p_head - p_rod) > 3e5:
-            yield (
-                function,
-                rng.uniform(0.002, 0.05) * fn.DIRECTION[function],
-                (p_head, p_rod, p_supply, p_tank),
-            )
+            v = rng.uniform(0.002, 0.05) * fn.DIRECTION[function]
+            yield function, v, (p_head, p_rod, p_supply, p_tank)
 
 
 @pytest.mark.parametrize("name", CIRCUITS)
@@ -138,21 +102,16 @@ def test_the_commands_give_the_flows(name):
             through = c.along[path] * passed(c, edge, given.command, pressures)
             if limits & codes.SATURATED:
                 valve = c.edges[edge].valve
-                assert (
-                    given.command[valve]
-                    == (c.highest if c.edges[edge].sign > 0 else c.lowest)[valve]
-                )
+                end = (c.highest if c.edges[edge].sign > 0 else c.lowest)[valve]
+                assert given.command[valve] == end
                 assert through < flow
             else:
                 kept += 1
-                assert through == pytest.approx(
-                    flow, rel=1e-9
-                )  # a map's root loses digits near its deadband
+                # a map's root loses digits near its deadband
+                assert through == pytest.approx(flow, rel=1e-9)
         for valve in range(c.lowest.size):
-            if valve not in own:
-                assert given.command[valve] == 7.0
-            elif valve not in used:
-                assert given.command[valve] == 0.0
+            if valve not in own or valve not in used:
+                assert given.command[valve] == (0.0 if valve in own else 7.0)
     assert kept > 1000
 
 
@@ -198,11 +157,8 @@ def test_what_a_drop_cannot_do_is_told():
     def vent(p_rod, flow_rod=5e-5):
         given = Given(c, codes.EXTEND_RESISTIVE, 1e-4, flow_rod, (2e6, p_rod, 7e6, 1e5))
         assert given.limits[c.paths[fn.SUPPLY_HEAD] - c.first] == 0
-        return (
-            given.command[valve[fn.ROD_TANK]],
-            int(given.limits[c.paths[fn.ROD_TANK] - c.first]),
-            given.met,
-        )
+        limits = int(given.limits[c.paths[fn.ROD_TANK] - c.first])
+        return given.command[valve[fn.ROD_TANK]], limits, given.met
 
     at_floor, limits, met = vent(1e5 + FLOOR)
     assert (limits, met) == (0, 0) and at_floor > 2.0
@@ -211,7 +167,8 @@ def test_what_a_drop_cannot_do_is_told():
     assert vent(1e5 - FLOOR) == (0.0, codes.REVERSED, codes.REVERSED)
     assert vent(1e6, -1e-6) == (0.0, codes.AGAINST, codes.AGAINST)
     assert vent(1e6, 0.0) == (0.0, 0, 0)
-    assert vent(1e5, 5e-4) == (10.0, codes.FAINT | codes.SATURATED, codes.FAINT | codes.SATURATED)
+    both = codes.FAINT | codes.SATURATED
+    assert vent(1e5, 5e-4) == (10.0, both, both)
 
 
 def test_the_edge_of_the_measured_range_is_that_of_the_map():
@@ -219,9 +176,8 @@ def test_the_edge_of_the_measured_range_is_that_of_the_map():
     rng = np.random.default_rng(3)
     seen = set()
     for name, edge in zip(MAPS, range(c.first, c.first + c.count), strict=True):
-        for drop, command in zip(
-            rng.uniform(-6e6, 6e6, 400), rng.uniform(0.0, 11.0, 400), strict=True
-        ):
+        drops, commands = rng.uniform(-6e6, 6e6, 400), rng.uniform(0.0, 11.0, 400)
+        for drop, command in zip(drops, commands, strict=True):
             expected = bool(MAPS[name].inside(drop, command))
             seen.add((drop > 0, expected))
             assert vl.inside(c, edge, drop, command) == expected
@@ -237,11 +193,8 @@ def test_leaving_the_measured_range_is_told():
     # the reverse direction of a valve that was not measured that way
     one_way = {**MAPS, "regen": ValveMaps(MAPS["regen"].forward)}
     other = of_rig("thesis_arm", "boom", one_way)
-    pressures = (1e6, 2e6, 7e6, 0.0)
-    limits = [
-        Given(k, 3, 2e-5, 1e-5, pressures).limits[k.paths[fn.ROD_HEAD] - k.first]
-        for k in (c, other)
-    ]
+    both = [Given(k, 3, 2e-5, 1e-5, (1e6, 2e6, 7e6, 0.0)) for k in (c, other)]
+    limits = [given.limits[c.paths[fn.ROD_HEAD] - c.first] for given in both]
     assert limits == [0, codes.OUTSIDE]
 
 
@@ -265,24 +218,16 @@ def test_a_driver_that_cannot_go_to_zero_rests_at_its_lowest():
 def test_a_withheld_channel_poisons_the_commands(name):
     """NaN in a used pressure or flow comes out as NaN in each command that it decides."""
     c = CIRCUITS[name]
-    used = {
-        fn.SUPPLY_HEAD: (0, 2),
-        fn.HEAD_TANK: (0, 3),
-        fn.SUPPLY_ROD: (1, 2),
-        fn.ROD_TANK: (1, 3),
-        fn.HEAD_ROD: (0, 1),
-        fn.ROD_HEAD: (0, 1),
-    }
+    used = {fn.SUPPLY_HEAD: (0, 2), fn.HEAD_TANK: (0, 3), fn.SUPPLY_ROD: (1, 2)}
+    used |= {fn.ROD_TANK: (1, 3), fn.HEAD_ROD: (0, 1), fn.ROD_HEAD: (0, 1)}
     for function in range(1, 8):
         if not c.able[function]:
             continue
         pressures = [1e6, 2e6, 7e6, 0.0] if function in (3, 7) else [2e6, 1e6, 7e6, 0.0]
         asked = 0.02 * fn.DIRECTION[function] * np.array([c.area_head, c.area_rod])
-        paths = (
-            [fn.METERING[function]]
-            if fn.coupled(c, function)
-            else np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1))
-        )
+        paths = np.flatnonzero(fn.PATH_FLOWS[function].any(axis=1))
+        if fn.coupled(c, function):
+            paths = [fn.METERING[function]]
         for path in paths:
             valve = c.edges[c.paths[path]].valve
             for gone in used[path]:
@@ -295,13 +240,11 @@ def test_an_edge_drawn_the_other_way_round_serves_as_well():
     c = CIRCUITS["four"]
     turned = c.edges.copy()
     turned.from_node, turned.to_node = c.edges.to_node, c.edges.from_node
-    other = fn.circuit(
-        0, c.area_head, c.area_rod, turned, c.maps, np.column_stack([c.lowest, c.highest])
-    )
+    ranges = np.column_stack([c.lowest, c.highest])
+    other = fn.circuit(0, c.area_head, c.area_rod, turned, c.maps, ranges)
     assert (other.along[:4] == -1).all() and (other.able == c.able).all()
     for function, v, pressures in states(c, 50, 4):
-        one, two = (
-            Given(k, function, k.area_head * v, k.area_rod * v, pressures) for k in (c, other)
-        )
+        flows = c.area_head * v, c.area_rod * v
+        one, two = (Given(k, function, *flows, pressures) for k in (c, other))
         assert (one.command == two.command).all() and (one.flows == -two.flows).all()
         assert (one.limits == two.limits).all()
