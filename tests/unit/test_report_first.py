@@ -119,15 +119,9 @@ def test_plus_and_minus_only_about_the_middle_of_an_interval(ends, told):
 
 def test_what_a_verdict_does_not_go_by_is_said(tmp_path):
     channel = {"fit_percent": 52.0, "cross_correlation": [{"of": "u", "outside_percent": 3.0}]}
-    logs = [
-        {
-            "status": "held_out",
-            "channels": [
-                channel | {"channel": "boom.q", "autocorrelation": {"outside_percent": 40.0}},
-                channel | {"channel": "boom.qd", "fit_percent": 88.0, "autocorrelation": None},
-            ],
-        }
-    ]
+    late = channel | {"channel": "boom.q", "autocorrelation": {"outside_percent": 40.0}}
+    quick = channel | {"channel": "boom.qd", "fit_percent": 88.0, "autocorrelation": None}
+    logs = [{"status": "held_out", "channels": [late, quick]}]
     asked = {"fit_percent": {"qd": 50.0}, "outside_percent": 15.0, "whiteness": False}
     text = silence(Table({"logs": logs, "thresholds": asked}, tmp_path))
     assert "joint angle (fit 52 %)" in text and "in 1 of 1 channel" in text
@@ -155,9 +149,8 @@ def test_pages_are_counted_on_sheets_of_the_paper_s_size(folders):
     sheet = re.search(r"\.sheets body { width: (\d+)mm; height: (\d+)mm;.*columns: (\d+)mm", text)
     assert margins and sheet
     top, side, bottom = map(int, margins.groups())
-    assert [int(size) for size in sheet.groups()] == [210 - 2 * side, 297 - top - bottom] + [
-        210 - 2 * side
-    ]
+    wide = 210 - 2 * side
+    assert [int(size) for size in sheet.groups()] == [wide, 297 - top - bottom, wide]
 
 
 @pytest.mark.skipif(
@@ -168,9 +161,8 @@ def test_printed_contents_have_the_pages_on_which_chapters_begin(folders, tmp_pa
     page.write_text(build(folders), encoding="utf-8")
     browser = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer"]
     subprocess.run([*browser, f"--print-to-pdf={paper}", f"file://{page}"], check=True, timeout=120)
-    done = subprocess.run(
-        ["pdftotext", "-layout", paper, "-"], capture_output=True, text=True, check=True
-    )
+    text = ["pdftotext", "-layout", paper, "-"]
+    done = subprocess.run(text, capture_output=True, text=True, check=True)
     sheets = done.stdout.split("\f")[:-1]
     chapters = re.findall(r'<section id="[^"]+">\s*<h2>([^<]+?)\s*(?:<|$)', page.read_text())
     told = 0
@@ -230,15 +222,10 @@ def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folde
     assert not terminal.answer(folder).notes
 
 
-LEAN = {
-    "name": "late.delay",
-    "moved": [
-        {"name": "bulk_modulus", "halves": 3.0},
-        {"name": "boom.joint_damping", "halves": 0.5},
-    ],
-    "remedy": 'add "late.delay" to parameters',
-    "sentence": "late.delay is held at 1 ms, and these logs would have 2.5 ms",
-}
+LEAN = {"name": "late.delay", "remedy": 'add "late.delay" to parameters'}
+LEAN |= {"sentence": "late.delay is held at 1 ms, and these logs would have 2.5 ms"}
+MOVED = {"bulk_modulus": 3.0, "boom.joint_damping": 0.5}
+LEAN |= {"moved": [{"name": name, "halves": halves} for name, halves in MOVED.items()]}
 
 
 def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):

@@ -14,7 +14,7 @@ from ehbench.sampling.keys import Key, changed_rig, changed_table
 from ehbench.sampling.outputs import _parquet
 from ehbench.sampling.sample import Sample
 from ehbench.vocabulary.errors import InputError
-from tests.shared import shipped
+from tests.shared import refused, shipped
 
 
 def study(**given) -> StudyRecipe:
@@ -25,15 +25,9 @@ def study(**given) -> StudyRecipe:
 
 
 def test_combinations_share_their_points():
-    design = Design(
-        study(
-            draw={"rig.bulk_modulus": {"low": "1 GPa", "high": "2 GPa"}},
-            sweep={"recipe.payload": ["none", "50 lb"], "bench.delay": ["1 ms", "3 ms", "5 ms"]},
-            seeds=["recipe.seed"],
-            samples=4,
-            seed=7,
-        )
-    )
+    law = {"rig.bulk_modulus": {"low": "1 GPa", "high": "2 GPa"}}
+    sweep = {"recipe.payload": ["none", "50 lb"], "bench.delay": ["1 ms", "3 ms", "5 ms"]}
+    design = Design(study(draw=law, sweep=sweep, seeds=["recipe.seed"], samples=4, seed=7))
     rows = [design.settings(i) for i in range(design.size)]
     assert design.size == 24
     assert [row["bench.delay"] for row in rows[:12:4]] == ["1 ms", "3 ms", "5 ms"]
@@ -82,30 +76,21 @@ def test_draws_follow_their_laws_and_a_stated_correlation():
     assert design.settings(0)["rig.u"].endswith(" MPa")
 
 
-@pytest.mark.parametrize(
-    ("given", "key"),
-    [
-        ({"draw": {"rig.a": {"low": "1 mm", "high": "2 m"}}}, "units_differ"),
-        ({"draw": {"rig.a": {"low": 2, "high": 1}}}, "bad_law"),
-        ({"samples": 5}, "nothing_drawn"),
-        (
-            {"draw": {"rig.a": {"low": 1, "high": 2}}, "correlation": [["rig.a", "rig.b", 1.0]]},
-            "not_drawn",
-        ),
-        (
-            {
-                "draw": {k: {"low": 1, "high": 2} for k in ("rig.a", "rig.b")},
-                "design": "saltelli",
-                "correlation": [["rig.a", "rig.b", 0.5]],
-            },
-            "saltelli_correlated",
-        ),
-    ],
-)
+FLAT = {"low": 1, "high": 2}
+TIED = {"draw": {"rig.a": FLAT, "rig.b": FLAT}, "correlation": [["rig.a", "rig.b", 0.5]]}
+IMPOSSIBLE = [
+    ({"draw": {"rig.a": {"low": "1 mm", "high": "2 m"}}}, "units_differ"),
+    ({"draw": {"rig.a": {"low": 2, "high": 1}}}, "bad_law"),
+    ({"samples": 5}, "nothing_drawn"),
+    ({"draw": {"rig.a": FLAT}, "correlation": [["rig.a", "rig.b", 1.0]]}, "not_drawn"),
+    (TIED | {"design": "saltelli"}, "saltelli_correlated"),
+]
+
+
+@pytest.mark.parametrize(("given", "key"), IMPOSSIBLE)
 def test_a_design_that_cannot_be_is_refused(given, key):
-    with pytest.raises(InputError) as caught:
+    with refused(f"sampling.{key}"):
         Design(study(**given))
-    assert caught.value.key == f"sampling.{key}"
 
 
 # --- keys
@@ -117,19 +102,11 @@ def rig():
 
 
 def test_a_rig_takes_parameters_factors_and_places_of_its_file(rig):
-    changed = changed_rig(
-        rig,
-        {
-            "bulk_modulus": "0.7 GPa",
-            "boom.*.compensated_gain": Factor(1.1),
-            "payload.50 lb.stick.mass": "30 kg",
-        },
-    )
+    changes = {"bulk_modulus": "0.7 GPa", "boom.*.compensated_gain": Factor(1.1)}
+    changed = changed_rig(rig, changes | {"payload.50 lb.stick.mass": "30 kg"})
     old, new = rig.parameters(), changed.parameters()
     assert float(new["bulk_modulus"]) == 0.7e9
-    gains = [
-        name for name in old if name.startswith("boom.") and name.endswith(".compensated_gain")
-    ]
+    gains = [n for n in old if n.startswith("boom.") and n.endswith(".compensated_gain")]
     assert gains
     for name in gains:
         assert float(new[name]) == pytest.approx(1.1 * float(old[name]), rel=1e-12)
@@ -155,13 +132,8 @@ def test_a_recipe_takes_keys_through_lists_and_tables():
         "controller": {"kind": "arc", "gains": "tuning.toml"},
         "payload": "50 lb",
     }
-    changes = {
-        "motion.slow.speed": Factor(2.0),
-        "motion.1.speed": "3 mm/s",
-        "controller.gains.washout": "0 rad/s",
-        "payload": "none",
-        "limits.speed_max": "1 m/s",
-    }
+    changes = {"motion.slow.speed": Factor(2.0), "motion.1.speed": "3 mm/s", "payload": "none"}
+    changes |= {"controller.gains.washout": "0 rad/s", "limits.speed_max": "1 m/s"}
     assert changed_table(table, changes, "recipe") == {
         "motion": [{"name": "slow", "speed": "120.0 mm/s"}, {"speed": "3 mm/s"}],
         "controller": {"kind": "arc", "gains": {"from": "tuning.toml", "washout": "0 rad/s"}},
@@ -234,12 +206,8 @@ def test_rank_regression_sees_through_a_bend():
 def test_parquet_is_read_by_others(tmp_path):
     import pandas
 
-    names = [
-        ("a [mm]", "float"),
-        ("n", "int"),
-        ("t", "text"),
-        *((f"c{i}", "float") for i in range(15)),
-    ]
+    names = [("a [mm]", "float"), ("n", "int"), ("t", "text")]
+    names += [(f"c{i}", "float") for i in range(15)]
     with _parquet(tmp_path / "x.parquet", names) as add:
         add([[1.5, math.nan], [1, -(2**60)], ["", "ü,\n"], *([[1.0, 2.0]] * 15)])
         add([[3.0], [2], ["z"], *([[3.0]] * 15)])
@@ -261,9 +229,9 @@ def test_a_torn_journal_goes_on_where_it_was_whole(tmp_path):
     again.add(made)
     assert repr(list(again.samples())) == repr(made)
     again.close()
-    with pytest.raises(InputError) as caught:
+    with refused("sampling.left_samples") as caught:
         Journal(path, "k", 5, resume=False)
-    assert caught.value.key == "sampling.left_samples" and caught.value.fields["count"] == 5
+    assert caught.value.fields["count"] == 5
     other = Journal(path, "of another study", 5, resume=True)
     other.close()
     assert other.taken == 0
@@ -277,9 +245,9 @@ def test_a_full_disk_says_how_many_samples_are_kept(tmp_path):
     journal.add([Sample(0, 0, "done", "", (1.0,))])
     journal.close()
     journal._file = full.open("wb", buffering=0)
-    with pytest.raises(InputError) as caught:
+    with refused("sampling.disk_full") as caught:
         journal.add([Sample(1, 0, "done", "", (1.0,))])
-    assert caught.value.key == "sampling.disk_full" and caught.value.fields["count"] == 1
+    assert caught.value.fields["count"] == 1
     journal.close()
     again = Journal(tmp_path / "s.jsonl", "k", 3, resume=True)
     again.close()

@@ -62,9 +62,8 @@ def delayed(plant: OpenLoop, delay: float) -> OpenLoop:
     a = np.zeros((size + 2, size + 2))
     a[:size, :size], a[:size, -1] = plant.a, -twice / root * plant.b
     a[-2:, -2:] = [[0.0, root], [-root, -0.5 * twice]]
-    return OpenLoop(
-        a, np.append(plant.b, [0.0, root]), np.append(plant.c, [0.0, 0.0]), delay, slice(size, None)
-    )
+    b, c = np.append(plant.b, [0.0, root]), np.append(plant.c, [0.0, 0.0])
+    return OpenLoop(a, b, c, delay, slice(size, None))
 
 
 @pytest.mark.parametrize("late", [0.01, 0.3, 0.9, 1.5])
@@ -84,9 +83,8 @@ def late_loops(count: int) -> Iterator[tuple[OpenLoop, np.ndarray, np.ndarray]]:
         pair = size * (-zeta + 1j * np.sqrt(1.0 - zeta**2))
         weights = rng.choice([1e-6, 1.0], 2) * rng.uniform(0.3, 3.0, 2)
         poles = np.concatenate([real, pair, pair.conj()])
-        residues = np.concatenate(
-            [-real * rng.uniform(-0.3, 1.0, real.size), *2 * [-0.5j * weights * size]]
-        )
+        slow = -real * rng.uniform(-0.3, 1.0, real.size)
+        residues = np.concatenate([slow, *2 * [-0.5j * weights * size]])
         residues[-2:] = residues[-4:-2].conj()
         a = np.zeros((poles.size, poles.size))
         a[range(real.size), range(real.size)] = real
@@ -113,19 +111,17 @@ def swept(reply: np.ndarray) -> tuple[float, float]:
         ends.append(reply[at] + part * (reply[at + 1] - reply[at]))
     real = np.append(ends[0].real, reply[0].real)  # at standstill it is real
     real = real[(real < 0.0) & (real > -1.0)]
-    return (
-        float((-1.0 / real).min(initial=math.inf)),
-        float(np.abs(np.angle(-ends[1])).min(initial=math.inf)),
-    )
+    angle = np.abs(np.angle(-ends[1])).min(initial=math.inf)
+    return float((-1.0 / real).min(initial=math.inf)), float(angle)
 
 
 def test_margins_of_late_loops_are_those_of_a_dense_sweep():
     off = []
     for loop, poles, residues in late_loops(60):
         omega = np.geomspace(1e-2, 3e4, 400_001)
-        reply = np.exp(-1j * omega * loop.delay) * sum(
-            share / (1j * omega - pole) for pole, share in zip(poles, residues, strict=True)
-        )
+        pairs = zip(poles, residues, strict=True)
+        reply = sum(share / (1j * omega - pole) for pole, share in pairs)
+        reply = np.exp(-1j * omega * loop.delay) * reply
         by_hand = swept(reply)
         result = gain_margin(loop), phase_margin(loop)
         if not np.allclose(result, by_hand, rtol=2e-3, atol=2e-3):
@@ -143,29 +139,14 @@ def test_a_loop_may_leave_at_standstill_or_never(gain, margin):
 def rig_loops(count: int, delays: tuple[float, ...] = (0.0, 1e-3)) -> Iterator[OpenLoop]:
     """Stable loops of two rigs at random operating points, laws and gains."""
     rng = np.random.default_rng(3)
-    recipe = TuneRecipe(
-        stage="tune",
-        rig="x",
-        postures=2,
-        speed_shares=(0.4,),
-        draws=0,
-        low_pressure="8 bar",  # pyright: ignore[reportArgumentType]
-        cross_drop="8 bar",  # pyright: ignore[reportArgumentType]
-        cylinder="boom",
-    )
-    motions = [
-        motion
-        for name in ("boom_four_valve", "thesis_arm")
-        for motion in prepare_tuning(shipped(name), None, recipe).motions
-    ]
+    about = {"postures": 2, "speed_shares": (0.4,), "draws": 0, "cylinder": "boom"}
+    about |= {"low_pressure": "8 bar", "cross_drop": "8 bar"}
+    recipe = TuneRecipe(stage="tune", rig="x", **about)
+    rigs = map(shipped, ("boom_four_valve", "thesis_arm"))
+    motions = [one for rig in rigs for one in prepare_tuning(rig, None, recipe).motions]
     while count > 0:
-        law = Law(
-            rng.choice([0.0, 2.0, 20.0]),
-            rng.choice([0.0, 0.0, 1e-11]),
-            rng.choice(delays),
-            rng.choice([0.0, 5.0]),
-            rng.choice(["metered", "load"]),
-        )
+        ways = ([0.0, 2.0, 20.0], [0.0, 0.0, 1e-11], delays, [0.0, 5.0], ["metered", "load"])
+        law = Law(*map(rng.choice, ways))
         loop = motions[rng.integers(len(motions))].loop(law)
         for item in _open_loops(loop, 10.0 ** rng.uniform(-12.0, -9.0)):
             if item.growth() <= 0.0:

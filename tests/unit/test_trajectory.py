@@ -20,9 +20,8 @@ PROFILES = ["ramp", "seventh"]
 
 
 def move(distance, profile, **changes):
-    return tr.point_to_point(
-        [0.03, 0.03 + distance], profile=profile, **({"tick": TICK} | LIMITS | changes)
-    )
+    given = {"profile": profile, "tick": TICK} | LIMITS | changes
+    return tr.point_to_point([0.03, 0.03 + distance], **given)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -38,18 +37,12 @@ def test_from_rest_to_rest(distance, profile):
 @pytest.mark.parametrize("profile", PROFILES)
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_columns_are_each_others_derivatives(distance, profile):
-    """Central differences on h = 50 µs are off by h²/6 of the third derivative, and by h/4 of its
-    jump where the slope of the jerk jumps.
-    """
+    """On h = 50 µs off by h²/6 of the third derivative, by h/4 of its jump where it jumps."""
     h = 5e-5
     table = move(distance, profile, tick=h)
-    for column, scale in (
-        (tr.X, LIMITS["speed"]),
-        (tr.V, LIMITS["acceleration"]),
-        (tr.A, LIMITS["jerk"]),
-    ):
+    for column, word in ((tr.X, "speed"), (tr.V, "acceleration"), (tr.A, "jerk")):
         slope = (table[2:, column] - table[:-2, column]) / (2 * h)
-        assert np.abs(slope - table[1:-1, column + 1]).max() < 5e-3 * scale
+        assert np.abs(slope - table[1:-1, column + 1]).max() < 5e-3 * LIMITS[word]
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -64,16 +57,10 @@ def test_limits_are_kept_and_one_is_reached(distance, profile):
 @pytest.mark.parametrize("profile", PROFILES)
 def test_jerk_is_continuous(profile):
     """Halving the tick halves the largest step of the jerk, also over the seams."""
-    steps = [
-        np.abs(
-            np.diff(
-                tr.point_to_point([0.0, 0.2, 0.0], tick=h, hold=0.1, profile=profile, **LIMITS)[
-                    :, tr.J
-                ]
-            )
-        ).max()
-        for h in (2e-4, 1e-4)
-    ]
+    steps = []
+    for h in (2e-4, 1e-4):
+        way = tr.point_to_point([0.0, 0.2, 0.0], tick=h, hold=0.1, profile=profile, **LIMITS)
+        steps.append(np.abs(np.diff(way[:, tr.J])).max())
     assert steps[0] / steps[1] == pytest.approx(2.0, rel=0.02)
     assert steps[1] < 0.05 * LIMITS["jerk"]
 
@@ -91,9 +78,8 @@ def test_waypoints_holds_and_cycles():
     points = [0.05, 0.2, 0.2, 0.1]
     table = tr.point_to_point(points, tick=TICK, hold=[0.0, 0.1, 0.2, 0.3], **LIMITS)
     resting = np.flatnonzero((table[:, 1:] == 0).all(axis=1))
-    assert [
-        np.isclose(table[resting, tr.X], x, atol=1e-15).sum() for x in (0.05, 0.2, 0.1)
-    ] == pytest.approx([1, 300, 300], abs=1)
+    counts = [np.isclose(table[resting, tr.X], x, atol=1e-15).sum() for x in (0.05, 0.2, 0.1)]
+    assert counts == pytest.approx([1, 300, 300], abs=1)
     back = tr.point_to_point([0.1, 0.15, 0.1, 0.15, 0.1], tick=TICK, hold=0.1, **LIMITS)
     assert back[-1, tr.X] == pytest.approx(0.1, abs=1e-15)
     assert (np.diff(np.sign(back[:, tr.V])) != 0).sum() == 8
@@ -104,40 +90,33 @@ def test_waypoints_holds_and_cycles():
 
 
 def test_a_move_back_mirrors_the_move_forth():
-    there, back = (
-        tr.point_to_point([0.1, 0.3], tick=TICK, **LIMITS),
-        tr.point_to_point([0.3, 0.1], tick=TICK, **LIMITS),
-    )
+    ways = ([0.1, 0.3], [0.3, 0.1])
+    there, back = (tr.point_to_point(way, tick=TICK, **LIMITS) for way in ways)
     assert there[:, tr.X] + back[:, tr.X] == pytest.approx(0.4, abs=1e-15)
     assert (there[:, 1:] == -back[:, 1:]).all()
 
 
 def test_velocity_steps():
     full = 0.18
-    table = tr.velocity_steps(
-        [0.3 * full, 0.7 * full, -full], duration=[0.5, 0.2, 0.1], tick=TICK, rest=0.1, x=0.02
-    )
+    levels, lengths = [0.3 * full, 0.7 * full, -full], [0.5, 0.2, 0.1]
+    table = tr.velocity_steps(levels, duration=lengths, tick=TICK, rest=0.1, x=0.02)
     assert table.shape == (100 + 500 + 100 + 200 + 100 + 100 + 100 + 1, 4)
     assert not table[:, 2:].any()
-    assert table[:, tr.X] == pytest.approx(
-        0.02 + np.concatenate([[0], np.cumsum(table[:-1, tr.V])]) * TICK, abs=1e-15
-    )
+    way = 0.02 + np.concatenate([[0], np.cumsum(table[:-1, tr.V])]) * TICK
+    assert table[:, tr.X] == pytest.approx(way, abs=1e-15)
     assert table[-1, tr.X] == pytest.approx(0.02 + full * (0.15 + 0.14 - 0.1), abs=1e-12)
     values, counts = np.unique(table[:, tr.V], return_counts=True)
     assert values == pytest.approx([-full, 0.0, 0.3 * full, 0.7 * full])
-    assert counts.tolist() == [
-        100,
-        401,
-        500,
-        200,
-    ]
+    assert counts.tolist() == [100, 401, 500, 200]
 
 
 def shaped(v_d, tick=TICK, **kind):
     shaped, shaping = blank(tr.SHAPED), tr.pack_shaping(**kind)
-    return np.array(
-        [[tr.shape_speed(v, tick, shaping, shaped), shaped.acceleration, shaped.jerk] for v in v_d]
-    )
+
+    def after(v):
+        return tr.shape_speed(v, tick, shaping, shaped), shaped.acceleration, shaped.jerk
+
+    return np.array([after(v) for v in v_d])
 
 
 def test_no_shaping_passes_the_step():
@@ -157,9 +136,7 @@ def test_a_limited_step_keeps_its_limits_and_does_not_overshoot(steps, jerk):
     for index, (before, after) in enumerate(zip((0.0, *steps), steps, strict=False)):
         part = out[600 * (index + 1) : 600 * (index + 2), 0]
         low, high = sorted((before, after))
-        slack = (
-            jerk or 0.0
-        ) * TICK**2 + 1e-15  # a sampled jerk can only aim to within one tick of it
+        slack = (jerk or 0.0) * TICK**2 + 1e-15  # a jerk can only aim to within one tick
         assert part.min() >= low - slack and part.max() <= high + slack
         assert part[-1] == pytest.approx(after, abs=1e-9)
 
