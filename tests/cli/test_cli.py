@@ -23,16 +23,8 @@ def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.Compl
     """Run the command as a user would, in a process of its own."""
     environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}
     line = [sys.executable, "-m", "ehbench.app.cli", *map(str, words)]
-    return subprocess.run(
-        line,
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        **options,
-    )
+    ways = {"capture_output": True, "text": True, "timeout": 300, "check": False} | options
+    return subprocess.run(line, cwd=cwd, env=environment, **ways)
 
 
 @pytest.fixture(scope="module")
@@ -102,17 +94,10 @@ def test_a_new_workspace_runs_as_it_stands(workspace, inside, unpainted):
     commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
     assert len(commands) == 5
     for line in commands:
-        words = (
-            [
-                str(p.relative_to(workspace))
-                for word in line.split()
-                for p in sorted(workspace.glob(word))
-            ]
-            if "*" in line
-            else line.split()
-        )
+        words = line.split()
         if "*" in line:
-            words = ["report", *words]
+            runs = (path for word in words for path in sorted(workspace.glob(word)))
+            words = ["report", *(str(path.relative_to(workspace)) for path in runs)]
         done = inside(*words, cwd=workspace)
         assert done.returncode == 0, f"{line}: {done.stderr}"
     assert list(workspace.glob("reports/report_*/report.html"))
@@ -127,9 +112,7 @@ def test_every_file_of_a_workspace_checks(workspace, inside):
         assert done.stdout.startswith("ok: ")
 
 
-def broken(
-    workspace: Path, tmp_path: Path, file: str, old: str, new: str, without: str = "reports"
-) -> Path:
+def broken(workspace: Path, tmp_path: Path, file: str, old: str, new: str, without="reports"):
     """A copy of the workspace with one slip in one file."""
     copy = tmp_path / "ws"
     shutil.copytree(workspace, copy, ignore=shutil.ignore_patterns(without))
@@ -139,29 +122,25 @@ def broken(
     return copy
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "words"),
-    [
-        ("rig.toml", '"160 bar"', '"160"', ["rig.toml:18", "no unit"]),
-        ("rig.toml", '"160 bar"', '"160 kg"', ["rig.toml:18", "cannot be turned into Pa"]),
-        ("rig.toml", '"160 bar"', '"160 GPa"', ["rig.toml:18", "outside"]),
-        ("rig.toml", "flow_limit = ", "flow_limits = ", ["rig.toml:19", "flow_limit"]),
-        ("rig.toml", '"pa"\nfrom = "supply"', '"pa"\nfrom = "pump"', ["supply", "tank", "head"]),
-        ("rig.toml", 'joint = "boom"', 'joint = "arm"', ["arm", "boom"]),
-        ("rig.toml", '"450 mm"', '"950 mm"', ["stroke"]),
-        ("recipes/step_small.toml", 'valve = "lift.spool"', 'valve = "lift.spol"', ["lift.spool"]),
-        ("recipes/step_small.toml", '"3.5 V"', '"35 V"', ["-10 to 10 V"]),
-        ("recipes/step_small.toml", '"180 mm"', '"480 mm"', ["stroke", "450"]),
-        (
-            "recipes/step_small.toml",
-            'stage = "trial"',
-            'stage = "trail"',
-            ["step_small.toml:4", "trial"],
-        ),
-        ("recipes/step_small.toml", "../rig.toml", "../rigg.toml", ["rig.toml"]),
-        ("recipes/step_small.toml", '"4 s"', '"4 s', ["step_small.toml", "TOML"]),
-    ],
-)
+STEP = "recipes/step_small.toml"
+SLIPS = [
+    ("rig.toml", '"160 bar"', '"160"', ["rig.toml:18", "no unit"]),
+    ("rig.toml", '"160 bar"', '"160 kg"', ["rig.toml:18", "cannot be turned into Pa"]),
+    ("rig.toml", '"160 bar"', '"160 GPa"', ["rig.toml:18", "outside"]),
+    ("rig.toml", "flow_limit = ", "flow_limits = ", ["rig.toml:19", "flow_limit"]),
+    ("rig.toml", '"pa"\nfrom = "supply"', '"pa"\nfrom = "pump"', ["supply", "tank", "head"]),
+    ("rig.toml", 'joint = "boom"', 'joint = "arm"', ["arm", "boom"]),
+    ("rig.toml", '"450 mm"', '"950 mm"', ["stroke"]),
+    (STEP, 'valve = "lift.spool"', 'valve = "lift.spol"', ["lift.spool"]),
+    (STEP, '"3.5 V"', '"35 V"', ["-10 to 10 V"]),
+    (STEP, '"180 mm"', '"480 mm"', ["stroke", "450"]),
+    (STEP, 'stage = "trial"', 'stage = "trail"', ["step_small.toml:4", "trial"]),
+    (STEP, "../rig.toml", "../rigg.toml", ["rig.toml"]),
+    (STEP, '"4 s"', '"4 s', ["step_small.toml", "TOML"]),
+]
+
+
+@pytest.mark.parametrize(("file", "old", "new", "words"), SLIPS)
 def test_a_slip_gets_one_sentence_and_leaves_nothing(
     workspace, inside, tmp_path, file, old, new, words
 ):
@@ -209,9 +188,8 @@ def test_a_rejected_model_exits_with_4_and_keeps_the_verdict(workspace, inside, 
 def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(
     workspace, inside, undrawn, tmp_path
 ):
-    whole = inside(
-        "run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "trial"
-    )
+    step = workspace / "recipes" / "step_small.toml"
+    whole = inside("run-trial", step, "--out", tmp_path / "trial")
     assert whole.returncode == 0, whole.stderr
     data = (tmp_path / "trial" / "log.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * 0.7)])
@@ -222,26 +200,17 @@ def test_a_truncated_log_finishes_with_3_and_says_how_much_was_lost(
 def test_an_out_that_is_no_run_is_left_alone(workspace, inside, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("keep")
-    done = inside(
-        "run-trial", workspace / "recipes" / "step_small.toml", "--out", tmp_path / "mine"
-    )
+    step = workspace / "recipes" / "step_small.toml"
+    done = inside("run-trial", step, "--out", tmp_path / "mine")
     assert done.returncode == 2 and (tmp_path / "mine" / "notes.txt").read_text() == "keep"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine"]
 
 
 def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
-    line = [
-        sys.executable,
-        "-m",
-        "ehbench.app.cli",
-        "identify",
-        str(workspace / "recipes" / "identify.toml"),
-        "--out",
-        str(tmp_path / "run"),
-    ]
-    process = subprocess.Popen(
-        line, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    words = ["identify", workspace / "recipes" / "identify.toml", "--out", tmp_path / "run"]
+    line = [sys.executable, "-m", "ehbench.app.cli", *map(str, words)]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(line, cwd=tmp_path, **quiet)
     deadline = time.monotonic() + 60
     while not list(tmp_path.rglob(".*.part")) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -264,14 +233,8 @@ def test_a_signal_while_kernels_are_loaded_ends_the_run_once_they_are(workspace,
         "cli.main()\n"
     )
     words = ["identify", str(workspace / "recipes" / "identify.toml"), "--out", "run"]
-    done = subprocess.run(
-        [sys.executable, "-c", asked_within, *words],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    line, ways = [sys.executable, "-c", asked_within, *words], {"timeout": 300, "check": False}
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, **ways)
     assert done.returncode == 143, done.stderr
     assert not (tmp_path / "run").exists() and not list(tmp_path.rglob("*.part"))
 
@@ -282,17 +245,13 @@ def test_same_recipe_same_bytes(workspace, inside, tmp_path):
     for name, run in (("one", inside), ("two", ehbench)):
         done = run("run-trial", workspace / "recipes" / "step_large.toml", "--out", tmp_path / name)
         assert done.returncode == 0, done.stderr
-    files = sorted(
-        p.relative_to(tmp_path / "one") for p in (tmp_path / "one").rglob("*") if p.is_file()
+    one, two = (
+        {path.relative_to(folder): path for path in folder.rglob("*") if path.is_file()}
+        for folder in (tmp_path / "one", tmp_path / "two")
     )
-    assert files == sorted(
-        p.relative_to(tmp_path / "two") for p in (tmp_path / "two").rglob("*") if p.is_file()
-    )
-    for name in files:
-        if name.name != "volatile.json":
-            assert (tmp_path / "one" / name).read_bytes() == (
-                tmp_path / "two" / name
-            ).read_bytes(), name
+    assert one.keys() == two.keys()
+    for name, path in one.items():
+        assert name.name == "volatile.json" or path.read_bytes() == two[name].read_bytes(), name
 
 
 def test_a_log_becomes_a_page_and_what_is_none_is_named(inside, tmp_path):

@@ -37,13 +37,8 @@ def blocks(page: str, kind: str) -> list[str]:
 
 EXAMPLES = [(page, text) for page in PAGES for text in blocks(page, "toml")]
 RECIPES = [text for _, text in EXAMPLES if re.search("^stage", text, re.M)]
-RIGS = [
-    text
-    for page, text in EXAMPLES
-    if page in REFERENCE
-    and text not in RECIPES
-    and not re.search(r"^\[(names|response)", text, re.M)
-]
+OTHER = r"^stage|^\[(names|response)"  # recipes, and tables of a map or of a response
+RIGS = [text for page, text in EXAMPLES if page in REFERENCE and not re.search(OTHER, text, re.M)]
 
 
 # --- the reference of all keys
@@ -126,9 +121,8 @@ more
 """
     words = {"`kind`": "soft or hard", "`share`": "of it"}
     tables = tables_of(Whole)
-    tables["Part"] = [
-        reference.replace(key, words=key.words or words.get(key.name, "")) for key in tables["Part"]
-    ]
+    told = lambda key: key.words or words.get(key.name, "")
+    tables["Part"] = [reference.replace(key, words=told(key)) for key in tables["Part"]]
     made = reference.made(page, tables, "page")
     assert "gone" not in made and "hidden" not in made
     assert "| `part` | tables by name | none | its parts |\n\nmore\n" in made
@@ -202,11 +196,10 @@ def words(page: str) -> int:
 def test_pages_are_short():
     """README, how-to pages, all pages, and all of them together, as CONTRIBUTING says."""
     limits = {"README.md": 1200, "docs/howto/": 1500, "docs/architecture.md": 1500, "": 4000}
-    long = {
-        page: words(page)
-        for page in PAGES
-        if words(page) > next(n for start, n in limits.items() if page.startswith(start))
+    most = {
+        page: next(n for start, n in limits.items() if page.startswith(start)) for page in PAGES
     }
+    long = {page: words(page) for page in PAGES if words(page) > most[page]}
     assert long == {}
     assert sum(words(page) for page in PAGES if page != "CONTRIBUTING.md") <= 40_000
 
@@ -233,9 +226,8 @@ def test_workflows_call_targets_that_exist():
 def test_every_example_is_part_of_a_rig_that_checks(text, tmp_path):
     """Each example takes the place of what the complete one of the reference has."""
     made, part = tomllib.loads(blocks("docs/reference/rig_file.md", "toml")[0]), tomllib.loads(text)
-    if isinstance(
-        part.get("cylinder"), dict
-    ):  # [[cylinder.valve]] alone belongs to the cylinder of the whole one
+    # [[cylinder.valve]] alone belongs to the cylinder of the whole one
+    if isinstance(part.get("cylinder"), dict):
         part["cylinder"] = [made["cylinder"][0] | part["cylinder"]]
     (tmp_path / "rig.toml").write_text(tomli_w.dumps(made | part), encoding="utf-8")
     lines = inspection.check(tmp_path / "rig.toml").lines

@@ -12,42 +12,21 @@ LIFT = load_rig(RECIPES / "choice" / "lift.toml")
 
 
 def lifting(controller, payload="1200 kg", **more):
-    recipe = {
-        "stage": "trial",
-        "rig": "lift.toml",
-        "payload": payload,
-        "controller": controller,
-        "motion": {
-            "kind": "point_to_point",
-            "cylinder": "lift",
-            "waypoints": ["100 mm", "200 mm", "100 mm"],
-            "speed": "150 mm/s",
-            "hold": "0.3 s",
-        },
-    }
+    way = {"waypoints": ["100 mm", "200 mm", "100 mm"], "speed": "150 mm/s", "hold": "0.3 s"}
+    motion = {"kind": "point_to_point", "cylinder": "lift"} | way
+    recipe = {"stage": "trial", "rig": "lift.toml", "payload": payload}
+    recipe |= {"controller": controller, "motion": motion}
     return TrialRecipe.model_validate(recipe | more)
 
 
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_at_rest_nothing_hunts(on):
     """50 lb at rest: leakage and sensor counts change the function once a second at most."""
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "thesis_arm.toml",
-            "on": on,
-            "bench": str(RECIPES / "bench" / "thesis_arm.toml"),
-            "payload": "50 lb",
-            "controller": {"kind": "arc"},
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": "boom",
-                "waypoints": ["50 mm", "60 mm"],
-                "speed": "60 mm/s",
-                "hold": "2 s",
-            },
-        }
-    ).model_copy(update={"path": RECIPES / "rigs" / "x.toml"})
+    way = {"waypoints": ["50 mm", "60 mm"], "speed": "60 mm/s", "hold": "2 s"}
+    given = {"stage": "trial", "rig": "thesis_arm.toml", "on": on, "payload": "50 lb"}
+    given |= {"bench": str(RECIPES / "bench" / "thesis_arm.toml"), "controller": {"kind": "arc"}}
+    given |= {"motion": {"kind": "point_to_point", "cylinder": "boom"} | way}
+    recipe = TrialRecipe.model_validate(given | {"path": RECIPES / "rigs" / "x.toml"})
     rig = shipped("thesis_arm")
     if on == "model":
         leaks = {"boom.leakage_internal": 2e-13, "boom.leakage_head": 3e-13}

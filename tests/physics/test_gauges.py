@@ -14,12 +14,7 @@ from ehbench.config.recipe import Thresholds, load_rig
 from ehbench.config.recipe.columns import load_columns
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.identification.hydraulics import (
-    FitOptions,
-    identify_hydraulics,
-    prepare_fit,
-    run_fit,
-)
+from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit, run_fit
 from ehbench.plant.model import Model, simulate
 from ehbench.validation import validate_rig
 from ehbench.vocabulary.quantities import GAUGES
@@ -50,10 +45,8 @@ def slide(law: str = "coulomb", tmp_path: Path | None = None) -> Rig:
     """The shipped slide, with 200 N of friction where a law is asked for."""
     if tmp_path is None:
         return shipped("slide_servo")
-    text = (RIGS / "slide_servo.toml").read_text()
-    text = text.replace(
-        'friction_coulomb = { value = "0 N"', 'friction_coulomb = { value = "200 N"'
-    )
+    none = 'friction_coulomb = { value = "0 N"'
+    text = (RIGS / "slide_servo.toml").read_text().replace(none, none.replace("0 N", "200 N"))
     at = text.index("[[cylinder.valve]]")
     (tmp_path / "rig.toml").write_text(text[:at] + FRICTION[law] + "\n" + text[at:])
     return load_rig(tmp_path / "rig.toml")
@@ -131,10 +124,8 @@ def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
     valve = {"spool.natural_frequency": 2.0 * np.pi * 45.0, "spool.damping_ratio": 0.6}
     true = slide().with_values(valve)
     made = simulate(true, {"press.servo": stepped(3.0)}, 1.6, posture={"press": "150 mm"})
-    rng, names = np.random.default_rng(2), ("press.servo.opening", "press.x")
-    own = {
-        c: made[c] + s * rng.normal(size=T.size) for c, s in zip(names, (0.01, 1e-4), strict=True)
-    }
+    rng, noise = np.random.default_rng(2), {"press.servo.opening": 0.01, "press.x": 1e-4}
+    own = {c: made[c] + s * rng.normal(size=T.size) for c, s in noise.items()}
     log = Record(made.t, own | {"press.servo.command": made["press.servo.command"]}, {})
     without, fit = (
         run_fit(prepare_fit(slide(), [("a", log)], list(valve), options=FitOptions(channels=asked)))
@@ -159,10 +150,8 @@ def test_gauges_are_known_by_name_and_unit(tmp_path):
     t = np.arange(400) * 1e-3
     names = "Time\tServo Cmd\tAct Disp\tLoad Cell\tDiff Press\tSpool Pos\n"
     names += "(sec)\t(mA)\t(in)\t(lbf)\t(psi)\t(%)\n"
-    rows = [
-        f"{s:.4f}\t{8 * np.sin(20 * s):.3f}\t{s:.4f}\t{s * 90:.2f}\t{s * 100:.2f}\t{s * 80:.2f}"
-        for s in t
-    ]
+    row = "{0:.4f}\t{1:.3f}\t{0:.4f}\t{2:.2f}\t{3:.2f}\t{4:.2f}"
+    rows = [row.format(s, 8 * np.sin(20 * s), s * 90, s * 100, s * 80) for s in t]
     (tmp_path / "run.txt").write_text(names + "\n".join(rows))
     made = draft(tmp_path / "run.txt", tmp_path / "run.map.toml", slide())
     found = load_columns(made.path).columns.names

@@ -19,27 +19,14 @@ ERROR = 2.0e-5  # share of a state's range, which counts as no less than SMALL o
 SMALL = 0.02
 
 
+LUGRE = {"law": "lugre", "friction_static": "400 N", "stribeck_speed": "20 mm/s"}
+LUGRE |= {"bristle_stiffness": "2 kN/mm", "bristle_damping": "4 kN*s/m"}
+SOFT = {"friction_coulomb": "200 N", "friction_viscous": "400 N*s/m", "friction": LUGRE}
+SOFT |= {"mount": {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"}}
 # of the sliding mass, with parts that are stiff, and with a command that is late
-PARTS = {
-    "bristles on a mount": {
-        "friction_coulomb": "200 N",
-        "friction_viscous": "400 N*s/m",
-        "mount": {"stiffness": "10 kN/mm", "damping": "6000 N*s/m"},
-        "friction": {
-            "law": "lugre",
-            "friction_static": "400 N",
-            "stribeck_speed": "20 mm/s",
-            "bristle_stiffness": "2 kN/mm",
-            "bristle_damping": "4 kN*s/m",
-        },
-    },
-    "late series": {},
-}
-LATE = {
-    "bus": {"kind": "delay", "delay": "5.3 ms"},
-    "lag": {"kind": "first_order", "lag": "6 ms"},
-    "spool": {"natural_frequency": "80 Hz", "damping_ratio": 0.8},
-}
+PARTS = {"bristles on a mount": SOFT, "late series": {}}
+LATE = {"bus": {"kind": "delay", "delay": "5.3 ms"}, "lag": {"kind": "first_order", "lag": "6 ms"}}
+LATE |= {"spool": {"natural_frequency": "80 Hz", "damping_ratio": 0.8}}
 
 
 def made(name: str) -> Model:
@@ -67,10 +54,8 @@ def commands(model: Model, samples: int = 1500, smooth: bool = False) -> np.ndar
 
 def missed(model: Model, table: np.ndarray, step: Step, tick: float = 1e-3) -> np.ndarray:
     """The largest error of each state whose error is looked at, as a share of its range."""
-    start, looked = (
-        model.trim(model.posture(None)),
-        pace_of(model.plant, model.layout, tick).weights,
-    )
+    start = model.trim(model.posture(None))
+    looked = pace_of(model.plant, model.layout, tick).weights
     fine, found = (model.run(start, table, tick, one)[:, : start.size] for one in (FINE, step))
     scale = SMALL / (CLOSE * looked[looked > 0.0])
     spans = np.maximum(np.ptp(fine, axis=0)[looked > 0.0], scale)
@@ -110,10 +95,8 @@ def test_the_steps_of_another_run_are_taken_again(name):
     log, mesh = model.paced(start, table)
     assert np.array_equal(model.paced(start, table, mesh=mesh)[0], log)
     value = float(model.rig.parameters()["bulk_modulus"])
-    near = [
-        Model.of(model.rig.with_values({"bulk_modulus": value * math.exp(change)}))
-        for change in (1e-5, 1e-3)
-    ]
+    moved = [{"bulk_modulus": value * math.exp(change)} for change in (1e-5, 1e-3)]
+    near = [Model.of(model.rig.with_values(values)) for values in moved]
     small, large = (
         (one.paced(start, table, mesh=mesh, flows=False)[0] - log[:, : start.size]) / change
         for one, change in zip(near, (1e-5, 1e-3), strict=True)
@@ -137,9 +120,8 @@ def test_many_runs_on_threads_equal_single_runs():
 def test_a_replay_that_fails_is_none_and_the_others_are_as_alone():
     model = made("slide_servo")
     table = commands(model, 200)
-    record = model.record(
-        1e-3 * np.arange(200), table, model.run(model.trim(model.posture(None)), table)
-    )
+    log = model.run(model.trim(model.posture(None)), table)
+    record = model.record(1e-3 * np.arange(200), table, log)
     start = model.rest_start(record)
     failed = start._replace(y=np.full_like(start.y, np.nan))
     first, none, last = replay_many([Replay(model, record, y) for y in (start, failed, start)])

@@ -13,8 +13,7 @@ from ehbench.parts.edge import edge_flow
 from ehbench.parts.sample import LINE, OF, entry, line_entry
 from ehbench.trial import prepare, run_trial
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE, RETRACT_RESISTIVE, SATURATED
-from ehbench.vocabulary.errors import InputError
-from tests.shared import shipped
+from tests.shared import refused, shipped
 
 SLIDE = shipped("slide_servo")
 MOTION = {"kind": "point_to_point", "cylinder": "press", "waypoints": ["100 mm", "200 mm"]}
@@ -28,7 +27,7 @@ def recipe(motion=MOTION, gains=None, **given):
 
 
 def ideal(gains, v_d, z_0, seconds, passes=lambda t, v: v):
-    """Telemetry by name and stroke error [m] of an actuator that moves as its metering edge passes
+    """(telemetry by name, stroke error [m]) of an actuator that moves as its metering edge passes
     oil at standing pressures; ``passes`` (t, speed) is what it makes of that.
     """
     law = prepare(recipe(gains=gains), SLIDE).loop.laws.parts[0]
@@ -88,11 +87,8 @@ def test_the_integral_does_not_wind_up():
     """Stuck for 4 s, then free: the error comes back without going far to the other side."""
     most, k, corner = 0.04, 8.0, 2.0
     sticks = lambda t, v: 0.0 if t < 4.0 else v
-    gains = {
-        "position_bandwidth": f"{k} rad/s",
-        "integral_bandwidth": f"{corner} rad/s",
-        "speed_correction": f"{most} m/s",
-    }
+    gains = {"position_bandwidth": f"{k} rad/s", "integral_bandwidth": f"{corner} rad/s"}
+    gains |= {"speed_correction": f"{most} m/s"}
     told, z = ideal(gains, 0.01, 0.0, 12.0, sticks)
     assert np.abs(told["v_asked"] - told["v_desired"]).max() <= most * (1 + 1e-12)
     # 0.5 s at 0.01 m/s would do: the integral stops where the correction is at its end
@@ -103,11 +99,8 @@ def test_the_integral_does_not_wind_up():
 
 def test_nor_does_it_where_a_valve_is_at_its_end():
     """Asked for more speed than the spool passes, the integral stands still."""
-    motion = MOTION | {
-        "waypoints": ["50 mm", "350 mm"],
-        "speed": "3 m/s",
-        "acceleration": "20 m/s^2",
-    }
+    motion = MOTION | {"speed": "3 m/s", "acceleration": "20 m/s^2"}
+    motion |= {"waypoints": ["50 mm", "350 mm"]}
     gains = {"integral_bandwidth": "1 rad/s", "speed_correction": "10 m/s"}
     record, _ = run_trial(SLIDE, recipe(motion, gains))
     full = np.flatnonzero(record["press.limits"].astype(int)[:-1] & SATURATED)
@@ -128,7 +121,7 @@ MACHINES = {
 @pytest.mark.parametrize("on", ["model", "bench"])
 @pytest.mark.parametrize("name", MACHINES)
 def test_it_works_untuned_on_every_shipped_rig(name, on):
-    """With a payload that it is not told: within what a valve off by a third leaves, ε v/k, and in
+    """A payload that it is not told: within what a valve off by a third leaves, ε v/k, and in
     the end within 2 mm, of which the benches' sensors and deadbands take most.
     """
     cylinder, low, high, speed, payload = MACHINES[name]
@@ -146,18 +139,13 @@ def test_it_works_untuned_on_every_shipped_rig(name, on):
     np.testing.assert_allclose(asked, -gains["position_bandwidth"] * error, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("gains", "key"),
-    [
+def test_gains_that_cannot_work_are_refused():
+    low = {"position_bandwidth": "2 rad/s"}
+    for gains, key in (
         ({"position_bandwidth": "0 rad/s"}, "control.position_gain_range"),
-        (
-            {"position_bandwidth": "2 rad/s", "integral_bandwidth": "3 rad/s"},
-            "control.integral_above_bandwidth",
-        ),
+        (low | {"integral_bandwidth": "3 rad/s"}, "control.integral_above_bandwidth"),
         ({"position_gain": "2 rad/s"}, "trial.unknown_key"),
         ({"position_bandwidth": "2 mm"}, "trial.wrong_value"),
-    ],
-)
-def test_gains_that_cannot_work_are_refused(gains, key):
-    with pytest.raises(InputError, check=lambda error: error.key == key):
-        prepare(recipe(gains=gains), SLIDE)
+    ):
+        with refused(key):
+            prepare(recipe(gains=gains), SLIDE)

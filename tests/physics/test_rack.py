@@ -66,9 +66,8 @@ def test_a_rack_on_its_pinion_is_a_slide_of_the_mass_it_feels(sign, tmp_path):
     for word in ("x", "v", "p_head", "p_rod"):
         one, other = rack[f"press.{word}"], slide[f"press.{word}"]
         assert np.abs(one - other).max() < 1e-6 * np.ptp(other), word
-    assert rack["press.q"] == pytest.approx(
-        math.radians(30.0) + sign * rack["press.x"] / RADIUS, abs=1e-12
-    )
+    angle = math.radians(30.0) + sign * rack["press.x"] / RADIUS
+    assert rack["press.q"] == pytest.approx(angle, abs=1e-12)
 
 
 def test_a_rack_is_its_inverse():
@@ -95,10 +94,9 @@ def test_logs_of_its_angle_tell_the_oil(tmp_path):
         if (word := name.rpartition(".")[2]) in noise
     }
     log = Record(made.t, own, {})
-    fit = identify_hydraulics(
-        turned(tmp_path), [("a", log)], ["bulk_modulus", "carriage.joint_damping"]
-    )
-    for name, truth in (("bulk_modulus", 7.0e8), ("carriage.joint_damping", DAMPING)):
+    wanted = {"bulk_modulus": 7.0e8, "carriage.joint_damping": DAMPING}
+    fit = identify_hydraulics(turned(tmp_path), [("a", log)], list(wanted))
+    for name, truth in wanted.items():
         low, high = fit[name].interval or (0.0, 0.0)
         assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
     shifted = Record(made.t, own | {"press.x": made["press.x"] + 0.01}, {})
@@ -107,14 +105,12 @@ def test_logs_of_its_angle_tell_the_oil(tmp_path):
 
 def test_a_cylinder_has_one_linkage(tmp_path):
     pins = '[cylinder.pins]\nl_a = "0.7 m"\nl_b = "0.4 m"\nretracted_length = "0.55 m"\n\n'
-    text = text_of()
-    (tmp_path / "both.toml").write_text(
-        text.replace("[[cylinder.valve]]", pins + "[[cylinder.valve]]")
-    )
-    with pytest.raises(InputError, match="sits on 'pins' or drives a 'rack', not both"):
-        load_rig(tmp_path / "both.toml")
-    (tmp_path / "slide.toml").write_text(
-        SLIDE.replace("[[cylinder.valve]]", PINION.format(sign=1) + "[[cylinder.valve]]")
-    )
-    with pytest.raises(InputError, match="on a slide it has none"):
-        load_rig(tmp_path / "slide.toml")
+    rack = PINION.format(sign=1)
+    for text, more, said in (
+        (text_of(), pins, "sits on 'pins' or drives a 'rack', not both"),
+        (SLIDE, rack, "on a slide it has none"),
+    ):
+        file = tmp_path / "rig.toml"
+        file.write_text(text.replace("[[cylinder.valve]]", more + "[[cylinder.valve]]"))
+        with pytest.raises(InputError, match=said):
+            load_rig(file)

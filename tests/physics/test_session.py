@@ -36,14 +36,12 @@ class Mine:
         self.note = [1e3 * sample["press.v"]]
         return [40.0 * (desired.x - sample["press.x"]) + 20.0 * desired.v]
 """
-LAWS = {
-    "commands": {"command": [STEP], "duration": "1.1 s"},
-    **{
-        name: {"controller": {"kind": name, "gains": GAINS.get(name, {})}, "motion": MOTION}
-        for name in LAW_NAMES
-    },
-    "class": {"controller": {"class": "mine:Mine"}, "motion": MOTION},
+LAWS = {"commands": {"command": [STEP], "duration": "1.1 s"}}
+LAWS |= {
+    name: {"controller": {"kind": name, "gains": GAINS.get(name, {})}, "motion": MOTION}
+    for name in LAW_NAMES
 }
+LAWS |= {"class": {"controller": {"class": "mine:Mine"}, "motion": MOTION}}
 SPEED = {"speed_max": "70 mm/s"}
 
 
@@ -56,12 +54,9 @@ def trial(law, folder, **given):
 
 
 def same(one: Record, other: Record) -> bool:
-    return (
-        np.array_equal(one.t, other.t)
-        and list(one.channels) == list(other.channels)
-        and all(np.array_equal(one[name], other[name]) for name in one.channels)
-        and one.meta == other.meta
-    )
+    alike = np.array_equal(one.t, other.t) and one.meta == other.meta
+    alike &= list(one.channels) == list(other.channels)
+    return alike and all(np.array_equal(one[name], other[name]) for name in one.channels)
 
 
 @pytest.mark.slow
@@ -119,9 +114,8 @@ def test_a_wrong_first_pressure_is_told_once(tmp_path):
     right = trial("arc", tmp_path, on="bench")
     told, true = (one.first_rows(one.machine).sample for one in (prepared, right))
     off = dict(zip(prepared.machine.channels, (told - true).tolist(), strict=True))
-    assert {name: value for name, value in off.items() if value} == {
-        "press.p_head": pytest.approx(-4e5)
-    }
+    wrong = {name: value for name, value in off.items() if value}
+    assert wrong == {"press.p_head": pytest.approx(-4e5)}
     log = run(prepared).record["press.p_head"]
     assert log[0] < log[1] - 3e5
 
@@ -206,9 +200,8 @@ def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkey
     monkeypatch.setattr(session, "SESSION", replace(session.SESSION, wait=0.01, sync=0.0))
     short = MOTION | {"waypoints": ["150 mm", "170 mm"], "hold": "0.1 s"}
     prepared, seen = trial("class", tmp_path, motion=short), []
-    slow = CODE.replace(
-        "        return [", "        import time; time.sleep(5e-4)\n        return ["
-    )
+    pause = "        import time; time.sleep(5e-4)\n"
+    slow = CODE.replace("        return [", f"{pause}        return [")
     (tmp_path / "mine.py").write_text(slow)
 
     def told(_: str, share: float) -> None:

@@ -19,23 +19,11 @@ CHANGES |= {"supply_pressure": 0.8, "delay": "5 ms", "pressure_lag": "10 ms"}
 
 def machine(name, on, change):
     """The machine of a trial on a rig after a change."""
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "on": on,
-            **({"bench": f"bench/{name}.toml"} if on == "bench" else {}),
-            "motion": {
-                "kind": "velocity_steps",
-                "cylinder": RIGS[name],
-                "levels": ["10 %"],
-                "duration": "1 s",
-            },
-            "controller": {"kind": "open_loop"},
-            "machine": change,
-            "path": RECIPES / "trial.toml",
-        }
-    )
+    motion = {"kind": "velocity_steps", "cylinder": RIGS[name], "levels": ["10 %"]}
+    given = {"stage": "trial", "rig": "x.toml", "on": on, "machine": change}
+    given |= {"bench": f"bench/{name}.toml"} if on == "bench" else {}
+    given |= {"motion": motion | {"duration": "1 s"}, "controller": {"kind": "open_loop"}}
+    recipe = TrialRecipe.model_validate(given | {"path": RECIPES / "trial.toml"})
     return open_machine(recipe, shipped(name), None)
 
 
@@ -45,23 +33,14 @@ def plant_of(one):
 
 def flows(one, shift=0.0):
     """Flow [m³/s] of every edge at rising openings, ``shift`` [V] wider, and two drops."""
+    command = np.linspace(0.2, 0.9, 8) * one.commands.highest.max() + shift
+    drops = (1.0e6, 3.0e6)
     if hasattr(one, "static_flow"):
-        command = np.linspace(0.2, 0.9, 8)
-        return np.array(
-            [
-                one.static_flow(edge, command * one.commands.highest.max() + shift, drop)
-                for edge in one.layout.edges
-                for drop in (1.0e6, 3.0e6)
-            ]
-        )
-    plant, most = one.model.plant, one.commands.highest.max()
-    return np.array(
-        [
-            [edge_flow(drop, u * most + shift, edge, plant.maps) for u in np.linspace(0.2, 0.9, 8)]
-            for edge in plant.edges
-            for drop in (1.0e6, 3.0e6)
-        ]
-    )
+        edges = one.layout.edges
+        return np.array([one.static_flow(e, command, drop) for e in edges for drop in drops])
+    plant = one.model.plant
+    pairs = [(edge, drop) for edge in plant.edges for drop in drops]
+    return np.array([[edge_flow(d, u, edge, plant.maps) for u in command] for edge, d in pairs])
 
 
 def facts(one):
