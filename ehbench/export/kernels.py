@@ -20,7 +20,7 @@ import numba
 
 from ehbench.export import c99
 from ehbench.export.component import Component
-from ehbench.runtime.compiled import _FOLDER, WITHIN, Kernel
+from ehbench.runtime.compiled import FOLDER, WITHIN, Kernel
 from ehbench.runtime.disk import write_text
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
@@ -28,6 +28,7 @@ from ehbench.vocabulary.messages import message
 # no vectors, and nothing that only this machine's processor has
 PLAIN = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 PLAIN |= {"NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}
+PLAIN |= {"LLVMLITE_ENABLE_OPAQUE_POINTERS": "1"}  # of numba 0.61, as of all later ones
 NAME = "kernel"  # of the function in C
 
 
@@ -53,7 +54,7 @@ def kernels_of(components: Sequence[Component]) -> list[Kernels]:
         key = f"{item.kernel.__module__}.{item.kernel.__qualname__}({like})"
         inner = digest.copy()
         inner.update(key.encode())
-        places[item.name] = _FOLDER / f"export_{inner.hexdigest()[:16]}.json"
+        places[item.name] = FOLDER / f"export_{inner.hexdigest()[:16]}.json"
     jobs = {
         str(places[item.name]): (
             item.kernel.__module__,

@@ -47,12 +47,12 @@ def _cache_folder() -> Path:
     return PACKAGE / "__pycache__" / f"kernels_{digest.hexdigest()[:12]}"
 
 
-_FOLDER = _cache_folder()
+FOLDER = _cache_folder()
 
 
 def is_cold() -> bool:
     """Whether nothing is compiled yet, so that a first run takes a minute longer."""
-    return not (_SETTINGS.DISABLE_JIT or any(_FOLDER.rglob("*.nbc")))
+    return not (_SETTINGS.DISABLE_JIT or any(FOLDER.rglob("*.nbc")))
 
 
 @contextmanager
@@ -94,7 +94,7 @@ class Kernel:
     def __init__(self, function: Callable, options: Mapping[str, Any], kept: bool = True) -> None:
         update_wrapper(self, function)
         self._function, self._options = function, options
-        self._folder = str(_FOLDER) if kept else ""
+        self._folder = str(FOLDER) if kept else ""
         self._called = False
 
     def _dispatcher(self, folder: str, **more: Any) -> Any:
