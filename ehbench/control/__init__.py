@@ -1,5 +1,4 @@
-"""Controllers, compiled: pure functions on numbers. They see a rig only through its metering edges
-and areas."""
+"""Controllers, compiled: pure functions that see a rig by its metering edges and areas."""
 
 # the built-in controllers that a recipe can name, each in the file of its name
 LAW_NAMES = ("open_loop", "pressure_feedback", "position", "arc")

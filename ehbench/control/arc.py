@@ -39,22 +39,8 @@ from ehbench.control.functions import (
     widest,
 )
 from ehbench.control.law import Controller, Law
-from ehbench.control.map_learning import (
-    GAIN,
-    SHIFT,
-    MapMemory,
-    Seen,
-    begin,
-    learn_maps,
-    map_memory,
-)
-from ehbench.control.measured import (
-    Pressures,
-    load_force,
-    pressure_entries,
-    pressures,
-    write,
-)
+from ehbench.control.map_learning import GAIN, SHIFT, MapMemory, Seen, begin, learn_maps, map_memory
+from ehbench.control.measured import Pressures, load_force, pressure_entries, pressures, write
 from ehbench.control.oil_learning import (
     OIL,
     begin_oil,
@@ -211,8 +197,8 @@ COLUMNS = len(Telemetry._fields)
 
 
 class StrokeLaw(NamedTuple):
-    """Step 1: ``z1`` [m] and ``v_error`` [m/s] to the reference, ``z2 = v_error + k1 z1`` [m/s],
-    k1 [1/s] (0 where its correction is limited), ``a_eq`` [m/s²]."""
+    """Step 1: ``z1`` [m], ``v_error`` [m/s], ``z2 = v_error + k1 z1`` [m/s], k1 [1/s] (0 where
+    limited), ``a_eq`` [m/s²]."""
 
     z1: float
     v_error: float
@@ -245,8 +231,8 @@ class ForceLaw(NamedTuple):
 
 
 class Oil(NamedTuple):
-    """``head``, ``rod``: A/V of the chambers [1/m]; ``bulk`` [Pa] of the design; ``coupling``
-    [N/m], the oil's spring; leakage out of the head, into the rod end [m³/s]."""
+    """``head``, ``rod``: A/V of the chambers [1/m]; design's ``bulk`` [Pa]; ``coupling`` [N/m], the
+    oil's spring; leakage out of the head, into the rod end [m³/s]."""
 
     head: float
     rod: float
@@ -257,9 +243,8 @@ class Oil(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """What the task level decided: working function, its status, the slow load force [N] behind it,
-    whether the reference rests and the load stands, the speed [m/s] at which an error is corrected
-    then, and whether one spool opens both chambers."""
+    """The task level's function, status, slow load force [N]; whether the load rests, the speed
+    [m/s] of correction then; whether one spool opens both chambers."""
 
     function: int
     status: int
@@ -279,8 +264,7 @@ def project(estimate, rate, lower, upper):
 
 @kernel
 def adapt(estimates, rates, lower, upper, tick):
-    """Move the estimates, in place, over one tick; they cannot leave [lower, upper] whatever the
-    rates are."""
+    """Move the estimates over one tick, in place, within [lower, upper]."""
     for i in range(estimates.shape[0]):
         moved = estimates[i] + tick * project(estimates[i], rates[i], lower[i], upper[i])
         if not math.isnan(moved):
@@ -344,8 +328,8 @@ def spool_flows(function: int, required, head_gain, rod_gain, p, circuit):
 
 @kernel
 def bias_valves(axis, share, trim, command):
-    """Raise the cylinder's shut cartridges to ``share`` of the command at which they begin to pass
-    oil, as far as it is known (``trim``)."""
+    """Raise shut cartridges to ``share`` of the command at which they begin to pass oil (with
+    ``trim``)."""
     circuit = axis.circuit
     for i in range(circuit.count):
         edge = circuit.first + i
@@ -365,7 +349,7 @@ def clip(value, lower, upper):
 
 @kernel
 def place_joints(sample, axis, angles):
-    """Write the joint coordinates: measured where a cylinder drives the joint, else the design
+    """Write joint coordinates: measured where a cylinder drives the joint, else the design
     posture's."""
     mechanism = axis.mechanism
     for i in range(angles.shape[0]):
@@ -376,8 +360,8 @@ def place_joints(sample, axis, angles):
 
 @kernel
 def loads_along(reference, q, v, inertia, axis, memory):
-    """(`Load` now, `Load` a step ahead on the same motion), after `inertias`; where
-    the other joints move as well, both with what these add to it."""
+    """(`Load` now, a step ahead on the same motion), after `inertias`; with what other joints
+    add."""
     angles, work = memory.angles, memory.work
     if reference.shape[0] >= 2 * ORDERS:
         return loads_among(reference, q, v, ARC.ahead, axis, angles, memory.mass, work)
@@ -386,18 +370,9 @@ def loads_along(reference, q, v, inertia, axis, memory):
 
 
 @kernel
-def begin_state(x, v, p, load_force, state):
-    """Write the state of the first tick but for its estimates: at rest, the chamber that carries
-    the load metered."""
-    state.started, state.function, state.slow_load = 1, HOLD, load_force
-    state.x, state.v, state.standstill = x, v, math.inf
-    wait(load_force, p, state)
-
-
-@kernel
 def wait(load_force, p, state):
-    """Between two motions: the chamber that carries the load counts as metered, the set-point is
-    the other's pressure."""
+    """Between motions the loaded chamber counts as metered, the set-point is the other's
+    pressure."""
     state.metered = HEAD if load_force >= 0.0 else ROD
     state.set_point = p.rod if state.metered == HEAD else p.head
 
@@ -430,9 +405,9 @@ def begin_estimates(load_force, load, inertia, tip, gains, state):
 
 @kernel
 def ease(gains, ratio, state, table):
-    """The gains in force, one row in ``table``: k1 + k2 + k3 at most at ``bandwidth_limit`` by the
-    share of its frequency that the payload leaves the rig, and what follows from them with them.
-    ``ratio`` [1/kg] is what 1 kg adds to the inertia."""
+    """The gains in force, a row in ``table``: k1 + k2 + k3 at most ``bandwidth_limit`` times the
+    share of its frequency that a payload leaves the rig; ``ratio`` [1/kg]: what 1 kg adds to the
+    inertia."""
     share = 1.0
     if gains.bandwidth_limit > 0.0:
         total = gains.position_bandwidth + gains.speed_bandwidth + gains.force_bandwidth
@@ -499,8 +474,7 @@ def track_stroke(reference, x, v, gains):
 
 @kernel
 def robust(gain, uncertainty, tolerance, limit):
-    """``gain`` [1/s] and what keeps an error within ``tolerance`` under ``uncertainty``, at most
-    ``limit`` [1] of it."""
+    """``gain`` [1/s] and what keeps an error within ``tolerance``, at most ``limit`` [1] of it."""
     return gain + min(uncertainty * uncertainty / (4.0 * gain * tolerance**2), limit * gain)
 
 
@@ -570,8 +544,8 @@ def oil_at(x, p, load, axis, gains, estimates):
 
 @kernel
 def adapt_mechanics(learning, mixed, force, gains, memory):
-    """Write the rates of the three mechanical estimates: the gradient of both steps, or at rest of
-    the model's acceleration, which then is all error."""
+    """Write the rates of the mechanical estimates: the gradient of both steps, at rest of the
+    model's acceleration, all of which is error then."""
     estimates, rates = memory.state.estimates, memory.rates
     error = 0.0
     if learning == FREE:
@@ -586,8 +560,8 @@ def adapt_mechanics(learning, mixed, force, gains, memory):
 
 @kernel
 def load_rate(reference, load, ahead, stroke, force, v, axis, memory):
-    """(rate [N/s] of the required load force: with speed, along the stroke (``ahead`` is the `Load`
-    there), with time, by what is learnt; what of it the reference alone takes)."""
+    """(rate [N/s] of the required load force with speed, stroke (``ahead``), time and learning; the
+    reference's part of it)."""
     estimates, rates, cylinder = memory.state.estimates, memory.rates, axis.cylinder
     inverse, share = estimates[INVERSE_INERTIA], estimates[PAYLOAD_SHARE]
     moved = (
@@ -641,16 +615,6 @@ def required_speed(reference, oil, gains):
     Only the desired motion is corrected, so that the gain of the loop stays."""
     soon = reference.v + (gains.valve_lead + oil.later) * reference.a
     return soon * (1.0 + oil.more[0 if reference.v >= 0.0 else 1])
-
-
-@kernel
-def feed_forward(lead, v, oil, circuit):
-    """What the motion and the leakages take [1/s], ``head·Q1 + rod·Q2``; ``lead`` [m/s] is what
-    `required_speed` adds to the desired one."""
-    speed = v + lead
-    return oil.head * (circuit.area_head * speed + oil.lost_head) + oil.rod * (
-        circuit.area_rod * speed + oil.lost_rod
-    )
 
 
 @kernel
@@ -881,9 +845,7 @@ def limit_return(flow, area, way, choice):
 
 @kernel
 def learns_next(choice, limits, edge_limits, circuit):
-    """How the estimates learn at the next tick.
-
-    A saturated valve, or a metered path that cannot follow, must not teach; at standstill the
+    """How the estimates learn at the next tick: a saturated valve must not teach; at standstill the
     payload is estimated."""
     if choice.resting:
         return WEIGHED
@@ -980,8 +942,7 @@ def adapt_maps(choice, seen, command, axis, gains, memory, telemetry):
 
 @kernel
 def write_telemetry(reference, stroke, force, choice, flows, limits, memory, telemetry):
-    """Write the law's own columns of telemetry, and behind those of every law the corrections of
-    its edges."""
+    """Write the law's columns, and behind those of every law the corrections of its edges."""
     state, trim = memory.state, memory.maps.trim
     estimates, count = state.estimates, trim.shape[0]
     for i in range(count):
@@ -1034,7 +995,10 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     inertia, tip = inertias(axis, memory.angles, memory.work)
     starting = state.started == 0
     if starting:
-        begin_state(x, v, p, measured, state)
+        # at rest, the chamber that carries the load metered
+        state.started, state.function, state.slow_load = 1, HOLD, measured
+        state.x, state.v, state.standstill = x, v, math.inf
+        wait(measured, p, state)
         load = load_at(axis, q, inertia, memory.work)
         begin_estimates(measured, load, inertia, tip, design, state)
         begin(p, axis.onset, design, memory.maps)
@@ -1051,7 +1015,10 @@ def step(t, sample, reference, axis, design, memory, command, telemetry):
     mixed = stroke.z2 - weight * force.slope * force.z3
     adapt_mechanics(learning, mixed, force, gains, memory)
     rates = load_rate(desired, load, ahead, stroke, force, v, axis, memory)
-    required = feed_forward(required_speed(desired, memory.oil, gains) - desired.v, v, oil, circuit)
+    # what motion and leakages take [1/s], head·Q1 + rod·Q2
+    speed = v + (required_speed(desired, memory.oil, gains) - desired.v)
+    required = oil.head * (circuit.area_head * speed + oil.lost_head)
+    required += oil.rod * (circuit.area_rod * speed + oil.lost_rod)
     required += track_flow(rates, learning, weight, stroke, force, oil, gains, memory)
 
     spool_speed = required / (oil.head * circuit.area_head + oil.rod * circuit.area_rod)
@@ -1090,8 +1057,8 @@ def memory_of(axis: Axis) -> Memory:
 
 
 def eased_gains(used: Mapping[str, Any], law: Controller) -> dict[str, Any]:
-    """How far a payload reduced the bandwidths of a run at most, ``eased``, and the gains that were
-    in force then where they are not the design's, ``gains_under_load``, by name [SI]."""
+    """How far a payload reduced the bandwidths, ``eased``, and the changed ``gains_under_load``
+    [SI]."""
     state = law.memory.state
     if state.eased == 0.0:
         return {}

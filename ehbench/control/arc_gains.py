@@ -251,9 +251,8 @@ def _check(given: Mapping[str, float], tick: float, lag_budget: float | None) ->
 
 
 class _Place(NamedTuple):
-    """A posture: the ``load`` there, the share ``ratio`` [1/kg] of its inertia that 1 kg at the tip
-    adds, the frequency ``swing`` [rad/s] at which the bare rig swings on its oil, and its damping
-    b/m [1/s]."""
+    """A posture: ``load``, share ``ratio`` [1/kg] of its inertia that 1 kg at the tip adds,
+    ``swing`` [rad/s] of the bare rig on its oil, damping b/m [1/s]."""
 
     load: Load
     ratio: float
@@ -312,9 +311,8 @@ def _total(point: DesignPoint, unsure: Adaptation, places: Sequence[_Place]) -> 
 
 
 class _Learning(NamedTuple):
-    """The ``rate`` of each estimate, and that which a bandwidth of 1 rad/s would make; the
-    ``answer`` [s] of the loop to an error of acceleration, and what the acceleration may be wrong
-    by, ``unknown`` [m/s²]."""
+    """``rate`` of each estimate, the same at a bandwidth of 1 rad/s; the loop's ``answer`` [s] to
+    an error of acceleration, the ``unknown`` acceleration [m/s²]."""
 
     rate: np.ndarray
     per_bandwidth: np.ndarray
@@ -356,9 +354,8 @@ def _learning(
 
 
 class _Sensitivity(NamedTuple):
-    """How errors of the estimates show in quiet motion: the regressors ``phi`` at a middling
-    payload, the loop's ``answer`` [s] to an error of acceleration, and the frequency ``omega``
-    [rad/s] of the coupling."""
+    """Regressors ``phi`` at a middling payload, ``answer`` [s] of the loop to an error of
+    acceleration, frequency ``omega`` [rad/s] of the coupling."""
 
     phi: np.ndarray
     answer: float
@@ -366,8 +363,7 @@ class _Sensitivity(NamedTuple):
 
 
 def _regressors(load: Load, span: float) -> np.ndarray:
-    """Regressors of the mechanical estimates at a middling payload; 1 m/s² stands for the
-    accelerations that tell the inertia."""
+    """Regressors of the mechanical estimates at a middling payload and 1 m/s²."""
     return np.array(
         [1.0 + 0.5 * abs(load.pull) * span / load.mass, load.pull / load.mass, 1.0 / load.mass]
     )
@@ -376,8 +372,8 @@ def _regressors(load: Load, span: float) -> np.ndarray:
 def _sensitivity(
     place: _Place, span: float, bandwidths: Mapping[str, float], coupling: float
 ) -> _Sensitivity:
-    """In a posture: an acceleration error Δ shows as mixed = −answer·Δ, so that θ̂' = Γ φ
-    mixed makes Δ' = −adaptation·Δ."""
+    """An acceleration error Δ shows as mixed = −answer·Δ, so θ̂' = Γ φ mixed makes Δ' =
+    −adaptation·Δ."""
     load = place.load
     k1, k2, k3 = bandwidths.values()
     omega = coupling or place.swing

@@ -80,8 +80,7 @@ class Load(NamedTuple):
 
 @kernel
 def inertias(axis, angles, work):
-    """(D_jj, what 1 kg at the tip adds to it) about the axis's joint [kg·m²], or [kg] of a slide;
-    q_j does not matter. ``work`` then is turned to the ``angles``."""
+    """(D_jj, what 1 kg at the tip adds) about the axis's joint [kg·m²] or [kg]; turns ``work``."""
     j, mechanism = axis.cylinder.joint, axis.mechanism
     turn(mechanism.links, angles, work)
     inertia = inertia_turned(mechanism.kind, mechanism.links, j, work)
@@ -90,8 +89,7 @@ def inertias(axis, angles, work):
 
 @kernel
 def load_at(axis, q, inertia, work):
-    """The `Load` at joint coordinate q, after `inertias`, which gives D_jj and turned the other
-    joints."""
+    """The `Load` at joint coordinate q, after `inertias`, which turned the other joints."""
     j, mechanism = axis.cylinder.joint, axis.mechanism
     _, lever, curve = linkage_of(axis.cylinder, q)
     torque = work[work.shape[0] - mechanism.links.shape[0] :]

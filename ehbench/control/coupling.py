@@ -28,8 +28,7 @@ class Joints(NamedTuple):
 
 @kernel
 def _terms(axis, links, joints, mass, work):
-    """(D_jj, c_j + h_j + Σ_{k≠j} D_jk q̈_k) of some links about the axis's joint j, after
-    `turn`."""
+    """(D_jj, c_j + h_j + Σ_{k≠j} D_jk q̈_k) of some links about joint j, after `turn`."""
     j, n, mechanism = axis.cylinder.joint, links.shape[0], axis.mechanism
     torque = work[work.shape[0] - n :]
     bias_turned(mechanism.kind, links, mechanism.gravity, joints.rates, torque, work)

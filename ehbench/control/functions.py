@@ -151,8 +151,7 @@ class Circuit(NamedTuple):
 
 @kernel
 def widest(circuit, edge, drop):
-    """Command [V] that opens an edge as far as its driver, and its map if it has one, allow;
-    ``drop`` [Pa] along the edge."""
+    """Command [V] that opens an edge as far as driver and map allow at a ``drop`` [Pa] along it."""
     valve = circuit.edges[edge].valve
     sign = circuit.edges[edge].sign
     reach = circuit.highest[valve] if sign > 0.0 else -circuit.lowest[valve]
@@ -162,8 +161,8 @@ def widest(circuit, edge, drop):
 
 @kernel
 def supply_pressure(chamber, p, circuit):
-    """Pressure [Pa] at which an edge to a ``chamber`` [Pa] finds the supply: that which is
-    measured, the low rail's, or what a load-sensing pump is about to bring."""
+    """Pressure [Pa] at an edge to a ``chamber`` [Pa]: measured, the low rail's, or soon the
+    pump's."""
     return offered(p.supply, chamber, circuit.supply[0])
 
 
@@ -183,8 +182,7 @@ def path_drop(path, p, circuit):
 
 @kernel
 def metering_drop(path, p, circuit):
-    """Pressure drop [Pa] along a path for which its edge is opened: as `path_drop`, but from the
-    supply's pressure that is there already."""
+    """As `path_drop`, but from the supply's pressure that is there already."""
     if path == SUPPLY_HEAD:
         return metered_at(p.supply, p.head, circuit.supply[0]) - p.head
     if path == SUPPLY_ROD:
@@ -194,8 +192,7 @@ def metering_drop(path, p, circuit):
 
 @kernel
 def capacity(circuit, path, drop):
-    """Largest flow [m³/s] that a path carries at a drop [Pa] along it: its edge at full command; 0
-    where there is none."""
+    """Largest flow [m³/s] of a path at a drop [Pa] along it; 0 without an edge."""
     edge = circuit.paths[path]
     if edge < 0 or drop <= 0.0:
         return 0.0
@@ -276,8 +273,7 @@ def raised_feasible(function, active, v_d, load_force, p_supply, circuit, rules)
 
 @kernel
 def suits(function, way, along, circuit, rules):
-    """True for a working function of this direction (±1) and load (1 along the motion) that the
-    circuit can do and the rules allow."""
+    """True for a function of this direction (±1) and load that circuit and rules allow."""
     return (
         DIRECTION[function] == way
         and OVERRUNNING[function] == along
@@ -288,8 +284,8 @@ def suits(function, way, along, circuit, rules):
 
 @kernel
 def planned(function, load_force, p, circuit, rules):
-    """`Pressures` at which a function carries a load [N] in steady motion: the off-side chamber at
-    its set-point, the other by the balance of forces; NaN where areas allow none."""
+    """`Pressures` at which a function carries a load [N] in steady motion: the off-side at its set-
+    point, the other by the balance of forces; NaN where areas allow none."""
     a1, a2, low = circuit.area_head, circuit.area_rod, p.tank + rules.low_pressure
     if RAISED[function]:
         head = (load_force + rules.cross_drop * a2) / (a1 - a2) if a1 > a2 else math.nan
@@ -301,9 +297,8 @@ def planned(function, load_force, p, circuit, rules):
 
 @kernel
 def carries(function, active, v_d, plan, circuit, rules):
-    """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no chamber runs
-    empty, ``supply_margin`` remains for metering, and every path passes its share; a function that
-    is ``active`` stays more easily."""
+    """True where a function carries ``v_d`` [m/s] at its `planned` pressures: no empty chamber,
+    ``supply_margin`` left, every path passes its share; an ``active`` one stays more easily."""
     headroom, speed = 1.0 if active else 1.0 + rules.reserve, abs(v_d)
     filled = FUNCTION.filled_active if active else FUNCTION.filled
     minimum = plan.tank + filled * rules.low_pressure
@@ -358,8 +353,8 @@ def least_power(now, way, v_d, load_force, p, circuit, rules):
 
 @kernel
 def ranked(now, way, v_d, load_force, p, circuit, rules):
-    """(function, status) of a direction: of those that suit the load and are feasible the one that
-    draws least from the supply; the plainest of them where none is."""
+    """(function, status): of those that suit and are feasible the one that draws least; else the
+    plainest."""
     same = DIRECTION[now] == way
     band = 0.0 if not same else (-rules.force_band if OVERRUNNING[now] == 1 else rules.force_band)
     along = 1 if -way * load_force > band else 0
@@ -582,8 +577,7 @@ def _edges_at(edges: np.recarray, cylinder: int, nodes: tuple[int, int]) -> np.n
 
 
 def _serving(circuit: Circuit, touching: np.ndarray, between: tuple[int, int]) -> tuple[int, float]:
-    """(edge that carries most from one node to another, ``probe_drop`` beyond what cracks it,
-    its direction); −1 for none."""
+    """(edge that carries most between two nodes at ``probe_drop``, its direction); −1 for none."""
     serving, along, maximum = -1, 1.0, 0.0
     edges = circuit.edges
     ends = list(zip(edges.from_node.tolist(), edges.to_node.tolist(), strict=True))
@@ -602,8 +596,8 @@ def _serving(circuit: Circuit, touching: np.ndarray, between: tuple[int, int]) -
 
 
 def _able(paths: np.ndarray, edges: np.recarray) -> list[bool]:
-    """Of each function, whether every path has an edge whose command opens no other, and no plain
-    one makes a spare one needless."""
+    """Which functions have an edge on every path whose command opens no other; a spare one only
+    where no plain one serves."""
     touching = ((edges.from_node >= 2) | (edges.to_node >= 2)).tolist()
     commands = list(zip(edges.valve.tolist(), edges.sign.tolist(), strict=True))
     able = []
@@ -631,8 +625,8 @@ def able_functions(circuit: Circuit, lost: int = -1) -> list[bool]:
 
 
 def _domains(edges: np.ndarray, measured: Sequence | None) -> tuple[np.ndarray, np.ndarray]:
-    """(all validity domains back to back: count, commands, lowest drops, highest drops; where each
-    edge's two start, −1 for none)."""
+    """(validity domains: count, commands, lowest and highest drops; where each edge's two start, or
+    −1)."""
     parts, at, size = [np.zeros(1)], np.full((edges.shape[0], 2), -1, np.int64), 1
     for edge, row in enumerate(edges):
         pair = None if measured is None else measured[edge]

@@ -48,8 +48,8 @@ class Required(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """Numbers of a controller: the record that its ``step`` takes, and what it ran with, by name
-    [SI], for ``measures`` of ``trial.json``."""
+    """The record that a controller's ``step`` takes, and its numbers by name [SI] for
+    ``trial.json``."""
 
     gains: np.record
     used: dict[str, Any]

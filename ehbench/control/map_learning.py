@@ -57,11 +57,10 @@ MAP_LEARNING = constants(MapLearningSettings())
 
 
 class MapMemory(NamedTuple):
-    """``trim``, (gain, shift [V]) of each edge, shape (edges, 2), on its way to what is estimated;
-    ``edges`` and ``chambers``, what is learnt from, columns above; ``into``, +1 where an edge's
-    flow enters the head or the rod end, −1 where it leaves, shape (edges, 2); ``clock``, shape
-    (1,), for how long [s] flows were quiet; ``added``, shape (2,), what the last correction adds to
-    the flow into the head and the rod end at the same commands [m³/s]."""
+    """``trim``, (gain, shift [V]) of each edge, shape (edges, 2); ``edges`` and ``chambers``,
+    columns above; ``into``, +1 where an edge's flow enters the head or rod end, −1 where it leaves;
+    ``clock`` [s] of quiet flow; ``added``, by the last correction, to the flows into both ends
+    [m³/s]."""
 
     trim: np.ndarray
     edges: np.ndarray
@@ -181,8 +180,7 @@ def learn_maps(quiet, resting, seen, allocated, command, axis, gains, maps):
 
 @kernel
 def changed(side, maps):
-    """By how much the flow [m³/s] that was to pass into a chamber changes within the time of the
-    low-pass."""
+    """Change of the flow [m³/s] into a chamber within the time of the low-pass."""
     flow = 0.0
     for i in range(maps.edges.shape[0]):
         row = maps.edges[i]
@@ -198,8 +196,8 @@ def by_correction(row, trim):
 
 @kernel
 def correct(side, passed, variance, minimum, maps):
-    """Correct the estimates of the edges at a chamber by the flow [m³/s] that ``passed`` into it;
-    ``minimum`` is what an edge must pass to be corrected."""
+    """Correct the edges at a chamber by the flow [m³/s] that ``passed`` into it; an edge must pass
+    ``minimum`` to be corrected."""
     error, spread = passed, 0.0
     for i in range(maps.edges.shape[0]):
         row, way = maps.edges[i], maps.into[i, side]
@@ -227,8 +225,8 @@ def correct(side, passed, variance, minimum, maps):
 
 @kernel
 def within(row, gains):
-    """(gain, shift [V]) of an edge as estimated, within ``map_error`` and ``deadband_error``: what
-    one of them may not take the other does, as far as they correlate."""
+    """(gain, shift [V]) of an edge within ``map_error`` and ``deadband_error``: what one may not
+    take the other does, as far as they correlate."""
     widest, maximum = 1.0 + gains.map_error, gains.deadband_error
     gain = min(max(row[BEST_GAIN], 1.0 / widest), widest)
     shift = row[BEST_SHIFT]
@@ -240,8 +238,8 @@ def within(row, gains):
 
 @kernel
 def approach(ready, rate, gains, maps):
-    """Let the corrections in force go to the estimates at a ``rate`` [rad/s]. What they ``added``
-    to the flow counts where flows are compared, elsewhere hardly any passes."""
+    """Let the corrections in force follow the estimates at a ``rate`` [rad/s]; what they ``added``
+    counts where flows are compared."""
     share = min(rate * gains.tick, 1.0)
     for i in range(maps.edges.shape[0]):
         row, trim = maps.edges[i], maps.trim[i]

@@ -91,8 +91,7 @@ def begin_oil(load, bulk, memory):
 @kernel
 def restart_for(payload, other, memory):
     """Drop the estimates where the ``payload`` [kg] differs by more than ``other`` [kg], and learn
-    nothing until the function changes or the motion ends: until then the motion corrects an error
-    that shows little of the oil."""
+    nothing until the function changes or the motion ends."""
     if math.isnan(memory.payload):
         memory.payload = payload
     if abs(payload - memory.payload) > other:
@@ -139,8 +138,8 @@ def learn_oil(quiet, given, moved, maximum, load, gains, memory):
 
 @kernel
 def take(part, memory):
-    """Let the law take over ``part`` of the difference to the estimates. It leads by no less than
-    the design's lag: it would give a load less flow where it speeds up."""
+    """Let the law take ``part`` of the difference to the estimates, leading by the design's lag at
+    least."""
     result, softest = memory.estimates, OIL_LEARNING.softest
     softer = min(max(result[SOFTER], 1.0 / softest - 1.0), softest - 1.0)
     memory.softer += part * (softer - memory.softer)
@@ -152,17 +151,15 @@ def take(part, memory):
 
 @kernel
 def lacking(way, memory):
-    """Missing share of the flow in a direction, ±1, as far as the law takes it; negative where
-    there is too much."""
+    """Missing share of the flow in a direction, ±1, that the law takes; negative for too much."""
     share, largest = memory.estimates[MORE if way > 0 else BACK], OIL_LEARNING.largest
     return min(max(share, -largest), largest)
 
 
 @kernel
 def credit_maps(added, memory):
-    """Take from the missing share what corrected maps make up for: by them the same commands pass
-    ``added`` [N/s] more, as β0 times a relative change of volume. What that share implied for the
-    other direction goes with it."""
+    """Take from the missing share what corrected maps add, ``added`` [N/s] as β0 times a relative
+    change of volume; the other direction follows."""
     passed = memory.passed[1]
     if passed != 0.0 and memory.quiet >= 0.0:
         way, other = (MORE, BACK) if passed > 0.0 else (BACK, MORE)
@@ -176,7 +173,7 @@ def credit_maps(added, memory):
 @kernel
 def correct_oil(missing, rate, turn, passed, variance, tick, memory):
     """One step of least squares: ``missing`` [N/s] is SOFTER·``rate`` + LATER·``turn`` +
-    MORE·``passed``, or BACK in retraction, with a ``variance``."""
+    MORE·``passed``, or BACK in retraction."""
     result, sure, moves, part = (
         memory.estimates,
         memory.covariance,

@@ -1,5 +1,4 @@
-"""The desired speed alone: the law of pressure feedback without any feedback, the off-side's
-included."""
+"""The desired speed alone: pressure feedback without any feedback."""
 
 from __future__ import annotations
 

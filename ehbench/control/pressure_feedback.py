@@ -285,8 +285,7 @@ def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
 def pack(
     point: DesignPoint, gains: Mapping[str, Any], rules: np.record, shaping: np.record
 ) -> Packed:
-    """The gains at a design point; by default the off-side pressure follows with ``off_rate`` in
-    the larger chamber."""
+    """The gains at a design point; the off-side follows with ``off_rate`` by default."""
     cylinder = point.axis.cylinder
     volume = max(chamber_oil(cylinder, side, point.stroke) for side in range(2))
     defaults = {

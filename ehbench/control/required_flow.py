@@ -1,5 +1,4 @@
-"""The flow that a desired motion requires of the supply: the load by the equations of motion, the
-working functions that carry it, their oil."""
+"""The supply's flow for a desired motion: load by the equations of motion, functions, their oil."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ def _flows(v, load, line, tick, circuit, rules, out):
 
 
 class Motion(NamedTuple):
-    """A cylinder's motion, shape (samples,): its speed ``v`` [m/s], the ``torque`` of its joint
-    [N·m], see `torques`, and the joint's coordinate ``q`` [rad or m]."""
+    """A cylinder's motion, shape (samples,): ``v`` [m/s], ``torque`` of its joint [N·m], ``q``."""
 
     v: np.ndarray
     torque: np.ndarray

@@ -19,8 +19,8 @@ from ehbench.vocabulary.messages import message
 
 
 class Reference(NamedTuple):
-    """What the cylinder shall do now: stroke x [m], speed v [m/s], acceleration a [m/s²], jerk j
-    [m/s³], extension positive; a row of a table."""
+    """Desired stroke x [m], speed v, acceleration a, jerk j [SI], extension positive; a row of a
+    table."""
 
     x: float
     v: float
@@ -45,15 +45,13 @@ _QUINTIC_SLOPE, _QUINTIC_CURVE = 15.0 / 8.0, 10.0 / math.sqrt(3.0)
 
 
 def _polynomial(coefficients: np.ndarray, tau: np.ndarray, order: int) -> np.ndarray:
-    """The ``order``-th derivative (−1: the integral from 0) of a polynomial with ascending
-    coefficients."""
+    """The ``order``-th derivative (−1: integral from 0) of a polynomial, ascending coefficients."""
     poly = np.polynomial.Polynomial(coefficients)
     return (poly.integ() if order < 0 else poly.deriv(order) if order else poly)(tau)
 
 
 class _Move:
-    """One move from rest to rest over ``distance`` > 0; ``at(τ)`` gives (n, 4) at times from its
-    start."""
+    """A move from rest to rest over ``distance`` > 0; ``at(t)`` gives (n, 4)."""
 
     def __init__(
         self, distance: float, speed: float, acceleration: float, jerk: float, profile: Profile
@@ -252,8 +250,7 @@ def with_preview(table: np.ndarray, speed: np.ndarray, ahead: float, tick: float
 
 @kernel
 def speeds_soon(row):
-    """(smallest, largest) desired speed [m/s] of the time to come that a row knows of, see
-    `with_preview`; of a row without it the present one."""
+    """(smallest, largest) speed [m/s] to come, see `with_preview`; without it the present one."""
     columns = row.shape[0]
     if columns % ORDERS == PREVIEWED:
         return row[columns - 2], row[columns - 1]
@@ -296,8 +293,8 @@ def filter_speed(v_d, tick, shaping, shaped):
 
 @kernel
 def limit_speed(v_d, tick, shaping, shaped):
-    """One tick of the time-optimal approach within acceleration_max and jerk_max that does not
-    overshoot (Han's discrete fhan)."""
+    """One tick within acceleration_max and jerk_max, time-optimal without overshoot (Han's
+    fhan)."""
     maximum, jerk = shaping.acceleration_max, shaping.jerk_max
     e = v_d - shaped.speed
     if jerk <= 0.0:

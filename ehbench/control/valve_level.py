@@ -48,8 +48,8 @@ def _interpolated(x, data, grid, values, count):
 
 @kernel
 def inside(circuit, edge, drop, command):
-    """True where readings surround (drop [Pa] along the edge, command [V]), as `FlowMap.inside`;
-    always for analytic laws."""
+    """True where readings surround (drop [Pa] along the edge, command [V]); always for analytic
+    laws."""
     if circuit.edges[edge].law != MAP:
         return True
     first = circuit.domain_at[edge, 0 if drop >= 0.0 else 1]
@@ -101,8 +101,7 @@ def edge_order(circuit, path, flow, drop, floor):
 
 @kernel
 def shut(circuit, command, flows, limits):
-    """Shut the cylinder's valves: write the commands nearest to 0 V into ``command`` and zeros into
-    ``flows, limits``."""
+    """Shut the cylinder's valves: commands nearest to 0 V, zeros into ``flows, limits``."""
     for i in range(circuit.count):
         valve = circuit.edges[circuit.first + i].valve
         command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
@@ -156,7 +155,10 @@ def allocate(function, required, p, floor, circuit, command, flows, limits):
         flows[edge - circuit.first] = circuit.along[path] * flow
         limits[edge - circuit.first] = bits
         met |= bits
-    bring_to_rest(circuit, command)
+    for i in range(circuit.count):  # 0 V is the nearest that the driver takes
+        valve = circuit.edges[circuit.first + i].valve
+        if command[valve] == 0.0:
+            command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
     return met
 
 
@@ -169,18 +171,8 @@ def beyond_measured(circuit, path, flow, drop, command, bits):
     return 0
 
 
-@kernel
-def bring_to_rest(circuit, command):
-    """Set commands of 0 V to the nearest that the driver takes."""
-    for i in range(circuit.count):
-        valve = circuit.edges[circuit.first + i].valve
-        if command[valve] == 0.0:
-            command[valve] = min(max(0.0, circuit.lowest[valve]), circuit.highest[valve])
-
-
 def top_speed(function: int, p: Pressures, circuit: Circuit) -> float:
-    """Largest speed [m/s], ≥ 0, at which every edge of a working function carries its share at
-    these pressures."""
+    """Largest speed [m/s], ≥ 0, at which every edge of a function carries its share."""
     fastest = math.inf
     for path in range(len(PATHS)):
         a, b = PATH_FLOWS[function, path]

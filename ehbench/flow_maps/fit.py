@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ehbench.data.flowmeter import FlowmeterData
-from ehbench.flow_maps.readings import (
-    SETTINGS as READING,
-)
+from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import (
     FlowMapOptions,
     Noise,

@@ -90,13 +90,20 @@ def prepare_readings(
         rows = _commanded(valve, rows, driver, edge, leave_out, losses)
         opened = replace(rows, command=edge.sign * rows.command + 0.0)
         groups.setdefault((name, side, edge.sign), []).append(opened)
-    edges = []
+    edges, limit = [], float(rig.supply.flow_limit)
     for (name, side, sign), group in groups.items():
         rows = group[0] if len(group) == 1 else merge_flowmeter(group)
         # of a file once
         items = [item for file in np.unique(rows.file).tolist() for item in notes.pop(file, ())]
         show = _units(rig, sign)
-        items += [*_flow_notes(rig, rows, show), *_warming(rows, show, rig.unit_of("temperature"))]
+        # a slip of unit is in all rows: far from what the supply can give
+        high, largest = float(np.quantile(rows.flow, 0.9)), float(rows.flow.max())
+        odd = largest < SETTINGS.small_flow * limit or high > SETTINGS.large_flow * limit
+        if 0.0 < limit < np.inf and odd:
+            flow = high if high > limit else largest
+            fields = {"flow": show.flow(flow), "ratio": flow / limit, "limit": show.flow(limit)}
+            items.append(message("flow_maps.flow_and_supply", **fields))
+        items += _warming(rows, show, rig.unit_of("temperature"))
         edges.append(EdgeReadings(name, side, sign, rows, tuple(items)))
     return PreparedReadings(rig, tuple(edges), tuple(losses))
 
@@ -146,24 +153,6 @@ def _file_notes(part: FlowmeterData) -> Iterator[str]:
     if again:
         lines = ", ".join(map(str, again[:5])) + (", …" if len(again) > 5 else "")
         yield message("flow_maps.repeated_rows", file=name, count=len(again), lines=lines)
-
-
-def _flow_notes(rig: Rig, rows: FlowmeterData, show: Units) -> Iterator[Message]:
-    """Flows that a slip of unit would explain: far from what the supply can give."""
-    limit = float(rig.supply.flow_limit)
-    # a slip of unit is in all rows
-    high, largest = float(np.quantile(rows.flow, 0.9)), float(rows.flow.max())
-    if not 0.0 < limit < np.inf:
-        return
-    if SETTINGS.small_flow * limit <= largest and high <= SETTINGS.large_flow * limit:
-        return
-    flow = high if high > limit else largest
-    yield message(
-        "flow_maps.flow_and_supply",
-        flow=show.flow(flow),
-        ratio=flow / limit,
-        limit=show.flow(limit),
-    )
 
 
 def _edge_of(

@@ -43,9 +43,8 @@ OVERLAP = {"hann": 0.5, "boxcar": 0.0}
 
 
 class Averaging(NamedTuple):
-    """How logs are averaged: the length of a ``segment`` [s] (None: 8 averages of the shortest
-    log), its ``window``, the ``coherence`` from which a frequency counts, the largest
-    ``frequency`` [Hz]."""
+    """How logs are averaged: ``segment`` [s] (None: 8 averages), ``window``, least ``coherence``,
+    largest ``frequency`` [Hz]."""
 
     segment: float | None = None
     window: str = "hann"
@@ -143,8 +142,8 @@ _GAINS = ("gain", "gain_low", "gain_high")
 
 @dataclass(frozen=True)
 class Curve:
-    """A frequency response to be kept and drawn, at ``frequency`` [Hz]: ``gain`` in SI of output
-    over input, ``phase`` [deg], ``coherence``, and where it is ``coherent`` enough to count."""
+    """A response to be drawn at ``frequency`` [Hz]: ``gain`` [SI], ``phase`` [deg],
+    ``coherence``."""
 
     frequency: tuple[float | None, ...]
     gain: tuple[float | None, ...]
@@ -313,8 +312,8 @@ def transfer_of(signals: Signals) -> np.ndarray:
 
 
 def _spectra(signals: Signals) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(frequency [Hz], G_xx, G_yy, G_xy) averaged over all segments of all logs, without the mean
-    and what lies above the largest frequency."""
+    """(frequency [Hz], G_xx, G_yy, G_xy) averaged over all segments, up to the largest
+    frequency."""
     from scipy.signal import ShortTimeFFT
 
     size = signals.size

@@ -1,2 +1,1 @@
-"""Machines that a trial can run on, all behind one protocol (`ehbench.machines.protocol`): the
-model, and the virtual bench."""
+"""Machines that a trial can run on, behind one protocol (`ehbench.machines.protocol`)."""

@@ -1,5 +1,5 @@
-"""A simulated machine on which something fails at a given time: a sensor, a valve, the supply, the
-link, the controller."""
+"""A simulated machine on which a sensor, valve, supply, link or controller fails at a given
+time."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ Effect = Callable[[Failure, float, float], float]  # (failure, t [s], value as i
 
 
 class Kind(NamedTuple):
-    """What a kind of fault acts on, ``sensor``, ``valve`` or ``machine``, and its effect on a value
-    of it; ``needs`` a size."""
+    """Where a kind of fault acts, ``sensor``, ``valve`` or ``machine``, its effect, if it ``needs``
+    a size."""
 
     place: str
     effect: Effect | None = None
@@ -195,8 +195,7 @@ class FaultyMachine:
         return [item for item in self._failures if KINDS[item.fault.kind].place == place]
 
     def _arrived(self, command: np.ndarray, t: float) -> np.ndarray:
-        """The command [V] that acts: later where the controller is late, at rest where the link is
-        lost for longer than the watchdog waits."""
+        """The command [V] that acts: late with the controller, at rest without a link."""
         for failure in self._of("machine"):
             if failure.fault.kind == "controller_late":
                 late = float(failure.fault.duration) if failure.active(t) else 0.0

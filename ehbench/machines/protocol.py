@@ -9,7 +9,7 @@ can do stands behind an attribute of its own that a machine may have or lack: se
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -24,8 +24,7 @@ Advance = Callable[[int, int], int]  # (first row, row after the last) → row a
 
 
 class Inputs(NamedTuple):
-    """The commands that a machine takes: names of its valves, the ends of each driver's range [V]
-    and where each rests [V], shape (valves,)."""
+    """The commands of a machine: valves' names, ranges [V] and rest [V], shape (valves,)."""
 
     names: tuple[str, ...]
     lowest: np.ndarray
@@ -145,11 +144,6 @@ class Truth(Protocol):
         ...
 
 
-def truth_of(machine: Machine) -> Truth | None:
-    """What a simulated machine can say of itself beyond its sensors; None of one that cannot."""
-    return getattr(machine, "truth", None)
-
-
 class Hidden(Protocol):
     """What a simulated machine knows and no log holds, as the attribute ``hidden`` of a machine:
     only a trial's own measures are taken of it.
@@ -165,71 +159,45 @@ class Hidden(Protocol):
         ...
 
 
-def hidden_of(machine: Machine) -> Hidden | None:
-    """What a machine knows of itself that its log does not hold; None of one that knows nothing."""
-    return getattr(machine, "hidden", None)
+def _attribute(name: str, default: Any = None) -> Callable[[Machine], Any]:
+    """What a machine has as an attribute of its own, else the default."""
+    return lambda machine: getattr(machine, name, default)
 
 
-def stamp_of(machine: Machine) -> Stamp | None:
-    """The stamp of a machine's last sample; None of one whose ticks are time itself."""
-    return getattr(machine, "stamp", None)
-
-
-def unmeasured_of(machine: Machine) -> tuple[str, ...]:
-    """The channels that a machine has no sensor for, nan in every sample; none by default."""
-    return getattr(machine, "unmeasured", ())
-
-
-def reasons_of(machine: Machine) -> tuple[str, ...]:
-    """Why a machine may stop by itself, by the number in its stamp."""
-    return getattr(machine, "reasons", ())
-
-
-def applied_of(machine: Machine) -> np.ndarray | None:
-    """The commands [V] that acted in the last tick of a machine that reports them: it may have
-    clamped those that it got, or made them itself; None of one whose commands act as they are."""
-    return getattr(machine, "applied", None)
+# what a simulation can say of itself beyond its sensors, and what no log holds
+truth_of: Callable[[Machine], Truth | None] = _attribute("truth")
+hidden_of: Callable[[Machine], Hidden | None] = _attribute("hidden")
+# the stamp of the last sample; none where ticks are time itself
+stamp_of: Callable[[Machine], Stamp | None] = _attribute("stamp")
+# channels without a sensor, nan in every sample
+unmeasured_of: Callable[[Machine], tuple[str, ...]] = _attribute("unmeasured", ())
+# why it may stop by itself, by the number in its stamp
+reasons_of: Callable[[Machine], tuple[str, ...]] = _attribute("reasons", ())
+# commands [V] that acted in the last tick, where these are not those that were given
+applied_of: Callable[[Machine], np.ndarray | None] = _attribute("applied")
+# how a machine that makes its own commands is stopped
+halt_of: Callable[[Machine], Callable[[], None] | None] = _attribute("halt")
+# whether it goes on while its controller thinks; a simulation waits
+in_real_time: Callable[[Machine], bool] = _attribute("real_time", False)
+# by a seed, the same machine with other noise of its sensors
+seeded_of: Callable[[Machine], Callable[[int], Machine] | None] = _attribute("seeded")
+# takes up another payload at once, at the speed that it has; raises InputError for an unknown one
+carry_of: Callable[[Machine], Callable[[str | None], None] | None] = _attribute("carry")
+# whether its valves may have a hysteresis
+plays_of: Callable[[Machine], bool] = _attribute("plays", True)
+# ``advance(rows, laws, often)`` gives a function of (first, stop) that runs these rows in one
+# compiled call, to the bit as `ehbench.trial.session` does tick by tick, under laws or as the table
+# says; it returns the row at which a limit was reached, before its tick, or −1. ``often``: it will
+# be called for every row
+advance_of: Callable[[Machine], Callable[[Rows, Controls | None, bool], Advance] | None]
+advance_of = _attribute("advance")
 
 
 def heard_of(machine: Machine) -> tuple[np.ndarray, np.ndarray] | None:
     """All that a machine in real time has sent: times [s] by its clock and, shape (samples,
-    channels and valves), samples with the commands [V] that acted up to them. Of those that came
-    too late for a tick a session has no row. None of a machine that waits."""
+    channels and valves), samples with the commands [V] that acted; None of a machine that waits."""
     heard = getattr(machine, "heard", None)
     return None if heard is None else heard()
-
-
-def halt_of(machine: Machine) -> Callable[[], None] | None:
-    """How a machine that makes its own commands is stopped, its valves to rest by its own ramp;
-    None of one that only takes commands."""
-    return getattr(machine, "halt", None)
-
-
-def in_real_time(machine: Machine) -> bool:
-    """Whether a machine goes on while its controller thinks; a simulation waits."""
-    return getattr(machine, "real_time", False)
-
-
-def seeded_of(machine: Machine) -> Callable[[int], Machine] | None:
-    """What makes of a machine the same one with other noise of its sensors, by a seed; None of one
-    whose noise nobody chooses."""
-    return getattr(machine, "seeded", None)
-
-
-def carry_of(machine: Machine) -> Callable[[str | None], None] | None:
-    """How a simulated machine takes up another payload at once, at the speed that it has; None of a
-    machine whose load nobody but people can change.
-
-    Raises:
-        InputError: when called, no such payload.
-    """
-    return getattr(machine, "carry", None)
-
-
-def plays_of(machine: Machine) -> bool:
-    """Whether the valves of a machine may lag behind their commands by a hysteresis, as those of
-    every machine may that does not deny it by ``plays``: what a map knows of one counts there."""
-    return getattr(machine, "plays", True)
 
 
 def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
@@ -248,13 +216,3 @@ def static_flow_of(machine: Machine) -> Callable[..., np.ndarray] | None:
         return flows
 
     return flow
-
-
-def advance_of(machine: Machine) -> Callable[[Rows, Controls | None, bool], Advance] | None:
-    """The fast path of a machine that has one: ``advance(rows, laws, often)`` gives a function of
-    (first, stop) that runs these rows in one compiled call, under laws or as the table says;
-    ``often`` says that it will be called for every row.
-
-    It does what a session does tick by tick (`ehbench.trial.session`), to the bit, and returns the
-    row at which a limit was reached, before its tick, or −1."""
-    return getattr(machine, "advance", None)

@@ -1,5 +1,4 @@
-"""The rows of a trial as compiled code sees them: what every tick reads and writes, where a limit
-stops it, and one tick of a built-in controller."""
+"""A trial's rows as compiled code sees them, the limits that stop it, one tick of a controller."""
 
 from __future__ import annotations
 
@@ -70,8 +69,8 @@ class Rows(NamedTuple):
 
 
 class LawRows(NamedTuple):
-    """A built-in controller over a trial's rows: ``references`` that it shall follow and the
-    ``telemetry`` that it leaves have a row a tick."""
+    """A built-in controller over a trial's rows: ``references`` and ``telemetry`` have a row a
+    tick."""
 
     references: np.ndarray
     controller: Controller
@@ -127,8 +126,8 @@ def _of_cylinder(rows, i, c):
 
 @kernel
 def violated(rows, i):
-    """Whether the present sample or the command of row ``i`` reached a limit; ``rows.reached`` and
-    ``rows.by`` then say which. What is not finite has reached one."""
+    """Whether the present sample or command of row ``i`` reached a limit (``rows.reached``,
+    ``rows.by``); what is not finite has reached one."""
     sample, command, limits, checks = rows.sample, rows.commands[i], rows.limits, rows.checks
     if not checks.armed[0]:
         return False

@@ -25,8 +25,8 @@ NAME = "model"
 
 
 class Running(NamedTuple):
-    """A model at work: its state ``y``, the plant, the ``tick`` [s] and the integration ``steps``
-    in it, the ``line`` of past commands, and the scratch of both."""
+    """A model at work: state ``y``, plant, ``tick`` [s], integration ``steps`` in it, ``line`` of
+    past commands, scratch."""
 
     y: np.ndarray
     plant: Plant
@@ -64,8 +64,8 @@ def paced_tick(own, command, pace, sample):
 
 @kernel
 def model_truth(own, command, row):
-    """Write the state, the edge flows and the pump's flow into ``row``; ``own.k[0]`` then holds the
-    derivatives, whose fastest rate [1/s] is returned."""
+    """Write state, edge flows and pump flow into ``row``; the fastest rate [1/s] of the
+    derivatives."""
     size, at = own.y.shape[0], own.plant.at.flow
     line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
     rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
@@ -190,8 +190,7 @@ class SimulatedMachine:
 
 
 class ModelTruth:
-    """The states of a running model, its edge flows and the pump's flow, in the order of
-    `Model.run`'s log."""
+    """States of a running model, edge flows and pump flow, as in `Model.run`'s log."""
 
     def __init__(self, model: Model, running: Running) -> None:
         self.model, self._own = model, running

@@ -1,5 +1,4 @@
-"""Machines that are not the one a controller was designed on: the model or the virtual bench with
-slower valves, other oil, more friction, late sensors, other flow."""
+"""Machines with slower valves, other oil, friction or flow, or later sensors than the design's."""
 
 from __future__ import annotations
 

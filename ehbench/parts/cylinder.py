@@ -101,8 +101,8 @@ def linkage_arrays(row: Any, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @part_kernel
 def chamber_of(row, side):
-    """(node, signed area [m²], dead volume [m³], leakage to tank [m³/(s·Pa)]) of the head end
-    (side 0) or the rod end (1); the area is positive where the chamber grows with the stroke."""
+    """(node, signed area [m²], dead volume [m³], leakage to tank [m³/(s·Pa)]) of head (0) or rod
+    end (1); area > 0 where the chamber grows with the stroke."""
     if side == 0:
         return row.node_head, row.area_head, row.volume_head, row.leakage_head
     return row.node_rod, -row.area_rod, row.volume_rod, row.leakage_rod
@@ -158,8 +158,7 @@ def chamber_slope(row, pressure, inflow, slope):
 
 @part_kernel
 def leakage_slope(row, side):
-    """Bound of how fast leakages change with a chamber's pressure and with that of the other
-    [m³/(s·Pa)]."""
+    """Bound of the slope of leakages over both pressures [m³/(s·Pa)]."""
     return 2.0 * row.leakage_internal + chamber_of(row, side)[3]
 
 

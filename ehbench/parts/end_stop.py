@@ -13,15 +13,14 @@ STOP_DISSIPATION = 5.0  # [s/m]
 
 @part_kernel
 def stop_force(row, x, v):
-    """Force [N] of a cylinder's end stops on the rod at stroke x [m] and speed v [m/s], extension
-    positive."""
+    """Force [N] of the end stops on the rod at stroke x [m] and speed v [m/s], out positive."""
     return end_stop(x, v, row.stroke, row.stop_stiffness, STOP_DISSIPATION)
 
 
 @part_kernel
 def stop_rate(row, x):
-    """Fastest rate [1/s] of a cylinder in its end stop at stroke x [m]: of its spring, and of its
-    damping, which grows with the depth."""
+    """Fastest rate [1/s] in an end stop at stroke x [m]: its spring's, and its damping's with
+    depth."""
     stiff = row.mobility * row.stop_stiffness
     return 2.0 * math.sqrt(stiff) + stiff * STOP_DISSIPATION * max(-x, x - row.stroke, 0.0)
 

@@ -1,6 +1,5 @@
-"""A row of the fault table: what may be wrong with a part of the plant, as data.
-
-Each file of a part declares its rows as ``FAULTS``; `ehbench.diagnosis.faults` collects them."""
+"""A row of the fault table, as data. Files of parts declare ``FAULTS``; `ehbench.diagnosis.faults`
+collects them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Forces on a cylinder's rod that come from outside: constant, by direction, of a spring, of a
-cylinder at known pressures, or played from a log."""
+"""Forces from outside on a rod: constant, by direction, spring, cylinder, or played from a log."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ def force_on(c, x, v, command, plant):
 
 @part_kernel
 def force_slope(c, v, plant):
-    """(slope of the forces on a rod at speed v [m/s], the largest near it) [N·s/m], as of a damper;
-    of a force that drives as well."""
+    """(slope of the forces at speed v [m/s], the largest near it) [N·s/m], as of a damper."""
     steep, turned = 0.0, math.tanh(v / COULOMB_SPEED)
     if abs(v) <= 4.0 * COULOMB_SPEED:
         for i in range(plant.forces.shape[0]):

@@ -81,8 +81,8 @@ def push_of(row, y, plant):
 
 @part_kernel
 def _left(row, x, v, push, slip, y, plant):
-    """What the rod's force at piston speed ``slip`` leaves over for the damper at stroke x, less
-    what that takes [N]; it falls as ``slip`` rises."""
+    """Rod force at piston speed ``slip`` and stroke x less the damper's [N]; falls as ``slip``
+    rises."""
     force = push - any_resistance(row, slip, y, plant) - row.mount_stiffness * y[row.mount_state]
     return force + stop_force(row, x, slip) - row.mount_damping * (slip - v)
 

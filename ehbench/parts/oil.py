@@ -1,5 +1,4 @@
-"""The oil: how stiff it is at a pressure, with free air in it or without, and what its compression
-holds."""
+"""The oil: its stiffness at a pressure, with free air or without, and its energy."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ def bulk_of(row, pressure):
 
 @part_kernel
 def compressed(pressure, bulk_modulus):
-    """Energy [J/m³] in oil of bulk modulus β compressed to gauge pressure p: ``u = β (e^(p/β) − 1)
-    − p ≈ p²/2β``."""
+    """Energy [J/m³] in oil compressed to gauge pressure p: ``u = β (e^(p/β) − 1) − p ≈ p²/2β``."""
     return bulk_modulus * math.expm1(pressure / bulk_modulus) - pressure
 
 

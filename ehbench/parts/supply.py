@@ -48,8 +48,8 @@ def from_rail(chamber, supply):
 
 @part_kernel
 def beside_change(calm, chamber, supply):
-    """A ``calm`` pressure [Pa] drawn to where an edge takes from the rail that it takes from at the
-    measured pressure of the ``chamber`` [Pa]."""
+    """A ``calm`` pressure [Pa] on the rail's side that the measured ``chamber`` pressure [Pa]
+    chooses."""
     if supply.rail == 0.0:
         return calm
     change = supply.rail - supply.rail_margin
@@ -60,15 +60,15 @@ def beside_change(calm, chamber, supply):
 
 @part_kernel
 def rail_pressure(p_supply, chamber, supply):
-    """Pressure [Pa] at which an edge to a ``chamber`` [Pa] finds the supply: the line's or the low
+    """Pressure [Pa] of the supply for an edge to a ``chamber`` [Pa]: the line's or the low
     rail's."""
     return supply.rail if from_rail(chamber, supply) else p_supply
 
 
 @part_kernel
 def sensed(load, supply):
-    """Pressure [Pa] that a pump holds for the highest ``load`` pressure [Pa] that it senses: the
-    set pressure or, with load sensing, the load's and the margin up to it."""
+    """Set pressure [Pa] of a pump; with load sensing the highest ``load`` [Pa] and the margin, up
+    to it."""
     if supply.margin == 0.0:
         return supply.pressure
     return min(load + supply.margin, supply.pressure)
@@ -76,8 +76,7 @@ def sensed(load, supply):
 
 @part_kernel
 def offered(p_supply, chamber, supply):
-    """Pressure [Pa] that a controller may count on at an edge to a ``chamber`` [Pa]: the rail's or,
-    of a load-sensing pump, what it brings once the edge opens, if it does not stand above that."""
+    """Pressure [Pa] that an edge to a ``chamber`` [Pa] will have: rail's, or soon the pump's."""
     if supply.margin == 0.0:
         return rail_pressure(p_supply, chamber, supply)
     return max(p_supply, sensed(chamber, supply))
@@ -85,10 +84,8 @@ def offered(p_supply, chamber, supply):
 
 @part_kernel
 def metered_at(p_supply, chamber, supply):
-    """Pressure [Pa] by which a controller opens an edge to a ``chamber`` [Pa]: the line's as it is
-    measured or the low rail's; of a load-sensing pump that is not up yet COUNTED of its margin
-    above the chamber. In steady motion that is well below what is measured, so no law has a kink
-    there."""
+    """Pressure [Pa] by which a controller opens an edge to a ``chamber`` [Pa]: the line's or
+    rail's; of a load-sensing pump that is not up yet COUNTED of its margin above the chamber."""
     if supply.margin == 0.0:
         return rail_pressure(p_supply, chamber, supply)
     return max(p_supply, min(chamber + COUNTED * supply.margin, supply.pressure))

@@ -1,5 +1,4 @@
-"""What is tied to a recording: the rates of joints and of the supply's pressure are given, not
-found."""
+"""What is tied to a recording: rates of joints and of the supply's pressure."""
 
 from __future__ import annotations
 
@@ -8,8 +7,8 @@ from ehbench.runtime.compiled import part_kernel
 
 @part_kernel
 def tie(command, plant, dy):
-    """Put the given rates of cylinders' joints [rad/s or m/s, per second] into ``dy``: those of the
-    coordinates, those of the speeds; and that of the supply's pressure [Pa/s]."""
+    """Put the given rates of joints [rad/s, rad/s²] and of the supply's pressure [Pa/s] into
+    ``dy``."""
     for c in range(plant.cylinders.shape[0]):
         row = plant.cylinders[c]
         if row.tied_position >= 0:

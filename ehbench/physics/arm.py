@@ -109,16 +109,14 @@ def turn_joint(links, i, q, work):
 
 @kernel
 def turn(links, q, work):
-    """Cosine and sine of every joint angle into ``work``, where the kernels called ``…_turned``
-    find the posture. They stay there: several questions about one posture take them once."""
+    """Cosine and sine of every joint angle into ``work``, for the kernels called ``…_turned``."""
     for i in range(links.shape[0]):
         turn_joint(links, i, q[i], work)
 
 
 @kernel
 def _newton_euler(links, gravity, qd, out, work):
-    """Torque at rest acceleration, after `turn`: rates outward, then forces inward, all in joint
-    frames."""
+    """Torque at rest acceleration, after `turn`: rates outward, then forces inward."""
     n = links.shape[0]
     # (w, e, a): angular rate, angular acceleration, acceleration of the origin; gravity as a base
     # that accelerates up.
@@ -190,8 +188,7 @@ def _sum_inward(links, qd, out, work):
 
 @kernel
 def _composite(links, first, work):
-    """Lower triangle of the mass matrix of the joints from ``first`` on, row by row at the tail of
-    ``work``, after `turn`: links welded inward."""
+    """Lower triangle of the mass matrix of the joints from ``first`` on at the tail of ``work``."""
     n = links.shape[0]
     tail = n * _STRIDE
     m, hx, hy, hz, jxx, jyy, jzz, jxy, jxz, jyz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -266,8 +263,7 @@ def bias_turned(kind, links, gravity, qd, out, work):
 
 @kernel
 def mass_matrix(kind, links, q, out, work):
-    """Write D(q) into ``out`` (n, n), symmetric [kg·m²], or [kg] of a slide; composite rigid
-    bodies."""
+    """Write D(q) into ``out`` (n, n) [kg·m²], or [kg]; composite rigid bodies."""
     turn(links, q, work)
     mass_matrix_turned(kind, links, out, work)
 
@@ -286,8 +282,7 @@ def mass_matrix_turned(kind, links, out, work):
 
 @kernel
 def inertia_turned(kind, links, j, work):
-    """D_jj(q) of one joint [kg·m²], or [kg] of a slide, in the posture of `turn`; q_j does not
-    matter."""
+    """D_jj(q) of a joint [kg·m²] or [kg], in the posture of `turn`; q_j does not matter."""
     if kind == SLIDE:
         return links[0].mass
     return work[_composite(links, j, work) + j * links.shape[0] + j]
@@ -347,8 +342,7 @@ def gravity_torque(kind, links, gravity, q, out, work):
 
 @kernel
 def plumb(kind, links, gravity, work):
-    """Which way is up in every joint's frame, g times, into ``work``, after `turn`: several links
-    that hang there are weighed by it."""
+    """Up direction times g in every joint's frame into ``work``, after `turn`."""
     if kind == SLIDE:
         return
     ux, uy, uz = _outward(work[_COS], work[_SIN], 1.0, 0.0, gravity[0], gravity[1], gravity[2])
@@ -381,8 +375,7 @@ def weigh_turned(kind, links, gravity, first, out, work):
 
 @kernel
 def energy(kind, links, gravity, q, qd, work):
-    """(kinetic, potential) energy [J]; potential counts from the height of the base, or of x = 0 on
-    a slide."""
+    """(kinetic, potential) energy [J]; potential from the base, or x = 0 of a slide."""
     if kind == SLIDE:
         m = links[0].mass
         return 0.5 * m * qd[0] * qd[0], m * gravity[2] * q[0] * links[0].sin_alpha

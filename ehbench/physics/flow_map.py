@@ -51,8 +51,7 @@ def map_leaks(data, at):
 
 @kernel
 def _leak(x, data, at):
-    """Leak at rest [m³/s] at a place counted in spans along s: a part that grows with the root of
-    the drop and one that grows with the drop."""
+    """Leak at rest [m³/s] at a place in spans along s."""
     if not map_leaks(data, at):
         return 0.0
     share = x / data[at + _SPANS_S]
@@ -158,10 +157,8 @@ def root_drop(pressure_drop, delta: float):
 
 @allocating_kernel
 def bspline_pieces(breaks, degree):
-    """B-splines on clamped knots as polynomials: shape (spans, splines, degree + 1), powers of x −
-    breaks[span].
-
-    Cox–de Boor recursion on the coefficients; spans + degree splines."""
+    """B-splines on clamped knots, shape (spans, splines, degree + 1), powers of x − breaks[span];
+    Cox–de Boor recursion on the coefficients."""
     spans = breaks.size - 1
     knots = np.empty(spans + 1 + 2 * degree)
     knots[:degree], knots[degree + spans :] = breaks[0], breaks[spans]
@@ -324,8 +321,8 @@ class FlowMap:
         return np.concatenate([header, knots, pieces.ravel()])
 
     def flow(self, pressure_drop, command):
-        """Flow [m³/s] at pressure drops [Pa] and openings [V], which broadcast; odd in the drop
-        (see ``map_flow``)."""
+        """Flow [m³/s] at pressure drops [Pa] and openings [V], which broadcast (see
+        ``map_flow``)."""
         return _each(_flows, pressure_drop, command, self.data)
 
     def command(self, pressure_drop, flow):
@@ -364,8 +361,7 @@ class FlowMap:
         return std if std.ndim else float(std)
 
     def inside(self, pressure_drop, command):
-        """True where readings surround the point: the command and, between its neighbours, the drop
-        were measured."""
+        """True where readings surround the point (pressure drop [Pa], command [V])."""
         drop, command = np.asarray(pressure_drop, float), np.asarray(command, float)
         low, high = (
             np.interp(command, self.hull_command, side) for side in (self.hull_low, self.hull_high)
@@ -374,8 +370,7 @@ class FlowMap:
         return among & (drop >= low) & (drop <= high)
 
     def to_dict(self) -> dict:
-        """Plain numbers, strings and lists, as they stand in the file; what a valve has not is left
-        out."""
+        """Plain values as they stand in the file; defaults are left out."""
         plain = {}
         for f in fields(self):
             value = getattr(self, f.name)
@@ -427,8 +422,7 @@ def _locate(grid: np.ndarray, x: np.ndarray):
 
 
 def pack(maps: list[FlowMap], factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
-    """(data, offsets): all maps back to back in one float array, and where each one starts
-    (integers); ``factors`` multiply their flows, one each, by default none."""
+    """(data, offsets): all maps in one array, and where each starts; ``factors`` multiply flows."""
     parts = [item.data for item in maps]
     for k, factor in enumerate(factors):
         if factor != 1.0:
@@ -455,13 +449,11 @@ class ValveMaps:
         return self._sided("flow", pressure_drop, command, 1.0)
 
     def command(self, pressure_drop, flow):
-        """Command [V] that passes the signed ``flow`` [m³/s] at the signed drop [Pa], as
-        ``FlowMap.command``."""
+        """Command [V] of the signed ``flow`` [m³/s] at the signed drop [Pa]."""
         return self._sided("command", pressure_drop, flow, 0.0)
 
     def reachable(self, pressure_drop, flow):
-        """True where a command up to the largest measured one passes ``flow`` [m³/s] at the drop
-        [Pa]."""
+        """True where a measured command passes ``flow`` [m³/s] at the drop [Pa]."""
         return self._sided("reachable", pressure_drop, flow, 0.0).astype(bool)
 
     def flow_std(self, pressure_drop, command):
@@ -562,8 +554,7 @@ def collect(maps: list[FlowMap], file: str | None = None) -> FlowMaps:
 
 
 def dump_flow_maps(maps: FlowMaps) -> str:
-    """The file's text: JSON, sorted keys, shortest digits that read back exactly; same maps, same
-    bytes."""
+    """The file's text: JSON, sorted keys, shortest digits; same maps, same bytes."""
     content = {
         "format": FORMAT,
         "version": VERSION,

@@ -50,8 +50,7 @@ def stribeck(v, viscous, coulomb, static, stribeck_speed, smoothing):
 
 @kernel
 def stribeck_slope(v, viscous, coulomb, static, stribeck_speed, smoothing):
-    """Slope [N·s/m] of `stribeck` over speed; it falls where the dip is steeper than the viscous
-    part. Arguments as there."""
+    """Slope [N·s/m] of `stribeck` over speed; may be negative."""
     ratio, turned = v / stribeck_speed, math.tanh(v / smoothing)
     dip = (static - coulomb) * math.exp(-ratio * ratio)
     turning = (coulomb + dip) * (1.0 - turned * turned) / smoothing

@@ -21,8 +21,8 @@ LIGHT, HEAVY = 1.0e-10, 1.0e4  # damping [m²] with which it begins, at which it
 
 
 class Chain(NamedTuple):
-    """What says where the tip is: ``kind``, ``links`` and ``gravity`` as in `ehbench.physics.arm`,
-    and the ends of each joint's range, shape (n,) [rad or m]."""
+    """``kind``, ``links``, ``gravity`` as in `ehbench.physics.arm`, ends of joint ranges, shape
+    (n,)."""
 
     kind: int
     links: Any
@@ -32,8 +32,8 @@ class Chain(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a search came to: joint coordinates ``q``, how far the tip is from the target [m], and
-    of each joint whether the target lies beyond an end of its range (±1), else 0."""
+    """Result of a search: coordinates ``q``, distance to the target [m], ends that hold it back
+    (±1)."""
 
     q: np.ndarray
     miss: float
@@ -61,8 +61,8 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class Frames(NamedTuple):
-    """In the frame on the ground, at some postures: the ``tip`` [m], shape (…, 3), the ``axes`` of
-    the joints and a point on each (``origins`` [m]), shape (…, n, 3)."""
+    """At some postures: the ``tip`` [m], shape (…, 3), ``axes`` and ``origins`` [m], shape (…, n,
+    3)."""
 
     tip: np.ndarray
     axes: np.ndarray
@@ -100,8 +100,7 @@ def tip_frames(chain: Chain, q: np.ndarray) -> Frames:
 
 
 def tip_of(chain: Chain, q: np.ndarray) -> np.ndarray:
-    """The tip [m], shape (…, 3), at joint coordinates of shape (…, n): one vector, turned and moved
-    from the last link inward, a quarter of the work of `tip_frames`."""
+    """The tip [m], shape (…, 3), at coordinates (…, n): a quarter of the work of `tip_frames`."""
     q = np.asarray(q, float)
     if chain.kind == SLIDE:
         return tip_frames(chain, q).tip

@@ -13,12 +13,7 @@ from ehbench.parts.cylinder import (
 from ehbench.parts.edge import edge_flow, edge_leaks, edge_opening, edge_slope
 from ehbench.parts.edge.preload import preload
 from ehbench.parts.end_stop import stop_force, stop_rate
-from ehbench.parts.friction import (
-    friction_fastest,
-    friction_force,
-    friction_rates,
-    friction_slope,
-)
+from ehbench.parts.friction import friction_fastest, friction_force, friction_rates, friction_slope
 from ehbench.parts.friction.law import SETTLING
 from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_slope

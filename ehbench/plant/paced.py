@@ -129,13 +129,6 @@ def attempt(way, command, d):
     return 0.1 * d * worst, rate
 
 
-@part_kernel
-def halved(step, units):
-    """Half a step, in units; of whole ticks where it was of several."""
-    half = step // 2
-    return half if half < units else half // units * units
-
-
 @kernel
 def _step(way, command, part, room, step, rate, given):
     """One step from ``part`` units of a tick on: (units taken, units to try next, rate [1/s] at its
@@ -159,7 +152,8 @@ def _step(way, command, part, room, step, rate, given):
             error, after = attempt(way, line.held, step * unit)
             if given or step == 1 or error <= 1.0:
                 return step, 2 * step if error < 1.0 / 16.0 else step, after
-        step = halved(step, units)
+        half = step // 2
+        step = half if half < units else half // units * units  # whole ticks of several
 
 
 @part_kernel
@@ -215,34 +209,22 @@ def _let(way, log, sample):
 
 
 @part_kernel
-def weights_of(first, until, ends, ticks, d, each):
-    """What both ends of a step count for in the mean of ``each`` samples, of which those from
-    ``first`` up to ``until`` lie in it: (of its state at the start, at the end, of the derivatives
-    at the start, at the end [s]).
-
-    Args:
-        ends: the sample at which the step ends.
-        ticks, d: that it lasts, the same in seconds.
-    """
-    begin, end, slope, last = 0.0, 0.0, 0.0, 0.0
-    for s in range(first, until):
-        rest = (ends - s) / ticks
-        share = 1.0 - rest
-        begin += (1.0 + 2.0 * share) * rest * rest
-        end += share * share * (3.0 - 2.0 * share)
-        slope += share * rest * rest
-        last -= share * share * rest
-    return begin / each, end / each, d * slope / each, d * last / each
-
-
-@part_kernel
 def _add_means(way, log, each, sample, ends, ticks):
     """Add the samples of a step, its end among them, to the means of ``each``, one a row."""
     first, d, k = sample + 1, ticks * way.line.tick, way.k
     while first <= ends and first < each * log.shape[0]:
         row = first // each
         until = min(ends + 1, (row + 1) * each)
-        begin, end, slope, last = weights_of(first, until, ends, ticks, d, each)
+        # what both ends and their derivatives [s] count for in the mean
+        begin, end, slope, last = 0.0, 0.0, 0.0, 0.0
+        for s in range(first, until):
+            rest = (ends - s) / ticks
+            share = 1.0 - rest
+            begin += (1.0 + 2.0 * share) * rest * rest
+            end += share * share * (3.0 - 2.0 * share)
+            slope += share * rest * rest
+            last -= share * share * rest
+        begin, end, slope, last = begin / each, end / each, d * slope / each, d * last / each
         for i in range(way.y.shape[0]):
             log[row, i] += begin * way.y[i] + end * k[4, i] + slope * k[0, i] + last * k[5, i]
         first = until

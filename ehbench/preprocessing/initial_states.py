@@ -144,7 +144,7 @@ class InitialState:
         return seen_of(self.record, self.rest)
 
     @cached_property
-    def _firsts(self) -> dict[str, tuple[float, float, float]]:
+    def firsts(self) -> dict[str, tuple[float, float, float]]:
         """`_first` of the recording's readings, by channel."""
         return {
             channel: _first(y, self.rest, self.record.sample_time)
@@ -153,9 +153,35 @@ class InitialState:
         }
 
     def _start(self, model: Model) -> Start:
-        if self.moves:
-            return _moving_start(model, self.record, self._firsts)
-        return model.rest_start(self.record, self.rest, self._seen)
+        """The first state: at rest, or as readings have it in motion, valves by their lag."""
+        if not self.moves:
+            return model.rest_start(self.record, self.rest, self._seen)
+        seen = self.firsts
+        tick, names = self.record.sample_time, model.layout
+        value = {channel: first for channel, (first, _, _) in seen.items()}
+        table = model.commands_of(self.record)
+        supply, tank = value.get(SUPPLY_CHANNEL), value.get(TANK_CHANNEL)
+        model = replace(model, plant=model.plant.at_pressures(supply, tank))
+        y = model.posed(value, table[0] if names.played else None)
+        for index, name in enumerate(names.cylinders):
+            for side in SIDES:
+                at = names.state(f"p_{side}", index)
+                y[at] = value.get(f"{name}.p_{side}", y[at])
+            row = model.plant.cylinders[index]
+            joint = int(row.joint)
+            lever = linkage_of(row, y[joint])[1]
+            speeds = {
+                "qd": value.get(f"{name}.qd"),
+                "v": None if f"{name}.v" not in value else value[f"{name}.v"] / lever,
+                "q": None if f"{name}.q" not in seen else seen[f"{name}.q"][1],
+                "x": None if f"{name}.x" not in seen else seen[f"{name}.x"][1] / lever,
+            }
+            y[names.state("qd", joint)] = next((v for v in speeds.values() if v is not None), 0.0)
+        for index, valve in enumerate(model.plant.valves):
+            slope = (table[min(1, len(table) - 1), index] - table[0, index]) / tick
+            opening = table[0, index] - slope * valve_lag(valve, model.plant)
+            valve_settle(valve, min(max(opening, valve.lowest), valve.highest), model.plant, y)
+        return Start(y, supply, tank)
 
     def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
         """`at`, from a start of `unmoved`, which stays as it is."""
@@ -346,7 +372,10 @@ def _of_cylinder(
             break
     joint = int(row.joint)
     result.append(_uncertain(f"{cylinder}.q", names.state("q", joint), std, high - low))
-    speed = rate_of(record, cylinder)
+    recorded = [f"{cylinder}.{word}" for word in ("qd", "v")]
+    rates = [record[c] for c in recorded if c in record]
+    rates += [y for c in recorded if (y := column(record, c, record)) is not None]
+    speed = rates[0] if rates else None  # that of its position only without any
     if speed is not None:
         maximum = float(np.abs(speed).max()) or 1.0
         std = max(SETTINGS.speed * maximum, 1e-4 * (high - low))
@@ -373,15 +402,6 @@ def _creep(record: Record, cylinder: str, rest: int, lever: float) -> float:
     return 0.0
 
 
-def rate_of(record: Record, cylinder: str) -> np.ndarray | None:
-    """A cylinder's recorded joint rate or speed, else that of its position; None without any."""
-    for word in ("qd", "v"):
-        if f"{cylinder}.{word}" in record:
-            return record[f"{cylinder}.{word}"]
-    both = (column(record, f"{cylinder}.{word}", record) for word in ("qd", "v"))
-    return next((rate for rate in both if rate is not None), None)
-
-
 def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
     """(value, rate [1/s], standard error of the value) at the first sample, by a parabola."""
     count = min(max(LEAST_LINE, min(rest, round(SETTINGS.beginning / tick))), y.size)
@@ -391,37 +411,6 @@ def _first(y: np.ndarray, rest: int, tick: float) -> tuple[float, float, float]:
     coefficients = np.append(line.coef, np.zeros(3))
     noise = rms(y[:count] - line(t)) * math.sqrt(count / max(1, count - order - 1))
     return float(coefficients[0]), float(coefficients[1]), 3.0 * noise / math.sqrt(count)
-
-
-def _moving_start(
-    model: Model, record: Record, seen: Mapping[str, tuple[float, float, float]]
-) -> Start:
-    """The first state in motion: places, pressures and speeds as they read, valves by their lag."""
-    tick, names = record.sample_time, model.layout
-    value = {channel: first for channel, (first, _, _) in seen.items()}
-    table = model.commands_of(record)
-    supply, tank = value.get(SUPPLY_CHANNEL), value.get(TANK_CHANNEL)
-    model = replace(model, plant=model.plant.at_pressures(supply, tank))
-    y = model.posed(value, table[0] if names.played else None)
-    for index, name in enumerate(names.cylinders):
-        for side in SIDES:
-            at = names.state(f"p_{side}", index)
-            y[at] = value.get(f"{name}.p_{side}", y[at])
-        row = model.plant.cylinders[index]
-        joint = int(row.joint)
-        lever = linkage_of(row, y[joint])[1]
-        speeds = {
-            "qd": value.get(f"{name}.qd"),
-            "v": None if f"{name}.v" not in value else value[f"{name}.v"] / lever,
-            "q": None if f"{name}.q" not in seen else seen[f"{name}.q"][1],
-            "x": None if f"{name}.x" not in seen else seen[f"{name}.x"][1] / lever,
-        }
-        y[names.state("qd", joint)] = next((v for v in speeds.values() if v is not None), 0.0)
-    for index, valve in enumerate(model.plant.valves):
-        slope = (table[min(1, len(table) - 1), index] - table[0, index]) / tick
-        opening = table[0, index] - slope * valve_lag(valve, model.plant)
-        valve_settle(valve, min(max(opening, valve.lowest), valve.highest), model.plant, y)
-    return Start(y, supply, tank)
 
 
 class Followed(NamedTuple):

@@ -506,12 +506,3 @@ def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
         if any(edge.sign * first > float(edge.deadband) + minimum for edge in valve.edge):
             results[channel] = first
     return results
-
-
-def start_notes(record: Record, rig: Rig, rest: int) -> list[Message]:
-    """Notes on what is already on, or already moves, at the first sample."""
-    on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
-    return [
-        *(message("preprocessing.starts_on", channel=name, command=on[name]) for name in on),
-        *(message("preprocessing.starts_moving", cylinder=name) for name in moving),
-    ]

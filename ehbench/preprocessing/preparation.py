@@ -19,12 +19,13 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing.plausibility import (
     LEAST_SAMPLES,
     foreign_channels,
+    moving_at_first,
     notes_on_channels,
+    on_at_first,
     refuse_commands,
     refuse_pressures,
     refuse_sample_time,
     replay_notes,
-    start_notes,
 )
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.preprocessing.time_base import evened
@@ -90,7 +91,9 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
         notes.append(message("preprocessing.no_payload", payloads=", ".join(rig.payload)))
     refuse_commands(name, record, rig)
     rest = model.rest_samples(model.commands_of(record))
-    begun = start_notes(record, rig, rest)
+    on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
+    begun = [message("preprocessing.starts_on", channel=name, command=on[name]) for name in on]
+    begun += [message("preprocessing.starts_moving", cylinder=name) for name in moving]
     refuse_pressures(name, record, model, rest, still=not begun)
     notes += [*begun, *notes_on_channels(record, model), *replay_notes(name, record, model)]
     return record, tuple(notes)

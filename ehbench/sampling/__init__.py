@@ -1,2 +1,1 @@
-"""Studies: which samples there are, what their keys mean, where they run, how their results are
-stored, and what these say together."""
+"""Studies: their samples, what keys mean, where samples run, what they say together."""

@@ -1,5 +1,5 @@
-"""Samples on a Dask cluster: chunks of tasks go to its scheduler, the study's files to each worker
-once, under their hash. Workers may come, go and die."""
+"""Samples on a Dask cluster: chunks of tasks, the study's files once to each worker. Workers may
+come, go and die."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ def _code() -> str:
 
 @dataclass(frozen=True)
 class Bundle:
-    """What a study reads, to be laid out on another machine as it lies on this one: files by their
-    path from the root, and what opens them there, given where the root is."""
+    """What a study reads, for another machine: files by their path from the root, and what opens
+    them."""
 
     files: dict[str, bytes]
     open: Any
@@ -183,8 +183,19 @@ class Cluster:
         """The samples of chunks that are done; those of lost ones go back."""
         try:
             job = self._done.get(timeout=1.0)
-        except Empty:
-            yield from self._overdue()
+        except Empty:  # chunks at work for longer than their samples may take: workers restart
+            limit, chosen = self._limit, self._settings
+            if limit is None:
+                return
+            busy = {key: at for at, keys in self._client.processing().items() for key in keys}
+            for late, (chunk, since) in list(self._jobs.items()):
+                allowed = len(chunk) * chosen.under_way * (limit + chosen.grace)
+                waited = time.monotonic() - since
+                if late.key in busy and waited >= allowed + chosen.first_grace:
+                    del self._jobs[late]
+                    self._client.cancel([late], force=True)
+                    self._client.restart_workers([busy[late.key]], raise_for_error=False)
+                    yield from self._lost(chunk, message("sampling.ended", limit=limit), late=True)
             return
         if job not in self._jobs:  # it was given up
             return
@@ -204,21 +215,6 @@ class Cluster:
             self._alone += chunk
         else:
             yield [Sample.lost(chunk[0][0], text, self._measures, late)]
-
-    def _overdue(self) -> Iterator[list[Sample]]:
-        """A chunk at work for longer than its samples may take: its worker is restarted."""
-        if self._limit is None:
-            return
-        chosen = self._settings
-        busy = {key: at for at, keys in self._client.processing().items() for key in keys}
-        for job, (chunk, since) in list(self._jobs.items()):
-            allowed = len(chunk) * chosen.under_way * (self._limit + chosen.grace)
-            if job.key not in busy or time.monotonic() - since < allowed + chosen.first_grace:
-                continue
-            del self._jobs[job]
-            self._client.cancel([job], force=True)
-            self._client.restart_workers([busy[job.key]], raise_for_error=False)
-            yield from self._lost(chunk, message("sampling.ended", limit=self._limit), late=True)
 
 
 def file_name(path: Path) -> str:

@@ -24,8 +24,7 @@ CASE, RECIPE = "case", "recipe"  # columns that no key has
 
 @dataclass(frozen=True)
 class Drawn:
-    """A key that is drawn: the ``law`` with its two numbers in ``unit``, whether they are
-    ``relative``, and the ends beyond which no draw goes."""
+    """A drawn key: ``law`` with two numbers in ``unit``, ``relative`` or not, and its ends."""
 
     key: str
     law: str
@@ -73,8 +72,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of inputs: its key, the unit of its numbers, '' for none; ``is_text``: no
-    numbers; ``varied`` by ``draw`` or ``sweep``."""
+    """A column of inputs: key, unit or '', ``is_text``, ``varied`` by ``draw`` or ``sweep``."""
 
     key: str
     unit: str = ""
@@ -89,8 +87,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Values, standard errors, bounds and correlation of identified parameters, by name, in SI with
-    their units."""
+    """Values, standard errors, bounds and correlation of identified parameters, SI."""
 
     names: tuple[str, ...]
     values: tuple[float, ...]
@@ -196,8 +193,7 @@ class Design:
 
     @cached_property
     def _normal(self) -> np.ndarray | None:
-        """Standard normal points (points, drawn), independent; None for a random design, whose
-        points are made one by one."""
+        """Standard normal points (points, drawn); None for a random design, drawn one by one."""
         if self.recipe.design == "random" or not self.drawn:
             return None
         import warnings
@@ -222,8 +218,7 @@ class Design:
         return ndtri(np.clip(u, smallest, 1.0 - smallest))
 
     def inputs(self, index: int) -> list[Any]:
-        """A sample's inputs, in the order of the columns: values as a recipe would have them of
-        what is listed, numbers of what is drawn, whole numbers of seeds."""
+        """A sample's inputs in the order of the columns: listed values, drawn numbers, seeds."""
         combination, point = divmod(index, self.points)
         values: list[Any] = []
         for item in reversed(self.listed):

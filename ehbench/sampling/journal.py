@@ -7,6 +7,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -39,8 +40,17 @@ class Journal:
         self._places = np.zeros(size, np.int64)
         self._end, self._synced = 0, 0.0
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists():
-            self._take_over(key)
+        with path.open("rb") if path.exists() else BytesIO() as file:
+            for line in file:  # whole lines of a file of this study
+                try:
+                    row = json.loads(line) if line.endswith(b"\n") else {}
+                except ValueError:
+                    row = {}
+                if self._end and "i" in row:
+                    self.done[row["i"]], self._places[row["i"]] = True, self._end
+                elif self._end or row.get("study") != key:
+                    break
+                self._end += len(line)
         self.taken = int(self.done.sum())
         if self.taken and not resume:
             text = message("sampling.left_samples", count=self.taken, size=size)
@@ -49,20 +59,6 @@ class Journal:
         self._file.truncate(self._end)
         if not self._end:
             self._write(json.dumps({"study": key}).encode() + b"\n")
-
-    def _take_over(self, key: str) -> None:
-        """Take over the whole lines of a file of this study."""
-        with self.path.open("rb") as file:
-            for line in file:
-                try:
-                    row = json.loads(line) if line.endswith(b"\n") else {}
-                except ValueError:
-                    row = {}
-                if self._end and "i" in row:
-                    self.done[row["i"]], self._places[row["i"]] = True, self._end
-                elif self._end or row.get("study") != key:
-                    return
-                self._end += len(line)
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Add samples.

@@ -27,8 +27,8 @@ RIG, RECIPE, BENCH = "rig", "recipe", "bench"
 
 
 class Key(NamedTuple):
-    """A key taken apart: the stem of the ``upstream`` recipe that it belongs to ('' for the study's
-    recipe), the file that it changes, and the path in it."""
+    """A key taken apart: stem of the ``upstream`` recipe or '', file that it changes, path in
+    it."""
 
     upstream: str
     file: str
@@ -54,8 +54,7 @@ class Key(NamedTuple):
 
 @dataclass
 class Changes:
-    """What a sample sets in the files of one recipe: by path, values as the file would have them,
-    or a `Factor`."""
+    """What a sample sets in a recipe's files, by path; values as in the file, or a `Factor`."""
 
     rig: dict[str, Any] = field(default_factory=dict)
     recipe: dict[str, Any] = field(default_factory=dict)
@@ -171,8 +170,7 @@ def leaves(table: Any, prefix: str = "") -> Iterator[str]:
 
 
 def _put(here: Any, words: Sequence[str], raw: Any, place: Place) -> None:
-    """Set what ``words`` lead to from a table or list on; a table that is missing is made: the
-    file's model says whether it takes it."""
+    """Set what ``words`` lead to; a missing table is made, and the file's model judges it."""
     names = list(here) if isinstance(here, dict) else _names(here)
     sizes = range(len(words), 0, -1)  # names may have dots themselves
     size = next((n for n in sizes if ".".join(words[:n]) in names), 0)

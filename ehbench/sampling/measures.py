@@ -17,6 +17,7 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, Quantity
 
+ANY, ENTRY = "*", "0"
 # words of results that are quantities under another name
 _SPOKEN = {
     "max_error": "x",
@@ -65,8 +66,7 @@ def value_of(item: Measure, results: Mapping[str, Any], settings: Mapping[str, f
 
 
 def lookup(here: Any, words: Sequence[str]) -> Any:
-    """What a dotted name leads to in plain values; None where it leads nowhere. Entries of lists
-    go by their name or number, names may have dots."""
+    """What a dotted name leads to in plain values, or None; list entries by name or number."""
     if not words:
         return here
     for size in range(len(words), 0, -1):
@@ -134,63 +134,40 @@ def refuse_unknown(name: str, roots: Sequence[Any], file: Any) -> None:
 
 
 def _leads(kind: Any, words: Sequence[str]) -> bool:
-    """Whether a name leads somewhere in results that look like ``kind``."""
-    if not words:
+    """Whether a name leads somewhere in results that look like ``kind``; names may have dots."""
+    if not words or kind is Any:
         return True
-    return any(_leads(inner, words[size:]) for size, inner in _ways_into(kind, words))
-
-
-def _ways_into(kind: Any, words: Sequence[str]) -> Iterator[tuple[int, Any]]:
-    """(words used, what lies there) of each way into ``kind``."""
-    if kind is Any:
-        yield len(words), Any
-        return
-    if isinstance(kind, Mapping):
-        for size in range(1, len(words) + 1):
-            if ".".join(words[:size]) in kind:
-                yield size, kind[".".join(words[:size])]
-        return
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        fields = _fields(kind)
-        if words[0] in fields:
-            yield 1, fields[words[0]]
-        return
-    origin, inside = get_origin(kind), get_args(kind)
-    if origin in (Union, types.UnionType):
-        for item in inside:
-            yield from _ways_into(item, words)
-    elif origin is dict:
-        yield from ((size, inside[1]) for size in range(1, len(words) + 1))
-    elif origin in (tuple, list):
-        yield from ((size, inside[0]) for size in range(1, len(words) + 1))
+    names = [".".join(words[:size]) for size in range(1, len(words) + 1)]
+    return any(
+        _leads(inner, words[size:])
+        for name, inner in _parts(kind)
+        for size, start in enumerate(names, 1)
+        if name in (start, ANY, ENTRY)
+    )
 
 
 def names_in(kind: Any, prefix: str = "", depth: int = 4) -> Iterator[str]:
     """The names that results of a kind have, entries of lists by number 0."""
-    if not depth:
-        return
-    parts: list[tuple[str, Any]] = []
-    if isinstance(kind, Mapping):
-        parts = [(str(name), inner) for name, inner in kind.items()]
-    elif dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        parts = list(_fields(kind).items())
-    else:
-        origin, inside = get_origin(kind), get_args(kind)
-        if origin in (Union, types.UnionType):
-            for item in inside:
-                yield from names_in(item, prefix, depth)
-            return
-        if origin in (tuple, list):
-            parts = [("0", inside[0])]
-    if not parts and prefix:
+    parts = [(name, inner) for name, inner in _parts(kind) if name != ANY]
+    if not parts and prefix and depth:
         yield prefix
-    for name, inner in parts:
+    for name, inner in parts if depth else ():
         yield from names_in(inner, f"{prefix}.{name}" if prefix else name, depth - 1)
 
 
-def _fields(kind: type) -> dict[str, Any]:
-    """The fields of a dataclass with what they hold; anything, where its module does not say."""
-    try:
-        return get_type_hints(kind)
-    except NameError:
-        return {field.name: Any for field in dataclasses.fields(kind)}
+def _parts(kind: Any) -> list[tuple[str, Any]]:
+    """(name, what it holds) of each part of results of a kind: ANY of a table with any names, ENTRY
+    of a list.
+    """
+    if isinstance(kind, Mapping):
+        return [(str(name), inner) for name, inner in kind.items()]
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        try:
+            return list(get_type_hints(kind).items())
+        except NameError:  # its module does not say
+            return [(field.name, Any) for field in dataclasses.fields(kind)]
+    origin, inside = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        return [part for item in inside for part in _parts(item)]
+    name = {dict: ANY, tuple: ENTRY, list: ENTRY}.get(origin)  # type: ignore[arg-type]
+    return [(name, inside[-1 if name == ANY else 0])] if name else []

@@ -1,5 +1,4 @@
-"""The table of a study, a row a sample, as CSV and Parquet; written in the order of the samples, a
-stretch at a time."""
+"""The table of a study, a row a sample in their order, as CSV and Parquet."""
 
 from __future__ import annotations
 
@@ -28,8 +27,8 @@ from ehbench.vocabulary.units import from_si
 
 @dataclass(frozen=True)
 class MeasureColumn:
-    """A column of measures: its name, the unit people see ('' for none), its quantity if its words
-    tell, and whether a sample that a limit stopped has it as well."""
+    """A column of measures: name, shown unit or '', quantity if known, if stopped samples have
+    it."""
 
     name: str
     unit: str
@@ -59,8 +58,8 @@ class MeasureColumn:
 
 @dataclass(frozen=True)
 class Rows:
-    """The table in memory, column by column: ``inputs`` as numbers, shape (samples, inputs), a text
-    by its place among those of its column; ``measures`` as shown, shape (samples, measures)."""
+    """The table in memory: ``inputs``, shape (samples, inputs), texts by their place in ``texts``;
+    ``measures`` as shown, shape (samples, measures)."""
 
     inputs: np.ndarray
     texts: tuple[tuple[str, ...], ...]

@@ -1,6 +1,5 @@
-"""Where samples are made: in threads or processes of this machine, or on a Dask cluster
-(`ehbench.sampling.cluster`). No sample depends on where or in which order it is
-made."""
+"""Where samples are made: threads or processes here, or a Dask cluster
+(`ehbench.sampling.cluster`). No sample depends on where or in which order it is made."""
 
 from __future__ import annotations
 
@@ -175,8 +174,7 @@ class Processes:
 
 @one_thread()
 def serve(descriptor: int) -> None:
-    """Make samples for another process until it closes its end of the pipe; the keyboard is the
-    other process's matter."""
+    """Make samples for another process until it closes the pipe; it handles the keyboard."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     pipe = Connection(descriptor)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):

@@ -18,8 +18,8 @@ ENCRYPTED = ("tls", "wss")  # protocols of Dask
 
 
 class Certificates(NamedTuple):
-    """PEM files of an encrypted connection: of the authority that signs for all machines of a
-    cluster, and this user's certificate and key."""
+    """PEM files of an encrypted connection: a cluster's authority, this user's certificate and
+    key."""
 
     ca: Path
     cert: Path
@@ -99,8 +99,8 @@ WHOLE = (0, 3, 4)  # exit codes of samples that came to their end
 
 
 class Sample(NamedTuple):
-    """The result of a sample: its number, exit code, status, message, measures [SI] (nan: it has
-    none), and how long it took [s], which no file states."""
+    """The result of a sample: number, exit code, status, message, measures [SI] (nan for none),
+    time [s]."""
 
     index: int
     code: int

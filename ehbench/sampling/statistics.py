@@ -1,5 +1,4 @@
-"""What samples say together: quantiles and shares with their confidence limits, and which inputs
-matter. Pure functions of arrays."""
+"""What samples say together: quantiles and shares with limits, and inputs that matter."""
 
 from __future__ import annotations
 
@@ -14,8 +13,7 @@ QUANTILES = (0.05, 0.5, 0.95, 0.99)
 
 
 class Quantile(NamedTuple):
-    """A quantile of a measure: its ``share``, value, and the ends of its 95 % interval, None where
-    there are too few samples for one."""
+    """A quantile: ``share``, value, ends of its 95 % interval, None with too few samples."""
 
     share: float
     value: float
@@ -66,9 +64,8 @@ def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
 
 
 class Sensitivity(NamedTuple):
-    """How much an input moves a measure: ``first`` and ``total`` Sobol indices with ± their 95 %
-    half widths, or the standardised coefficient of a rank regression as ``rank``; None: not of
-    this kind."""
+    """How much an input moves a measure: ``first`` and ``total`` Sobol indices ± 95 % half widths,
+    or ``rank`` coefficient of a regression; None: not of this kind."""
 
     key: str
     rank: float | None = None

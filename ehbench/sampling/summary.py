@@ -78,8 +78,7 @@ class Summary:
         return picked
 
     def _values(self, index: int) -> np.ndarray:
-        """A measure of each sample; nan where it does not count: not there, or of a sample that is
-        neither whole nor a stop."""
+        """A measure of each sample; nan where it lacks, or of a sample without an end."""
         whole = np.isin(self.rows.codes, WHOLE) | self.measures[index].of_stops
         y = self.rows.measures[:, index]
         return np.where(np.isfinite(y) & whole, y, np.nan)
@@ -120,8 +119,7 @@ class Summary:
         return about
 
     def _groups(self) -> list[dict[str, Any]]:
-        """Of each combination of listed values: medians, upper quantiles, shares that meet targets;
-        nothing where there is one combination, or too many to read."""
+        """Medians, quantiles and shares of each combination; none for one, or too many to read."""
         design = self.design
         if not 1 < design.combinations <= 400:  # a table of more is not read
             return []

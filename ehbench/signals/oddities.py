@@ -26,8 +26,8 @@ _TURNS = (360.0, 2.0 * np.pi, 2.0**12, 2.0**16, 2.0**32)  # [deg, rad, counts]
 
 
 class Oddity(NamedTuple):
-    """A ``kind`` ("sentinel", "wrap" or "jump") of odd samples, how many there are, the row of the
-    first, and its value."""
+    """A ``kind`` ("sentinel", "wrap" or "jump") of odd samples, their count, first row and
+    value."""
 
     kind: str
     count: int

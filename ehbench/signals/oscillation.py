@@ -90,9 +90,9 @@ def _tau(point: np.ndarray, tau: float) -> float:
 
 @lru_cache(16)
 def waves(count: int, dampings: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Oscillations over an even window, outside of a parabola: their frequencies [rad a sample],
-    from one period in the window to an eighth of the sampling rate, and each one's orthonormal
-    columns, shape (frequencies, dampings, 2, count); zero where the parabola makes them."""
+    """(frequencies [rad a sample] from a period in the window to an eighth of the rate, orthonormal
+    oscillations outside of a parabola, shape (frequencies, dampings, 2, count); zero where none is
+    left)."""
     s = np.arange(count, dtype=float)
     lowest, highest = 2.0 * math.pi / s[-1], 2.0 * math.pi / 8.0
     frequencies = np.geomspace(lowest, max(highest, 1.1 * lowest), 48)

@@ -75,8 +75,7 @@ class Ringing:
 
 
 def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> float:
-    """NRMSE fit ``100 (1 − ‖y − ŷ‖ / ‖y − mean y‖)`` [%]: 100 is exact, 0 no better than the mean;
-    nan for a constant y."""
+    """NRMSE fit ``100 (1 − ‖y − ŷ‖ / ‖y − mean y‖)`` [%]; nan for a constant y."""
     spread = float(np.linalg.norm(measured - np.mean(measured)))
     return (
         100.0 * (1.0 - float(np.linalg.norm(measured - simulated)) / spread)
@@ -99,8 +98,8 @@ def white_noise(y: np.ndarray) -> float:
 
 
 def first_of(y: np.ndarray, count: int) -> float:
-    """What a series is at its first sample, by a line through its first ``count`` samples, or their
-    mean where they are few: a machine at rest creeps, and a mean lies half of that creep later."""
+    """A series' first value by a line through ``count`` samples, or their mean where they are
+    few."""
     if count < LEAST_LINE:
         return float(np.mean(y[:count]))
     z = np.linspace(0.0, 1.0, count)
@@ -131,8 +130,7 @@ def lowpass(y: np.ndarray, sample_time: float, cutoff: float, order: int = 2) ->
 
 @lru_cache(32)
 def _butterworth(order: int, cutoff: float, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
-    """(sections of a Butterworth low-pass, their states under a lasting 1); they are for all, and a
-    fit asks for one thousands of times."""
+    """(sections of a Butterworth low-pass, their states under a lasting 1)."""
     from scipy.signal import butter, sosfilt_zi
 
     sections: Any = butter(order, cutoff, fs=1.0 / sample_time, output="sos")
@@ -194,8 +192,7 @@ def correlation(x: np.ndarray, u: np.ndarray, lags: int) -> np.ndarray:
 
 
 def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
-    """Sample autocorrelation at lags 0 … lags, shape (lags + 1,); 1 at lag 0 unless x is
-    constant."""
+    """Sample autocorrelation at lags 0 … lags, shape (lags + 1,)."""
     return correlation(x, x, lags)[lags:]
 
 
@@ -400,8 +397,8 @@ def _refine(
     taus: Sequence[float],
     free_drift: bool = True,
 ) -> tuple[float, float, float]:
-    """(ω, ζ, τ) at the best least-squares minimum near one of ``starts`` (ω, ζ); the drift's τ
-    starts at one of ``taus``, 0 meaning none."""
+    """(ω, ζ, τ) of the best least-squares minimum near ``starts`` (ω, ζ) and ``taus``, 0 for
+    none."""
     n = y.size
     best = (math.inf, starts[0][0], starts[0][1], 0.0)
     highest = math.log(math.pi / s[1])  # beyond it, samples are those of a slower oscillation too

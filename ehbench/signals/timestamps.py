@@ -88,9 +88,8 @@ def resolution(values: np.ndarray) -> Resolution:
 
 
 def unrounded(t: np.ndarray, step: float) -> np.ndarray:
-    """Times [s] of an even rate, where these are off it by no more than half the ``step`` [s] to
-    which they are rounded, and too often for missing samples, or with rows missing on the beats of
-    a rate that the step still shows; others as they are."""
+    """Times [s] of an even rate, where these are off it by half the ``step`` [s] of their rounding
+    and too often for missing samples, or have rows missing on its beats; others as they are."""
     steps = np.diff(t)
     if not np.isfinite(t).all() or t.size < SETTINGS.fewest or steps.min() < 0.0:
         return t
@@ -132,8 +131,8 @@ def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | No
 
 
 def missing_rows(t: np.ndarray, period: float, slack: float) -> np.ndarray:
-    """Rows that are missing after each but the last, by its step alone, or, where stamps are off by
-    more than ``slack`` [s], by all of them; shape (rows − 1,)."""
+    """Missing rows after each, shape (rows − 1,): by steps, or by all stamps where they are off by
+    more than ``slack`` [s]."""
     steps = np.diff(t)
     missing = np.where(steps > period + slack, np.rint(steps / period) - 1, 0)
     if np.any(np.abs(steps - (missing + 1) * period) > slack):
@@ -143,9 +142,8 @@ def missing_rows(t: np.ndarray, period: float, slack: float) -> np.ndarray:
 
 
 def _beats(t: np.ndarray, period: float) -> np.ndarray:
-    """By row, the beat of a clock of a ``period`` [s] that is next to its stamp, from 0 on; of
-    several stamps at one beat the last keeps it, and those before are late ones of earlier beats.
-    """
+    """By row the beat of a clock of a ``period`` [s] next to its stamp; of several stamps at one
+    beat the last keeps it."""
     cycles = (t - t[0]) / period
     blocks = np.array_split(np.arange(t.size), max(1, t.size // SETTINGS.block))
     turned = np.exp(2j * np.pi * cycles)

@@ -1,2 +1,1 @@
-"""Linear models of a cylinder at operating points, and the gain of the pressure feedback chosen
-from them."""
+"""Gains from linear models of a cylinder at operating points."""

@@ -11,12 +11,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe import ArcTuneRecipe
-from ehbench.control.arc_gains import (
-    ARC_GAINS,
-    Adaptation,
-    named_gains,
-    pack_arc,
-)
+from ehbench.control.arc_gains import ARC_GAINS, Adaptation, named_gains, pack_arc
 from ehbench.control.functions import pack_rules
 from ehbench.control.law import DesignPoint
 from ehbench.plant.design_point import design_point_of
@@ -48,8 +43,8 @@ CHOSEN = (
 
 @dataclass(frozen=True)
 class ArcPoint:
-    """An operating point and the margins there; ``delay_margin`` [s] as stated, ``frequency``
-    [rad/s] at which it would swing."""
+    """An operating point and its margins; ``delay_margin`` [s] as stated, ``frequency`` [rad/s] of
+    its swing."""
 
     name: str
     function: str
@@ -64,8 +59,8 @@ class ArcPoint:
 
 @dataclass(frozen=True)
 class ArcCandidate:
-    """Margins at the worst points for a ``sum`` of bandwidths [rad/s]; ``delay_margin`` [s] as
-    stated, ``met`` whether all demands are."""
+    """Margins at the worst points for a ``sum`` of bandwidths [rad/s]; ``met``: all demands
+    hold."""
 
     sum: float
     gain_margin: float
@@ -102,8 +97,7 @@ class ArcTuning:
     warnings: tuple[Message, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers, texts and lists; the gains stand at the top, where trials look for
-        them."""
+        """Plain values; the gains stand at the top, where trials look for them."""
         return {"what": "arc", **self.gains, **asdict(self)}
 
 

@@ -56,8 +56,8 @@ ARC_LOOP = ArcLoopSettings()
 
 
 class Sensing(NamedTuple):
-    """What lies between the machine and the controller: ``delay`` of all samples and ``lag`` of
-    those of pressure [s]."""
+    """Between machine and controller: ``delay`` of all samples, ``lag`` of those of pressure
+    [s]."""
 
     delay: float = 0.0
     lag: float = 0.0
@@ -80,8 +80,7 @@ class LoopMargins(NamedTuple):
 
 
 class Sampled(NamedTuple):
-    """A linear map from one tick to the next: state' = a·state + b·input, output = c·state +
-    d·input."""
+    """A linear map over a tick: state' = a·state + b·input, output = c·state + d·input."""
 
     a: np.ndarray
     b: np.ndarray
@@ -110,7 +109,7 @@ class Sampled(NamedTuple):
 @dataclass(frozen=True)
 class ArcLoop:
     """The loop at an operating point: ``plant`` from commands [V] to samples, ``law`` from samples
-    to commands, both over one ``tick`` [s]; ``lagged`` marks the samples of pressure."""
+    to commands, over one ``tick`` [s]; ``lagged`` marks samples of pressure."""
 
     plant: Sampled
     law: Sampled
@@ -154,8 +153,8 @@ class ArcLoop:
         return float(np.real(poles[np.abs(np.imag(poles)) > ARC_LOOP.slowest]).max())
 
     def loci(self, sensing: Sensing) -> tuple[np.ndarray, np.ndarray]:
-        """(frequencies [rad/s], characteristic loci): eigenvalues of the loop's frequency response
-        from all commands to all, each a closed loop's pole where it is 1."""
+        """(frequencies [rad/s], characteristic loci): eigenvalues of the response from all commands
+        to all."""
         highest = 0.98 * math.pi / self.tick
         modes = np.linalg.eigvals(self.plant.a)
         modes = np.log(modes[np.abs(modes) > 1e-6].astype(complex)) / self.tick
@@ -177,8 +176,8 @@ class ArcLoop:
         return omega, np.linalg.eigvals(loop)
 
     def margins(self, sensing: Sensing) -> LoopMargins:
-        """Margins of all commands together: they are exact, as a common gain, angle or delay turns
-        every characteristic locus alike."""
+        """Margins of all commands together; exact, as a common gain, angle or delay turns all loci
+        alike."""
         if self.growth(sensing) > ARC_LOOP.growth:
             return LoopMargins(0.0, 0.0, 0.0, 0.0)
         w, loci = self.loci(sensing)
@@ -259,8 +258,8 @@ class SampledPlant:
         return cls(model, point, Sampled(a, b, c, d), tuple(valves), there)
 
     def stays(self, design_point: DesignPoint, gains: np.record) -> bool:
-        """Whether the controller stays in the point's working function there: where it takes
-        another, the point is no steady motion of the loop."""
+        """Whether the controller stays in the point's working function: else it is no steady
+        motion."""
         tick = _LawTick(self, design_point, gains)
         tick.after(np.zeros(tick.sizes.size), np.zeros(tick.reads.size))
         return FUNCTIONS[int(tick.memory.state.function)] == self.point.function
@@ -335,8 +334,7 @@ class _LawTick:
 def steady_memory(
     model: Model, point: OperatingPoint, design_point: DesignPoint, gains: np.record
 ) -> np.record:
-    """The controller's memory, a record of type `arc.STATE`, in a steady motion in which it knows
-    its load."""
+    """The memory, a record of type `arc.STATE`, in a steady motion in which the load is known."""
     axis, state = design_point.axis, arc.memory_of(design_point.axis).state
     state.started, state.function, state.age = 1, FUNCTIONS.index(point.function), 10.0
     state.metered = METERED[state.function]

@@ -29,14 +29,7 @@ from ehbench.tune.loop import (
     violations,
 )
 from ehbench.tune.operating_point import OperatingPoint
-from ehbench.tune.results import (
-    Locus,
-    PointResult,
-    StepResponse,
-    Tuning,
-    functions_of,
-    pairs,
-)
+from ehbench.tune.results import Locus, PointResult, StepResponse, Tuning, functions_of, pairs
 from ehbench.tune.search import SEARCH, LawSearch, choose_gain
 from ehbench.tune.study import SteadyMotion, Study
 from ehbench.vocabulary.codes import FUNCTIONS
@@ -157,7 +150,12 @@ def _curves(
     """Root loci and step responses at the least damped point of each function and payload."""
     parameters = ("feedback_gain", "washout") if law.washout > 0 else ("feedback_gain",)
     loci, steps = [], []
-    for i in worst_of_each(results):
+    worst: dict[tuple[str, str], int] = {}
+    for i, r in enumerate(results):
+        last = worst.setdefault((r.point.function, r.point.payload), i)
+        if r.damping_ratio_closed < results[last].damping_ratio_closed:
+            worst[r.point.function, r.point.payload] = i
+    for i in worst.values():
         motion, result = study.motions[i], results[i]
         gain = chosen[motion.point.function]
         loci += [locus(motion, law, gain, name, result.gain_limit) for name in parameters]
@@ -190,8 +188,8 @@ def _result(motion: SteadyMotion, law: Law, gain: float, gains: np.ndarray) -> P
 
 
 def _bias(plain: Loop, point: OperatingPoint, gain: float) -> float:
-    """What the static pressure does to the steady speed [m/s] where it is fed back without a
-    washout; NaN where nothing is steady."""
+    """Static pressure's part in the steady speed [m/s] without a washout; NaN where nothing is
+    steady."""
     pressure = point.p_head if METERED[FUNCTIONS.index(point.function)] == HEAD else point.p_rod
     poles = np.linalg.eigvals(plain.closed(gain))
     if (poles.real > -AT_ZERO * np.abs(poles).max()).any():
@@ -254,16 +252,6 @@ def locus(motion: SteadyMotion, law: Law, gain: float, parameter: str, limit: fl
         pairs(cross),
         (-1.6 * reach, 0.4 * reach, 1.4 * reach),
     )
-
-
-def worst_of_each(results: Sequence[PointResult]) -> list[int]:
-    """The least damped operating point of each function and payload, in their order."""
-    worst: dict[tuple[str, str], int] = {}
-    for i, r in enumerate(results):
-        key = (r.point.function, r.point.payload)
-        if key not in worst or r.damping_ratio_closed < results[worst[key]].damping_ratio_closed:
-            worst[key] = i
-    return list(worst.values())
 
 
 def step_response(motion: SteadyMotion, law: Law, result: PointResult, gain: float) -> StepResponse:

@@ -42,9 +42,8 @@ class LinearModel:
 
 
 class ValveBlock(NamedTuple):
-    """A valve as ``ẋ = a x + b u``, opening ``= c x``: its elements one behind the other.
-
-    ``states`` are their positions in the plant's state."""
+    """A valve as ``ẋ = a x + b u``, opening ``= c x``; ``states``: positions in the plant's
+    state."""
 
     states: tuple[int, ...]
     a: np.ndarray
@@ -71,8 +70,8 @@ def valve_block(model: Model, valve: int) -> ValveBlock:
 
 
 class _Sensing(NamedTuple):
-    """A load-sensing pump about an operating point that it follows: the ``side`` that it feeds and
-    feels, and how fast it follows, ``rate`` [1/s]."""
+    """A load-sensing pump: the ``side`` that it feeds and feels, the ``rate`` [1/s] at which it
+    follows."""
 
     side: int
     rate: float
@@ -89,8 +88,8 @@ def _sensing(model: Model, point: OperatingPoint) -> _Sensing | None:
 
 
 def part_states(model: Model, point: OperatingPoint) -> list[int]:
-    """Where the plant has the states of the cylinder's lines, of the supply that feels it, of what
-    sways at it and of its mount."""
+    """Places in the plant's state of the cylinder's lines, its supply if it follows, sway and
+    mount."""
     row = model.plant.cylinders[model.layout.cylinders.index(point.cylinder)]
     supply = [] if _sensing(model, point) is None else [int(model.plant.at.supply)]
     mount = [int(row.mount_state)] if row.mount_state >= 0 else []

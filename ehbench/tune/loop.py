@@ -183,8 +183,8 @@ def damping_ratio(poles: Any, fastest: float = math.inf) -> np.ndarray:
 
 
 def dominant(poles: Any, fastest: float = math.inf) -> complex:
-    """The least damped of the poles that `damping_ratio` counts, upper half plane; the slowest
-    where all are real."""
+    """The least damped of the poles that `damping_ratio` counts, upper half; the slowest if all are
+    real."""
     size = np.abs(poles)
     counts = (size > AT_ZERO * size.max()) & ((size < fastest) | (poles.real > 0.0))
     among = poles[counts]
@@ -200,8 +200,8 @@ def violations(result: Margins, demands: dict[str, float]) -> list[str]:
 
 
 def margins(loop: Loop, gain: float) -> Margins:
-    """Margins of the feedback loop and of the off-side loop, each with the other closed, and
-    bandwidth at a gain [m³/(s·Pa)]."""
+    """Margins of the feedback and the off-side's loop, each with the other closed, and the
+    bandwidth."""
     loops = _open_loops(loop, gain)
     if any(item.growth() > 0.0 for item in loops):
         return Margins(0.0, 0.0, bandwidth(loop, gain))
@@ -258,8 +258,8 @@ def bandwidth(loop: Loop, gain: float) -> float:
 
 
 def gain_limit(loop: Loop, gains: np.ndarray) -> float:
-    """The gain [m³/(s·Pa)] above which the closed loop is unstable; inf if not within ``gains``, 0
-    if it is never stable."""
+    """Gain [m³/(s·Pa)] above which the loop is unstable; inf beyond ``gains``, 0 if it is never
+    stable."""
     from scipy.optimize import brentq
 
     def rightmost(gain):

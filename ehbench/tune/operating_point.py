@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -187,8 +187,7 @@ class OperatingPoint:
 
 
 def circuit_of(model: Model, cylinder: int, maps: Maps | None = None) -> Circuit:
-    """The circuit of a cylinder as controllers take it, from a model and the measured maps it was
-    built on."""
+    """The `Circuit` of a cylinder, from a model and the measured maps it was built on."""
     plant = model.plant
     measured = [map_of(maps, name) for name in model.layout.edges]
     row = plant.cylinders[cylinder]
@@ -266,8 +265,7 @@ class _Motion:
         return next((side for path, side in FED.items() if at_work[path]), None)
 
     def at_ports(self, p_head: float, p_rod: float) -> Pressures:
-        """What the edges stand between [Pa], the supply's line at the pressure that it has there in
-        steady motion."""
+        """Pressures between which the edges stand [Pa], the supply's as it is in steady motion."""
         load = self.p_tank if self.fed is None else (p_head, p_rod)[self.fed]
         line = sensed(max(load, self.p_tank, self.aim.sensed), self.model.plant.supply)
         return Pressures(p_head, p_rod, line, self.p_tank)
@@ -346,8 +344,8 @@ class _Motion:
         return _Settled(force, *self.chambers(force, off), note)
 
     def common_opening(self, v: float, force: float) -> float:
-        """Off-side pressure [Pa] at which one opening passes both ends' flows: where the low rail
-        is enough, on that, else on the line."""
+        """Off-side pressure [Pa] at which one opening passes both flows: on the low rail, else on
+        the line."""
 
         def ports(off: float) -> tuple[Pressures, np.ndarray]:
             return self.ports(v, *self.chambers(force, off))
@@ -355,20 +353,17 @@ class _Motion:
         low, high = self.p_tank, self.model.plant.supply.pressure
         ends = [low + 1.0, high - 1.0]
         if self.railed(ports(ends[0])[0]) and not self.railed(ports(ends[1])[0]):
-            ends[1:1] = self.about_rail(ports, *ends)
+            first, last = ends  # about the pressure above which the low rail is not enough
+            while last - first > POINT.pressure:
+                middle = 0.5 * (first + last)
+                railed = self.railed(ports(middle)[0])
+                first, last = (middle, last) if railed else (first, middle)
+            ends[1:1] = first, last
         for first, last in zip(ends[::2], ends[1::2], strict=True):
             surplus = _Surplus(self.circuit, self.function, ports)
             if (root := surplus.root(first, last)) is not None:
                 return root
         return low if abs(surplus(ends[0])) < abs(surplus(ends[-1])) else high
-
-    def about_rail(self, ports: _Ports, low: float, high: float) -> tuple[float, float]:
-        """Off-side pressures [Pa] about the one above which the low rail is not enough, by
-        bisection."""
-        while high - low > POINT.pressure:
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.railed(ports(middle)[0]) else (low, middle)
-        return low, high
 
     def give(self, v: float, settled: _Settled) -> float:
         """How far the mount has given way [m]."""
@@ -528,8 +523,7 @@ def _path(
     names: tuple[str, ...],
     command: float | None = None,
 ) -> Path:
-    """A path of a function at a flow and drop along it; at ``command`` where another path decides
-    it."""
+    """A path at a flow and drop along it; at ``command`` where another path decides it."""
     if command is None:
         command = _command(circuit, path, flow, drop)
     edge, dp, du = (
@@ -563,8 +557,8 @@ def _path(
 
 @dataclass(frozen=True)
 class _Surplus:
-    """What one opening passes at the other end beyond the flow that is needed there [m³/s], over
-    the off-side pressure [Pa]; ``ports`` gives what that makes of pressures and flows."""
+    """Flow beyond the required one at the other end of one opening [m³/s], over the off-side
+    pressure."""
 
     circuit: Circuit
     function: int
@@ -589,8 +583,8 @@ class _Surplus:
 
 
 class Hose(NamedTuple):
-    """A line about an operating point: the ``side`` of its end, where its pressure stands in the
-    plant's ``state``, its ``row``, its ``drop`` [Pa] towards the chamber."""
+    """A line: ``side`` of its end, place of its ``state``, ``row``, ``drop`` [Pa] towards the
+    chamber."""
 
     side: int
     state: int
@@ -618,20 +612,8 @@ def hoses_of(model: Model, point: OperatingPoint) -> list[Hose]:
     return hoses
 
 
-def at_its_supply(model: Model, point: OperatingPoint, pressure: float) -> Model:
-    """The model for a point: where a load-sensing pump follows the ``pressure`` [Pa] of other
-    cylinders and not the point, its pressure is constant there."""
-    supply = model.plant.supply
-    if supply.margin == 0.0 or point.p_supply > sensed(pressure, supply):
-        return model
-    supply = supply.copy()
-    supply.pressure, supply.margin = point.p_supply, 0.0
-    return replace(model, plant=model.plant._replace(supply=supply))
-
-
 def state_of(model: Model, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
-    """(plant state, commands [V]) of the steady motion; other cylinders carry their loads, their
-    valves shut."""
+    """(plant state, commands [V]) of the steady motion; other cylinders stand, valves shut."""
     names = model.layout
     index = names.cylinders.index(point.cylinder)
     y = model.trim(np.array(point.q))

@@ -27,9 +27,8 @@ DIGITS = 9  # of the numbers in the file
 
 @dataclass(frozen=True)
 class EdgeUse:
-    """An edge under a working function: ``way`` +1 where oil flows from its first node to its
-    second, −1 back, 0 shut; ``meters`` where it sets the motion; ``shares`` of A1 |v| and A2 |v|
-    that it then carries."""
+    """An edge under a working function: ``way`` ±1 of the oil, 0 shut; ``meters``: it sets the
+    motion; ``shares`` of A1 |v| and A2 |v| that it carries."""
 
     name: str
     ends: tuple[str, str]
@@ -40,9 +39,8 @@ class EdgeUse:
 
 @dataclass(frozen=True)
 class FunctionUse:
-    """A working function on a circuit: ``direction`` of motion ±1, ``along`` where the load is,
-    ``cross`` the path between the two ends that it uses or '', ``metered`` the chamber that sets
-    the motion, ``draws`` oil from the supply for a way made [m²]."""
+    """A working function on a circuit: ``direction`` ±1, ``along`` of the load, ``cross`` path
+    between the ends or '', ``metered`` chamber, oil that it ``draws`` per stroke [m²]."""
 
     name: str
     direction: int
@@ -155,8 +153,7 @@ class Locus:
 
 @dataclass(frozen=True)
 class StepResponse:
-    """Speed [m/s] after a step of 1 m/s in desired speed, without any feedback and with it, over
-    ``t`` [s]."""
+    """Speed [m/s] over ``t`` [s] after a step of 1 m/s, without feedback and with it."""
 
     name: str
     t: tuple[float, ...]
@@ -166,8 +163,7 @@ class StepResponse:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another law at its own best gain: its least damping ratio over the operating points that
-    count."""
+    """Another law at its best gain, and its least damping ratio."""
 
     what: str
     washout: float
@@ -192,10 +188,8 @@ class Curves:
 
 @dataclass(frozen=True)
 class Robustness:
-    """Draws of the identified parameters: the share that reaches the target, and the range of the
-    worst damping ratio (5, 50, 95 %).
-
-    ``points``: how many operating points, the least damped ones, each draw was judged at."""
+    """Draws of the identified parameters at the ``points`` least damped: the share that reaches the
+    target, the range of the worst damping ratio (5, 50, 95 %)."""
 
     draws: int
     parameters: tuple[str, ...]

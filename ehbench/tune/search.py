@@ -41,17 +41,6 @@ class SearchSettings:
 SEARCH = SearchSettings()
 
 
-def natural_gain(motions: Sequence[SteadyMotion]) -> float:
-    """Geometric mean over the points of ω_n V/β_e [m³/(s·Pa)]: the gain that makes the metered
-    chamber as fast as the load swings."""
-    logs = []
-    for motion in motions:
-        head = METERED[FUNCTIONS.index(motion.point.function)] == HEAD
-        volume = motion.point.volume_head if head else motion.point.volume_rod
-        logs.append(math.log(swing(motion) * volume / _stiffness(motion)[0 if head else 1]))
-    return math.exp(float(np.mean(logs)))
-
-
 def swing(motion: SteadyMotion) -> float:
     """Natural frequency [rad/s] between two shut chambers: ω² = (β1 A1²/V1 + β2 A2²/V2)/m_eq."""
     (head, rod), point = _stiffness(motion), motion.point
@@ -89,8 +78,8 @@ def best_gain(motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray) -> t
 
 
 def _reaches(motions: list[SteadyMotion], law: Law, gains: np.ndarray, minimum: float) -> bool:
-    """Whether some gain gives every point at least this damping ratio. Moves a point that refuses
-    all gains to the front."""
+    """Whether some gain gives every point this damping ratio. A point that refuses goes to the
+    front."""
     remaining = gains
     for i, motion in enumerate(motions):
         remaining = remaining[motion.loop(law).damping_ratio(remaining) >= minimum]
@@ -113,7 +102,12 @@ class LawSearch:
     """
 
     def __init__(self, motions: Sequence[SteadyMotion], recipe: TuneRecipe) -> None:
-        scale, span = natural_gain(motions), SEARCH.gain_span
+        logs = []  # ω_n V/β_e [m³/(s·Pa)]: the gain by which a chamber is as fast as its load
+        for motion in motions:
+            head = METERED[FUNCTIONS.index(motion.point.function)] == HEAD
+            volume = motion.point.volume_head if head else motion.point.volume_rod
+            logs.append(math.log(swing(motion) * volume / _stiffness(motion)[0 if head else 1]))
+        scale, span = math.exp(float(np.mean(logs))), SEARCH.gain_span
         trial = np.geomspace(scale / span, scale * span, SEARCH.gain_points)
         self.grid = np.concatenate([[0.0], trial])
         self.motions, self.gains, self.delay = motions, self.grid[::2], float(recipe.delay)
@@ -174,8 +168,7 @@ class LawSearch:
         return self._best(able) if able else None
 
     def _fastest(self, washouts: Sequence[tuple[float, float]]) -> Law | None:
-        """Of washouts that get slower, the first that reaches the target, then closer in by
-        bisection."""
+        """Of washouts that get slower, the first that reaches the target, refined by bisection."""
         faster_corner = 0.0
         for corner, ramp in washouts:
             law = self._reaching(corner, ramp)
@@ -226,8 +219,8 @@ def choose_gain(
     demands: dict[str, float],
     notes: list[Message],
 ) -> float:
-    """The gain with the best worst case among those that keep the demands at every point; the best
-    of all where none does. What the demands cost goes to ``notes``."""
+    """The gain with the best worst case of those that keep the demands everywhere, else of all.
+    What the demands cost goes to ``notes``."""
     from scipy.optimize import minimize_scalar
 
     worst = worst_damping(motions, law, gains)
@@ -258,8 +251,7 @@ def choose_gain(
 
 
 def _keeps_demands(loops: list[Loop], gain: float, demands: dict[str, float]) -> bool:
-    """Whether every loop keeps the demands at a gain. Moves one that does not to the front: it is
-    the likeliest to refuse the next."""
+    """Whether every loop keeps the demands at a gain. A loop that refuses goes to the front."""
     for i, loop in enumerate(loops):
         if violations(margins(loop, gain), demands):
             loops.insert(0, loops.pop(i))

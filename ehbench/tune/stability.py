@@ -44,8 +44,8 @@ class OpenLoop(NamedTuple):
     late: slice = slice(0)
 
     def growth(self, factor: float = 1.0) -> float:
-        """Growth [1/s] of the fastest growing pole of the loop closed with a factor on it; none
-        below rounding."""
+        """Growth [1/s] of the fastest pole of the loop closed with a factor; none below
+        rounding."""
         poles = np.linalg.eigvals(self.a - factor * np.outer(self.b, self.c))
         return float(poles.real.max()) - STABILITY.calm * float(np.abs(self.a).max())
 
@@ -102,8 +102,8 @@ def phase_margin(loop: OpenLoop) -> float:
 def _crossings(
     loop: OpenLoop, eigenvalues: np.ndarray, level: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """L where a level of it changes its sign: about each eigenvalue close to the imaginary axis,
-    and at the angles of a delay which its Padé form misses."""
+    """L where a level of it changes its sign: near eigenvalues at the imaginary axis, and at the
+    angles of a delay that its Padé form misses."""
     known: np.ndarray = eigenvalues[np.isfinite(eigenvalues)]
     places = np.imag(known)[np.abs(np.real(known)) < STABILITY.near * np.imag(known)]
     turns = np.empty(0)

@@ -12,6 +12,7 @@ import numpy as np
 from ehbench.config.recipe import AnyTuning
 from ehbench.config.rig import Rig
 from ehbench.control.functions import Circuit, default_pressure
+from ehbench.parts.supply import sensed as sensed_pressure
 from ehbench.plant.build import Maps
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
@@ -22,7 +23,6 @@ from ehbench.tune.operating_point import (
     Aim,
     Equivalent,
     OperatingPoint,
-    at_its_supply,
     circuit_of,
     equivalent,
     operating_point,
@@ -79,7 +79,12 @@ class Study(Generic[R]):
         """The steady motion that is aimed at, as `operating_point`, and the model for it."""
         sensed = self._sensed(model)
         point = operating_point(model, circuit, function, here, index, replace(aim, sensed=sensed))
-        return at_its_supply(model, point, sensed), point
+        supply = model.plant.supply
+        if supply.margin == 0.0 or point.p_supply > sensed_pressure(sensed, supply):
+            return model, point
+        supply = supply.copy()  # the pump follows the others, and is constant here
+        supply.pressure, supply.margin = point.p_supply, 0.0
+        return replace(model, plant=model.plant._replace(supply=supply)), point
 
     def _sensed(self, model: Model) -> float:
         """The highest pressure [Pa] of the cylinders that move as well."""
@@ -197,8 +202,7 @@ def _those_that_count(
 
 
 def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[Message]:
-    """A note where points stand near the pressure at which the low rail is not enough any more:
-    a swing over it meets two supplies in turn, and no linear model has that."""
+    """A note on points near the pressure at which the low rail ends: no linear model has that."""
     low = rig.supply.low_rail
     if low is None:
         return []

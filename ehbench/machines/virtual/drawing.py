@@ -62,8 +62,7 @@ def _draws(seed: int, name: str) -> np.random.Generator:
 
 
 def true_rig(recipe: BenchRecipe, rig: Rig) -> Rig:
-    """The rig as the bench has it: overridden parameters, and an analytic law where the rig file
-    waits for a flow map."""
+    """The rig as the bench has it: its own parameters, an analytic law in place of a map."""
     values = {}
     for name, text in recipe.truth.items():
         try:
@@ -131,8 +130,7 @@ def check_names(recipe: BenchRecipe, names: Layout) -> None:
 
 
 def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.record:
-    """One direction of an edge. All draws are made whatever is given, so that giving one value
-    leaves the others."""
+    """One direction of an edge. All is drawn, so that giving one value leaves the others."""
     full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
     compensated = edge.law in ("compensated", "flow_control")
     low, high = (
@@ -394,8 +392,8 @@ def _sensors(of: _Seeded) -> np.recarray:
 
 
 def speed_filter(omega: float, zeta: float, tick: float) -> np.ndarray:
-    """Numbers of `follow`: the 2 × 2 transition over a tick, row by row, the tick [s], and the lag
-    2 ζ/ω [s] on a ramp."""
+    """Numbers of `follow`: the 2 × 2 transition over a tick, row by row, the tick [s], the lag 2
+    ζ/ω [s]."""
     root = complex(zeta * zeta - 1.0) ** 0.5
     if abs(root) < 1e-6:
         root = complex(1e-6)

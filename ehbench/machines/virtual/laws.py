@@ -5,11 +5,7 @@ from __future__ import annotations
 import math
 
 from ehbench.machines.virtual.plant import A_CYLINDER, FILTER, LINES, RAW, VirtualPlant
-from ehbench.parts.cylinder import (
-    RELIEF_GAIN,
-    leakage_slope,
-    linkage_of,
-)
+from ehbench.parts.cylinder import RELIEF_GAIN, leakage_slope, linkage_of
 from ehbench.parts.edge import CHECK, PUMP, check, pump
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.edge.preload import metered
@@ -50,8 +46,8 @@ CREEP = 1.0e-3  # [m/s]: over which friction turns round
 
 @part_kernel
 def opening_area(wide, softness, saturation):
-    """Opening [V of ideal travel] at ``wide`` [V] beyond the onset: ``w²/(w + softness)``, then
-    levelling off at saturation."""
+    """Opening [V] at ``wide`` [V] beyond the onset: ``w²/(w + softness)``, levelling off at
+    saturation."""
     if wide <= 0.0:
         return 0.0
     soft = wide * wide / (wide + softness)
@@ -85,8 +81,7 @@ def curve_flow(drop, spool, curve):
 
 @part_kernel
 def edge_flow(drop, spool, edge, curves):
-    """Flow [m³/s] along an edge at a drop [Pa] of either sign and a spool position [V], null
-    leakage included."""
+    """Flow [m³/s] along an edge at a drop [Pa] and a spool position [V], null leakage included."""
     reach = edge.sign * spool
     if edge.law == PUMP:
         return pump.flow(drop, reach, edge, curves)
@@ -199,8 +194,7 @@ def _gripping(row, v, plant):
 
 @part_kernel
 def _supply(y, bench, dy, work):
-    """Rates of the supply line, of the pump and of the pressure that it is told to hold; the
-    fastest of them [1/s]."""
+    """Rates of supply line, pump and the pressure that it senses; the fastest of them [1/s]."""
     at, line, fluid = bench.at, bench.supply, bench.fluid
     p, demand = y[at.supply], -work[at.net + SUPPLY]
     stiffness = line_stiffness(p, line)
@@ -281,8 +275,7 @@ def _delayed(state, bench, channel):
 
 @part_kernel
 def _measure(state, bench, noise_row, sample):
-    """Noise, offset and quantization of the lagged channels, then the delay line, then speed from
-    position."""
+    """Noise, offset and quantization of lagged channels, then the delay line, then speed."""
     at, cylinders = bench.at, bench.cylinders.shape[0]
     place = int(state[at.place])
     for i in range(at.channels):

@@ -40,8 +40,8 @@ SETTLE = 0.25  # [s] of rest before t = 0, so that lags and delays have filled
 
 
 class Running(NamedTuple):
-    """A virtual machine at work: its ``state``, memory included, its numbers, the ``tick`` [s] and
-    the integration ``steps`` in it, and the scratch of both."""
+    """A bench at work: ``state`` with its memory, numbers, ``tick`` [s], ``steps`` in it,
+    scratch."""
 
     state: np.ndarray
     bench: VirtualPlant
@@ -266,8 +266,8 @@ class VirtualMachine:
             )
 
     def mean_flow(self, edge: str, command: np.ndarray, drop: np.ndarray) -> np.ndarray:
-        """As `static_flow`, but the mean of commands that come up from the valve's rest and down
-        from twice themselves: all that a map which knows no hysteresis can say."""
+        """`static_flow` in the mean of commands that rise from rest and fall from twice
+        themselves."""
         rest = self.commands.rest[self.bench.edges[self.layout.edges.index(edge)].valve]
         falling = self.static_flow(edge, command, drop, 2.0 * np.asarray(command) - rest)
         return 0.5 * (self.static_flow(edge, command, drop) + falling)

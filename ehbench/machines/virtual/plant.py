@@ -91,34 +91,16 @@ def offsets_of(names: Layout, depth: int) -> BenchOffsets:
     filters = lags + channels
     ring = filters + FILTER * nc
     place = ring + depth * channels
-    return BenchOffsets(
-        joints=at.joints,
-        rates=at.rates,
-        supply=at.supply,
-        pump=at.states,
-        sensed=at.states + 1,
-        states=states,
-        hysteresis=states,
-        lags=lags,
-        filters=filters,
-        ring=ring,
-        depth=depth,
-        place=place,
-        size=place + 1,
-        channels=channels,
-        torque=at.torque,
-        inertia=at.inertia,
-        net=at.net,
-        slope=at.slope,
-        opening=at.opening,
-        flow=at.flow,
-        work=at.pump,
-    )
+    own = {"pump": at.states, "sensed": at.states + 1, "states": states, "hysteresis": states}
+    own |= {"lags": lags, "filters": filters, "ring": ring, "depth": depth, "place": place}
+    own |= {"size": place + 1, "channels": channels, "work": at.pump}
+    shared = {name: value for name, value in at._asdict().items() if name in BenchOffsets._fields}
+    return BenchOffsets(**(shared | own))
 
 
 class VirtualPlant(NamedTuple):
-    """A bench as flat tables. ``delay``: whole ticks of the sensors' delay, ``share`` the rest of
-    it as a share of a tick; ``speed`` the numbers of the speed filter, see `speed_filter`."""
+    """A bench as flat tables. ``delay`` of sensors in whole ticks, ``share`` of a tick; ``speed``
+    filter."""
 
     kind: int
     gravity: np.ndarray
@@ -141,8 +123,8 @@ class VirtualPlant(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What a tick of the bench works in: ``k`` (5, states), ``work`` (at.work,), ``target`` [V]
-    (valves,), ``raw`` (channels,), and the ``line`` of past targets."""
+    """Room of a tick: ``k`` (5, states), ``work``, ``target`` [V] (valves,), ``raw`` channels,
+    ``line`` of past targets."""
 
     k: np.ndarray
     work: np.ndarray

@@ -150,22 +150,20 @@ def edge_onset(edge, maps):
 
 @part_kernel
 def edge_known(drop, edge, maps):
-    """Largest opening [V], counted in the direction that opens the edge, that its law speaks of at
-    a drop [Pa]; inf for an analytic law."""
+    """Largest opening [V] that an edge's law knows at a drop [Pa]; inf for an analytic law."""
     return _known(edge.law, metered(drop, edge), edge, maps)
 
 
 @part_kernel
 def edge_slope(drop, flow, opening, edge):
-    """Bound of how fast a flow [m³/s] other than zero changes with a pressure at either end
-    [m³/(s·Pa)]."""
+    """Bound of the slope of a flow [m³/s] other than zero over either pressure [m³/(s·Pa)]."""
     return _slope(edge.law, metered(drop, edge), flow, edge.sign * opening, edge)
 
 
 @part_kernel
 def edge_opening(y, plant, edge, openings):
-    """What opens an edge: its valve's opening [V]; without a command the pressure [Pa] by which its
-    pilot exceeds the node where the flow comes from, 0 without a pilot."""
+    """What opens an edge: its valve's opening [V], or its pilot's pressure above the upstream node
+    [Pa]."""
     if edge.valve >= 0:
         return openings[edge.valve]
     if edge.pilot < 0:

@@ -32,8 +32,8 @@ FINE = 4.0
 
 @part_kernel
 def lift_of(drop, pilot, edge):
-    """Lift of the poppet as a share of its whole: ``Δp + pilot_ratio·(p_pilot − p_from) −
-    cracking_pressure`` over ``opening_range``; it rests below 0 and above 1."""
+    """Lift as a share: ``Δp + pilot_ratio·(p_pilot − p_from) − cracking_pressure`` over
+    ``opening_range``."""
     return (drop + edge.pilot_ratio * pilot - edge.cracking_pressure) / edge.opening_range
 
 
@@ -46,8 +46,7 @@ def share_open(lift):
 
 @part_kernel
 def flow(drop, reach, edge, maps):
-    """``orifice_gain·share·√Δp`` [m³/s]; ``reach`` is the pilot's pressure above that of the node
-    where the flow comes from [Pa], 0 without a pilot."""
+    """``orifice_gain·share·√Δp`` [m³/s]; ``reach`` is the pilot's pressure above upstream [Pa]."""
     share = share_open(lift_of(drop, reach, edge))
     return math.copysign(edge.gain * share * root(abs(drop)), drop)
 
@@ -60,8 +59,8 @@ def opening(drop, flow, edge, maps):
 
 @part_kernel
 def slope(drop, flow, reach, edge):
-    """How fast the flow changes with a pressure at it [m³/(s·Pa)], more than it does near the
-    opening range, as steps ask that must not miss the poppet's motion."""
+    """Slope of the flow [m³/(s·Pa)], more near the opening range, so that steps see the poppet
+    move."""
     lift, lever = lift_of(drop, reach, edge), max(1.0, edge.pilot_ratio)
     share, steep = share_open(lift), 0.0
     if -NEAR * lever < lift < 1.0 + NEAR * lever:

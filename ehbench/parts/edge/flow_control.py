@@ -1,5 +1,4 @@
-"""An edge behind a pressure compensator that holds its flow: above its drop nothing of it depends
-on the drop, so it damps nothing there."""
+"""An edge behind a compensator that holds its flow above its drop, and damps nothing there."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ from ehbench.runtime.compiled import part_kernel
 
 @part_kernel
 def level(drop, reference):
-    """Share of the full flow [1] at drop ≥ 0: ``s (3 − s²)/2`` of ``s = √(Δp/Δp0)``, 1 from the
-    reference drop Δp0 [Pa] on; of slope 0 there, and of an orifice's at small drops."""
+    """Share of full flow [1]: ``s (3 − s²)/2``, ``s = √(Δp/Δp0)``, 1 from the reference drop Δp0
+    [Pa] on."""
     if drop >= reference:
         return 1.0
     share = root(drop) / root(reference)

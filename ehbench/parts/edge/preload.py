@@ -1,5 +1,4 @@
-"""A valve held shut by a spring in series with a metering edge: counterbalance, overcentre or
-preload."""
+"""A counterbalance, overcentre or preload valve in series with a metering edge."""
 
 from __future__ import annotations
 
@@ -9,15 +8,13 @@ from ehbench.runtime.compiled import part_kernel
 
 @part_kernel
 def preload(edge):
-    """Pressure [Pa] that the spring takes of a drop along an edge; of oil that goes back, which the
-    valve's own check lets pass, it takes none."""
+    """Pressure [Pa] that the spring takes of a drop; none of oil that goes back."""
     return 0.0 if edge.unmetered == 1 else edge.cracking_pressure
 
 
 @part_kernel
 def metered(drop, edge):
-    """What of a drop [Pa] of either sign is left for an edge's own law: ``Δp − cracking_pressure``,
-    0 up to there."""
+    """A drop [Pa] less the preload: ``Δp − cracking_pressure``, 0 up to there."""
     return drop - min(max(drop, 0.0), preload(edge))
 
 

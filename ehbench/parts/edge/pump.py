@@ -28,8 +28,8 @@ class FixedPumpFields(FileModel):
 
 @part_kernel
 def flow(drop, reach, edge, maps):
-    """``D ω + slip Δp`` [m³/s], ``ω = pump_speed + speed_gain·opening``: at a negative drop the
-    pump lifts pressure, and oil slips back."""
+    """``D ω + slip Δp`` [m³/s], ``ω = pump_speed + speed_gain·opening``; it slips back at Δp <
+    0."""
     speed = edge.pump_speed + edge.speed_gain * reach
     return edge.displacement * speed + edge.slip * drop
 

@@ -40,8 +40,8 @@ def flow(drop, reach, edge, maps):
 
 @part_kernel
 def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes; the widest for more than that gives, 0 for less than an
-    underlap lets through."""
+    """Opening [V] at which ``flow`` passes: the widest for too much, 0 for less than an
+    underlap's."""
     maximum, soft = edge.opening_max - edge.deadband, edge.saturation_softness
     wide = abs(flow) / (edge.gain * root(abs(drop)))
     if wide >= maximum:

@@ -16,8 +16,7 @@ COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
 
 
 class CoulombViscous(FrictionTable):
-    """The law where nothing is said, by the cylinder's ``friction_viscous`` and
-    ``friction_coulomb``."""
+    """The default law, by the cylinder's ``friction_viscous`` and ``friction_coulomb``."""
 
     law: Literal["coulomb_viscous"]
 

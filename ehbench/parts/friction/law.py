@@ -15,8 +15,7 @@ SETTLING = 5.0e-4
 
 
 class FrictionTable(FileModel):
-    """Base of the tables ``[cylinder.friction]``, one a law, told apart by ``law``; what a law
-    needs has the names of its columns."""
+    """Base of the tables ``[cylinder.friction]``, one a ``law``, with the names of its columns."""
 
     def misfit(self, coulomb: float) -> tuple[str, str] | None:
         """(key, what is wrong with it) beside the cylinder's Coulomb friction [N]."""

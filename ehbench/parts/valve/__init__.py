@@ -126,7 +126,7 @@ def valve_advance(valve, signal, dt, plant, y, k):
 
 @part_kernel
 def valve_recover(valve, signal, dt, plant, y, later):
-    """Find what a known opening in ``y`` says nothing of, from the opening ``later`` [V] by ``dt``
+    """Recover inner states from a known opening in ``y`` and the opening ``later`` [V] by ``dt``
     [s]."""
     if valve.count > 0:
         element = plant.elements[valve.first]

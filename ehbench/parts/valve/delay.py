@@ -43,8 +43,7 @@ class Line(NamedTuple):
 
 
 def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
-    """The line of a plant that was commanded ``valves.before`` until now, by rows of at least
-    so many ``columns``."""
+    """The line of a plant commanded ``valves.before`` until now, by rows of ``columns``."""
     before, delay = plant.valves["before"], plant.valves["delay"]
     depth = math.ceil(delay.max() / tick) + 2 if delay.any() else 1
     played = 1 + int(plant.forces["played"].max(initial=-1))
@@ -56,17 +55,9 @@ def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
 
 
 @part_kernel
-def late_between(late, soon, since, first, h, tick):
-    """What is felt over ``h`` [s] from ``since`` [s] on, by which the delay puts it: ``late`` in
-    its tick, the ``first``, ``soon`` in the next."""
-    share = min(max((since + h - (first + 1) * tick) / h, 0.0), 1.0)
-    return late + share * (soon - late)
-
-
-@part_kernel
 def line_felt(line, command, plant, start, h):
-    """Write what the valves feel over ``h`` [s] from ``start`` [s] of the present tick on into
-    ``line.held``, under its ``command`` [V]."""
+    """Write the delayed commands over ``h`` [s] from ``start`` [s] of this tick into
+    ``line.held``."""
     for i in range(command.shape[0]):
         line.held[i] = command[i]
     depth = line.past.shape[0]
@@ -78,7 +69,8 @@ def line_felt(line, command, plant, start, h):
             first = int(math.floor(since / line.tick))
             late = command[i] if first >= 0 else line.past[(line.count[0] + first) % depth, i]
             soon = command[i] if first >= -1 else line.past[(line.count[0] + first + 1) % depth, i]
-            line.held[i] = late_between(late, soon, since, first, h, line.tick)
+            share = min(max((since + h - (first + 1) * line.tick) / h, 0.0), 1.0)
+            line.held[i] = late + share * (soon - late)
 
 
 @part_kernel

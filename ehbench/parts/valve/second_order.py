@@ -17,8 +17,7 @@ SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
 
 
 class SecondOrder(DynamicsTable):
-    """Second-order valve dynamics opening/command, as ω_n and ζ or as the denominator s2·s² + s1·s
-    + 1."""
+    """Second-order dynamics opening/command, by ω_n and ζ or the denominator s2·s² + s1·s + 1."""
 
     kind: Literal["second_order"] = "second_order"
     natural_frequency: Annotated[Value, Q("natural_frequency")] | None = None
