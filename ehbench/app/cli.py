@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from enum import StrEnum
@@ -458,24 +458,22 @@ def show(
         Path | None, _option("--out", help="The page. Default: <name>.html here.")
     ] = None,
     columns: Columns = None,
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a log, flow map or run as an interactive page: zoom, values, curves to hide; two of
-    them over one another; exit 3 where a run or what it was made from has changed."""
+    them over one another; exit 3 where a run or what it was made from has changed, or a log lost
+    data."""
     from ehbench.report import viewer
     from ehbench.report.terminal import Answer
 
     if len(files) > 2:
         raise typer.BadParameter("one or two files can be shown at a time")
     path, changes = viewer.place(files, out), viewer.unsupported_runs(files)
-    write_text(path, viewer.page(files, columns, changes))
-    if not as_json:
-        for change in changes:
-            print(f"note: {change}", file=sys.stderr)
-    names = ", ".join(map(str, files))
-    answer = Answer(message("app.shown", names=names), notes=changes, place=path)
-    _say(answer, Says(quiet=not as_json, as_json=as_json))
-    raise typer.Exit(3 if changes else 0)
+    losses: dict[str, Sequence[str]] = {}
+    write_text(path, viewer.page(files, columns, changes, losses))
+    verdict = message("app.shown", names=", ".join(map(str, files)))
+    _say_losses(Answer(verdict, notes=changes, place=path), losses, Says(False, verbose, as_json))
 
 
 @app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
@@ -522,15 +520,17 @@ def convert(
     to: Annotated[Format, _option("--to", help="What to write.")],
     out: Annotated[Path | None, _option("--out", help="Default: <name>.<to> here.")] = None,
     columns: Columns = None,
+    verbose: Verbose = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over."""
+    """Write a log as Parquet or MAT, in SI, with its units. Nothing is written over; exit 3 where
+    the log lost data."""
     from ehbench.app import converting
     from ehbench.report.terminal import Answer
 
-    path = converting.convert(log, to.value, out, columns)
+    path, record = converting.convert(log, to.value, out, columns)
     answer = Answer(message("app.converted", log=log, format=to.value), place=path)
-    _say(answer, Says(quiet=not as_json, as_json=as_json))
+    _say_losses(answer, {log.name: record.losses}, Says(False, verbose, as_json))
 
 
 @app.command(epilog="Example:  ehbench quantities damping")
@@ -682,6 +682,23 @@ def _say(answer: Answer, says: Says, wide: bool = False) -> None:
         print("\n".join(answer.lines(width, says.verbose)))
     elif answer.place is not None:
         print(answer.place)
+
+
+def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says) -> NoReturn:
+    """Print the place of what was written of logs and what they lost, with ``verbose`` each of it,
+    and end with the exit code: 3 where an answer has notes already, or data could not be used.
+    """
+    from ehbench.data.record import lost, summary
+
+    each = [summary(name, notes) for name, notes in losses.items()]
+    gone = [*answer.notes, *(note for every in losses.values() for note in lost(every))]
+    notes = [*answer.notes, *(note for few, _ in each for note in few)]
+    answer = replace(answer, notes=notes, details=[note for _, more in each for note in more])
+    if not says.verbose and not says.as_json:
+        for note in notes:
+            print(f"note: {note}", file=sys.stderr)
+    _say(answer, says._replace(quiet=not says.verbose))
+    raise typer.Exit(3 if gone else 0)
 
 
 @contextmanager

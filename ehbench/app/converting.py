@@ -6,6 +6,7 @@ import json
 import re
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +19,15 @@ from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.text import unlike
 
 
-def convert(path: Path, to: str, out: Path | None = None, columns: Path | None = None) -> Path:
-    """Write a log as ``parquet`` or ``mat``, in SI; the file it wrote.
+class Converted(NamedTuple):
+    """A file that was written of a log, and the record."""
+
+    path: Path
+    record: Record
+
+
+def convert(path: Path, to: str, out: Path | None = None, columns: Path | None = None) -> Converted:
+    """Write a log as ``parquet`` or ``mat``, in SI.
 
     Args:
         path: the log, or the run folder of a trial.
@@ -42,7 +50,7 @@ def convert(path: Path, to: str, out: Path | None = None, columns: Path | None =
     except OSError as error:
         reason = error.strerror or error
         raise InputError(message("app.unwritable", reason=reason), file=out) from None
-    return out
+    return Converted(out, record)
 
 
 def moments(record: Record) -> np.ndarray | None:

@@ -235,11 +235,12 @@ def _log(path: Path, verbose: bool) -> Inspection:
     for name, values in record.channels.items():
         row = quantity(name)
         low, high = (from_si(float(v), row.display, row) for v in (values.min(), values.max()))
-        lines.append(f"  {name}: {low:.4g} to {high:.4g} {row.display}")
+        text = f"  {name}: {low:.4g} to {high:.4g} {row.display}"
         odd = [] if name.endswith(".command") else oddities(from_si(values, row.display, row))
         for kind, count, first, value in odd:
             fields = {"count": count, "value": value, "where": f"t = {record.t[first]:.6g} s"}
-            lines.append(f"    {message(f'app.odd_{kind}', **fields)}")
+            text += "; " + message(f"app.odd_{kind}", **fields)
+        lines.append(text)
     unfit, gaps, more = "", [], []
     if record.t.size < LEAST_SAMPLES:
         unfit = message("app.few_samples", samples=plural(record.t.size, "sample"))

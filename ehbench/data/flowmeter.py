@@ -66,8 +66,8 @@ class FlowmeterData:
     where a cylinder's speed was taken without, and ``flow`` [m³/s] along the direction, so positive
     up to the scatter about zero; ``trial`` counts;
     ``temperature`` [K], NaN where not given; ``line`` is the line in ``file``. ``warnings`` are
-    notes on what looks odd and was retained, ``losses`` on what was left out; ``units`` those in
-    which the file, the first of several, has its columns."""
+    notes on what looks odd and was retained, ``losses`` on what was left out, ``details`` each of
+    it; ``units`` those in which the file, the first of several, has its columns."""
 
     valve: np.ndarray
     direction: np.ndarray
@@ -81,6 +81,7 @@ class FlowmeterData:
     line: np.ndarray
     warnings: tuple[str, ...] = ()
     losses: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -137,6 +138,12 @@ class LeftOut:
             hint = cure if error.hint is None else f"{error.hint}; {cure}"
             raise type(error)(error.message, file=error.file, line=error.line, hint=hint)
         self.errors.append((valve, error))
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """A note on each reading that is left out."""
+        places = (f"{Path(str(error.file)).name}:{error.line}" for _, error in self.errors)
+        return tuple(f"{at}: {error.message}" for at, (_, error) in zip(places, self.errors))
 
     def sentences(self, retained: Sequence[str]) -> tuple[str, ...]:
         """A note for each file on the readings of it that are left out.
@@ -229,7 +236,8 @@ def read_flowmeter(
     rows = _signs(rows, left_out)
     losses = left_out.sentences([row["valve"] for row in rows])
     arrays: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in _ARRAYS}
-    return FlowmeterData(**arrays, warnings=warnings, losses=losses, units=units)
+    about = {"warnings": warnings, "losses": losses, "details": left_out.details}
+    return FlowmeterData(**arrays, **about, units=units)
 
 
 def is_flowmeter(path: Path) -> bool:
@@ -467,6 +475,7 @@ def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
     return FlowmeterData(
         warnings=tuple(text for part in parts for text in part.warnings),
         losses=tuple(text for part in parts for text in part.losses),
+        details=tuple(text for part in parts for text in part.details),
         units=parts[0].units,
         **arrays,
     )

@@ -46,6 +46,14 @@ def recovered(log: str, notes: Iterable[str]) -> list[Message]:
     return [message("data.interpolated", log=log, share=100.0 * max(shares), longest=longest)]
 
 
+def summary(name: str, notes: Iterable[str]) -> tuple[list[str], list[str]]:
+    """(what is missing in a log as it was read, in few notes; the other notes, one for each)."""
+    missing = [note for note in notes if getattr(note, "key", "") == "data.samples_missing"]
+    others = [note for note in notes if note not in missing]
+    notes = [*lost(others), *recovered(name, others), *missing]
+    return notes, [note for note in others if note not in notes]
+
+
 @dataclass(frozen=True)
 class Record:
     """One recording on one time base.

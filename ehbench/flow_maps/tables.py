@@ -52,11 +52,14 @@ class EdgeReadings:
 
 @dataclass(frozen=True)
 class PreparedReadings:
-    """Readings by the edge they belong to, with a message on what was left out of each file."""
+    """Readings by the edge they belong to, with a message on what was left out of each file, and
+    ``details`` of it.
+    """
 
     rig: Rig
     edges: tuple[EdgeReadings, ...]
     losses: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
 
 
 def prepare_readings(
@@ -83,11 +86,14 @@ def prepare_readings(
     for part in parts:
         notes.setdefault(Path(part.file[0]).name, []).extend(_file_notes(part))
     groups: dict[tuple[str, str, int], list[FlowmeterData]] = {}
-    losses = list(data.losses)
+    losses, details = list(data.losses), list(data.details)
     for valve, direction in data.groups():
         rows = data.select(valve, direction)
         name, side, driver, edge = _edge_of(rig, valve, direction, rows)
-        rows = _commanded(valve, rows, driver, edge, leave_out, losses)
+        left_out = LeftOut(leave_out)
+        rows = _commanded(valve, rows, driver, edge, left_out)
+        losses += left_out.sentences([valve] * len(rows))
+        details += left_out.details
         opened = replace(rows, command=edge.sign * rows.command + 0.0)
         groups.setdefault((name, side, edge.sign), []).append(opened)
     edges, limit = [], float(rig.supply.flow_limit)
@@ -105,7 +111,7 @@ def prepare_readings(
             items.append(message("flow_maps.flow_and_supply", **fields))
         items += _warming(rows, show, rig.unit_of("temperature"))
         edges.append(EdgeReadings(name, side, sign, rows, tuple(items)))
-    return PreparedReadings(rig, tuple(edges), tuple(losses))
+    return PreparedReadings(rig, tuple(edges), tuple(losses), tuple(details))
 
 
 def _units(rig: Rig, sign: int) -> Units:
@@ -196,8 +202,7 @@ def _commanded(
     rows: FlowmeterData,
     driver: Valve,
     edge: Edge,
-    leave_out: bool,
-    losses: list[str],
+    left_out: LeftOut,
 ) -> FlowmeterData:
     """The readings at commands that open the edge and that its driver gives; others are refused, or
     left out where they are few and that is allowed."""
@@ -209,13 +214,12 @@ def _commanded(
     }
     fields = {"valve": valve, "low": low, "high": high, "number": edge.sign}
     fields["sign"] = "negative" if edge.sign < 0 else "positive"
-    left_out, keep = LeftOut(leave_out), np.ones(len(rows), bool)
+    keep = np.ones(len(rows), bool)
     for key, wrong in checks.items():
         for at in np.flatnonzero(wrong & keep):
             text = message(key, command=command[at], **fields)
             left_out.take(valve, InputError(text, file=str(rows.file[at]), line=int(rows.line[at])))
             keep[at] = False
-    losses += left_out.sentences([valve] * int(keep.sum()))
     return rows if keep.all() else rows.at(keep)
 
 

@@ -160,7 +160,7 @@ class _Facts(TypedDict, total=False):
     versions: dict[str, str]
     seeds: dict[str, int] | None
     warnings: list[str] | None
-    interpolated: list[str]
+    details: list[str]
     recorded_on: str | list[str] | None
 
 

@@ -133,7 +133,7 @@ def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool 
         folder,
         {"code": code, **values(folder)},
         report_of(run).columns,
-        details=[str(text) for text in run.facts.get("interpolated", [])],
+        details=[str(text) for text in run.facts.get("details", [])],
     )
 
 

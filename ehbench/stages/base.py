@@ -132,7 +132,7 @@ class PreparedFromLogs(Prepared):
                 "rig": self.state.rig.name,
                 "warnings": [*losses, *self.logs.remarks, *warnings],
                 "recorded_on": sorted(recorded_on),
-                **({"interpolated": self.logs.details} if self.logs.details else {}),
+                **({"details": self.logs.details} if self.logs.details else {}),
                 **facts,
             },
             code=INCOMPLETE if losses else DONE,

@@ -12,7 +12,7 @@ from ehbench.config.recipe.columns import LEAVE_OUT
 from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, INCOMPLETE, Prepared, Stage, Work, write_rig
-from ehbench.stages.inputs import Inputs, RigState
+from ehbench.stages.inputs import Inputs, Logs, NamedFiles, RigState
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
@@ -45,11 +45,14 @@ ERRORS = MachineErrors()
 
 @dataclass(frozen=True)
 class PreparedMaps(Prepared):
-    """Readings by edge; None where a dry run finds none that can be read."""
+    """Readings by edge, None where a dry run finds none that can be read; the logs that they are
+    from, if any.
+    """
 
     recipe: FlowMapRecipe
     state: RigState
     readings: PreparedReadings | None
+    logs: Logs | None
 
 
 class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
@@ -65,7 +68,8 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
 
         state = inputs.rig_state(recipe.rig)
         from_logs = recipe.method == "steps"
-        parts, files, leave_out = (_of_logs if from_logs else _of_files)(recipe, inputs, state.rig)
+        take = _of_logs if from_logs else _of_files
+        parts, files, leave_out, logs = take(recipe, inputs, state.rig)
         inputs.notes.add("undecided", message("stages.map_supported"))
         does = message(
             "stages.does_flow_map",
@@ -76,7 +80,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         readings = prepare_readings(state.rig, parts, leave_out) if parts else None
         if readings is not None and not from_logs:
             inputs.notes.add("losses", *(f"lost: {loss}" for loss in readings.losses))
-        return PreparedMaps(recipe, (*state.inputs, *files), does, state, readings)
+        return PreparedMaps(recipe, (*state.inputs, *files), does, state, readings, logs)
 
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
         from ehbench.flow_maps import tables as readings
@@ -131,17 +135,20 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         warnings = [
             f"{fit.map.valve} {fit.map.direction}: {text}" for fit in fits for text in fit.warnings
         ]
-        losses = prepared.readings.losses
-        facts = {"rig": rig.name, "warnings": [*losses, *warnings, *without]}
+        logs = prepared.logs or Logs([], (), [], [], [], [], ())
+        losses = [*prepared.readings.losses, *logs.losses]
+        details = [*prepared.readings.details, *logs.details]
+        facts = {"rig": rig.name, "warnings": [*losses, *logs.remarks, *warnings, *without]}
+        facts |= {"details": details} if details else {}
         lost = losses or (without and recipe.method != "steps")
         return Work(facts, code=INCOMPLETE if lost else DONE)
 
 
-_Readings = tuple[list["FlowmeterData"], tuple[tuple[str, Path], ...], bool]
+_Readings = tuple[list["FlowmeterData"], NamedFiles, bool, Logs | None]
 
 
 def _of_files(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
-    """(readings of flowmeter files, the files, whether bad samples are left out)."""
+    """(readings of flowmeter files, the files, whether bad samples are left out, None)."""
     from ehbench.data.flowmeter import read_flowmeter
 
     parts, files, columns = [], [], inputs.columns()
@@ -156,11 +163,11 @@ def _of_files(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
             inputs.notes.remarks += [str(text) for text in part.warnings]
     maps = () if columns is None else columns.files
     named = (*(("data", path) for path in files), *(("columns", path) for path in maps))
-    return parts, named, leave_out
+    return parts, named, leave_out, None
 
 
 def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
-    """(readings that step logs give, the logs, False)."""
+    """(readings that step logs give, their files, False, the logs)."""
     from ehbench.config.recipe.base import DataFile
     from ehbench.flow_maps.step_readings import step_readings
     from ehbench.plant.model import Model
@@ -172,7 +179,7 @@ def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
             part = step_readings(name, record, model, float(recipe.settle), float(recipe.span))
             parts.append(part)
             _note_readings(name, part, inputs)
-    return parts, logs.files, False
+    return parts, logs.files, False, logs
 
 
 def _note_readings(name: str, part: FlowmeterData, inputs: Inputs) -> None:

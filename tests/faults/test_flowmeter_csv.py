@@ -336,6 +336,7 @@ def test_too_many_wild_readings_are_no_slips(write):
     few = read_flowmeter(write(sheet(**dict(list(wrong.items())[:6]))), leave_out=True)
     assert len(few) == 39 and "6 readings left out" in few.losses[0]
     assert few.losses[0].endswith("; lines 24, 25") and read_flowmeter(write(sheet())).losses == ()
+    assert len(few.details) == 6 and all(":2" in note for note in few.details)
 
 
 WARM = HEADER + ",temperature [degC]"

@@ -553,7 +553,7 @@ def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("to", ["parquet", "mat"])
 def test_a_log_is_written_and_comes_back(to, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    out = converting.convert(LOG, to)
+    out = converting.convert(LOG, to).path
     assert out == Path(f"press_no_load.{to}")
     record, log = read(out), read(LOG)
     assert set(record.channels) == set(log.channels)
@@ -572,7 +572,9 @@ def test_the_wall_clock_goes_along(tmp_path):
     foreign.write_tdms(tmp_path / "a.tdms")
     (tmp_path / "m.toml").write_text(foreign.map_of("a.tdms"))
     made = {
-        to: converting.convert(tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml")
+        to: converting.convert(
+            tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml"
+        ).path
         for to in ("parquet", "mat")
     }
     frame = pd.read_parquet(made["parquet"])
@@ -581,6 +583,37 @@ def test_the_wall_clock_goes_along(tmp_path):
     assert found["posix_time"][0] == foreign.BEGAN
     assert found["meta"].began.startswith("2026-03-01T12:00:00")
     assert found["units"].ram_p_head == "Pa" and found["names"].ram_p_head == "ram.p_head"
+
+
+LOSSES = {  # rows of a log: the exit code, what its notes say, how many notes there are with -v
+    "a cell bridged": ("convert", {40: "0.040;;0"}, 0, ["% of samples interpolated"], 2),
+    "rows left out": (
+        "convert",
+        {n: f"0.{n:03};;0" for n in range(40, 60)},
+        3,
+        ["20 bad samples", "about 20 samples missing"],
+        2,
+    ),
+    "rows missing": ("convert", dict.fromkeys(range(40, 44), ""), 0, ["about 4 samples"], 1),
+    "rows missing in a page": ("show", dict.fromkeys(range(40, 44), ""), 0, ["about 4 samples"], 1),
+}
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_losses_are_a_line_each_and_a_list_with_v(name, tmp_path, monkeypatch, capsys):
+    command, changed, code, said, count = LOSSES[name]
+    lines = [changed.get(n, row) for n, row in enumerate(rows())]
+    _, columns = write(tmp_path, [line for line in lines if line])
+    columns.write_text('bad_samples = "leave out"\n' + columns.read_text())
+    monkeypatch.chdir(tmp_path)
+    line = [command, "a.csv", "--columns", "m.toml", *["--to", "mat"] * (command == "convert")]
+    assert cli.app(line, standalone_mode=False) == code
+    printed = capsys.readouterr()
+    notes = [text for text in printed.err.splitlines() if text.startswith("note: ")]
+    assert len(notes) == len(said) and all(word in note for word, note in zip(said, notes))
+    assert len(printed.out.splitlines()) == 1
+    cli.app([*line, "-v", "--out", "b"], standalone_mode=False)
+    assert sum(text.startswith("- ") for text in capsys.readouterr().out.splitlines()) == count
 
 
 def test_without_pyarrow_parquet_is_not_written(tmp_path, monkeypatch):

@@ -27,6 +27,7 @@ from ehbench.report.blocks import Grid
 from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import replacing, write_text
 from ehbench.signals.oddities import oddities
+from ehbench.signals.timestamps import resolution, unrounded
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -128,9 +129,15 @@ def _overview(
         for name in here:
             column, guess = table.columns[names[name][1]], guesses[name]
             text = range_of(column) + _bad_text(column, rows[name], table)
+            still = guess.channel == "t" or guess.channel.endswith(".command")
+            found = [] if still else oddities(column.values)
+            odd = [item._asdict() | {"where": _where(table, item.first)} for item in found]
+            text += "".join(message("app.odd_samples", **fields) for fields in odd)
             columns.append((name, text, _guess_text(guess)))
             lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
-            lines += [f"    {note}" for note in _odd(column, guess, table)]
+            for fields in odd:
+                note = message(f"app.odd_{fields['kind']}", **fields)
+                lines.append(f"    {note}")
         for name, cells in table.words.items():
             row = next((row for row, cell in enumerate(cells) if cell), 0)
             fields = {"cell": remark(cells[row] if cells else ""), "where": _where(table, row)}
@@ -144,7 +151,7 @@ def _overview(
 def _guess_text(guess: Guess) -> str:
     """What a column may be, how certain that is, and why."""
     unit = f" [{guess.unit}]" if guess.unit and guess.channel and not guess.ends else ""
-    reasons = ", ".join(filter(None, (*guess.why, guess.remark)))
+    reasons = ", ".join(filter(None, (guess.remark, *guess.why)))
     return f"{guess.channel or '?'}{unit}  {guess.certainty}{reasons and ': ' + reasons}"
 
 
@@ -163,32 +170,24 @@ def _where(table: SourceTable, row: int) -> str:
     return f"line {table.lines[row]}" if table.lines is not None else f"row {row + 1}"
 
 
-def _odd(column: SourceColumn, guess: Guess, table: SourceTable) -> list[str]:
-    """Notes on the odd samples of a column that is neither a time nor commanded."""
-    if guess.channel == "t" or guess.channel.endswith(".command"):
-        return []
-    notes = []
-    for odd in oddities(column.values):
-        fields = {"count": odd.count, "value": odd.value, "where": _where(table, odd.first)}
-        notes.append(message(f"app.odd_{odd.kind}", **fields))
-    return notes
-
-
 def _span(
     table: SourceTable, index: int, names: dict[str, tuple[int, int]], guesses: dict[str, Guess]
 ) -> str:
     """How long a table is, how often it was sampled and when it began, as far as is known."""
-    t, began = table.t, table.began
+    t, began, written = table.t, table.began, table.t
     for name, (i, j) in names.items():
         if i == index and guesses[name].channel == "t" and t is None:
             unit = guesses[name].unit or "s"
-            t = to_si(table.columns[j].values, unit, VOCABULARY["t"])
+            written = table.columns[j].values
+            t = to_si(written, unit, VOCABULARY["t"])
             first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
             began = since_1970(first, unit in DAYS) if began is None else began
-    if t is None or t.size < 2:
+    t = np.zeros(0) if t is None else t[np.isfinite(t)]
+    if t.size < 2 or written is None:
         return ""
-    step = float(np.nanmedian(np.diff(t)))
-    span = float(np.nanmax(t) - np.nanmin(t))
+    span = float(np.ptp(t))
+    scale = span / float(np.ptp(written[np.isfinite(written)])) if span > 0.0 else 1.0
+    step = float(np.median(np.diff(unrounded(t, scale * max(resolution(written))))))
     even = span / (t.size - 1)  # which tells a rate better than steps that the recorder rounded
     step = even if abs(even - step) < LIMITS.even * step else step
     rate = f", {1 / step:.5g} Hz" if step > 0.0 else ""

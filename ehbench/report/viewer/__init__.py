@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.rig import Rig
+from ehbench.data import read
 from ehbench.data.readers import suffixes
+from ehbench.data.record import summary
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.report.blocks import digest
 from ehbench.report.captions import capital
@@ -61,9 +63,19 @@ def unsupported_runs(sources: Sequence[Path]) -> list[str]:
     return list(dict.fromkeys(change for run in runs for change in unsupported(run)))
 
 
-def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence[str] = ()) -> str:
+def page(
+    sources: Sequence[Path],
+    columns: Path | None = None,
+    changes: Sequence[str] = (),
+    losses: dict[str, Sequence[str]] | None = None,
+) -> str:
     """The page of one or two logs, maps or runs; sheets of one name lie over one another.
-    ``columns`` is a map of the columns of logs by others; ``changes``: of `unsupported_runs`.
+
+    Args:
+        sources: the files and folders.
+        columns: a map of the columns of logs by others.
+        changes: of `unsupported_runs`.
+        losses: where the notes on what a log lost are added, by its name.
 
     Raises:
         InputError: a file that is no log, map or run; nothing in it that can be drawn.
@@ -72,6 +84,7 @@ def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence
     if len(set(names)) < len(names):
         names = ["/".join(Path(source).resolve().parts[-2:]) for source in sources]
     results: dict[tuple[str, str], Sheet] = {}
+    losses = {} if losses is None else losses
     for of, source in enumerate(map(Path, sources)):
         if not source.exists():
             raise InputError(message("report.no_file"), file=source)
@@ -80,7 +93,9 @@ def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence
         elif source.suffix == ".json":
             sheets = (_map(item, None, of) for item in load_flow_maps(source).each())
         elif source.is_dir() or source.name.lower().removesuffix(".gz").endswith(suffixes()):
-            sheets = iter([_log(source, None, of, "", columns)])
+            record = read(source, check=False, columns=columns)
+            losses[names[of]] = record.losses
+            sheets = iter([_over_time("", record.t, record.channels, None, of)])
         else:
             raise InputError(message("report.cannot_show", kind=source.suffix), file=source)
         for sheet in sheets:
@@ -91,7 +106,9 @@ def page(sources: Sequence[Path], columns: Path | None = None, changes: Sequence
     drawn = [sheet for sheet in results.values() if sheet.curves]
     if not drawn:
         raise InputError(message("report.nothing_changes"), file=sources[0])
-    return _render(names, [_data(sheet, len(drawn)) for sheet in drawn], changes)
+    changes = [message("report.unsupported", change=change) for change in changes]
+    notes = [note for name, every in losses.items() for note in summary(name, every)[0]]
+    return _render(names, [_data(sheet, len(drawn)) for sheet in drawn], [*changes, *notes])
 
 
 def _run_sheets(folder: Path, of: int) -> Iterator[Sheet]:
@@ -103,19 +120,13 @@ def _run_sheets(folder: Path, of: int) -> Iterator[Sheet]:
         for item in load_flow_maps(folder).each():
             yield _map(item, rig, of, points if points.is_file() else None)
     for path in [*sorted(folder.glob("*.mcap")), *sorted((folder / "logs").glob("*.mcap"))]:
-        yield _log(path, rig, of, words(path.stem))
+        record = read(path, check=False)
+        yield _over_time(words(path.stem), record.t, record.channels, rig, of)
     for path in sorted((folder / "series").glob("*.csv")):
         series = read_series(path)
         channels = {f"{name} recorded": values for name, values in series.recorded.items()}
         channels |= {f"{name} simulated": values for name, values in series.simulated.items()}
         yield _over_time(words(path.stem), series.t, channels, rig, of)
-
-
-def _log(path: Path, rig: Rig | None, of: int, title: str, columns: Path | None = None) -> Sheet:
-    from ehbench.data import read
-
-    record = read(path, check=False, columns=columns)
-    return _over_time(title, record.t, record.channels, rig, of)
 
 
 def _over_time(
@@ -210,9 +221,7 @@ def extremes(x: np.ndarray, y: np.ndarray, maximum: int) -> tuple[np.ndarray, np
     return np.append(retained, x[count * size :]), np.append(pair.ravel(), y[count * size :])
 
 
-def _render(
-    names: Sequence[str], sheets: Sequence[Mapping[str, Any]], changes: Sequence[str]
-) -> str:
+def _render(names: Sequence[str], sheets: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> str:
     from jinja2 import Environment, StrictUndefined
 
     files = resources.files("ehbench.report") / "viewer"
@@ -226,7 +235,7 @@ def _render(
     return environment.from_string(text("show.html")).render(
         title=" and ".join(names),
         names=names,
-        changes=[message("report.unsupported", change=change) for change in changes],
+        notes=notes,
         mark=MARK,
         allowed=" ".join(f"'sha256-{digest(script)}'" for script in scripts),
         style=text("uplot/uPlot.min.css") + "\n" + text("show.css"),
