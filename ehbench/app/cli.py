@@ -684,7 +684,7 @@ def _say(answer: Answer, says: Says, wide: bool = False) -> None:
         print(answer.place)
 
 
-def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says) -> NoReturn:
+def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says) -> None:
     """Print the place of what was written of logs and what they lost, with ``verbose`` each of it,
     and end with the exit code: 3 where an answer has notes already, or data could not be used.
     """
