@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from ehbench import workflow
-from ehbench.config.recipe import BenchRecipe, Recipe, TrialRecipe, load_recipe, load_rig
+from ehbench.config.recipe import (
+    BenchRecipe,
+    Recipe,
+    TrialRecipe,
+    kind_of,
+    load_recipe,
+    load_rig,
+)
 from ehbench.links import layout, responder
 from ehbench.links.opening import CARDS, Address
 from ehbench.links.quality import measure
@@ -37,7 +44,13 @@ def moved_to(recipe: Recipe | None, url: str) -> TrialRecipe:
 
 
 def wire(rig: Path, kinds: Sequence[str], rate: float, out: Path | None) -> str:
-    """The layout of a rig's packets of each kind, or the names of the files that were written."""
+    """The layout of a rig's packets of each kind, or the names of the files that were written.
+
+    Raises:
+        InputError: the file is none of a rig.
+    """
+    if (kind := kind_of(rig)) != "rig":
+        raise InputError(message("links.wire_rig", kind=kind), file=rig)
     built = layout.Layout.of(load_rig(rig))
     if out is None:
         return "".join(layout.WRITERS[kind][1](built, rate) for kind in kinds)

@@ -14,7 +14,7 @@ import tomli_w
 
 from ehbench.data.record import Record
 from ehbench.links.client import LinkMachine
-from ehbench.links.clock import estimated
+from ehbench.links.clock import estimated, exchanges_in
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import QUALITY, measure
 from ehbench.runtime.realtime import punctual
@@ -145,7 +145,7 @@ def run_remote(
         gaps = result.record.channels.get("missed_ticks", np.zeros(1))  # none of a table
         late = machine.missed + int(gaps.sum())
         counted = {"rejected": dict(sorted(machine.rejected.items()))}
-        counted |= estimated(machine.exchanges)
+        counted |= estimated(exchanges_in(result.record) or machine.exchanges)
     if late > QUALITY.late * ticks:
         warnings.append(message("links.late", share=late / ticks, most=QUALITY.late))
     link = {

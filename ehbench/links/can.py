@@ -12,6 +12,8 @@ import numpy as np
 from ehbench.links.layout import FRAMES
 from ehbench.links.responder import ALIVE, HEADER, STOPPING, Target
 from ehbench.links.transport import LAYOUT, STATE
+from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 
 class Frames:
@@ -20,12 +22,19 @@ class Frames:
     def __init__(self, way: str, names: Sequence[str], path: Path) -> None:
         import cantools
 
-        known: Any = cantools.database.load_file(path)
+        try:
+            known: Any = cantools.database.load_file(path)
+        except (cantools.Error, ValueError) as error:
+            why = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(message("links.dbc", why=why), file=path) from None
         self.signals = {f"{way}_{name.replace('.', '_')}": i for i, name in enumerate(names)}
         messages = (m for m in known.messages if any(s.name in self.signals for s in m.signals))
         self.messages: dict[int, Any] = {
             m.frame_id: m for m in sorted(messages, key=lambda m: m.frame_id)
         }
+        if not self.messages:
+            fields = {"way": way, "such": next(iter(self.signals))}
+            raise InputError(message("links.dbc_signals", **fields), file=path)
         self.last, self._numbers = max(self.messages), np.full(len(names), np.nan)
 
     def send(self, bus, numbers: np.ndarray) -> None:
@@ -34,19 +43,21 @@ class Frames:
 
         whole = np.zeros(len(self.signals))
         whole[: numbers.size] = numbers
-        for number, message in self.messages.items():
-            values = {s.name: whole[self.signals[s.name]] for s in message.signals}
-            data = message.encode(values)
-            extended = message.is_extended_frame
+        for number, frame in self.messages.items():
+            places = ((s.name, self.signals.get(s.name)) for s in frame.signals)
+            values = {name: 0.0 if i is None else whole[i] for name, i in places}
+            data = frame.encode(values)
+            extended = frame.is_extended_frame
             bus.send(can.Message(arbitration_id=number, data=data, is_extended_id=extended))
 
     def take(self, frame) -> np.ndarray | None:
         """The vector that a frame completes."""
-        message = self.messages.get(frame.arbitration_id)
-        if message is None:
+        known = self.messages.get(frame.arbitration_id)
+        if known is None:
             return None
-        for name, value in message.decode(frame.data).items():
-            self._numbers[self.signals[name]] = value
+        for name, value in known.decode(frame.data).items():
+            if name in self.signals:
+                self._numbers[self.signals[name]] = value
         return self._numbers.copy() if frame.arbitration_id == self.last else None
 
 

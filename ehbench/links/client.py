@@ -51,6 +51,7 @@ class LinkSettings:
     """Numbers of a link to a target."""
 
     patience: float = setting(3.0, "s", "until a target must answer, arm or stop", "sixty ramps")
+    answer: float = setting(0.5, "s", "until a target must say its layout", "a sixth of patience")
     posture: float = setting(
         0.03, "", "distance of a stroke from where the trial begins, as a share", "sensors to 1 %"
     )
@@ -160,6 +161,12 @@ class LinkMachine:
         return False
 
     @property
+    def packet(self) -> tuple[float, ...]:
+        """As `packet_of` says."""
+        number, sent, came, _, acknowledged = self.exchanges[-1] if self.exchanges else [0.0] * 5
+        return number, sent, came, acknowledged
+
+    @property
     def state(self) -> int:
         """Of the target, as its newest sample says."""
         return int(self.newest[STATE])
@@ -187,6 +194,7 @@ class LinkMachine:
             if self.exchange(ALIVE, np.empty(0)) and first == 0.0:
                 first, start = self.newest[SEQUENCE], self.newest[TIME]
             if self.now() > until:
+                self._refuse_other_layout()
                 counts = ", ".join(f"{n} {why}" for why, n in self.rejected.items()) or "none"
                 raise InputError(message("links.silent", url=self.name, rejected=counts))
         rate = (self.newest[SEQUENCE] - first) / (self.newest[TIME] - start)
@@ -195,6 +203,24 @@ class LinkMachine:
             fields = {"url": self.name, "rate": rate, "trial": self.rate}
             raise InputError(message("links.other_rate", **fields))
         self.watchdog = float(self.newest[WATCHDOG])
+
+    def _refuse_other_layout(self) -> None:
+        """Ask a target that says nothing for its layout.
+
+        Raises:
+            InputError: it has another.
+        """
+        header, until = np.zeros(len(HEADER)), self.now() + LINK.answer
+        header[[TOKEN, STATE]] = secrets.randbelow(TOKENS - 1) + 1, ALIVE
+        while self.now() < until:
+            self._clock += 1.0 / self.rate
+            header[[SEQUENCE, TIME]] = header[SEQUENCE] + 1, self.now()
+            self.link.send(header)
+            for item in self.link.receive(0.1):
+                if item.size >= len(HEADER) and item[TOKEN] == header[TOKEN]:
+                    fields = {"url": self.name, "layout": int(item[LAYOUT])}
+                    fields |= {"mode": self.mode, "expected": self._number}
+                    raise InputError(message("links.other_layout", **fields))
 
     def start(self, posture: Posture = None, low_side: LowSide = None) -> np.ndarray:
         """As `Machine.start`: the target is armed, its valves at rest.
@@ -257,14 +283,14 @@ class LinkMachine:
             self.exchange(ARMED, self._down(self.commands.rest))
             self._epoch, self.missed, self._heard = self.newest.copy(), 0, [self.newest]
         values = self._down(np.asarray(command, dtype=float))
-        fresh = self.exchange(self._wish, values, HOST if self._wish == STOPPING else NONE)
+        self.exchange(self._wish, values, HOST if self._wish == STOPPING else NONE)
         self.row += 1
         stopped, state = 0, self.state
         starting = state == ARMED and self.row <= max(3.0, self.watchdog * self.rate)
         if self._wish == RUNNING and state != RUNNING and not starting:
             stopped = int(self.newest[REASON]) if state >= STOPPING else DISAGREEMENT
         at, count = (float(self.newest[k] - self._epoch[k]) for k in (TIME, SEQUENCE))
-        age = 0.0 if fresh and self.link.virtual else self.now() - self.newest[TIME] - self._offset
+        age = self.now() - self.newest[TIME] - self._offset
         self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)
         return self.sample()
 

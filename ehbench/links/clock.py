@@ -1,4 +1,4 @@
-"""Delays and clocks of a link, from the times at which packets left and came."""
+"""Delays and clocks of a link, from the packets that a trial's log has."""
 
 from __future__ import annotations
 
@@ -6,6 +6,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+
+from ehbench.data.record import Record
+
+
+def exchanges_in(record: Record) -> list[tuple[float, ...]]:
+    """The exchanges of a log, for `estimated`; none of one that has no packets."""
+    names = ("packet", "packet_sent", "packet_received", "sample_time", "packet_acknowledged")
+    if names[0] not in record:
+        return []
+    table = np.column_stack([record[name] for name in names])
+    table = table[table[:, 0] > 0.0]  # before the first there is none
+    return table[np.unique(table[:, 0], return_index=True)[1]].tolist()
 
 
 def estimated(exchanges: Sequence[Sequence[float]]) -> dict[str, Any]:

@@ -169,6 +169,9 @@ truth_of: Callable[[Machine], Truth | None] = _attribute("truth")
 hidden_of: Callable[[Machine], Hidden | None] = _attribute("hidden")
 # the stamp of the last sample; none where ticks are time itself
 stamp_of: Callable[[Machine], Stamp | None] = _attribute("stamp")
+# of a machine behind a link the newest packet that a sample answers: its number, host's time sent
+# [s], host's time at which the sample came [s], the number that it acknowledges
+packet_of: Callable[[Machine], tuple[float, ...]] = _attribute("packet", ())
 # channels without a sensor, nan in every sample
 unmeasured_of: Callable[[Machine], tuple[str, ...]] = _attribute("unmeasured", ())
 # why it may stop by itself, by the number in its stamp

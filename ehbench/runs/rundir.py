@@ -207,6 +207,7 @@ def open_run(
     record = _record(stage, recipe, inputs, seeds or {}, versions or Versions.of(stage))
     run = Run(scratch, final, record, left_over=left_over)
     began, lock = time.time(), None
+    absent = [folder for folder in scratch.parents if not folder.exists()]
     try:
         try:
             scratch.mkdir(parents=True)
@@ -230,6 +231,9 @@ def open_run(
     finally:
         with unbroken():
             shutil.rmtree(scratch, ignore_errors=True)
+            with suppress(OSError):  # they hold the run
+                for folder in absent:
+                    folder.rmdir()
         if lock is not None:
             os.close(lock)
 

@@ -26,10 +26,21 @@ from ehbench.machines.protocol import (
     halt_of,
     hidden_of,
     in_real_time,
+    packet_of,
     stamp_of,
     truth_of,
 )
-from ehbench.machines.rows import AGE, LIMITS, MISMATCH, Controls, LawRows, Rows, control, violated
+from ehbench.machines.rows import (
+    AGE,
+    LIMITS,
+    MISMATCH,
+    MONITOR,
+    Controls,
+    LawRows,
+    Rows,
+    control,
+    violated,
+)
 from ehbench.parts.sample import LineEntries
 from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.realtime import aside
@@ -39,6 +50,7 @@ from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import HOLD
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
@@ -60,6 +72,7 @@ class SessionSettings:
 
 SESSION = SessionSettings()
 STAMPS = ("sample_time", "sample_sequence", "sample_age", "missed_ticks")
+PACKETS = ("packet", "packet_sent", "packet_received", "packet_acknowledged")
 # telemetry that is 0 after a stop, beside the edges' flows
 DEMANDS = (
     *("v_desired", "a_desired", "j_desired", "v_shaped"),
@@ -107,9 +120,16 @@ class Session:
         self.rows = prepared.first_rows(machine)
         measured = self.rows.checks.measured
         self._logged = [item for item in self._logged if measured[item[0]]]
-        self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that were no numbers
+        self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that no log takes
+        known = [quantity(name) for name in machine.channels]
+        self._plausible = np.array([(row.lower, row.upper) for row in known]).T
         self.law = prepared.law(machine)
         self._refuse_blind(measured)
+        for part in self.law.parts if isinstance(self.law, Laws) else ():
+            law = part.controller
+            if law.monitor is not None:  # what it finds stops the trial
+                alarm = self.rows.checks.alarms[law.axis.circuit.cylinder :][:1]
+                part.controller = law._replace(monitor=law.monitor._replace(alarm=alarm))
         self._packed = packed(self.law)
         self._step = getattr(self.law, "step", None)
         self._bind = advance_of(machine) if fast else None
@@ -122,10 +142,12 @@ class Session:
         self._sent = machine.commands.rest.copy()  # the last command that the machine got
         stamp = stamp_of(machine)
         self.missed, self._real_time = 0.0, in_real_time(machine)
+        self._packet = packet_of(machine)
+        self._stamps = STAMPS + PACKETS if self._packet else STAMPS
         if self._real_time:
             self.rows = self.rows._replace(t=self.rows.t.copy())  # measured as samples come
         stamped = stamp is not None and self._bind is None
-        self.stamps = np.zeros((prepared.t.size, len(STAMPS))) if stamped else None
+        self.stamps = np.zeros((prepared.t.size, len(self._stamps))) if stamped else None
         self._stretch = max(1, round(SESSION.look * machine.rate))
 
     def _refuse_blind(self, measured: np.ndarray) -> None:
@@ -256,7 +278,8 @@ class Session:
         if violated(rows, i):
             return True
         rows.samples[i] = rows.sample
-        gaps = rows.checks.measured & ~np.isfinite(rows.sample)
+        lowest, highest = self._plausible
+        gaps = rows.checks.measured & ~((lowest <= rows.sample) & (rows.sample <= highest))
         if gaps.any():
             rows.samples[i, gaps] = rows.samples[i - 1, gaps]
             self.gaps += gaps
@@ -265,10 +288,11 @@ class Session:
         if self.stamps is not None:
             if i >= len(self.stamps):
                 self.stamps = np.concatenate([self.stamps, np.zeros_like(self.stamps)])
-            self.stamps[i] = *rows.checks.stamp[:3], self.missed
+            self.stamps[i] = *rows.checks.stamp[:3], self.missed, *self._packet
         self._sent = rows.commands[i].copy()
         rows.sample[:] = self.machine.tick(rows.commands[i])
         stamp, applied = stamp_of(self.machine), applied_of(self.machine)
+        self._packet = packet_of(self.machine)
         if applied is not None:
             rows.commands[i] = applied
         if stamp is not None:
@@ -310,7 +334,9 @@ class Session:
         speeds = [i for i, name in enumerate(self.machine.channels) if name.endswith(".v")]
         still = bool((np.abs(stretch[:, speeds]) < SESSION.still).all())
         late = self.rows.checks.stamp[2] > self.rows.limits[AGE]
-        doubted = self.stop is not None and self.stop.limit == LIMITS[MISMATCH]
+        doubting = (LIMITS[MISMATCH], LIMITS[MONITOR])  # one of two positions is wrong
+        stop = self.stop
+        doubted = stop is not None and stop.limit in doubting and stop.channel.endswith(".x")
         sound = bool(np.isfinite(self.rows.sample[speeds]).all()) and not late and not doubted
         if still and sound:
             self.end = row
@@ -347,7 +373,7 @@ class Session:
             channels |= lines
         if self.stamps is not None:
             stamps = self.stamps[part]
-            channels |= {name: stamps[:, i].copy() for i, name in enumerate(STAMPS)}
+            channels |= {name: stamps[:, i].copy() for i, name in enumerate(self._stamps)}
         for law in _parts(self.law):
             telemetry = law.telemetry[part]
             channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}

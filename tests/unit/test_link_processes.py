@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench.app.linking import moved_to, serve
+from ehbench.app.linking import moved_to, serve, wire
 from ehbench.config.recipe import TrialRecipe, load_recipe
 from ehbench.data import read_log
 from ehbench.links.layout import WRITERS, Layout, write_files
@@ -314,9 +314,34 @@ def test_an_address_that_is_none_is_refused(url):
     assert error.value.key == "links.url"
 
 
-def test_every_layout_that_is_asked_for_is_written(tmp_path):
-    from ehbench.app.linking import wire
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('VERSION ""\nBO_ nonsense', "links.dbc"),
+        ("\x00\xff", "links.dbc"),
+        (
+            'VERSION ""\nBU_: a\nBO_ 256 m: 8 a\n SG_ other : 0|8@1+ (1,0) [0|0] "" a\n',
+            "links.dbc_signals",
+        ),
+    ],
+)
+def test_a_dbc_file_that_is_none_or_another_is_named(tmp_path, text, key):
+    pytest.importorskip("cantools")
+    pytest.importorskip("can")
+    path = tmp_path / "bus.dbc"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(InputError) as error:
+        Address.of(f"can://virtual/x?map={path}").link(LAYOUT)
+    assert error.value.key == key and error.value.file == path
 
+
+def test_a_layout_of_a_recipe_is_refused(trial):
+    with pytest.raises(InputError) as error:
+        wire(trial, ("csv",), 1000.0, None)
+    assert error.value.key == "links.wire_rig" and error.value.file == trial
+
+
+def test_every_layout_that_is_asked_for_is_written(tmp_path):
     written = wire(ROOT / "recipes/rigs/slide_servo.toml", ("c", "m", "csv"), 1000.0, tmp_path)
     names = [Path(line) for line in written.splitlines()]
     assert all(name.is_file() for name in names)

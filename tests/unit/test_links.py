@@ -17,7 +17,7 @@ from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.links.arming import run_remote, stopping_distances, token_of
 from ehbench.links.buffered import BufferedLink
 from ehbench.links.client import LinkMachine
-from ehbench.links.clock import estimated
+from ehbench.links.clock import estimated, exchanges_in
 from ehbench.links.layout import Layout
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import Quality
@@ -35,6 +35,7 @@ from ehbench.links.responder import (
 from ehbench.links.serve import ServedTarget
 from ehbench.links.transport import STATE, TOKEN, VirtualLink
 from ehbench.trial import prepare, run, running
+from ehbench.validation import validate_rig
 from ehbench.vocabulary.errors import InputError
 from tests.shared import ROOT, shipped
 from tools.studies import link_study
@@ -289,8 +290,10 @@ def fault(**keys):
     ("failing", "limit", "reason"),
     [
         ({"kind": "link_lost"}, "sample_age", "watchdog"),
+        ({"kind": "link_delayed", "duration": "100 ms"}, "sample_age", "watchdog"),
         ({"kind": "link_delayed", "duration": "40 ms"}, "sample_age", "done"),
-        ({"kind": "link_delayed", "duration": "8 ms"}, None, "done"),
+        ({"kind": "link_delayed", "duration": "20 ms"}, None, "done"),
+        ({"kind": "link_delayed", "duration": "5 ms"}, None, "done"),
         ({"kind": "link_reordered"}, None, "done"),
     ],
 )
@@ -316,13 +319,16 @@ def test_a_machine_that_does_not_fit_the_trial_is_refused(keys, key):
     assert error.value.key == key
 
 
-def test_a_target_of_another_rig_sends_nothing():
+def test_a_target_of_another_rig_is_named_by_its_layout():
     item = ServedTarget(trial())
     item.modes = {number + 1: mode for number, mode in item.modes.items()}
+    item.layout += 1
     machine = LinkMachine(trial("model"), LAYOUT, VirtualLink(item), "stream", "virtual")
     with pytest.raises(InputError) as error:
         machine.start()
-    assert error.value.key == "links.silent" and item.rejected["foreign"] > 100
+    assert error.value.key == "links.other_layout" and item.rejected["foreign"] > 100
+    for number in (LAYOUT.number("stream"), LAYOUT.number("stream") + 1):
+        assert str(number) in str(error.value)
 
 
 # --- a table that the target plays
@@ -363,6 +369,18 @@ def test_a_table_that_the_target_stops_ends_in_the_log_where_it_was_stopped():
     result, item = buffered(served)
     assert result.facts.stop.limit == "machine" and REASONS[item.reason] == "limit"
     assert 0.2 < result.facts.stop.t < 0.4
+
+
+def test_a_target_clamps_what_it_plays():
+    """The host's limits see the log alone: volts and steps beyond the driver's are the target's."""
+    prepared, item = trial("model", **OPEN), ServedTarget(trial(**OPEN), watchdog=0.1)
+    machine = BufferedLink(prepared, LAYOUT, VirtualLink(item), "buffered", "virtual")
+    machine.start()
+    (low, high, _, change) = LAYOUT.clamps()[0]
+    played = machine.play(np.where(np.arange(40)[:, None] < 20, 3.0 * high, 3.0 * low))
+    applied = played.applied[:, 0]
+    assert applied.max() == high and applied.min() == low
+    assert np.abs(np.diff(applied)).max() <= change / machine.rate + 1e-9
 
 
 def test_a_closed_loop_cannot_be_played():
@@ -420,6 +438,48 @@ def test_a_card_plays_a_table(tmp_path, monkeypatch):
     assert "press.p_rod" not in result.record and did[-1] == ("write", 0.0)
     rows = result.record.t.size + 1
     assert (("Dev1/ai0", "Dev1/ai3"), 250.0, "/Dev1/ao/SampleClock", rows) in did
+
+
+def test_a_labjack_streams_a_table(tmp_path, monkeypatch):
+    """Against a substitute of ljm: outputs as streams, inputs read at the same scans."""
+    out, did, scanned = {}, [], []
+
+    def begin(handle, rows, count, scans, rate):
+        scanned.extend(scans)
+        did.append((rows, count, rate))
+
+    def volts(handle):
+        inputs = [0.5 * np.array(out[1000]), 0.1 * np.array(out[1000])]
+        return np.column_stack([*inputs, out[1000]]).ravel().tolist(), 0, 0
+
+    ljm = SimpleNamespace(
+        openS=lambda *where: did.append(where) or 7,
+        nameToAddress=lambda name: ({"DAC0": 1000}[name], 3),
+        namesToAddresses=lambda count, names: (names, [3] * count),
+        periodicStreamOut=lambda h, n, target, rate, count, column: out.update({target: column}),
+        eStreamStart=begin,
+        eStreamRead=volts,
+        eStreamStop=lambda handle: did.append("stop"),
+        eWriteName=lambda handle, name, value: did.append((name, value)),
+        close=lambda handle: did.append("close"),
+    )
+    monkeypatch.setitem(sys.modules, "labjack", SimpleNamespace(ljm=ljm))
+    monkeypatch.setitem(sys.modules, "labjack.ljm", ljm)
+    (tmp_path / "card.toml").write_text(
+        '[inputs."press.x"]\nterminal = "AIN0"\nscale = 0.1\noffset = 0.16\n'
+        '[inputs."press.p_head"]\nterminal = "AIN3"\nscale = 1e6\n'
+        '[outputs."press.servo"]\nterminal = "DAC0"\nscale = 0.25\noffset = 2.5\n'
+    )
+    prepared = trial("model", **OPEN)
+    result = run(prepared, open_machine(prepared, f"labjack://ANY?map={tmp_path / 'card.toml'}"))
+    command = result.record["press.servo.command"]
+    assert result.facts.stop is None and command.max() == 2.0
+    np.testing.assert_allclose(
+        result.record["press.x"][1:], 0.16 + 0.05 * (0.25 * command[1:] + 2.5)
+    )
+    assert did[0] == ("ANY", "ANY", "ANY") and did[-3:] == ["stop", ("DAC0", 2.5), "close"]
+    assert (result.record.t.size + 1, 3, 250.0) in did
+    assert scanned == ["AIN0", "AIN3", "STREAM_OUT0"]
 
 
 # --- before anything moves
@@ -529,6 +589,26 @@ def test_a_log_over_a_link_identifies_as_any_other(tmp_path, mode, kind):
     run(prepared, machine, log=log, fast=mode == "buffered")
     fit = identify_hydraulics(RIG, [("steps", read(log))], ["bulk_modulus"])
     assert fit.parameters[0].value == pytest.approx(bulk, rel=1e-4)
+    for factor, accepted in ((1.0, True), (2.0, False)):
+        rig = RIG.with_values({"bulk_modulus": factor * bulk})
+        assert validate_rig(rig, [("steps", read(log))]).accepted is accepted
+
+
+def test_a_log_alone_gives_clocks_and_delays(tmp_path):
+    """As the packets of the trial do, for a link whose target's clock began at another time."""
+    item, prepared = ServedTarget(trial()), trial("model")
+    for _ in range(250):
+        item.tick(item.sequence / item.rate)
+    machine = LinkMachine(prepared, LAYOUT, VirtualLink(item), "stream", "virtual")
+    run(prepared, machine, log=tmp_path / "log.mcap", fast=False)
+    record = read(tmp_path / "log.mcap")
+    known = estimated(exchanges_in(record))
+    for name in ("clock_offset", "command_delay", "sample_delay"):
+        value, low, high = known[name]
+        assert low <= value <= high
+    began = record["packet_received"][-1] - record["sample_time"][-1]
+    assert known["clock_offset"][1] - 5e-3 <= began <= known["clock_offset"][2] + 5e-3
+    assert estimated(exchanges_in(run(prepared).record)) == {}
 
 
 def test_a_log_has_the_samples_that_a_late_host_left_out():

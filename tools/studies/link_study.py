@@ -1,7 +1,7 @@
 """What becomes of trials on a served bench when something fails: how far the true stroke went, what
 stopped the trial, whether its log can be read. Same packets as over UDP, on a virtual clock.
 
-python -m tools.studies.link_study 10000
+python -m tools.studies.link_study 10000     (two cores: a quarter of an hour)
 """
 
 from __future__ import annotations
@@ -9,6 +9,9 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache, partial
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -23,6 +26,7 @@ from ehbench.links.responder import STOPPED
 from ehbench.links.serve import LINK_FAULTS, ServedTarget
 from ehbench.links.transport import VirtualLink
 from ehbench.runs.rundir import shipped
+from ehbench.runtime.cores import cores
 from ehbench.trial import Prepared, prepare, run
 
 RIG = load_rig(shipped("recipes") / "rigs" / "slide_servo.toml")
@@ -33,11 +37,26 @@ MOTION = {
     "kind": "point_to_point",
     "cylinder": "press",
     "waypoints": ["160 mm", "190 mm"],
+    "hold": "0.1 s",
     "speed": "100 mm/s",
     "acceleration": "1 m/s^2",
     "jerk": "20 m/s^3",
 }
 MARGIN = 0.02  # [m]
+QUIET, NONE = ("", "following_error"), ("",)
+POSITION = ("position_mismatch", "stroke_margin", "following_error", "")
+PRESSURE = ("pressure_range", "following_error", "machine", "")
+# what may stop a trial on which something fails, "" for nothing
+REASONS: dict[str, tuple[str, ...]] = {
+    "nan": ("finite",),
+    "supply_lost": QUIET,
+    "stuck_closed": QUIET,
+    "stuck_open": ("following_error", "stroke_margin", "machine", "speed_max"),
+    "link_lost": ("sample_age",),
+    "link_delayed": ("sample_age", ""),
+    "link_reordered": NONE,
+    "controller_late": QUIET,
+}
 
 
 class Outcome(NamedTuple):
@@ -53,6 +72,12 @@ class Outcome(NamedTuple):
     whole: bool
 
     @property
+    def right(self) -> bool:
+        """Whether what stopped it fits the fault."""
+        position = self.fault.target.endswith(".x")
+        return self.limit in REASONS.get(self.fault.kind, POSITION if position else PRESSURE)
+
+    @property
     def safe(self) -> bool:
         """Whether it went no farther than the motion and its margin; no command closes a valve that
         is stuck open.
@@ -65,7 +90,7 @@ def drawn(seed: int) -> Fault:
     """A fault at a drawn time, of a drawn kind and target."""
     draw = np.random.default_rng(seed)
     kind = str(draw.choice(KINDS))
-    keys = {"kind": kind, "start": f"{draw.uniform(0.1, 0.7)!r} s"}
+    keys = {"kind": kind, "start": f"{draw.uniform(0.05, 0.45)!r} s"}
     if kind in ("nan", "stuck", "zero", "offset"):
         keys["target"] = str(draw.choice(SENSORS))
     if kind == "offset":
@@ -109,20 +134,33 @@ def outcome(base: Prepared, fault: Fault, seed: int, log: Path) -> Outcome:
     return Outcome(fault, stop.limit if stop else "", min(strokes), max(strokes), rest, whole)
 
 
+@cache
+def base() -> Prepared:
+    """The trial as its host prepares it, once a process."""
+    return trial("model")
+
+
+def outcome_of(seed: int, folder: str) -> Outcome:
+    """The outcome of the trial of a seed, its log in a folder until it is read."""
+    return outcome(base(), drawn(seed), seed, Path(folder) / f"{seed}.mcap")
+
+
 def main(arguments: Sequence[str] = ()) -> None:
     """Run so many trials, a thousand by default, and print what stopped them."""
-    count, base, table = int(arguments[0]) if arguments else 1000, trial("model"), Counter()
-    unsafe = []
-    with TemporaryDirectory() as folder:
-        for seed in range(count):
-            item = outcome(base, drawn(seed), seed, Path(folder) / "log.mcap")
+    count, table, wrong = int(arguments[0]) if arguments else 1000, Counter(), []
+    memory = Path("/dev/shm")  # no disk for what is read once
+    with (
+        TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder,
+        ProcessPoolExecutor(cores(), get_context("spawn")) as pool,
+    ):
+        run_one = partial(outcome_of, folder=folder)
+        for seed, item in enumerate(pool.map(run_one, range(count), chunksize=20)):
             table[item.fault.kind, item.limit or "went on"] += 1
-            unsafe += [] if item.safe else [(seed, item)]
+            wrong += [] if item.safe and item.right else [(seed, item)]
     for (kind, limit), number in sorted(table.items()):
-        print(f"{kind:16} {limit:18} {number:6}")
-    print(f"{count} trials, {len(unsafe)} of them beyond the margin or without a log")
-    for seed, item in unsafe:
-        print(seed, item)
+        print(f"| {kind} | {limit} | {number} |")
+    print(f"{count} trials; beyond the margin, without a log or stopped for another reason:")
+    print(*(f"{seed} {item}" for seed, item in wrong) or ["none"], sep="\n")
 
 
 if __name__ == "__main__":
