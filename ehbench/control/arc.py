@@ -40,7 +40,14 @@ from ehbench.control.functions import (
 )
 from ehbench.control.law import Controller, Law
 from ehbench.control.map_learning import GAIN, SHIFT, MapMemory, Seen, begin, learn_maps, map_memory
-from ehbench.control.measured import Pressures, load_force, pressure_entries, pressures, write
+from ehbench.control.measured import (
+    Pressures,
+    load_force,
+    place_joints,
+    pressure_entries,
+    pressures,
+    write,
+)
 from ehbench.control.oil_learning import (
     OIL,
     begin_oil,
@@ -345,17 +352,6 @@ def bias_valves(axis, share, trim, command):
 def clip(value, lower, upper):
     """``value`` within [lower, upper]; NaN stays NaN."""
     return lower if value < lower else (upper if value > upper else value)
-
-
-@kernel
-def place_joints(sample, axis, angles):
-    """Write joint coordinates: measured where a cylinder drives the joint, else the design
-    posture's."""
-    mechanism = axis.mechanism
-    for i in range(angles.shape[0]):
-        angles[i] = mechanism.posture[i]
-    for c in range(mechanism.joints.shape[0]):
-        angles[mechanism.joints[c]] = sample[entry(c, OF.q)]
 
 
 @kernel

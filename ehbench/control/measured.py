@@ -38,6 +38,18 @@ def pressure_entries(cylinder: int, channels: int) -> list[int]:
 
 
 @kernel
+def place_joints(sample, axis, angles):
+    """Write the joint coordinates: measured where a cylinder drives the joint, else the design
+    posture's.
+    """
+    mechanism = axis.mechanism
+    for i in range(angles.shape[0]):
+        angles[i] = mechanism.posture[i]
+    for c in range(mechanism.joints.shape[0]):
+        angles[mechanism.joints[c]] = sample[entry(c, OF.q)]
+
+
+@kernel
 def load_force(p, area_head, area_rod):
     """``P_L = p_head A1 − p_rod A2`` [N]."""
     return p.head * area_head - p.rod * area_rod

@@ -5,8 +5,9 @@ what each edge was to pass. The difference r of both chambers is compared with w
 make of it: a valve that stays shut lacks its flow, one that stays open passes more. With d the
 direction of a valve's flow in the plane of both chambers, ``r∥ = r·d`` and r⊥ what it leaves
 unexplained, its score sums ``(r∥² − κ r⊥²)/2σ² − drift`` over the correlation time of r, from 0
-up (Page 1954). A score beyond h is a fault: by Wald's bound a sound machine whose r has the
-deviation σ is called faulty at most once in ``e^h`` correlation times."""
+up (Page 1954). A score beyond h is a fault: one of noise that has the deviation σ and this
+correlation time gets there more rarely than once in ``e^(h/2)`` correlation times, for the moments
+of its growth are finite up to ``E[e^(score/2)]``."""
 
 from __future__ import annotations
 
@@ -20,6 +21,7 @@ from ehbench.control.axis import Axis
 from ehbench.control.functions import able_functions
 from ehbench.control.measured import pressure_entries, pressures
 from ehbench.control.records import constants
+from ehbench.control.sensor_checks import SCORES, SENSORS, Sensors, sensors_of, wrong_sensor
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
 from ehbench.parts.sample import OF, entry
@@ -32,15 +34,12 @@ from ehbench.vocabulary.settings import setting
 class MonitorSettings:
     """Numbers of the monitor of valves."""
 
-    corner: float = setting(60.0, "rad/s", "low-pass of the flows that are compared", "chosen")
     speed: float = setting(5.0e-3, "m/s", "deviation of a low-passed speed", "a 1 ms difference")
     model: float = setting(0.15, "", "deviation of a flow by its map, of the flow", "chosen")
     opening: float = setting(0.03, "", "deviation of a deadband, of the range", "0.3 V of 10 V")
     share: float = setting(0.33, "", "bound of what a shut valve lacks beside its flow", "chosen")
     excess: float = setting(2.0, "", "least flow of an open valve, of its command's", "chosen")
     unexplained: float = setting(16.0, "", "weight κ of what a valve leaves unexplained", "chosen")
-    drift: float = setting(4.0, "", "taken off a score in each correlation time", "chosen")
-    alarm: float = setting(30.0, "", "score h of a fault", "e^30 correlation times")
 
 
 MONITOR = constants(MonitorSettings())
@@ -57,7 +56,9 @@ class Monitor(NamedTuple):
     ``valves``, shape (n,), are numbers of the plant's valves; ``without``, shape (n, functions),
     what the circuit can do when one of them is out of service. ``rows``, shape (n, COLUMNS),
     ``chambers``, shape (2, 2), and ``scores``, shape (n, 2), of a valve that stays shut and open;
-    ``fault``, shape (1,), the code of `valve_fault`. ``tick`` and ``lag`` [s]."""
+    ``fault``, shape (1,), the code of `valve_fault`; ``alarm``, shape (1,), what stops the trial:
+    the entry of a wrong sensor in the sample, from 1 on, or the number of a valve that stays open,
+    from −1 down. ``tick`` and ``lag`` [s]."""
 
     valves: np.ndarray
     without: np.ndarray
@@ -65,17 +66,24 @@ class Monitor(NamedTuple):
     chambers: np.ndarray
     scores: np.ndarray
     fault: np.ndarray
+    alarm: np.ndarray
     tick: float
     lag: float
+    sensors: Sensors
 
 
-def monitor_of(axis: Axis, tick: float, lag: float) -> Monitor:
+def monitor_of(
+    axis: Axis, tick: float, lag: float, tank: float, payload: float, steady: bool
+) -> Monitor:
     """The monitor of a cylinder before the first tick.
 
     Args:
         axis: of the cylinder.
         tick: between samples [s].
         lag: of the slowest valve [s].
+        tank: pressure of the tank [Pa].
+        payload: the heaviest that the rig may carry, at the tip [kg].
+        steady: whether no payload is taken up or let go.
     """
     circuit = axis.circuit
     valves = np.unique(circuit.edges.valve[circuit.first : circuit.first + circuit.count])
@@ -86,8 +94,10 @@ def monitor_of(axis: Axis, tick: float, lag: float) -> Monitor:
         np.full((2, 2), math.nan),
         np.zeros((valves.size, 2)),
         np.zeros(1),
+        np.zeros(1),
         float(tick),
         float(lag),
+        sensors_of(axis, tank, payload, steady, tick),
     )
 
 
@@ -121,7 +131,7 @@ def _expected(valve, opening, p, circuit):
 def _follow(p, command, circuit, monitor):
     """Let the valves' flows pass their lag and the low-pass."""
     late = monitor.tick / (monitor.tick + monitor.lag)
-    slow = MONITOR.corner * monitor.tick / (1.0 + MONITOR.corner * monitor.tick)
+    slow = SCORES.corner * monitor.tick / (1.0 + SCORES.corner * monitor.tick)
     for i in range(monitor.valves.shape[0]):
         valve, row = monitor.valves[i], monitor.rows[i]
         row[LATE] += late * (command[valve] - row[LATE])
@@ -151,12 +161,12 @@ def _chamber(side, flow, p, v, x, axis, monitor):
         passed = row.leakage_rod * (pressure - p.tank) - area * v - across
     if math.isnan(chamber[PASSED]):
         chamber[PASSED], chamber[PRESSURE] = passed, pressure
-    slow = MONITOR.corner * monitor.tick / (1.0 + MONITOR.corner * monitor.tick)
+    slow = SCORES.corner * monitor.tick / (1.0 + SCORES.corner * monitor.tick)
     unsteady = passed - chamber[PASSED]
     chamber[PASSED] += slow * unsteady
     chamber[PRESSURE] += slow * (pressure - chamber[PRESSURE])
     pressed = chamber_oil(row, side, x) / row.bulk_modulus
-    pressed *= MONITOR.corner * (pressure - chamber[PRESSURE])
+    pressed *= SCORES.corner * (pressure - chamber[PRESSURE])
     variance = (MONITOR.speed * area) ** 2 + 0.25 * (unsteady * unsteady + pressed * pressed)
     column = HEAD if side == 0 else ROD
     for i in range(monitor.rows.shape[0]):
@@ -173,7 +183,7 @@ def _gain(kind, row, r_head, r_rod, variance):
         head, rod = row[WIDE_HEAD], row[WIDE_ROD]
     size = math.hypot(head, rod)
     if size == 0.0:
-        return -MONITOR.drift
+        return -SCORES.drift
     along = (r_head * head + r_rod * rod) / size
     across = (r_head * rod - r_rod * head) / size
     commanded = math.hypot(row[HEAD], row[ROD])
@@ -182,7 +192,7 @@ def _gain(kind, row, r_head, r_rod, variance):
     else:
         fits = along > (MONITOR.excess - 1.0) * commanded
     explained = along * along if fits else 0.0
-    return 0.5 * (explained - MONITOR.unexplained * across * across) / variance - MONITOR.drift
+    return 0.5 * (explained - MONITOR.unexplained * across * across) / variance - SCORES.drift
 
 
 @kernel
@@ -191,7 +201,8 @@ def watch(sample, command, axis, monitor):
     valve among the cylinder's from 1 on, negative where it stays open.
 
     At a fault the circuit loses what a shut valve takes from it, so that the controller moves the
-    load by the other valves; where one stays open it loses all functions, and holds.
+    load by the other valves; where one stays open, or a sensor is wrong, the ``alarm`` stops the
+    trial.
 
     Args:
         sample: what the machine measured, [SI]; read are the cylinder's stroke, speed and pressures
@@ -203,23 +214,33 @@ def watch(sample, command, axis, monitor):
     circuit = axis.circuit
     p = pressures(sample, circuit.cylinder)
     x, v = sample[entry(circuit.cylinder, OF.x)], sample[entry(circuit.cylinder, OF.v)]
-    head = rod = 0.0
+    head = rod = drawn = 0.0
     for i in range(monitor.rows.shape[0]):
         head += monitor.rows[i, HEAD]
         rod += monitor.rows[i, ROD]
+        drawn += max(monitor.rows[i, HEAD], 0.0) + max(monitor.rows[i, ROD], 0.0)
     r_head, by_head = _chamber(0, head, p, v, x, axis, monitor)
     r_rod, by_rod = _chamber(1, rod, p, v, x, axis, monitor)
-    share, shut = MONITOR.corner * monitor.tick, False
+    share, shut = SCORES.corner * monitor.tick, False
+    doubted = monitor.sensors.scores.any()  # what a sensor says wrongly is no valve's fault
     for kind in (SHUT, OPEN):
         for i in range(monitor.valves.shape[0]):
             gain = _gain(kind, monitor.rows[i], r_head, r_rod, by_head + by_rod)
             if kind == OPEN and shut:  # what a shut valve lacks, another may drain by chance only
-                gain = min(gain, -MONITOR.drift)
-            shut = shut or (kind == SHUT and gain > 0.0)
+                gain = min(gain, -SCORES.drift)
+            if kind == SHUT:
+                shut = shut or gain > 0.0
+                gain = min(gain, 0.0) if doubted else gain
             score = monitor.scores[i, kind] = max(monitor.scores[i, kind] + share * gain, 0.0)
-            if score > MONITOR.alarm and monitor.fault[0] == 0.0:
+            if score > SCORES.alarm and monitor.fault[0] == 0.0:
                 monitor.fault[0] = i + 1.0 if kind == SHUT else -i - 1.0
                 for f in range(circuit.able.shape[0]):
                     circuit.able[f] = monitor.without[i, f] if kind == SHUT else f == HOLD
+                if kind == OPEN:
+                    monitor.alarm[0] = -1.0 - monitor.valves[i]
+    calm = drawn < SENSORS.drawn * circuit.supply[0].flow_limit and not monitor.scores.any()
+    wrong = wrong_sensor(sample, r_head, r_rod, calm, axis, monitor.sensors)
+    if wrong >= 0 and monitor.alarm[0] == 0.0:
+        monitor.alarm[0] = 1.0 + wrong
     _follow(p, command, circuit, monitor)
     return monitor.fault[0]

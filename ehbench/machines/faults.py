@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,6 +73,7 @@ KINDS: dict[str, Kind] = {
     "stuck": Kind("sensor", lambda f, t, value: f.last),
     "offset": Kind("sensor", lambda f, t, value: value + f.size, True),
     "drift": Kind("sensor", lambda f, t, value: value + f.size * f.since(t), True),
+    "scale": Kind("sensor", lambda f, t, value: value * f.size, True),
     "nan": Kind("sensor", lambda f, t, value: math.nan),
     "zero": Kind("sensor", lambda f, t, value: 0.0),
     "dropouts": Kind(
@@ -134,8 +135,9 @@ class FaultyMachine:
         size = high
         if fault.value is not None:
             word = "command" if kind.place == "valve" else fault.target.rsplit(".", 1)[-1]
-            try:
-                size = float(read_value(fault.value, VOCABULARY[word]))
+            row = VOCABULARY["sensor_scale" if fault.kind == "scale" else word]
+            try:  # a difference has no range
+                size = float(read_value(fault.value, replace(row, lower=-math.inf)))
             except InputError as error:
                 raise InputError(error.message, **where, hint=error.hint) from None
         elif kind.needs:
@@ -225,7 +227,8 @@ class FaultyMachine:
                     j = self.channels.index(f"{owner}.{'v' if word == 'x' else 'qd'}")
                     kind = failure.fault.kind
                     rate = failure.size if kind == "drift" else 0.0
-                    rate += 0.0 if kind in ("stuck", "zero") else shown[j]
+                    factor = failure.size if kind == "scale" else kind not in ("stuck", "zero")
+                    rate += factor * shown[j]
                     shown[j] = math.nan if kind == "nan" else rate
             failure.last = float(shown[i])
         return shown

@@ -18,11 +18,11 @@ from ehbench.runtime.compiled import WITHIN, kernel, part_kernel
 LIMITS = (
     *("pressure_max", "pressure_min", "stroke_margin", "speed_max", "command_max"),
     *("command_rate", "pressure_range", "sample_age", "overrun", "following_time"),
-    *("following_error", "position_mismatch", "finite", "machine"),
+    *("following_error", "position_mismatch", "finite", "machine", "monitor"),
 )
 PRESSURE_MAX, PRESSURE_MIN, MARGIN, SPEED, COMMAND = range(5)
 COMMAND_RATE, PRESSURE_RANGE, AGE, OVERRUN, FOLLOWING_TIME = range(5, 10)
-FOLLOWING, MISMATCH, FINITE, MACHINE = range(10, 14)
+FOLLOWING, MISMATCH, FINITE, MACHINE, MONITOR = range(10, 15)
 VACUUM = -1.5e5  # [Pa] gauge: a perfect vacuum, and half a bar of a sensor's offset
 
 
@@ -32,7 +32,8 @@ class Checks(NamedTuple):
     ``armed`` is [False] where nothing is checked, as after a stop; ``measured`` marks the channels
     that the machine measures; ``cylinders`` are the rig's. ``desired`` strokes [m], shape (samples,
     cylinders), nan where no law controls the stroke; ``following`` and ``mismatch`` their bounds
-    [m], shape (cylinders,); ``since`` the first row of a following error, −1 without one. ``stamp``
+    [m], shape (cylinders,); ``since`` the first row of a following error, −1 without one;
+    ``alarms``, shape (cylinders,), those of `ehbench.control.monitor.Monitor`. ``stamp``
     is (time [s], sequence, age [s], reason of a machine that stopped by itself, time [s] that the
     controller took) of the present sample."""
 
@@ -43,6 +44,7 @@ class Checks(NamedTuple):
     following: np.ndarray
     mismatch: np.ndarray
     since: np.ndarray
+    alarms: np.ndarray
     stamp: np.ndarray
 
 
@@ -92,6 +94,11 @@ def _stop(rows, which, index, entry, value, bound):
 def _of_cylinder(rows, i, c):
     """Whether the present sample of a cylinder reached a limit of row ``i``."""
     sample, limits, checks = rows.sample, rows.limits, rows.checks
+    alarm = int(checks.alarms[c])
+    if alarm > 0:
+        return _stop(rows, MONITOR, c, alarm - 1, sample[alarm - 1], 0.0)
+    if alarm < 0:
+        return _stop(rows, MONITOR, -1 - alarm, -1, rows.commands[i, -1 - alarm], 0.0)
     for channel in (OF.p_head, OF.p_rod):
         j = entry(c, channel)
         p = sample[j]

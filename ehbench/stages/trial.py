@@ -130,6 +130,7 @@ def measure_types() -> dict[str, Any]:
     return {
         "steps": tuple[StepMeasures, ...],
         "tracking": dict.fromkeys(("max_error", "rms_error", "final_error"), float),
+        "tracking_true": dict.fromkeys(("max_error", "rms_error", "final_error"), float),
         "speed_rms_error": float,
         "limit_cycle": LimitCycle,
         "limits": dict.fromkeys(LIMITS.values(), float),

@@ -93,5 +93,6 @@ def checks_of(
         bound(limits.following_error, CHECKS.following),
         bound(limits.position_mismatch, CHECKS.mismatch),
         np.full(len(strokes), -1, dtype=np.int64),
+        np.zeros(len(strokes)),
         np.zeros(5),
     )

@@ -119,7 +119,10 @@ class Compiled:
         if law.monitor is not None:  # which writes what the circuit can do
             able = axis.circuit.able.copy()
             axis = axis._replace(circuit=axis.circuit._replace(able=able))
-            law = law._replace(monitor=monitor_of(axis, law.monitor.tick, law.monitor.lag))
+            old, known = law.monitor, law.monitor.sensors
+            load = float(known.lines[1]), known.payload, known.steady
+            monitor = monitor_of(axis, old.tick, old.lag, *load)
+            law = law._replace(monitor=monitor)
         law = law._replace(axis=axis, memory=self.law.memory(axis), given=given)
         return replace(self, controller=law, telemetry=telemetry)
 
@@ -276,14 +279,19 @@ def compiled(
     _refuse_without(recipe, law, gains)
     with located(recipe, *chosen.where, "gains"):
         packed = law.pack(point, gains, rules, shaping)
-    channels = sample_size(len(design.model.layout.cylinders))
+    channels, monitor = sample_size(len(design.model.layout.cylinders)), None
+    if chosen.monitor:
+        tank, times = design.model.plant.tank_pressure, (point.tick, point.valve_lag)
+        known = not point.unmodelled
+        load = tank, point.payload if known else math.inf, known and not recipe.payload_change
+        monitor = monitor_of(point.axis, *times, *load)
     controller = Controller(
         point.axis,
         packed.gains,
         law.memory(point.axis),
         law.observed(point.axis, channels),
         np.zeros(channels),
-        monitor_of(point.axis, point.tick, point.valve_lag) if chosen.monitor else None,
+        monitor,
     )
     names = law.channels(design.cylinder, design.edges)
     if chosen.monitor:

@@ -274,7 +274,9 @@ class Prepared:
         unit = self.rig.unit_of(word)
         shown, edge = (from_si(v, unit, VOCABULARY[word]) for v in (value, bound))
         fields = {"channel": channel, "value": shown, "unit": unit, "limit": limit, "t": t}
-        if limit in OWN_SENTENCE:
+        if limit == "monitor":
+            sentence = message("trial.stop_sensor" if entry >= 0 else "trial.stop_valve", **fields)
+        elif limit in OWN_SENTENCE:
             sentence = message(f"trial.stop_{limit}", bound=edge, **fields)
         else:
             sentence = message("trial.limit_passed", bound=edge, **fields)

@@ -90,17 +90,19 @@ class Fault(FileModel):
     ``stop``, by default to the end.
 
     A sensor, ``target`` a channel such as ``boom.p_head`` or ``boom.x``: ``stuck`` at its last
-    value, ``offset`` by ``value``, ``drift`` by ``value`` each second, ``nan``, ``zero``,
-    ``dropouts`` (it repeats its last value for ``duration`` every ``period``), ``spikes`` (of
-    ``value`` for one sample every ``period``). A valve, ``target`` such as ``boom.hepc``:
-    ``stuck_open`` at ``value``, by default the end of its range, ``stuck_closed``, ``slow`` by a
-    lag of ``duration``. Without target: ``supply_lost``, ``link_delayed`` by ``duration``,
-    ``link_lost``, ``link_reordered``, ``controller_late`` by ``duration``."""
+    value, ``offset`` by ``value``, ``drift`` by ``value`` each second, ``scale`` by the factor
+    ``value``, ``nan``, ``zero``, ``dropouts`` (it repeats its last value for ``duration`` every
+    ``period``), ``spikes`` (of ``value`` for one sample every ``period``). A valve, ``target`` such
+    as ``boom.hepc``: ``stuck_open`` at ``value``, by default the end of its range,
+    ``stuck_closed``, ``slow`` by a lag of ``duration``. Without target: ``supply_lost``,
+    ``link_delayed`` by ``duration``, ``link_lost``, ``link_reordered``, ``controller_late`` by
+    ``duration``."""
 
     kind: Literal[
         "stuck",
         "offset",
         "drift",
+        "scale",
         "nan",
         "zero",
         "dropouts",
