@@ -57,14 +57,15 @@ def commands_of(name: str, kind: str, t: np.ndarray, share: float = 1.0) -> dict
     }
 
 
-def noisy(made: Record, seed: int, payload: str | None = None, factor: float = 1.0) -> Record:
+def noisy(
+    made: Record, seed: int, payload: str | None = None, factor: float = 1.0, noise=NOISE
+) -> Record:
     """What sensors say of a simulation: no openings or flows, white noise on what is measured."""
-    rng = np.random.default_rng(seed)
-    channels = {}
+    rng, channels = np.random.default_rng(seed), {}
     for name, values in made.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word in NOISE:
-            channels[name] = values + factor * NOISE[word] * rng.standard_normal(values.shape)
+        size = noise.get(name.rsplit(".", 1)[-1])
+        if size is not None:
+            channels[name] = values + factor * size * rng.standard_normal(values.shape)
     return Record(made.t, channels, {"payload": payload or "none"})
 
 

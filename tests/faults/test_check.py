@@ -138,10 +138,8 @@ def test_numbers_of_a_rig_without_a_source_are_counted(recipes, tmp_path):
 def test_a_log_in_which_nothing_is_commanded_does_not_support_a_fit(recipes, tmp_path):
     still = recipes.parent / "still.mcap"
     record = read(ROOT / "datasets/slide_servo/heldout/press_no_load.mcap")
-    write_log(
-        still,
-        type(record)(record.t[:50], {n: v[:50] for n, v in record.channels.items()}, record.meta),
-    )
+    short = {n: v[:50] for n, v in record.channels.items()}
+    write_log(still, type(record)(record.t[:50], short, record.meta))
     path = changed(
         recipes, "slide_servo/hydraulics.toml", "data = [", 'data = [\n  "../../still.mcap",'
     )
@@ -205,10 +203,8 @@ def test_a_run_that_stands_is_taken(recipes, slide_runs):
     found = inspection.check(recipes / "tune.toml")
     assert f"  reads: {made.folder} (rig 'slide_servo', validated)" in found.lines
     assert not found.notes.required
-    assert any(
-        line.endswith(": tuning.json, rig.toml, figures") and "tune_" in line
-        for line in found.lines
-    )
+    lines = [line for line in found.lines if "tune_" in line]
+    assert any(line.endswith(": tuning.json, rig.toml, figures") for line in lines)
     assert inspection.check(recipes / "slide_servo" / "validation.toml").notes.is_current
 
 
@@ -247,12 +243,8 @@ def test_a_log_that_the_rig_is_fitted_to_is_told(recipes):
 def test_lost_data_are_told_with_3(recipes):
     whole = ROOT / "datasets/slide_servo/heldout/press_no_load.mcap"
     (recipes.parent / "cut.mcap").write_bytes(whole.read_bytes()[: int(0.8 * whole.stat().st_size)])
-    path = changed(
-        recipes,
-        "slide_servo/validation.toml",
-        "../../datasets/slide_servo/heldout/press_no_load",
-        "../../cut",
-    )
+    held = "../../datasets/slide_servo/heldout/press_no_load"
+    path = changed(recipes, "slide_servo/validation.toml", held, "../../cut")
     found = inspection.check(path)
     assert found.code == 3 and any("lost: cut.mcap" in line for line in found.lines)
 
@@ -274,11 +266,8 @@ def test_recipes_in_a_circle_are_named(recipes):
 
 @pytest.mark.parametrize(("level", "is_timed"), [('"30 %"', False), ('"50 mm/s"', True)])
 def test_edges_without_their_maps_leave_the_rest_to_be_checked(recipes, level, is_timed):
-    rig = (
-        (recipes / "rigs" / "slide_servo.toml")
-        .read_text()
-        .replace('law = "orifice"', 'law = "map"')
-    )
+    rig = (recipes / "rigs" / "slide_servo.toml").read_text()
+    rig = rig.replace('law = "orifice"', 'law = "map"')
     (recipes / "rigs" / "mapped.toml").write_text(rig)
     head = 'stage = "trial"\nrig = "rigs/mapped.toml"\n[motion]\nkind = "velocity_steps"\n'
     law = '[controller]\nkind = "open_loop"\n'

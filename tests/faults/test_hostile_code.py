@@ -29,14 +29,8 @@ def recipe(folder, code):
     (folder / "mine.py").write_text(code)
     (folder / "trial.toml").write_text("# the recipe\n")
     controller = {"class": "mine:C"}
-    return TrialRecipe(
-        stage="trial",
-        rig="x.toml",
-        path=folder / "trial.toml",
-        controller=controller,
-        motion=MOTION,
-        duration="0.3 s",
-    )
+    given = {"path": folder / "trial.toml", "controller": controller, "motion": MOTION}
+    return TrialRecipe(stage="trial", rig="x.toml", duration="0.3 s", **given)
 
 
 def noting(notes, note):
@@ -238,7 +232,5 @@ def test_a_terminated_trial_does_not_blame_the_class(tmp_path):
     process.terminate()
     said = process.communicate(timeout=30)[1]
     assert process.returncode == 143 and "C.step" not in said
-    assert sorted(p.name for p in tmp_path.iterdir() if p.name != "begun") == [
-        "mine.py",
-        "trial.toml",
-    ]
+    left = {p.name for p in tmp_path.iterdir()}
+    assert left - {"begun"} == {"mine.py", "trial.toml"}

@@ -176,10 +176,8 @@ def test_what_is_asked_to_be_compared_is_compared_or_said():
     log = logged(machine, "press.servo", (2.0, -2.0))
     asked, wanted = ["bulk_modulus"], ["v", "p_head", "rod_force"]
     wrong = [*wanted[:2], "rod_forse"]
-    error = refused(
-        "identification.no_quantity",
-        lambda: identify(machine, [("log", log)], asked, channels=wrong),
-    )
+    work = lambda: identify(machine, [("log", log)], asked, channels=wrong)
+    error = refused("identification.no_quantity", work)
     assert "nearest is 'rod_force'" in error.message
     fit = identify(machine, [("log", log)], asked, channels=wanted)
     said = [text.fields for text in fit.warnings if getattr(text, "key", "").endswith("_compared")]
@@ -252,11 +250,8 @@ def test_a_fit_that_follows_nothing_is_no_fit():
         return {key: {gain: factor * truth} for key, factor in ends}
 
     log = [("log", crane())]
-    refused(
-        "identification.follows_nothing",
-        lambda: identify(rig(), log, [gain], channels=("qd",), **given(5.0, 4.0)),
-        InsufficientData,
-    )
+    work = lambda: identify(rig(), log, [gain], channels=("qd",), **given(5.0, 4.0))
+    refused("identification.follows_nothing", work, InsufficientData)
     fit = identify(rig(), log, [gain], **given(2.5, 2.4))
     poor = [name for name, percent in fit.logs[0].fit_percent.items() if percent < 0.0]
     loud = fit.warnings[0]
@@ -508,12 +503,8 @@ def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(undrawn, t
     for trial in (1, 2, 3):
         for u in (0.6, 1.2, 1.4, 1.7, 2.0, 3.0, 4.5, 6.0, 8.0):
             for drop in (0.5e6, 1e6, 2e6, 4e6, 8e6):
-                flow = (
-                    gain
-                    * max(u - deadband, 0.0)
-                    * np.sqrt(drop)
-                    * (1.0 + 0.005 * rng.standard_normal())
-                )
+                noise = 1.0 + 0.005 * rng.standard_normal()
+                flow = gain * max(u - deadband, 0.0) * np.sqrt(drop) * noise
                 shown = 6e4 * flow if flow >= limit else 0.0
                 rows.append(f"sh,forward,{u},{drop / 1e3},{shown:.5f},{trial}")
     (tmp_path / "sh.csv").write_text("\n".join(rows) + "\n")

@@ -12,7 +12,6 @@ from ehbench.control.axis import axis_of as make_axis
 from ehbench.control.functions import circuit, pack_rules
 from ehbench.control.law import DesignPoint
 from ehbench.machines.simulated import model_tick
-from ehbench.machines.virtual.laws import bench_tick
 from ehbench.parts.sample import perfect_sample, sample_size
 from ehbench.parts.valve import valve_lag as lag_of
 from ehbench.parts.valve.delay import line_of
@@ -41,16 +40,6 @@ class Trace(NamedTuple):
     commands: np.ndarray
 
 
-class Bench(NamedTuple):
-    """A virtual bench with its state, its last sample and room to work in."""
-
-    state: np.ndarray
-    sample: np.ndarray
-    plant: Any
-    scratch: Any
-    noise: np.ndarray
-
-
 @allocating_kernel
 def control(t, sample, reference, law, telemetry):
     """One tick of a controller, which sees the channels of its mask."""
@@ -75,21 +64,6 @@ def on_model(y, reference, law, plant, line, steps, trace, flows):
         model_tick(y, law.command, plant, line, steps, k, work, sample)
 
 
-@allocating_kernel
-def on_bench(bench, reference, law, tick, steps, trace):
-    """Run on the virtual bench: the log is what it measured, then the truth."""
-    state, sample = bench.state, bench.sample
-    channels = sample.shape[0]
-    for i in range(reference.shape[0]):
-        control(i * tick, sample, reference[i], law, trace.telemetry[i])
-        trace.log[i, :channels] = sample
-        trace.log[i, channels:] = state[: trace.log.shape[1] - channels]
-        trace.commands[i] = law.command
-        bench_tick(
-            state, law.command, bench.plant, tick, steps, bench.scratch, bench.noise[i], sample
-        )
-
-
 @dataclass
 class Run:
     """What came of a trial. ``log`` has the sample's columns (on the bench, then its states),
@@ -109,15 +83,9 @@ def circuit_of(model, number, measured=None):
     """The circuit of a cylinder of a model."""
     plant = model.plant
     row = plant.cylinders[number]
-    return circuit(
-        number,
-        row.area_head,
-        row.area_rod,
-        plant.edges,
-        plant.maps,
-        np.column_stack([plant.valves.lowest, plant.valves.highest]),
-        measured,
-    )
+    ranges = np.column_stack([plant.valves.lowest, plant.valves.highest])
+    areas = row.area_head, row.area_rod
+    return circuit(number, *areas, plant.edges, plant.maps, ranges, measured)
 
 
 def axis_of(model, number, posture, measured=None):
@@ -132,12 +100,8 @@ def axis_of(model, number, posture, measured=None):
 def valve_lag(model, number):
     """Lag 2ζ/ω_n [s] of the slowest valve of a cylinder."""
     name = model.layout.cylinders[number]
-    rows = [
-        row
-        for row, valve in zip(model.plant.valves, model.layout.valves, strict=True)
-        if valve.startswith(name + ".")
-    ]
-    return max(lag_of(row, model.plant) for row in rows)
+    valves = zip(model.plant.valves, model.layout.valves, strict=True)
+    return max(lag_of(row, model.plant) for row, valve in valves if valve.startswith(name + "."))
 
 
 def gains_of(model, ax, seventh=False, rules=None, gains=None, **options):
@@ -177,13 +141,3 @@ def run_model(model, ax, gains, reference, posture=None, mask=None, memory=None)
     line, steps = line_of(model.plant, tick), max(1, round(tick / STEP))
     on_model(y, reference, law, model.plant, line, steps, trace, flows)
     return _run(reference, law, trace, names, tick, flows)
-
-
-def run_bench(rig, model, ax, gains, reference, posture=None):
-    """A trial of the controller, designed on ``model``, on a virtual bench."""
-    sample, count = rig.start(posture), len(reference)
-    mask, memory = arc.observed(ax, sample.size), arc.memory_of(ax)
-    law, trace, names = _arrays(model, ax, gains, mask, memory, count, sample.size + rig.size)
-    bench = Bench(rig.state, sample, rig.bench, rig._own.scratch, rig.noise(count))
-    on_bench(bench, reference, law, TICK, rig.steps, trace)
-    return _run(reference, law, trace, names, TICK)

@@ -69,15 +69,8 @@ class Bench:
     """A cylinder of a rig, its operating points and the controller designed for it."""
 
     def __init__(self, rig, cylinder, postures=3, shares=(0.2, 0.5), payloads=()):
-        recipe = TuneRecipe(
-            stage="tune",
-            rig="x",
-            cylinder=cylinder,
-            postures=postures,
-            speed_shares=shares,
-            payloads=payloads,
-            draws=0,
-        )
+        given = {"postures": postures, "speed_shares": shares, "payloads": payloads, "draws": 0}
+        recipe = TuneRecipe(stage="tune", rig="x", cylinder=cylinder, **given)
         study = prepare_tuning(rig, None, recipe)
         counted = [site for site in study.motions if site.counts]
         self.design = Model.of(rig)

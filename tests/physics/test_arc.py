@@ -4,12 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from closed_loop import TICK, axis_of, gains_of, run_bench, run_model
+from closed_loop import TICK, axis_of, gains_of, run_model
 
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at, reference_load
 from ehbench.control.trajectory import point_to_point
-from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.cylinder import linkage_of
 from ehbench.physics.arm import LINK, gravity_torque, mass_matrix, work_size
 from ehbench.plant.model import Model
@@ -310,35 +309,6 @@ def test_off_side_pressure_follows_its_set_point():
     assert run.telemetry["pressure_set"][up].max() == pytest.approx(supply / 20, rel=1e-6)
 
 
-def test_saturation_is_said_and_leaves_no_wind_up():
-    """A reference twice as fast as the pump: estimates keep still, and no overshoot."""
-    rig, design, ax = thesis()
-    profile = {"speed": 0.5, "acceleration": 4.0, "jerk": 100.0, "hold": [0.3, 2.5]}
-    reference, gains = point_to_point([LOW, HIGH], tick=TICK, **profile), gains_of(design, ax)
-    run = run_model(Model.of(rig, None, "50 lb"), ax, gains, reference, START)
-    words = [values for name, values in run.telemetry.items() if name.endswith(".limits")]
-    limits = np.stack(words).astype(int)
-    saturated = (limits & codes.SATURATED).any(axis=0)
-    error = run.telemetry["x_error"]
-    assert saturated.sum() > 50 and error.min() < -0.02
-    frozen = run.telemetry["learning"][:-1] == codes.FROZEN  # pyright: ignore[reportIndexIssue]
-    still = saturated[1:] & saturated[:-1] & frozen
-    assert still.sum() > 50
-    for name in ESTIMATES:
-        assert np.abs(np.diff(run.telemetry[name])[still]).max() == 0.0
-    assert error.max() < 2.0e-3
-    assert np.abs(error[-200:]).max() < 2 * RESOLUTION
-    inside_bounds(run, gains)
-
-
-def test_the_same_trial_twice_gives_the_same_bytes():
-    rig, design, ax = thesis()
-    machine, gains = Model.of(rig, None, "50 lb"), gains_of(design, ax)
-    one, two = (run_model(machine, ax, gains, SLOW[:3000], START) for _ in range(2))
-    assert one.commands.tobytes() == two.commands.tobytes()
-    assert one.log.tobytes() == two.log.tobytes()
-
-
 def test_sees_only_its_channels():
     """Channels that it does not observe change nothing; NaN in an observed one shows."""
     _, design, ax = thesis()
@@ -396,27 +366,6 @@ def test_an_inclined_slide_weighs_its_load():
     assert run.telemetry["payload_estimate"][-1] == pytest.approx(100.0, abs=5.0)
     assert run.telemetry["inverse_inertia"][-1] == pytest.approx(250 / 350, abs=0.05)
     assert np.abs(run.telemetry["x_error"]).max() < 1.0e-3
-
-
-# --- what the bench adds: noise, quantization, lag, delay, friction, hysteresis, unlike valves
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("load", [None, "bucket"])
-def test_on_the_bench(load):
-    """Valves known from their data sheets only, flows some per cent off: under 3 mm."""
-    rig = shipped("boom_four_valve")
-    design = Model.of(rig)
-    ax = axis_of(design, 0, {"boom": "0.225 m"})
-    reference = there_and_back(0.1, 0.35, 0.1, acceleration=0.3, jerk=3.0, hold=(0.5, 0.5, 1.5))
-    gains = gains_of(design, ax)
-    machine = VirtualMachine(rig, None, load)
-    run = run_bench(machine, design, ax, gains, reference, {"boom": "0.1 m"})
-    error = np.abs(run.telemetry["x_error"])
-    assert error.max() < 3.0e-3
-    assert np.count_nonzero(np.diff(run.telemetry["function"])) < 12
-    inside_bounds(run, gains)
-    assert run.telemetry["payload_estimate"][-1] == pytest.approx(120.0 if load else 0.0, abs=25.0)
 
 
 # --- packing

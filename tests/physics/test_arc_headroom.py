@@ -37,19 +37,11 @@ def prepared(payload=None, machine=None, rig=ARM, supply=None, **gains):
     """A fast cycle of the boom on the model of a machine whose flow may lack."""
     motion = {"kind": "point_to_point", "cylinder": "boom", "hold": "0.6 s"}
     limits = {"speed": "180 mm/s", "acceleration": "1 m/s^2", "jerk": "20 m/s^3"}
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "on": "model",
-            "machine": machine or {},
-            "payload": payload,
-            "motion": motion | limits | {"waypoints": ["50 mm", "200 mm", "50 mm"]},
-            "controller": {"kind": "arc", "gains": gains},
-            "path": RECIPES / "trial.toml",
-            **({} if supply is None else {"supply": supply}),
-        }
-    )
+    way = motion | limits | {"waypoints": ["50 mm", "200 mm", "50 mm"]}
+    given = {"stage": "trial", "rig": "x.toml", "on": "model", "machine": machine or {}}
+    given |= {"payload": payload, "motion": way, "controller": {"kind": "arc", "gains": gains}}
+    given |= {} if supply is None else {"supply": supply}
+    recipe = TrialRecipe.model_validate(given | {"path": RECIPES / "trial.toml"})
     return prepare(recipe, rig, maps() if rig is ARM else None)
 
 

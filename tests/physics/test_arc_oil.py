@@ -13,26 +13,13 @@ DESIGN = float(RIG.oil.bulk_modulus)
 
 def ran(machine, payload="50 lb", **gains):
     """A fast cycle of the boom on the model of a changed machine."""
-    recipe = TrialRecipe.model_validate(
-        {
-            "stage": "trial",
-            "rig": "x.toml",
-            "on": "model",
-            "machine": machine,
-            "payload": payload,
-            "motion": {
-                "kind": "point_to_point",
-                "cylinder": "boom",
-                "waypoints": ["50 mm", "200 mm", "50 mm"],
-                "hold": "0.6 s",
-                "speed": "180 mm/s",
-                "acceleration": "1 m/s^2",
-                "jerk": "20 m/s^3",
-            },
-            "controller": {"kind": "arc", "gains": gains},
-            "path": RECIPES / "trial.toml",
-        }
-    )
+    motion = {"kind": "point_to_point", "cylinder": "boom", "hold": "0.6 s", "speed": "180 mm/s"}
+    motion |= {"waypoints": ["50 mm", "200 mm", "50 mm"]}
+    motion |= {"acceleration": "1 m/s^2", "jerk": "20 m/s^3"}
+    given = {"stage": "trial", "rig": "x.toml", "on": "model", "machine": machine}
+    given |= {"payload": payload, "motion": motion, "path": RECIPES / "trial.toml"}
+    given |= {"controller": {"kind": "arc", "gains": gains}}
+    recipe = TrialRecipe.model_validate(given)
     return run(prepare(recipe, RIG))
 
 

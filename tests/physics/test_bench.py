@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import BenchRecipe, TrialRecipe, load_recipe
-from ehbench.data.logs import write_log
+from ehbench.config.recipe import BenchRecipe, load_recipe
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.drawing import speed_filter
 from ehbench.machines.virtual.laws import follow, play
@@ -14,7 +13,6 @@ from ehbench.parts.cylinder import linkage_arrays
 from ehbench.parts.oil import ATMOSPHERE, bulk
 from ehbench.physics.arm import energy, work_size
 from ehbench.plant.model import Model
-from ehbench.trial import run_trial
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import Value
 from tests.shared import ROOT, shipped
@@ -297,24 +295,6 @@ def test_the_step_is_fine_enough():
     assert (np.abs(runs[0] - runs[1]) / span).max() < 1e-3
 
 
-def trial(seed, **given):
-    command = {"valve": "press.servo", "kind": "step", "amplitude": "2 V"}
-    command |= {"start": "0.05 s", "stop": "0.3 s"}
-    file = str(ROOT / "recipes" / "bench" / "slide_servo.toml")
-    table = {"duration": "0.5 s", "command": [command], "bench": file} | given
-    return TrialRecipe(stage="trial", rig="", on="bench", seed=seed, **table)
-
-
-def test_the_seed_makes_the_bytes(tmp_path):
-    rig = shipped("slide_servo")
-    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
-        record, facts = run_trial(rig, trial(seed))
-        assert facts.on == "virtual bench" and record.meta["on"] == "virtual bench"
-        write_log(tmp_path / f"{name}.mcap", record)
-    a, b, c = ((tmp_path / f"{name}.mcap").read_bytes() for name in "abc")
-    assert a == b and a != c
-
-
 @pytest.mark.parametrize("name", (*RIGS, "pump_cylinder"))
 def test_a_dataset_is_recorded_again_byte_for_byte(name, tmp_path):
     made = make(ROOT / "recipes" / "datasets" / f"{name}.toml", tmp_path)
@@ -347,7 +327,9 @@ SLIPS = [
 @pytest.mark.parametrize(("text", "line", "says"), SLIPS)
 def test_a_wrong_bench_file_is_refused_with_its_line(tmp_path, text, line, says):
     path = tmp_path / "bench.toml"
-    path.write_text(f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text)
+    path.write_text(
+        f'stage = "bench"\nrig = "{ROOT / "recipes" / "rigs" / "slide_servo.toml"}"\n' + text
+    )
     with pytest.raises(InputError, match=says) as error:
         VirtualMachine(shipped("slide_servo"), load_recipe(path))
     assert error.value.file == str(path) and error.value.line == line

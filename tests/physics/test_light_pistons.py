@@ -62,16 +62,8 @@ def by_radau(t: np.ndarray, start: np.ndarray) -> np.ndarray:
     y, parts = start, []
     for begin, end, volts in ((0.0, OPEN, 0.0), (OPEN, SHUT, 3.0), (SHUT, LAST, 0.0)):
         among = t[(t >= begin - 1e-9) & (t <= end + 1e-9)]
-        result = solve_ivp(
-            slope,
-            (among[0], among[-1]),
-            y,
-            "Radau",
-            among,
-            args=(volts,),
-            rtol=1e-7,
-            atol=[1e-9, 1e-9, 1.0, 1.0],
-        )
+        close = {"rtol": 1e-7, "atol": [1e-9, 1e-9, 1.0, 1.0], "args": (volts,)}
+        result = solve_ivp(slope, (among[0], among[-1]), y, "Radau", among, **close)
         y = result.y[:, -1]
         parts.append(result.y[:, :-1] if end < LAST else result.y)
     return np.hstack(parts).T

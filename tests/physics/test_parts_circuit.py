@@ -25,7 +25,7 @@ from ehbench.signals.series import ringing
 from ehbench.trial import run_trial
 from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.errors import InputError
-from tests.shared import ROOT, shipped
+from tests.shared import ROOT, refused, shipped
 
 RIG = shipped("pump_cylinder")
 MAPS = np.zeros(1)
@@ -329,19 +329,12 @@ def test_the_head_end_alone_is_the_spring():
 
 
 def test_controllers_of_metering_edges_refuse_a_pump():
-    sentence = (
-        "a pump moves this cylinder, and the built-in controllers meter oil through valves "
-        r"\(give it commands without a controller: \[\[command\]\]\)"
-    )
-    with pytest.raises(InputError, match=sentence):
+    with refused("control.pump_edge"):
         circuit_of(Model.of(RIG), 0)
-    recipe = TrialRecipe(
-        stage="trial",
-        rig="pump_cylinder.toml",
-        controller={"kind": "open_loop"},
-        motion={"kind": "point_to_point", "waypoints": ["100 mm", "150 mm"], "speed": "50 mm/s"},
-    )
-    with pytest.raises(InputError, match=sentence):
+    motion = {"kind": "point_to_point", "waypoints": ["100 mm", "150 mm"], "speed": "50 mm/s"}
+    given = {"controller": {"kind": "open_loop"}, "motion": motion}
+    recipe = TrialRecipe(stage="trial", rig="pump_cylinder.toml", **given)
+    with refused("control.pump_edge"):
         run_trial(RIG, recipe)
 
 

@@ -32,27 +32,12 @@ def test_the_load_moves_without_a_cartridge(tmp_path, valve, function, largest):
     """
     loaded = load_recipe(ROOT / "recipes/trials/arc_fast_bench.toml")
     assert isinstance(loaded, TrialRecipe) and loaded.controller is not None
-    motion = Motion.model_validate(
-        {
-            "kind": "point_to_point",
-            "cylinder": "boom",
-            "waypoints": ["50 mm", "200 mm", "50 mm"],
-            "hold": "1 s",
-            "speed": "40 mm/s",
-            "acceleration": "0.3 m/s^2",
-            "jerk": "6 m/s^3",
-        }
-    )
+    way = {"waypoints": ["50 mm", "200 mm", "50 mm"], "hold": "1 s", "speed": "40 mm/s"}
+    way |= {"acceleration": "0.3 m/s^2", "jerk": "6 m/s^3"}
+    motion = Motion.model_validate({"kind": "point_to_point", "cylinder": "boom"} | way)
     controller = loaded.controller.model_copy(update={"unused": (valve,)})
-    recipe = loaded.model_copy(
-        update={
-            "on": "model",
-            "bench": None,
-            "payload": "50 lb",
-            "motion": motion,
-            "controller": controller,
-        }
-    )
+    given = {"on": "model", "bench": None, "payload": "50 lb", "motion": motion}
+    recipe = loaded.model_copy(update=given | {"controller": controller})
     log = tmp_path / "log.mcap"
     result = run(prepare(recipe, shipped("thesis_arm")), log=log)
     assert result.facts.stop is None

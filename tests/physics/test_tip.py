@@ -81,12 +81,9 @@ def test_out_of_reach_it_comes_as_near_as_it_can():
     far = np.array([5.0, 0.0, 0.5])
     found = reach(chain, far, middle, free)
     assert not found.there
-    nearest = min(
-        np.linalg.norm(
-            tip_of(chain, np.stack(np.meshgrid(*grid), -1).reshape(-1, 3)) - far, axis=1
-        ).min()
-        for grid in [[np.linspace(a, b, 25) for a, b in zip(chain.low, chain.high)]]
-    )
+    grid = [np.linspace(a, b, 25) for a, b in zip(chain.low, chain.high)]
+    places = tip_of(chain, np.stack(np.meshgrid(*grid), -1).reshape(-1, 3))
+    nearest = np.linalg.norm(places - far, axis=1).min()
     assert found.miss == pytest.approx(nearest, abs=2e-2) and found.miss <= nearest
     held = reach(chain, tip_of(chain, chain.low), middle, np.array([False, True, True]))
     assert not held.there and held.q[0] == middle[0]

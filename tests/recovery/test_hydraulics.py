@@ -198,10 +198,8 @@ def test_a_fit_is_the_same_however_many_threads():
 def test_a_sample_is_the_state_at_its_time():
     """The command at t acts from t on: shifting the samples by one is seen."""
     right = slide_logs(4)
-    shifted = edited(
-        right,
-        lambda c, v, _: v if c.endswith("command") else np.concatenate([v[:1], v[:-1]]),
-    )
+    late = lambda c, v, _: v if c.endswith("command") else np.concatenate([v[:1], v[:-1]])
+    shifted = edited(right, late)
     good, late = (identify(rig("slide_servo"), logs, SLIDE) for logs in (right, shifted))
     assert all(covers(good, item) for item in TRUE.items())
     assert "identification.late" not in keys(good) and "identification.late" in keys(late)

@@ -6,23 +6,13 @@ import numpy as np
 import pytest
 
 from ehbench.config.rig import Rig
-from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
 from tests.shared import shipped
+from tests.virtual_logs import noisy
 
 NOISE = {"qd": 5e-4, "v": 5e-4, "p_head": 3e3, "p_rod": 3e3, "q": 1e-5, "x": 1e-5}
-
-
-def noisy(record: Record, seed: int) -> Record:
-    """What sensors would say, with white noise."""
-    rng = np.random.default_rng(seed)
-    channels = {}
-    for name, values in record.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word in NOISE or word in ("command", "p_supply", "p_tank"):
-            channels[name] = values + NOISE.get(word, 0.0) * rng.standard_normal(values.size)
-    return Record(record.t, channels, record.meta)
+NOISE |= dict.fromkeys(("command", "p_supply", "p_tank"), 0.0)
 
 
 def slide(**cylinder: Any) -> Rig:
@@ -37,10 +27,10 @@ def held(
 ) -> list[bool]:
     """Fit logs from starts ``factors`` off: whether each interval holds the truth."""
     truth = {name: float(rig.parameters()[name]) for name in factors}
-    logs = [
-        (f"log {i}", noisy(simulate(rig, {"press.servo": u}, (u.size - 1) / 1000), i))
-        for i, u in enumerate(drives, 100 * seed)
-    ]
+    logs = []
+    for i, u in enumerate(drives, 100 * seed):
+        record = simulate(rig, {"press.servo": u}, (u.size - 1) / 1000)
+        logs.append((f"log {i}", noisy(record, i, noise=NOISE)))
     start = {name: value * factors[name] for name, value in truth.items()}
     fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start, **options))
     for name, value in truth.items():
@@ -60,48 +50,27 @@ def wave(volts: float, period: float, samples: int) -> np.ndarray:
 
 
 SEALS: dict[str, Any] = {"friction_viscous": "300 N*s/m", "friction_coulomb": "200 N"}
-FRICTIONS = {
-    "stribeck": (
-        {"friction_static": "400 N", "stribeck_speed": "20 mm/s"},
-        {"press.friction_static": 1.6, "press.stribeck_speed": 0.6},
-    ),
-    "lugre": (
-        {
-            "friction_static": "400 N",
-            "stribeck_speed": "20 mm/s",
-            "bristle_stiffness": "2000 N/mm",
-            "bristle_damping": "8000 N*s/m",
-        },
-        {
-            "press.friction_static": 1.6,
-            "press.stribeck_speed": 0.6,
-            "press.bristle_stiffness": 2.0,
-            "press.bristle_damping": 0.5,
-        },
-    ),
-}
+BREAKS = {"friction_static": "400 N", "stribeck_speed": "20 mm/s"}
+BRISTLES = {"bristle_stiffness": "2000 N/mm", "bristle_damping": "8000 N*s/m"}
+STRIBECK = {"press.friction_static": 1.6, "press.stribeck_speed": 0.6}
+LUGRE = {"press.bristle_stiffness": 2.0, "press.bristle_damping": 0.5}
+FRICTIONS = {"stribeck": (BREAKS, STRIBECK), "lugre": (BREAKS | BRISTLES, STRIBECK | LUGRE)}
 
 
+AMPLIFIER, BUS = {"amplifier": {"lag": "8 ms"}}, {"bus": {"delay": "7.3 ms"}}
+FAST, SLOW = (
+    {"spool": {"natural_frequency": f"{hertz} Hz", "damping_ratio": 0.8}} for hertz in (80, 30)
+)
+SERIES = {"amplifier.lag": 0.5, "spool.natural_frequency": 1.6}
 VALVES = {
-    "first_order": ({"amplifier": {"lag": "8 ms"}}, ["amplifier"], {"amplifier.lag": 1.8}),
-    "delay": (
-        {"bus": {"delay": "7.3 ms"}, "spool": {"natural_frequency": "80 Hz", "damping_ratio": 0.8}},
-        ["bus", "spool"],
-        {"bus.delay": 1.8},
-    ),
-    "series": (
-        {
-            "amplifier": {"lag": "8 ms"},
-            "spool": {"natural_frequency": "30 Hz", "damping_ratio": 0.8},
-        },
-        ["amplifier", "spool"],
-        {"amplifier.lag": 0.5, "spool.natural_frequency": 1.6},
-    ),
+    "first_order": (AMPLIFIER, {"amplifier.lag": 1.8}),
+    "delay": (BUS | FAST, {"bus.delay": 1.8}),
+    "series": (AMPLIFIER | SLOW, SERIES),
 }
 
 
-def valve_with(dynamics: dict[str, Any], series: list[str]) -> Rig:
-    """The sliding mass with other elements in its valve."""
+def valve_with(dynamics: dict[str, Any]) -> Rig:
+    """The sliding mass with other elements in series in its valve."""
     plain = slide(**SEALS).as_toml()
     (cylinder,) = plain["cylinder"]
     (valve,) = cylinder["valve"]
@@ -110,7 +79,7 @@ def valve_with(dynamics: dict[str, Any], series: list[str]) -> Rig:
         name: {"kind": next((kinds[key] for key in table if key in kinds), "second_order")} | table
         for name, table in dynamics.items()
     }
-    cylinder = cylinder | {"valve": [valve | {"dynamics": series}]}
+    cylinder = cylinder | {"valve": [valve | {"dynamics": list(dynamics)}]}
     return Rig.model_validate(plain | {"dynamics": made, "cylinder": [cylinder]})
 
 
@@ -122,8 +91,8 @@ def jumps(volts: float, hold: int = 100, samples: int = 801) -> np.ndarray:
 
 @pytest.mark.parametrize("case", VALVES)
 def test_valves(case):
-    dynamics, series, factors = VALVES[case]
-    recovered(valve_with(dynamics, series), factors, [jumps(3.0), -jumps(2.0, hold=61)])
+    dynamics, factors = VALVES[case]
+    recovered(valve_with(dynamics), factors, [jumps(3.0), -jumps(2.0, hold=61)])
 
 
 LINES = [
@@ -136,11 +105,8 @@ LINES = [
 @pytest.mark.parametrize("seed", range(2))
 def test_lines(seed):
     """Of pressures in the chambers alone."""
-    factors = {
-        "press.line_head.volume": 1.8,
-        "press.line_head.resistance": 0.5,
-        "press.line_rod.orifice_gain": 1.7,
-    }
+    factors = {"press.line_head.volume": 1.8, "press.line_head.resistance": 0.5}
+    factors |= {"press.line_rod.orifice_gain": 1.7}
     rig = slide(**SEALS, line=LINES)
     recovered(rig, factors, [jumps(3.0, 60, 201), -jumps(2.0, 41, 201)], seed)
 

@@ -196,14 +196,9 @@ def test_a_channel_that_the_log_lacks_is_refused():
 def test_sensors_of_a_recipe_are_shown_with_its_parameters(undrawn, tmp_path):
     for name, log in spoilt(press__p_head=lambda y: y + 2e5):
         write_log(tmp_path / f"{name}.mcap", log)
-    recipe = {
-        "stage": "identify",
-        "what": "hydraulics",
-        "rig": str(RIGS / "slide_servo.toml"),
-        "data": ["a.mcap", "b.mcap"],
-        "parameters": PARAMETERS,
-        "sensor": [{"channel": "press.p_head", "offset": "estimate"}],
-    }
+    recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIGS / "slide_servo.toml")}
+    recipe |= {"data": ["a.mcap", "b.mcap"], "parameters": PARAMETERS}
+    recipe |= {"sensor": [{"channel": "press.p_head", "offset": "estimate"}]}
     (tmp_path / "fit.toml").write_text(tomli_w.dumps(recipe))
     made = workflow.run(tmp_path / "fit.toml", workflow.Session(root=tmp_path / "runs"))
     (saved,) = read_json(made.folder / "parameters.json")["sensors"]

@@ -20,6 +20,7 @@ from ehbench.validation import (
 )
 from ehbench.vocabulary.errors import InputError
 from tests.shared import shipped
+from tests.virtual_logs import noisy
 
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}
 T = np.arange(2401) * 1e-3
@@ -27,19 +28,9 @@ T = np.arange(2401) * 1e-3
 
 def recorded(rig, valves: dict[str, float], payload: str | None = None, seed: int = 1) -> Record:
     """What sensors record of a step there and back: no openings or flows, noise."""
-    made = simulate(
-        rig,
-        {v: np.where((T >= 0.3) & (T < 1.4), a, 0.0) for v, a in valves.items()},
-        2.4,
-        payload=payload,
-    )
-    rng = np.random.default_rng(seed)
-    channels = {}
-    for name, values in made.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word in NOISE:
-            channels[name] = values + NOISE[word] * rng.standard_normal(values.shape)
-    return Record(made.t, channels, {"payload": payload or "none"})
+    commands = {v: np.where((T >= 0.3) & (T < 1.4), a, 0.0) for v, a in valves.items()}
+    made = simulate(rig, commands, 2.4, payload=payload)
+    return noisy(made, seed, payload, noise=NOISE)
 
 
 def keys(notes) -> set[str]:
@@ -47,11 +38,8 @@ def keys(notes) -> set[str]:
 
 
 def without(record: Record, *words: str) -> Record:
-    return Record(
-        record.t,
-        {n: v for n, v in record.channels.items() if n.rsplit(".", 1)[-1] not in words},
-        record.meta,
-    )
+    kept = {n: v for n, v in record.channels.items() if n.rsplit(".", 1)[-1] not in words}
+    return Record(record.t, kept, record.meta)
 
 
 BOOM = {"boom.hepc": 4.0, "boom.rect": 8.0}
@@ -196,20 +184,16 @@ def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):
     wrong = validate_rig(
         arm.with_values({"bulk_modulus": 3.2e8}), [("boom", boom)], thresholds=asked
     )
-    assert any(
-        check.what == "boom.p_rod residual autocorrelation" and not check.passed
-        for check in wrong.logs[0].checks
-    )
+    what = "boom.p_rod residual autocorrelation"
+    assert any(one.what == what and not one.passed for one in wrong.logs[0].checks)
     auto = wrong.logs[0].channels[2].autocorrelation
     assert auto.lag[0] == pytest.approx(0.01) and auto.lag[-1] == pytest.approx(0.5)
     assert len(auto.lag) == len(auto.value) == len(auto.band)
     assert auto.outside_percent == pytest.approx(
         100 * np.mean(np.abs(auto.value) > np.array(auto.band)), abs=2.1
     )
-    assert {c.of for c in wrong.logs[0].channels[2].cross_correlation} == {
-        "boom.hepc.command",
-        "boom.rect.command",
-    }
+    of = {c.of for c in wrong.logs[0].channels[2].cross_correlation}
+    assert of == {"boom.hepc.command", "boom.rect.command"}
 
 
 def test_a_log_the_model_was_fitted_to_does_not_count(arm, boom, swing):
@@ -260,12 +244,8 @@ def test_rates_are_taken_from_positions_where_they_were_not_recorded(arm, boom):
 def test_a_stroke_sensor_stands_in_for_a_joint_encoder(arm, boom):
     """Stroke and speed are judged by the thresholds asked of position and rate."""
     result = validate_rig(arm, [("boom", without(boom, "q", "qd"))])
-    assert {c.channel for c in result.logs[0].channels} == {
-        "boom.x",
-        "boom.v",
-        "boom.p_head",
-        "boom.p_rod",
-    }
+    words = ("x", "v", "p_head", "p_rod")
+    assert {c.channel for c in result.logs[0].channels} == {f"boom.{word}" for word in words}
     assert any(check.what == "boom.v fit" for check in result.logs[0].checks) and result.accepted
     bare = validate_rig(
         arm, [("boom", without(boom, "q", "qd", "p_rod", "v"))], channels=("qd", "p_rod", "p_head")
@@ -281,10 +261,8 @@ def test_a_log_that_cannot_be_simulated_is_kept_and_rejects(arm, boom):
     gap = Record(boom.t[keep], {n: v[keep] for n, v in boom.channels.items()}, boom.meta)
     result = validate_rig(arm, [("far", far), ("gap", gap), ("boom", boom)])
     assert [log.status for log in result.logs] == ["failed", "failed", "held_out"]
-    assert (
-        "outside the stroke" in result.logs[0].failure
-        and "not evenly sampled" in result.logs[1].failure
-    )
+    assert "outside the stroke" in result.logs[0].failure
+    assert "not evenly sampled" in result.logs[1].failure
     assert "boom.q" in result.logs[0].series and not result.logs[0].passed
     reason = result.reasons[0]
     assert not result.accepted and reason.key == "validation.not_simulated"
@@ -303,10 +281,8 @@ def test_bad_input_is_refused(arm, boom):
 def test_a_valve_the_rig_does_not_have_is_named(arm, boom):
     odd = Record(boom.t, boom.channels | {"bucket.servo.command": np.zeros(T.size)}, boom.meta)
     result = validate_rig(arm, [("boom", odd)])
-    assert any(
-        "'bucket.servo.command', a valve that rig 'thesis_arm' does not have" in text
-        for text in result.warnings
-    )
+    said = "'bucket.servo.command', a valve that rig 'thesis_arm' does not have"
+    assert any(said in text for text in result.warnings)
 
 
 def test_noise_on_recorded_commands_makes_no_steps_and_moves_no_cylinder(arm, boom):

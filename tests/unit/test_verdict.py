@@ -201,13 +201,8 @@ def test_noise_is_told_from_motion():
 def test_a_position_that_strays_is_told_though_nobody_asks():
     rig = shipped("slide_servo")
     log = virtual_log("slide_servo", rig, "steps", 1)
-    fast = rig.with_values(
-        {
-            n: 1.5 * float(v)
-            for n, v in rig.parameters().items()
-            if n.endswith("supply_head.flow_gain")
-        }
-    )
+    gains = {n: v for n, v in rig.parameters().items() if n.endswith("supply_head.flow_gain")}
+    fast = rig.with_values({name: 1.5 * float(value) for name, value in gains.items()})
     verdict = judged("slide_servo", fast, log)
     notes = {note.key: note for note in verdict.logs[0].warnings}
     assert notes["validation.poor_fit"].fields["channel"] == "press stroke"
