@@ -179,6 +179,8 @@ def tdms(path: Path) -> READ:
         "polynomial": (counts, {**status, **polynomial}, HALVES),
         "already scaled": (counts, {**status, **linear, "NI_Scaling_Status": "scaled"}, PLAIN),
         "reciprocal": (counts, {**status, **scale("Reciprocal", Slope=2.0)}, None),
+        "half a scale": (counts, {**status, **scale("Linear", Slope=2.0)}, None),
+        "of no scale": (counts, {**status, **linear, "NI_Scale[0]_Linear_Input_Source": 7}, None),
         "logical": (counts > 2, {}, [0.0] * 3 + [1.0] * 5),
         "words": (np.array(["a"] * 8), {}, None),
     }

@@ -141,7 +141,7 @@ def _overview(
         for name, cells in table.words.items():
             row = next((row for row, cell in enumerate(cells) if cell), 0)
             fields = {"cell": remark(cells[row] if cells else ""), "where": _where(table, row)}
-            text = message("app.no_numbers", **fields)
+            text = message("app.no_numbers" if any(cells) else "app.no_number_held", **fields)
             guess = Guess() if name in names else guesses.get(name, Guess())
             columns.append((name, text, _guess_text(guess)))
             lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))

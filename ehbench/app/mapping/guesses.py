@@ -330,7 +330,7 @@ def command_guess(unit: str, words: set[str], known: np.ndarray, rig: Rig | None
     channel = f"{cylinder}.{valve}.{'opening' if is_opening else 'command'}"
     remark = message("app.opening_guessed" if is_opening else "app.command_guessed")
     spoken = words & WORDS["command"]
-    why = (message("app.why_unit", unit=unit or "-"), *why)
+    why = (message("app.why_unit", unit=unit), *why) if unit else why
     why += tuple(message("app.why_word", word=word) for word in sorted(spoken))
     if not spoken:
         certainty = UNDECIDED

@@ -210,6 +210,8 @@ def _read(reader: Reader, path: Path, dialect: Dialect) -> Source:
         reason = "it is too deep"
     except MemoryError:
         reason = "it is too large"
+    except KeyError as error:
+        reason = message("data.lacks", what=error)
     except Exception as error:  # the libraries raise all kinds on a damaged file
         reason = str(error) or type(error).__name__
     text = message("data.unreadable_as", format=reader.name, reason=reason)

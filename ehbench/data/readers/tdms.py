@@ -34,11 +34,15 @@ def read(path: Path, dialect: Dialect) -> Source:
             if not len(channel):
                 continue
             name = f"{channel.group_name}/{channel.name}"
-            if kind := _unknown_scale(channel.properties, group.properties, file.properties):
-                reason = message("data.unknown_scale", kind=kind)
+            try:
+                kind = _unknown_scale(channel.properties, group.properties, file.properties)
+                values = np.asarray([] if kind else channel[:])
+                reason = message("data.unknown_scale", kind=kind) if kind else ""
+            except (KeyError, IndexError):
+                values, reason = np.zeros(0), message("data.bad_scale")
+            if reason:
                 losses.append(message("data.not_converted", name=name, reason=reason))
                 continue
-            values = np.asarray(channel[:])
             unit = str(channel.properties.get("unit_string", "") or "")
             base = _base(channel)
             if values.dtype.kind == "M":
