@@ -175,8 +175,8 @@ def prepare_fit(
             raise InputError(text, **where("data", index), hint=error.hint) from None
         model = model_of(rig, flow_maps, payload_of(record))
         log = prepare(model, record, name, requested.channels, terms, decimate, requested.cutoff)
-        freed = rig.model is not None or any(name.endswith(".deadband") for name in parameters)
-        if not freed and (why := shut(model, log)):
+        free = any(name.endswith(("deadband", "overlap")) for name in parameters)
+        if not (free or rig.model) and (why := shut(model, log)):
             closed.append(message("identification.all_shut", log=name, reason=why))
             log = replace(log, warnings=(*log.warnings, closed[-1]))
         logs.append(log if requested.response is None else on_response(log, *requested.response))

@@ -343,7 +343,10 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "cracking_pressure": float(edge.cracking_pressure),
             "unmetered": not edges.edge_law(edge.law).metering,
         }
-        rows.append(row | _law(edge, given, packed))
+        row |= _law(edge, given, packed)
+        if "deadband" in row:
+            row["deadband"] = valve.onset(edge)
+        rows.append(row)
     for item, edge in rig.fixed_edges():  # without a command
         cylinder = names.cylinders.index(item.name)
         row = {

@@ -261,7 +261,7 @@ def _fed(cylinder: Cylinder, record: Record) -> bool:
     """Whether a recorded command opens an edge from the supply."""
     return any(
         (command := f"{cylinder.name}.{valve.name}.command") in record
-        and bool(np.any(edge.sign * record[command] > edge.onset))
+        and bool(np.any(edge.sign * record[command] > valve.onset(edge)))
         for valve in cylinder.valve
         for edge in valve.edge
         if edge.from_ == "supply"
@@ -447,7 +447,7 @@ def _directions(cylinder: Cylinder, record: Record) -> np.ndarray:
                 continue
             out = "head" == edge.to or "rod" == edge.from_
             reach = edge.sign * record[channel]
-            opened[0 if out else 1] |= reach > float(edge.deadband)
+            opened[0 if out else 1] |= reach > max(valve.onset(edge), 0.0)
     return opened[0].astype(float) - opened[1].astype(float)
 
 
@@ -503,6 +503,6 @@ def on_at_first(record: Record, rig: Rig, rest: int) -> dict[str, float]:
             continue
         first = float(np.median(record[channel][:rest]))
         minimum = SETTINGS.on * (float(valve.command_max) - float(valve.command_min))
-        if any(edge.sign * first > float(edge.deadband) + minimum for edge in valve.edge):
+        if any(edge.sign * first > max(valve.onset(edge), 0.0) + minimum for edge in valve.edge):
             results[channel] = first
     return results

@@ -372,7 +372,8 @@ class Rig(FileModel):
         for prefix, _, part in self.parts():
             numbers = part.parameters() if isinstance(part, DynamicsTable) else dict(scalars(part))
             if isinstance(part, Valve):
-                numbers = {key: value for key, value in numbers.items() if key == "drive_limit"}
+                known = ("drive_limit", "overlap", "null")
+                numbers = {key: value for key, value in numbers.items() if key in known}
             results |= {f"{prefix}{key}": value for key, value in numbers.items()}
         return results
 

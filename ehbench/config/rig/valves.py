@@ -191,7 +191,8 @@ def _must_be_whole(
 class Valve(FileModel):
     """One command, its dynamics (names in the rig's ``dynamics``, from the command on, or none:
     opening follows at once) and its edges. Commands of a size beyond its ``drive_limit`` do what
-    one of that size does.
+    one of that size does. Of a spool ``overlap`` is added to the deadband of each edge, below zero
+    an underlap; at the command ``null`` it stands in its middle.
     """
 
     name: Name
@@ -200,6 +201,8 @@ class Valve(FileModel):
     command_min: Annotated[Value, Q("command_min")]
     command_max: Annotated[Value, Q("command_max")]
     drive_limit: Annotated[Value, Q("drive_limit")] | None = None
+    overlap: Annotated[Value, Q("overlap")] | None = None
+    null: Annotated[Value, Q("null")] | None = None
     edge: tuple[Edge, ...] = Field(min_length=1)
     calibration: tuple[tuple[str, str], ...] = ()
 
@@ -232,7 +235,10 @@ class Valve(FileModel):
             raise Misplaced(message("config.drive_never_rests"), "drive_limit")
         for index, edge in enumerate(self.edge):
             reach = highest if edge.sign > 0 else -lowest
-            opens = float(edge.deadband) if edge_law(edge.law).has_deadband else 0.0
+            shared = "overlap" if self.overlap is not None else "null"
+            if not edge_law(edge.law).has_deadband and getattr(self, shared) is not None:
+                raise Misplaced(message("config.no_deadband", law=edge.law), shared)
+            opens = max(self.onset(edge), 0.0) if edge_law(edge.law).has_deadband else 0.0
             if reach <= opens:
                 way = (
                     f"commands above {opens:g} V"
@@ -251,6 +257,10 @@ class Valve(FileModel):
         """The lowest and the highest command [V] that its drive passes on."""
         maximum = math.inf if self.drive_limit is None else float(self.drive_limit)
         return max(float(self.command_min), -maximum), min(float(self.command_max), maximum)
+
+    def onset(self, edge: Edge) -> float:
+        """Command [V], counted in the direction that opens it, from which on an edge passes oil."""
+        return edge.onset + float(self.overlap or 0.0) + edge.sign * float(self.null or 0.0)
 
     def edge_name(self, edge: Edge) -> str:
         """What its flow map is called: its name, else the valve's, or valve_from_to of several."""

@@ -52,7 +52,7 @@ TABLE: dict[type, tuple[Fault, ...]] = {
     LinkLoad: load.PAYLOAD,
     Cylinder: (*friction.FAULTS, *cylinder.FAULTS, *mount.FAULTS, *sway.FAULTS),
     Line: line.FAULTS,
-    Valve: valve.FAULTS,
+    Valve: (*valve.FAULTS, *valve.SPOOL),
     DynamicsTable: (*second_order.FAULTS, *first_order.FAULTS),
     Edge: edge.FAULTS,
     FixedEdge: edge.FAULTS,
@@ -115,8 +115,6 @@ class _Rows:
             wholes = []
             for name, parts in by_valve.items():
                 about = parts[0].about if kind == "saturation" and len(parts) == 1 else name
-                if kind == "underlap" and len(parts) < len(self._valve(name).edge):
-                    continue
                 if len(parts) > 1:
                     yield from (replace(item, level=0) for item in parts)
                 wholes.append(joined(parts, about, 1))
@@ -166,9 +164,6 @@ class _Rows:
         logs = [log[channel] for log in self.records if channel in log]
         return any(float(np.ptp(y)) > least_change(item) for y in logs)
 
-    def _valve(self, name: str) -> Valve:
-        return next(v for c, v in self.rig.valves() if f"{c.name}.{v.name}" == name)
-
     def _scales(self, prefix: str, place: tuple[Any, ...], part: Any) -> Scales | None:
         """What amounts of a part are measured by; None where no log shows the part."""
         if place and place[0] == "cylinder":
@@ -202,7 +197,7 @@ class _Rows:
             return None
         if adds and (scales.empty or (fault.table and getattr(part, fault.table) is not None)):
             return None
-        if isinstance(part, Valve) and not scales.graded:
+        if isinstance(part, Valve) and not self._is_of(fault, part, scales):
             return None
         numbers = tuple(
             Number.of(fault, key, name, self.known.get(name), scales)
@@ -225,11 +220,22 @@ class _Rows:
         """What a fault is about, in words: a part, or a number of it where several are alike."""
         if isinstance(part, Oil | Supply):
             return f"the {type(part).__name__.lower()}"
-        if isinstance(part, Valve):
+        if isinstance(part, Valve) and fault.kind == "saturation":
             return f"the drive of {prefix.removesuffix('.')}"
         rows = [row for row in TABLE.get(type(part), ()) if row.kind == fault.kind and not row.adds]
         alike = [row for row in rows if f"{prefix}{row.keys[0]}" in self.known]
         return names[0] if len(alike) > 1 and not fault.joined else prefix.removesuffix(".")
+
+    def _is_of(self, fault: Fault, part: Valve, scales: Scales) -> bool:
+        """Whether a row is of a valve: what its drive gives where commands of several sizes show
+        it, an overlap of a spool that opens to both sides by laws with deadbands.
+        """
+        if fault not in valve.SPOOL:
+            return scales.graded
+        names = [f"{scales.cylinder.name}.{part.edge_name(edge)}" for edge in part.edge]
+        laws = all(edge_law(edge.law).has_deadband for edge in part.edge)
+        mapped = any(map_of(self.maps, name) is not None for name in names)
+        return laws and not mapped and len({edge.sign for edge in part.edge}) == 2
 
     def _applies(self, fault: Fault, prefix: str, part: Edge | FixedEdge) -> bool:
         """Whether a row is of the law that an edge goes by."""
@@ -242,9 +248,7 @@ class _Rows:
             return rules.metering and part.to == "tank"
         if not isinstance(part, Edge) or not rules.has_deadband:
             return False
-        if key == "deadband":
-            return part.underlap is None
-        return not fault.adds or float(part.deadband) == 0.0
+        return key != "deadband" or part.underlap is None
 
     def _times(self, owner: Cylinder, valves: Sequence[Valve]) -> Iterator[Hypothesis]:
         """A delay, and a lag where they have none, between the commands of valves with the same

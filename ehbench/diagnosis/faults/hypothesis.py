@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe.sensor import ESTIMATE, Sensor
-from ehbench.config.rig import Rig
+from ehbench.config.rig import Rig, parameter_row
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults.scales import Scales
 from ehbench.parts.fault import Fault
@@ -58,9 +58,14 @@ class Number:
         return cls(name, here, unit, starts, upper, sure, std)
 
     def at(self, delta: float) -> float:
-        """Its value with a fault of size δ; of what is not negative no less than zero."""
+        """Its value with a fault of size δ; of what is never negative no less than zero."""
         value = self.here + delta * self.unit
-        return value if self.here < 0.0 else max(value, 0.0)
+        return value if self.signed else max(value, 0.0)
+
+    @property
+    def signed(self) -> bool:
+        """Whether it may be below zero."""
+        return parameter_row(self.name).lower < 0.0
 
     def begin(self, delta: float) -> float:
         """Where a search begins [SI] that a slope says to end at δ."""
@@ -125,7 +130,7 @@ class Hypothesis:
         """The smallest and the largest δ."""
         low, high = self.row.low, self.row.high
         for number in self.numbers:
-            if number.unit > 0.0 and number.here >= 0.0 and not self.readings:
+            if number.unit > 0.0 and not (number.signed or self.readings):
                 low = max(low, -number.here / number.unit)
         return low, high
 

@@ -139,7 +139,7 @@ def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) ->
     )
     onset, soft, sat, factor, setting, wide, force = rng.uniform(low, high)
     row = table(1, CURVE)[0]
-    dead = edge.onset
+    dead = valve.onset(edge)
     row.onset = given("onset", onset * dead if dead != 0.0 else 0.1 * soft * full)
     row.softness = given("softness", soft * full if compensated else 0.3 * soft * full)
     usual = sat * full if compensated else 1.6 * sat * full

@@ -36,18 +36,6 @@ FAULTS = (
         joined=True,
     ),
     Fault("underlap", ("underlap",), unit="command", step=0.01, high=0.4, joined=True),
-    Fault(
-        "underlap",
-        ("underlap",),
-        unit="command",
-        step=0.01,
-        low=0.0,
-        high=0.4,
-        upper=Amount((0.5,), "reach"),
-        table="underlap",
-        adds={"underlap": Amount((0.05,), "reach", "V")},
-        joined=True,
-    ),
     *PRELOAD,
 )
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}

@@ -32,6 +32,23 @@ FAULTS = (
         joined=True,
     ),
 )
+# of a spool, whose edges share them
+_MIDDLE = Amount((0.01,), "reach", "V", (-50.0, 50.0))
+SPOOL = (
+    Fault("overlap", ("overlap",), unit="command", step=0.01, low=-0.4, high=0.4, rank=4),
+    Fault(
+        "overlap",
+        ("overlap", "null"),
+        unit="command",
+        step=0.01,
+        low=-0.4,
+        high=0.4,
+        rank=4,
+        table="overlap",
+        adds={"overlap": _MIDDLE, "null": _MIDDLE},
+        moved=("overlap",),
+    ),
+)
 SHARE = 0.25  # of its fastest period over 2π, over which a series of elements is integrated
 
 # A valve. ``lowest, highest`` command of its driver [V]; the ``delay`` [s] with which it feels a
