@@ -34,12 +34,15 @@ def workspace(tmp_path_factory) -> Path:
     return folder
 
 
-def test_help_names_every_command_and_the_exit_codes():
+def test_help_and_readme_name_every_command():
     text = ehbench("--help").stdout
     for command in COMMANDS:
         assert command in text
     for code in range(6):
         assert re.search(rf"\b{code} \w", text)
+    named = set(re.findall(r"ehbench ([a-z][a-z-]+)", (ROOT / "README.md").read_text()))
+    assert set(COMMANDS) <= named
+    assert named <= set(COMMANDS)
 
 
 def test_quantities_lists_what_a_word_leads_to(inside):
@@ -56,12 +59,6 @@ def test_every_help_has_an_example(inside, command):
     done = inside(command, "--help")
     assert done.returncode == 0
     assert re.search(rf"Example:\s+ehbench {command} \S+", done.stdout)
-
-
-def test_readme_names_only_commands_that_exist():
-    named = set(re.findall(r"ehbench ([a-z][a-z-]+)", (ROOT / "README.md").read_text()))
-    assert set(COMMANDS) <= named
-    assert named <= set(COMMANDS)
 
 
 def test_a_format_that_is_not_written_is_refused_in_plain_words(inside, tmp_path):

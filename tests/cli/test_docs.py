@@ -193,7 +193,7 @@ def words(page: str) -> int:
     return len(re.sub(r"<!-- \w[\w ]* -->\n(?:\|.*\n)*", "", PAGES[page]).split())
 
 
-def test_pages_are_short():
+def test_pages_and_bullets_are_short():
     """README, how-to pages, all pages, and all of them together, as CONTRIBUTING says."""
     limits = {"README.md": 1200, "docs/howto/": 1500, "docs/architecture.md": 1500, "": 4000}
     most = {
@@ -202,9 +202,6 @@ def test_pages_are_short():
     long = {page: words(page) for page in PAGES if words(page) > most[page]}
     assert long == {}
     assert sum(words(page) for page in PAGES if page != "CONTRIBUTING.md") <= 40_000
-
-
-def test_bullets_of_the_changelog_are_short():
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     bullets = re.findall(r"^- ((?:.+\n)(?:  .+\n)*)", text, re.M)
     assert len(bullets) > 50 and [b for b in bullets if len(b.split()) > 25] == []

@@ -141,13 +141,10 @@ def test_what_the_log_excites_comes_back_without_bounds(name, factor):
     assert abs(found.value - truth) < 5.0 * found.std and found.std < 0.05 * truth, (found, truth)  # pyright: ignore[reportOperatorIssue]
 
 
-def test_a_rod_volume_is_not_tried_below_what_the_stroke_displaces():
+def test_starts_have_bounds_that_can_be():
     fit = identify(rig(), [("log", crane())], ["lift.volume_rod"])
     cylinder = rig().cylinder[0]
     assert fit["lift.volume_rod"].lower > cylinder.areas()[1] * float(cylinder.stroke)
-
-
-def test_a_zero_start_asks_for_an_upper_bound():
     work = lambda: identify(rig(), [("log", crane())], ["lift.leakage_head"])
     error = refused("identification.zero_start", work)
     assert '[upper] "lift.leakage_head"' in str(error.hint)
@@ -191,15 +188,12 @@ def test_a_log_of_another_rig_is_refused():
     refused("no channel is of a cylinder", lambda: validate_rig(rig(), logs))
 
 
-def test_a_log_that_names_no_payload_is_taken_as_unloaded_and_told():
+def test_a_log_has_a_payload_and_a_name():
     silent = replace(crane(), meta={})
     _, told = taken(silent)
     assert told == ("the log names no payload: taken as unloaded (the rig has 200 kg)",)
     bare = rig().model_copy(update={"payload": {}})
     assert taken(silent, bare)[1] == ()
-
-
-def test_logs_of_one_name_take_their_folder():
     paths = [Path(text) for text in ("a/step.csv", "b/step.mcap", "b/other.csv", "c/b/step.csv")]
     assert distinct_names(paths) == ["a_step", "b_step", "other", "b_step_2"]
 
@@ -233,10 +227,7 @@ def test_pressures_that_carry_no_load_are_judged_by_the_supply():
     }
     says = "press is fed from a supply of .* and its pressures stay below"
     refused(says, lambda: taken(replace(slide, channels=channels), rig("slide_servo")))
-
-
-def test_a_supply_that_is_merely_lower_passes():
-    """Half the pressure the rig file says is another day, not another unit."""
+    # Half the pressure the rig file says is another day, not another unit
     half = {"supply.pressure": 0.5 * float(rig().supply.pressure)}
     assert taken(logged(rig().with_values(half), "lift.spool", (5.0, -4.5)))[1] == ()
 

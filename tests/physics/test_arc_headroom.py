@@ -62,7 +62,7 @@ def test_a_motion_that_the_edge_would_not_carry_is_followed(payload):
     assert with_it["tracking"]["max_error"] < 0.5e-3
 
 
-def test_room_is_made_ahead():
+def test_room_is_made_ahead_and_the_pump_gives_no_more_for_it():
     """The off-side is up before the edge is at its end, or its oil would slow the motion."""
     record, plain = (ran(None, given, 0.9).record for given in (None, 0.0))
     raised = np.flatnonzero(record["boom.pressure_set"] > 2.0 * LOW)
@@ -73,10 +73,7 @@ def test_room_is_made_ahead():
     down = record["boom.v_desired"] < 0.0
     assert record["boom.pressure_set"][down].max() < 3.0 * LOW
 
-
-def test_the_pump_gives_no_more_for_it():
-    """At constant pressure a stroke takes the same oil, whatever stands in the other chamber."""
-
+    # At constant pressure a stroke takes the same oil, whatever stands in the other chamber
     def energy(record):
         return float(np.sum(record["flow_supply"] * record["p_supply"]))
 

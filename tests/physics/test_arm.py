@@ -182,7 +182,7 @@ def test_gravity_torque_is_the_slope_of_potential_energy(n):
         assert c == pytest.approx(bias(q, rest), rel=0, abs=1e-13 * (1 + np.abs(c).max()) * n)
 
 
-def test_pendulum_by_hand():
+def test_pendulum_by_hand_and_a_shorter_chain():
     """One link about a horizontal axis: D = I + m l², c = m g l cos q."""
     # joint 1 turns about the vertical, so the pendulum is joint 2
     upright = arm.pack_link(0, 0, math.pi / 2, 0, 1.0, (0, 0, 0), np.eye(3), 0.0)
@@ -196,9 +196,6 @@ def test_pendulum_by_hand():
     level = 2.0 * math.cos(0.4)
     end = level * math.cos(0.3), level * math.sin(0.3), 2.0 * math.sin(0.4)
     assert arm.tip(arm.CHAIN, links, q) == pytest.approx(end, rel=1e-14)
-
-
-def test_prefix_of_the_rows_is_the_shorter_chain():
     links, _ = random_chain(3, np.random.default_rng(1))
     q = np.array([0.1, 0.2, 0.3])
     end = np.array(arm.tip(arm.CHAIN, links, q))

@@ -155,7 +155,7 @@ def test_friction_and_damping_only_take_energy():
     assert lost[-1] > 0.5 * np.ptp(mechanical)
 
 
-def test_entrained_air_is_a_polytropic_gas():
+def test_air_is_a_polytropic_gas_and_hysteresis_a_backlash():
     p, n, alpha, h = np.linspace(-0.9e5, 7e6, 50), 1.3, 0.004, 1.0
     for gauge in p:
         low, high = (((gauge + ATMOSPHERE + side * h) / ATMOSPHERE) ** (-1 / n) for side in (-1, 1))
@@ -164,9 +164,6 @@ def test_entrained_air_is_a_polytropic_gas():
     assert bulk(1e5, 3e8, 0.0, n) == 3e8
     stiff = [bulk(gauge, 3e8, alpha, n) for gauge in p]
     assert np.all(np.diff(stiff) > 0)
-
-
-def test_hysteresis_is_a_backlash():
     out, path = 0.0, []
     for u in (0.0, 1.0, 2.0, 1.9, 1.5, 0.0, 0.1, 1.0):
         out = play(out, u, 0.4)
@@ -305,11 +302,8 @@ def test_a_dataset_is_recorded_again_byte_for_byte(name, tmp_path):
     assert all(same), "run `make datasets`"
 
 
-def test_all_datasets_together_are_small():
+def test_datasets_are_small_and_an_unknown_one_is_named(tmp_path, capsys):
     assert sum(p.stat().st_size for p in (ROOT / "datasets").rglob("*") if p.is_file()) < 10e6
-
-
-def test_an_unknown_dataset_is_named(tmp_path, capsys):
     recipes = str(ROOT / "recipes" / "datasets")
     assert main(["nowhere", "--recipes", recipes, "--out", str(tmp_path)]) == 2
     assert "slide_servo" in capsys.readouterr().err

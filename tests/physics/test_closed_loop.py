@@ -474,7 +474,7 @@ def test_a_limit_shuts_the_valves_in_the_very_tick(law, on, tmp_path):
     assert facts.measures["tracking"]["max_error"] < 0.02
 
 
-def test_other_cylinders_take_commands_meanwhile_and_the_own_valves_do_not():
+def test_commands_are_for_other_cylinders_and_an_unused_valve_rests():
     shake = {"valve": "stick.servo", "kind": "sine", "amplitude": "0.5 V", "frequency": "1 Hz"}
     still, _ = moved(ARC)
     record, facts = moved(ARC, command=[shake])
@@ -483,9 +483,6 @@ def test_other_cylinders_take_commands_meanwhile_and_the_own_valves_do_not():
     assert facts.measures["tracking"]["max_error"] < 2e-3
     with refused("trial.controlled_valve"):
         moved(ARC, command=[shake | {"valve": "boom.hepc"}])
-
-
-def test_an_unused_valve_stays_at_rest():
     record, facts = moved(ARC | {"unused": ["boom.regen"]})
     assert not record["boom.regen.command"].any() and facts.measures["tracking"]["max_error"] < 1e-3
     assert not {3, 6, 7} & set(record["boom.function"].astype(int))

@@ -228,7 +228,7 @@ def test_valve_rates_follow_from_openings(model):
     assert np.abs(free[:, at[0]] - opening).max() < 1e-6 * np.abs(opening).max()
 
 
-def test_the_parts_of_a_ledger(model, made):
+def test_the_parts_of_a_ledger_that_cannot_be_changed(model, made):
     """Per cylinder and in total, as JSON, with cumulated energies that end at the rows."""
     ledger = ledger_of_model(model, made, points=40)
     plain = json.loads(json.dumps(ledger.as_json(), allow_nan=False))
@@ -245,6 +245,10 @@ def test_the_parts_of_a_ledger(model, made):
     assert {row.cylinder for row in ledger.of(one)} == {one} and ledger.of(one)
     with refused("ledger.no_row", InputError):
         ledger["pmup"]
+    ledger = ledger_of_model(model, made, "samples")
+    with pytest.raises(AttributeError):
+        ledger.rows = ()
+    assert isinstance(ledger, Ledger) and ledger.duration == pytest.approx(2.0)
 
 
 def test_a_record_of_another_model_is_refused_or_noted(model, made):
@@ -603,7 +607,7 @@ def test_a_measured_pump_flow_is_used():
     assert ledger["unexplained.supply_line"].energy == pytest.approx(lost, rel=0.05)
 
 
-def test_noise_is_read_off_the_readings():
+def test_noise_is_read_off_the_readings_and_no_travel():
     rng = np.random.default_rng(1)
     t = np.arange(5000) * 1e-3
     slow = 1e6 * np.sin(2 * np.pi * t)
@@ -611,6 +615,11 @@ def test_noise_is_read_off_the_readings():
     counted = np.round(slow / 3400.0) * 3400.0
     assert noise_of(counted) == pytest.approx(3400.0 / math.sqrt(12.0), rel=0.6)
     assert noise_of(np.full(100, 3.0)) == 0.0
+    rng = np.random.default_rng(0)
+    x = np.concatenate([np.linspace(0, 0.1, 500), np.linspace(0.1, 0.02, 400)])
+    out, back = travels(x + rng.normal(0.0, 2e-4, x.size), 2e-3)
+    assert out == pytest.approx(0.1, abs=2e-3) and back == pytest.approx(0.08, abs=2e-3)
+    assert travels(np.full(50, 0.1), 1e-3) == (0.0, 0.0)
 
 
 # --- bounds
@@ -675,21 +684,6 @@ def test_bounds_against_a_trial():
         bounds(model.rig, trial(model, model.rest_commands(101)), "boom")
     with pytest.raises(InputError, match="no cylinder 'bucket'"):
         bounds(model.rig, record, "bucket")
-
-
-def test_noise_is_no_travel():
-    rng = np.random.default_rng(0)
-    x = np.concatenate([np.linspace(0, 0.1, 500), np.linspace(0.1, 0.02, 400)])
-    out, back = travels(x + rng.normal(0.0, 2e-4, x.size), 2e-3)
-    assert out == pytest.approx(0.1, abs=2e-3) and back == pytest.approx(0.08, abs=2e-3)
-    assert travels(np.full(50, 0.1), 1e-3) == (0.0, 0.0)
-
-
-def test_a_ledger_cannot_be_changed(model, made):
-    ledger = ledger_of_model(model, made, "samples")
-    with pytest.raises(AttributeError):
-        ledger.rows = ()
-    assert isinstance(ledger, Ledger) and ledger.duration == pytest.approx(2.0)
 
 
 # --- pictures

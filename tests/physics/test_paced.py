@@ -131,7 +131,7 @@ def test_a_replay_that_fails_is_none_and_the_others_are_as_alone():
         assert all(np.array_equal(replayed[name], alone[name]) for name in alone.channels)
 
 
-def test_threads_begin_no_task_after_an_error():
+def test_errors_of_threads_and_of_numbers_are_said():
     begun = []
 
     def fail(task: int) -> None:
@@ -141,9 +141,6 @@ def test_threads_begin_no_task_after_an_error():
     with pytest.raises(ValueError):
         map_threads(fail, range(9), 2)
     assert len(begun) <= 2
-
-
-def test_what_leaves_finite_numbers_is_said():
     model = made("slide_servo")
     start = model.trim(model.posture(None))
     start[model.layout.state("p_head")] = np.nan

@@ -68,7 +68,7 @@ def test_a_pump_moves_its_displacement_less_its_slip(sign):
             assert edge_slope(drop, flow, command, row) == 4e-12
 
 
-def test_a_load_sinks_by_the_slip_of_a_pump_at_rest():
+def test_a_load_sinks_by_the_slip_and_rises_as_the_pump_turns():
     """Ringing damped out: ``v A1 = −slip (p_head − p_rod)`` at pressures that carry the load."""
     rig = RIG.with_values({"table.damping": 5e4, "lift.pump.slip": 1e-11})
     record = trial(rig, np.zeros(1501))
@@ -76,10 +76,7 @@ def test_a_load_sinks_by_the_slip_of_a_pump_at_rest():
     speed = -1e-11 * (record["lift.p_head"][-1] - record["lift.p_rod"][-1]) / row.area_head
     assert record["lift.v"][-1] == pytest.approx(speed, rel=2e-3)
     assert speed < -0.01
-
-
-def test_the_table_rises_as_far_as_the_pump_turns():
-    """Without slip, on stiff oil and once the load has stopped ringing: ``A1 Δx = D ∫ω dt``."""
+    # Without slip, on stiff oil and once the load has stopped ringing: A1 Δx = D ∫ω dt
     rig = RIG.with_values({"lift.pump.slip": 0.0, "table.damping": 5e4, "bulk_modulus": 9e9})
     u = np.zeros(2501)
     u[100:900] = 3.0

@@ -69,16 +69,13 @@ def test_friction_of_either_direction_is_its_own(retracting):
     assert friction_steady(row, 0.0) == 0.0
 
 
-def test_stribeck_is_the_curve_beyond_its_smoothing():
+def test_laws_bear_the_curve_beyond_their_smoothing():
     row = Model.of(rig_with("stribeck")).plant.cylinders[0]
     for v in (-0.3, -0.02, 0.008, 0.05):
         turned = math.tanh(abs(v) / SMOOTHING)
         bare = steady(v) - VISCOUS * v
         assert friction_steady(row, v) == pytest.approx(bare * turned + VISCOUS * v, rel=1e-12)
     assert friction_steady(row, 0.0) == 0.0
-
-
-def test_bristles_that_have_settled_bear_the_curve():
     model = Model.of(rig_with("lugre"))
     row, y = model.plant.cylinders[0], np.zeros(model.layout.states)
     rates = np.full_like(y, np.nan)
@@ -122,7 +119,7 @@ def held_by_friction(law: str, degrees: float) -> tuple[float, np.ndarray, np.nd
     return push, log[:, 0], log[-1]
 
 
-def test_at_rest_it_sticks_where_a_smoothed_law_creeps():
+def test_a_rod_sticks_below_break_away_and_slides_beyond():
     """Under a force below break-away the rod bends the bristles by ``F/σ0`` and stays: no creep."""
     degrees = 1.5
     push, x, last = held_by_friction("lugre", degrees)
@@ -133,9 +130,6 @@ def test_at_rest_it_sticks_where_a_smoothed_law_creeps():
     assert abs(x[-1] - x[1000]) < 1e-12
     _, creeping, _ = held_by_friction("stribeck", degrees)
     assert abs(creeping[-1] - creeping[1000]) > 1e-5
-
-
-def test_beyond_break_away_it_slides():
     _, x, _ = held_by_friction("lugre", 8.0)
     assert x[-1] - x[0] < -0.02
 

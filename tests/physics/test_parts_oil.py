@@ -66,16 +66,13 @@ def test_the_ledger_closes_with_air():
     assert abs(wrong - ledger["press.head"].energy) > 1e-4 * ledger.pump
 
 
-def test_a_design_takes_the_stiffness_at_each_pressure():
+def test_a_design_and_the_virtual_bench_take_the_air():
     """The development model against differences of the plant, as without air."""
     model = Model.of(airy())
     point = point_of(model, speed=0.1)
     ours, plant = development_model(model, point).a, plant_model(model, point).a
     for side in (1, 2):
         assert np.allclose(ours[side, :3], plant[side, :3], rtol=1e-6)
-
-
-def test_the_virtual_bench_takes_the_air_of_the_rig_unless_its_file_says_other():
     own = BenchRecipe(stage="bench", rig="", air_fraction="0.4 %")
     for recipe, share in ((None, 0.02), (own, 0.004)):
         assert VirtualMachine(airy(), recipe).bench.fluid.air == pytest.approx(share)

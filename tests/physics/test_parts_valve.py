@@ -111,9 +111,6 @@ def test_a_delay_between_ticks_is_one_of_many_short_ticks():
     after = record.t > 0.0165  # the impulse is exact, so nothing is left behind but of second order
     gap = np.abs(record["press.servo.opening"] - fine["press.servo.opening"][::10])[after]
     assert gap.max() < 2e-3
-
-
-def test_a_delay_shorter_than_a_step():
     record = step_of(rig_with("short", short={"kind": "delay", "delay": "0.2 ms"}))
     assert record["press.servo.opening"][9:12] == pytest.approx([0.0, 0.6, 1.0], abs=1e-12)
 

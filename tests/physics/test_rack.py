@@ -70,15 +70,12 @@ def test_a_rack_on_its_pinion_is_a_slide_of_the_mass_it_feels(sign, tmp_path):
     assert rack["press.q"] == pytest.approx(angle, abs=1e-12)
 
 
-def test_a_rack_is_its_inverse():
+def test_a_rack_is_its_inverse_and_its_energy_sum_closes(tmp_path):
     pins = (RACK, 0.125, 0.0, -1, 0.0, 0.4)
     q = joint_angle(*pins, np.array([0.0, 0.1, 0.3]))
     for angle, x in zip(q, (0.0, 0.1, 0.3), strict=True):
         assert linkage(*pins, angle) == pytest.approx((x, -0.125, 0.0), abs=1e-15)
     assert joint_range(*pins, 0.3) == pytest.approx((0.4, 0.4 - 0.3 / 0.125))
-
-
-def test_its_energy_sum_closes(tmp_path):
     rig = turned(tmp_path)
     ledger = ledger_of_model(Model.of(rig), run(rig))
     work = abs(ledger["press.servo_supply_head.throttling"].energy)

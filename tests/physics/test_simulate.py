@@ -172,12 +172,23 @@ def test_noise_on_recorded_commands_is_no_motion(arm):
     assert max(spread) < 3 * 2e4 / math.sqrt(100)
 
 
-def test_uneven_recordings_are_refused(arm):
+def test_what_cannot_be_simulated_is_said(arm):
     made = simulate(arm, step_of(arm), 1.0)
     for keep in (np.delete(np.arange(made.t.size), 500), slice(2)):
         few = Record(made.t[keep], {n: v[keep] for n, v in made.channels.items()})
         with pytest.raises(LogError, match="not evenly sampled"):
             Model.of(arm).replay(few)
+    with pytest.raises(InputError, match="no valve 'boom.hepcc'"):
+        simulate(arm, {"boom.hepcc": 1.0}, 0.1)
+    with pytest.raises(InputError, match="has 7 values, the trial 101 samples"):
+        simulate(arm, {"boom.hepc": np.zeros(7)}, 0.1)
+    with pytest.raises(InputError, match="no payload '10 lb'"):
+        simulate(arm, {}, 0.1, payload="10 lb")
+    model = Model.of(arm)
+    y = model.trim(model.posture(None))
+    y[3] = np.nan
+    with pytest.raises(SimulationError, match="t = 0 s"):
+        model.run(y, model.rest_commands(10))
 
 
 def test_postures_by_angle_stroke_and_name(rig):
@@ -225,23 +236,6 @@ def test_a_run_leaves_its_start_and_commands_alone(arm):
     kept = y.copy(), table.copy()
     model.run(y, table)
     assert (y == kept[0]).all() and (table == kept[1]).all()
-
-
-def test_simulate_says_what_is_wrong(arm):
-    with pytest.raises(InputError, match="no valve 'boom.hepcc'"):
-        simulate(arm, {"boom.hepcc": 1.0}, 0.1)
-    with pytest.raises(InputError, match="has 7 values, the trial 101 samples"):
-        simulate(arm, {"boom.hepc": np.zeros(7)}, 0.1)
-    with pytest.raises(InputError, match="no payload '10 lb'"):
-        simulate(arm, {}, 0.1, payload="10 lb")
-
-
-def test_numbers_that_run_away_are_reported_with_their_time(arm):
-    model = Model.of(arm)
-    y = model.trim(model.posture(None))
-    y[3] = np.nan
-    with pytest.raises(SimulationError, match="t = 0 s"):
-        model.run(y, model.rest_commands(10))
 
 
 def test_rate_and_step_change_the_log_not_the_motion(arm):

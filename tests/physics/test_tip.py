@@ -56,9 +56,6 @@ def test_what_forward_kinematics_reach_is_found_again(chain):
         found = reach(chain, tip_of(chain, q), middle, free)
         assert found.there and found.miss <= FOUND and not found.beyond.any()
         assert np.abs(found.q - q).max() < 1e-6, "within the strokes there is one posture"
-
-
-def test_many_points_at_once_are_found_as_one_by_one(chain):
     free, q = np.ones(chain.low.size, bool), postures(chain, 10)
     found, miss = polish(chain, tip_of(chain, q), q + 1e-2 * (chain.high - chain.low), free)
     assert miss.max() <= FOUND and np.abs(found - q).max() < 1e-6

@@ -71,7 +71,7 @@ def given(part: Any) -> Iterator[tuple[str, str]]:
             yield from given(one)
 
 
-def test_every_number_of_every_part_is_on_trial():
+def test_every_number_of_every_part_and_rig_is_on_trial():
     beds = [bed(name) for name in BEDS]
     on_trial = {pair for one in beds for pair in given(one.rig)}
     every = set(numbers(Rig, set()))
@@ -80,9 +80,6 @@ def test_every_number_of_every_part_is_on_trial():
     assert len(every) > 90 and missing <= set(NEVER)
     words = {name.rpartition(".")[2] for name in BEDS for name in offered(name)}
     assert {key for _, key in every} - words == set(NEVER)
-
-
-def test_every_parameter_of_a_shipped_rig_is_on_trial():
     for path in sorted(RIGS.glob("*.toml")):
         assert offered(path.stem) == list(bed(path.stem).rig.parameters())
 

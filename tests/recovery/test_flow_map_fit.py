@@ -119,14 +119,11 @@ def test_recovers_flow_and_deadband_within_the_intervals(law, deadband, seed):
     assert np.hypot(floor, share * 4 * GPM) == pytest.approx(truth, rel=0.16)
 
 
-def test_strictly_increasing_in_the_command_on_noisy_data():
+def test_flow_rises_with_the_command_and_may_fall_with_the_drop():
     found = fit(readings(compensated, 3, noise=0.05, trials=1)).map
     drop, command = np.linspace(1e3, 9e6, 150), np.linspace(found.deadband, 11.0, 2500)
     flow = found.flow(drop[:, None], command)
     assert np.all(np.diff(flow, axis=1) > 0) and np.all(found.flow(0.0, command) == 0.0)
-
-
-def test_flow_that_falls_with_the_drop_is_let_fall():
     found = fitted(compensated, 5).map
     drop = np.array([2.5e6, 6.4e6])
     change, true = np.diff(found.flow(drop, 9.0)), np.diff(compensated(drop, 9.0))
@@ -208,14 +205,11 @@ def test_scale_does_not_matter():
         assert other.deadband == pytest.approx(one.deadband, abs=1e-5)
 
 
-def test_servo_valve_without_deadband():
+def test_a_deadband_may_be_none_or_below_the_readings():
     found = fit(readings(servo, 10, commands=np.arange(11.0)))
     assert found.deadband_interval[0] == 0.0 and found.status == "at_bound"
     held, rms, _ = compare(found, servo, least=0.5)
     assert held >= 0.9 and rms < 0.005
-
-
-def test_deadband_below_the_lowest_command_is_called_an_extrapolation():
     found = fit(readings(poppet, 11, commands=COMMANDS[COMMANDS >= 3]))
     assert found.status == "not_excited" and "not_excited" in keys(found)
     assert found.deadband_interval[0] <= 1.6 <= found.deadband_interval[1]
@@ -265,7 +259,7 @@ def test_a_leak_is_reported_and_the_map_shut():
     assert found.map.flow(3e6, 1.0) == 0.0
 
 
-def test_calibration_is_met_missed_undecided_or_not_measured():
+def test_calibration_is_judged_and_no_flow_shown_as_zero():
     true = poppet(5e6, 4.0)
     targets = ((4.0, true), (4.0, 1.3 * true), (4.0, true / 0.95), (12.0, true))
     points = [(*target, 0.05) for target in targets]
@@ -278,9 +272,11 @@ def test_calibration_is_met_missed_undecided_or_not_measured():
     assert "L/min" in text and text.fields["drops"] == "50 bar"
     wide = fit(readings(poppet, 15), calibration=points[:1]).calibration[0]
     assert wide.drop_low == pytest.approx(3.3e6, rel=0.05) and wide.least < wide.flow < wide.most
+    show = Units("L/min", "bar")
+    assert (show.flow(1e-154), show.flow(1e-7)) == ("0 L/min", "0.006 L/min")
 
 
-def test_too_little_data_is_refused():
+def test_data_that_carry_no_map_are_refused():
     for key, change in (
         ("few_commands", {"commands": np.array([1.0, 5.0, 10.0])}),
         ("mostly_shut", {"commands": np.array([0.0, 1.0, 1.4, 5.0, 10.0])}),
@@ -289,6 +285,12 @@ def test_too_little_data_is_refused():
         ("no_drop", {"drops": np.zeros(5), "commands": np.arange(5.0)}),
     ):
         refused_fit(key, readings(poppet, 16, **change))
+    data, rng = readings(poppet, 1), np.random.default_rng(3)
+    size = data["flow"].size
+    for noise in (0.0, 0.02):
+        refused_fit("idle", {**data, "flow": 7 * LPM * (1 + noise * rng.standard_normal(size))})
+    falls = data["flow"] * np.where(data["command"] > 5, 0.3, 1.0)
+    refused_fit("no_map_fits", {**data, "flow": falls})
 
 
 def test_same_readings_same_bytes_in_any_order():
@@ -390,20 +392,6 @@ def test_repeats_that_agree_stay_in_however_far_from_the_map():
         assert found.map.flow_std(drop, volts) > 4 * clean.flow_std(drop, volts)
         assert found.lack_of_fit > 1.5 and np.all(np.abs(found.sigmas[cell]) > 3)
     assert found.map.flow_std(drop, 3.0) < 2 * clean.flow_std(drop, 3.0)
-
-
-def test_flow_that_falls_with_the_command_or_does_not_hang_on_it_is_refused():
-    data, rng = readings(poppet, 1), np.random.default_rng(3)
-    size = data["flow"].size
-    for noise in (0.0, 0.02):
-        refused_fit("idle", {**data, "flow": 7 * LPM * (1 + noise * rng.standard_normal(size))})
-    falls = data["flow"] * np.where(data["command"] > 5, 0.3, 1.0)
-    refused_fit("no_map_fits", {**data, "flow": falls})
-
-
-def test_sentences_show_no_flow_as_zero():
-    show = Units("L/min", "bar")
-    assert (show.flow(1e-154), show.flow(1e-7)) == ("0 L/min", "0.006 L/min")
 
 
 def soft(drop, command):

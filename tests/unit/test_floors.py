@@ -56,11 +56,8 @@ def imports(path: Path) -> set[str]:
     return {name.removeprefix("ehbench.") for name in found if name != "ehbench"}
 
 
-def test_every_module_has_its_floor_and_only_one():
+def test_every_module_has_a_floor_and_imports_from_lower_ones():
     assert sorted(name for floor in FLOORS for name in floor) == sorted({*map(top, MODULES)})
-
-
-def test_imports_only_from_lower_floors():
     above = []
     for path in MODULES:
         own = top(path)
@@ -96,7 +93,7 @@ def test_no_cycle_inside_a_package():
         raise AssertionError(f"these import each other: {' → '.join(error.args[1])}") from None
 
 
-def test_the_bench_is_seen_by_trials_only():
+def test_the_bench_is_seen_by_trials_and_reports_read_files_only():
     readers = {
         path.relative_to(PACKAGE).as_posix()
         for path in MODULES
@@ -104,9 +101,6 @@ def test_the_bench_is_seen_by_trials_only():
         and path.parent != PACKAGE / "machines" / "virtual"
     }
     assert readers == BENCH_READERS
-
-
-def test_reports_read_files_only():
     for path in (PACKAGE / "report").rglob("*.py"):
         for name in imports(path):
             assert name.startswith("report") or RANK[name.split(".")[0]] <= RANK["runs"]

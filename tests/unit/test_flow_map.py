@@ -140,18 +140,24 @@ def test_a_million_round_trips():
     assert np.abs(one.flow(drop, one.command(drop, wanted)) - wanted).max() < 1e-12 * one.rated_flow
 
 
-def test_zero_at_zero_drop_and_up_to_the_deadband_and_odd():
+def test_a_map_is_odd_rises_broadcasts_and_keeps_nan():
     one = a_map()
     assert np.all(one.flow(0.0, np.linspace(0, 12, 50)) == 0.0)
     assert np.all(one.flow(np.linspace(-7e6, 7e6, 50), one.deadband) == 0.0)
     drop = np.linspace(0, 8e6, 50)
     np.testing.assert_array_equal(one.flow(-drop, 6.0), -one.flow(drop, 6.0))
-
-
-def test_strictly_increasing_in_the_opening_also_outside():
     one = a_map()
     drop, opening = np.linspace(1e3, 9e6, 200), np.linspace(one.deadband, 13.0, 3000)
     assert np.all(np.diff(one.flow(drop[:, None], opening), axis=1) > 0)
+    one = a_map()
+    for drop, other in ((math.nan, 5.0), (1e6, math.nan), (math.nan, math.nan)):
+        assert math.isnan(one.flow(drop, other))
+        assert math.isnan(one.command(drop, other))
+    one = a_map()
+    assert isinstance(one.flow(1e6, 5.0), float) and isinstance(one.flow_std(1e6, 5.0), float)
+    grid = (np.linspace(0, 1e6, 4)[:, None], np.linspace(0, 10, 3))
+    for what in (one.flow, one.command, one.flow_std, one.inside, one.reachable):
+        assert what(*grid).shape == (4, 3)
 
 
 def test_slopes_are_continuous_above_the_deadband_and_finite_at_zero_drop():
@@ -192,30 +198,12 @@ def test_inverse_saturates_shuts_and_says_so():
     assert one.deadband < one.command(1e6, 1e-9 * most) < one.deadband + 1e-3
 
 
-def test_nan_stays_nan_and_never_leaves_the_array():
-    one = a_map()
-    for drop, other in ((math.nan, 5.0), (1e6, math.nan), (math.nan, math.nan)):
-        assert math.isnan(one.flow(drop, other))
-        assert math.isnan(one.command(drop, other))
-
-
-def test_shapes_broadcast_and_scalars_stay_scalars():
-    one = a_map()
-    assert isinstance(one.flow(1e6, 5.0), float) and isinstance(one.flow_std(1e6, 5.0), float)
-    grid = (np.linspace(0, 1e6, 4)[:, None], np.linspace(0, 10, 3))
-    for what in (one.flow, one.command, one.flow_std, one.inside, one.reachable):
-        assert what(*grid).shape == (4, 3)
-
-
-def test_inside_follows_the_measured_drops_of_the_neighbouring_commands():
+def test_range_and_error_follow_their_tables():
     one = a_map()
     places = np.array([[2e6, 4e6, 1e6, 5e4], [10.0, 10.0, 10.1, 3.0]])
     assert one.inside(*places).tolist() == [True, False, False, False]
     high = 6.5e6 + (3e6 - 6.5e6) * (6.0 - 2.0) / 8.0
     assert one.inside(high - 1.0, 6.0) and not one.inside(high + 1.0, 6.0)
-
-
-def test_flow_std_reads_its_table_and_is_zero_when_shut():
     one = a_map()
     # s = 1000 there
     drop = float(np.sqrt(0.5 * 1e12 + np.sqrt(0.25 * 1e24 + 1e6**2 * one.delta**2)))

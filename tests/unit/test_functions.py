@@ -48,7 +48,7 @@ def choose(c, rules, v_d, p_head, p_rod, now=codes.HOLD, age=1e9, p_supply=PS):
     return fn.select(now, age, v_d, load, Pressures(p_head, p_rod, p_supply, 0.0), c, rules)
 
 
-def test_the_table_balances_the_oil():
+def test_the_table_balances_the_oil_and_says_what_is_drawn():
     """Q1 into the head end, Q2 out of the rod end, no path backwards at steady speed."""
     into_head = np.array([1, -1, 0, 0, -1, 1])
     out_of_rod = np.array([0, 0, -1, 1, -1, 1])
@@ -59,9 +59,6 @@ def test_the_table_balances_the_oil():
         assert (steady >= 0).all() and (steady > 0).sum() == 2
         assert steady[fn.METERING[function]] > 0
     assert not fn.PATH_FLOWS[codes.HOLD].any()
-
-
-def test_oil_drawn_from_the_supply():
     c = circuit(FIVE)
     drawn = [fn.supply_draw(f, c) for f in range(len(codes.FUNCTIONS))]
     expected = [0, A1, A1, A1 - A2, A2, A2, 0, A1 - A2, 0, A1 - A2]

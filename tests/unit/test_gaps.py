@@ -24,10 +24,12 @@ def log(*missing: tuple[int, int]) -> Record:
     return whole.at(np.flatnonzero(keep))
 
 
-def test_a_log_without_gaps_stays_as_it_is():
+def test_logs_that_stay_as_they_are():
     record = log()
     parts, said = parts_of("log", record, driven=True)
     assert said == [] and len(parts) == 1 and parts[0].record is record
+    record = log((100, 400), (500, 2900)).between(0.0, 0.45)
+    assert parts_of("log", record, driven=True) == ([("log", record)], [])
 
 
 def test_a_few_samples_are_bridged_and_told():
@@ -100,11 +102,6 @@ def test_a_log_whose_gaps_are_bridged_is_whole(tmp_path, capsys):
     file = inspection.check(tmp_path / "a.csv")
     assert file.code == 0 and sum("interpolated" in line for line in file.lines) == 1
     assert len(inspection.check(tmp_path / "a.csv", verbose=True).lines) > len(file.lines)
-
-
-def test_a_log_of_which_nothing_would_be_left_stays_as_it_is():
-    record = log((100, 400), (500, 2900)).between(0.0, 0.45)
-    assert parts_of("log", record, driven=True) == ([("log", record)], [])
 
 
 def test_a_recipe_takes_a_log_with_a_gap_as_two(tmp_path):

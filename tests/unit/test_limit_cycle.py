@@ -66,12 +66,9 @@ def test_ringing_that_dies_out_is_none(damping):
     assert limit_cycle(T, RAMP + error_of(damping), RAMP, ACTING, STROKE) is None
 
 
-def test_what_swings_while_the_valves_rest_rings():
+def test_ringing_noise_and_counts_are_no_limit_cycle():
     assert limit_cycle(T, RAMP + error_of(0.0), RAMP, 0.0 * ACTING, STROKE) is None
     assert limit_cycle(T, RAMP + error_of(0.0), RAMP, ACTING, STROKE) is not None
-
-
-def test_noise_and_counts_are_none():
     noise = 3.0e-5 * np.random.default_rng(2).standard_normal(T.size)
     x = np.round((RAMP + noise) / 2.5e-5) * 2.5e-5
     assert limit_cycle(T, x, RAMP, ACTING, STROKE) is None

@@ -94,7 +94,7 @@ def test_same_files_same_bytes(runs, tmp_path):
     assert build(copies, None) == build(runs, None)
 
 
-def test_what_failed_is_shown(runs):
+def test_what_the_files_hold_is_shown(runs):
     page = Page(build(runs, None)).text
     for text in (
         *("The model is rejected.", "fit 20 % is below the 30 % asked", "1 of 1 check failed"),
@@ -104,18 +104,6 @@ def test_what_failed_is_shown(runs):
         *("whole trials differ", "Recorded on the virtual bench."),
     ):
         assert text in page
-
-
-def test_what_hangs_together_is_one_sentence():
-    """Three names of which the first and last are joined by the second alone, and one apart."""
-    first, second = [1.0, 0.97, 0.9, 0.1], [0.97, 1.0, -0.99, None]
-    matrix = [first, second, [0.9, -0.99, 1.0, 0.2], [0.1, None, 0.2, 1.0]]
-    said, _ = hydraulics.correlations(["a", "b", "c", "d"], matrix)
-    (text,) = said.items
-    assert text.startswith("a, b and c correlate by 0.97 to 0.99")
-
-
-def test_numbers_have_error_unit_status_and_source(runs):
     page = Page(build(runs, None)).text
     for text in (
         *("271.3 ± 4.8 MPa 266.5 … 276.1", "at bound", "not excited", "companion lost in the text"),
@@ -129,6 +117,15 @@ def test_numbers_have_error_unit_status_and_source(runs):
     assert "3.98 ± 0.05" not in page
 
 
+def test_what_hangs_together_is_one_sentence():
+    """Three names of which the first and last are joined by the second alone, and one apart."""
+    first, second = [1.0, 0.97, 0.9, 0.1], [0.97, 1.0, -0.99, None]
+    matrix = [first, second, [0.9, -0.99, 1.0, 0.2], [0.1, None, 0.2, 1.0]]
+    said, _ = hydraulics.correlations(["a", "b", "c", "d"], matrix)
+    (text,) = said.items
+    assert text.startswith("a, b and c correlate by 0.97 to 0.99")
+
+
 def test_a_campaign_titles_figures_and_adds_sections(runs, tmp_path):
     titles = '"flow_map_hect_forward" = "Fig. A.4"\n"judged/validation_held_boom" = "Fig. A.12"'
     chosen = campaign(tmp_path, titles)
@@ -139,12 +136,6 @@ def test_a_campaign_titles_figures_and_adds_sections(runs, tmp_path):
     heads = ("At a glance", "Two contradictions One.", "Inverse map of hect, forward")
     places = [page.index(text) for text in heads]
     assert places == sorted(places)
-
-
-def test_a_title_for_no_figure_is_refused_with_its_line(runs, tmp_path):
-    with pytest.raises(InputError, match="flow_map_hekt_forward") as caught:
-        build(runs, campaign(tmp_path, '"flow_map_hekt_forward" = "Fig. A.4"'))
-    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint  # pyright: ignore[reportOperatorIssue]
 
 
 @pytest.mark.parametrize(
@@ -167,11 +158,14 @@ def test_a_missing_key_is_named_with_its_file(runs, tmp_path, which, file, keys)
             build([copy], None)
 
 
-def test_a_missing_figure_is_named(runs, tmp_path):
+def test_a_missing_figure_and_a_title_for_none_are_named(runs, tmp_path):
     copy = Path(shutil.copytree(runs[3], tmp_path / "copy"))
     (copy / "figures" / "flow_map_hect_forward.svg").unlink()
     with pytest.raises(InputError, match=r"flow_map_hect_forward\.svg"):
         build([copy], None)
+    with pytest.raises(InputError, match="flow_map_hekt_forward") as caught:
+        build(runs, campaign(tmp_path, '"flow_map_hekt_forward" = "Fig. A.4"'))
+    assert caught.value.line == 12 and "flow_map_hect_forward" in caught.value.hint  # pyright: ignore[reportOperatorIssue]
 
 
 def test_optional_parts_may_be_missing(unpainted, tmp_path):
@@ -263,16 +257,13 @@ def test_thinning_keeps_every_extreme_and_both_ends():
     assert thin(t[:100], y[:100], 300)[0].size == 100
 
 
-def test_labels_are_moved_apart_in_order():
+def test_labels_are_moved_apart_in_order_and_stay_where_there_is_room():
     for count in (1, 2, 7, 40, 400):
         places = np.random.default_rng(count).normal(0.5, 0.05, count)
         moved = np.array(spread(places, 0.03, 0.0, 1.0))
         gap = min(0.03, 1.0 / max(count - 1, 1))
         assert np.all(np.diff(moved[np.argsort(places, kind="stable")]) >= gap - 1e-9), count
         assert moved.min() >= -1e-9 and moved.max() <= 1 + 1e-9, count
-
-
-def test_labels_with_room_stay():
     assert spread([0.9, 0.1, 0.5], 0.05, 0.0, 1.0) == pytest.approx([0.9, 0.1, 0.5])
     assert spread([0.5, 0.5], 0.1, 0.0, 1.0) == pytest.approx([0.45, 0.55])
 

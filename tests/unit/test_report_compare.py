@@ -38,25 +38,19 @@ def test_what_differs_is_told_and_by_how_many_intervals(pair):
     assert "271.3 ± 4.8" in told and "290.0 ± 3.0" in told
     assert re.search(r"bulk_modulus .* MPa .* 3\.3\b", told)
     assert "99999999" in told and "MPa" in told
-
-
-def test_a_run_is_like_itself(pair):
     found = compare(pair[0], pair[0])
     assert not found.inputs and not found.parameters and not found.numbers and found.same == 3
     assert answer(found, None).verdict.fields["inputs"] == 0
 
 
-def test_a_folder_that_is_no_run_is_named(tmp_path, monkeypatch):
+def test_what_cannot_be_compared_is_named(pair, tmp_path, monkeypatch):
+    maps = flow_map_run(tmp_path)
+    with pytest.raises(InputError, match="is a run of 'flow map', the other of 'hydraulics'"):
+        compare(pair[0], maps)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="no run folder") as refused:
         compare(Path("."), Path("."))
     assert refused.value.file == str(tmp_path)
-
-
-def test_runs_of_two_kinds_are_not_compared(pair, tmp_path):
-    maps = flow_map_run(tmp_path)
-    with pytest.raises(InputError, match="is a run of 'flow map', the other of 'hydraulics'"):
-        compare(pair[0], maps)
 
 
 @pytest.mark.parametrize(

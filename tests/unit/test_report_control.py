@@ -211,24 +211,18 @@ def changed(case: Case, **entries) -> Case:
     return replace(case, row=Table(dict(case.row) | entries, case.log))
 
 
-def test_captions_follow_the_numbers(runs):
+def test_captions_follow_the_numbers_and_say_where_they_are_from(runs):
     pairs = zip(cases_of(Saved(runs[1]))[:2], (0.1, 0.2), strict=True)
     cases = [changed(one, steps=[dict(one.steps[0]) | {"overshoot": over}]) for one, over in pairs]
     text = compared_caption(load_rig(runs[1]), cases)
     best = "Best by overshoot: open loop; worst: pressure feedback, 2 times as much."
     assert "Open loop: overshoot 10 %" in text and text.endswith(best)
-
-
-def test_a_stopped_trial_wins_nothing(runs):
     first, second = cases_of(Saved(runs[1]))[:2]
     cases, rig = [first, changed(second, stopped="a limit")], load_rig(runs[1])
     text = compared_caption(rig, cases)
     assert "Best" not in text and "stopped by a limit" in text
     text = energy_caption(rig, cases)
     assert not lacks(text, "no load: open loop, 2000 J", "left out") and "less than" not in text
-
-
-def test_model_or_virtual_bench_is_in_the_titles(runs):
     titles = [one["title"] for folder in runs[1:3] for one in figures_of(folder)]
     assert all(re.search("on the (model|virtual bench)", title) for title in titles)
     assert "measured" not in plain(build(runs[2:])).lower()
@@ -371,15 +365,12 @@ def test_zeros_of_a_locus_are_found_from_its_poles():
     assert root_locus.zeros(values, squared).size == 0
 
 
-def test_cases_know_their_files(runs):
+def test_cases_know_their_files_and_need_a_controller(runs, unpainted, tmp_path):
     (case,) = cases_of(Saved(runs[3]))
     assert case.cylinder == "boom" and case.energy() is None
     assert case.row["tracking"]["max_error"] == 1e-4
     cases = cases_of(Saved(runs[2]))
     assert all(one.energy() is not None for one in cases) and len(groups_of(cases)) == 1
-
-
-def test_a_trial_without_a_controller_is_none_of_these(runs, unpainted, tmp_path):
     folder = Path(shutil.copytree(runs[3], tmp_path / "plain"))
     file = folder / "trial.json"
     write_json(file, json.loads(file.read_text()) | {"controller": "", "measures": {}})

@@ -58,15 +58,15 @@ def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(folders):
     assert section(text, "glance").count("<svg") == 1
 
 
-def test_the_title_is_the_rigs(folders):
+def test_title_verdict_and_chapters_stand_on_the_first_screen(folders):
     assert "<title>Electrohydraulic arm of the thesis</title>" in build(folders)
-
-
-def test_a_verdict_stands_on_the_first_screen_with_its_reasons(folders):
     told = words_of(section(build(folders), "glance"))
     table = json.loads((folders[1] / "validation.json").read_text())
     assert ("Model accepted" if table["accepted"] else "Model rejected") in told
     assert all(reason.lower().rstrip(".")[:40] in told.lower() for reason in table["reasons"][:2])
+    rows = re.findall(r"<tr>.*?</tr>", section(build(folders), "chapters"), re.DOTALL)
+    assert len(rows) == 3
+    assert max(len(re.findall(r"\d[\d.]*", words_of(row))) for row in rows) <= 8
 
 
 def test_a_log_that_two_runs_judged_counts_once(tmp_path):
@@ -81,12 +81,6 @@ def test_a_log_that_two_runs_judged_counts_once(tmp_path):
         runs.append(Saved(tmp_path / name))
     assert len(logs_judged(runs[0]) | logs_judged(runs[1])) == 1
     assert len(logs_judged(runs[0]) | logs_judged(runs[2])) == 2
-
-
-def test_no_row_of_the_chapters_is_a_wall_of_numbers(folders):
-    rows = re.findall(r"<tr>.*?</tr>", section(build(folders), "chapters"), re.DOTALL)
-    assert len(rows) == 3
-    assert max(len(re.findall(r"\d[\d.]*", words_of(row))) for row in rows) <= 8
 
 
 def test_five_numbers_one_a_rank_the_machine_before_the_model(folders):
@@ -134,16 +128,13 @@ def test_every_limit_of_a_log_is_explained():
     assert set(LIMITS.values()) == set(LIMITS_MEAN)
 
 
-def test_the_page_has_rules_for_paper_phones_and_dark_rooms(folders):
+def test_the_page_suits_paper_phones_and_dark_rooms_and_runs_its_script_alone(folders):
     text = build(folders)
     for rule in ("@media print", "@page", "(max-width: 40rem)", "prefers-color-scheme: dark"):
         assert rule in text
     figures = re.findall(r'<figure id="([^"]+)"( class="paper")?', text)
     on_paper = [name for name, paper in figures if paper]
     assert 1 < len(on_paper) < len(figures) and "first-figure" in on_paper
-
-
-def test_pages_are_counted_on_sheets_of_the_paper_s_size(folders):
     text = build(folders)
     margins = re.search(r"@page { size: A4; margin: (\d+)mm (\d+)mm (\d+)mm;", text)
     sheet = re.search(r"\.sheets body { width: (\d+)mm; height: (\d+)mm;.*columns: (\d+)mm", text)
@@ -151,6 +142,12 @@ def test_pages_are_counted_on_sheets_of_the_paper_s_size(folders):
     top, side, bottom = map(int, margins.groups())
     wide = 210 - 2 * side
     assert [int(size) for size in sheet.groups()] == [wide, 297 - top - bottom, wide]
+    text = build(folders)
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy and f"script-src 'sha256-{digest}';" in policy[1]
+    assert "default-src 'none'" in policy[1] and "onclick" not in text
 
 
 @pytest.mark.skipif(
@@ -172,15 +169,6 @@ def test_printed_contents_have_the_pages_on_which_chapters_begin(folders, tmp_pa
             assert any(name in line for line in sheets[int(number[1]) - 1].splitlines()[-200:])
             told += 1
     assert told > 1 and len(sheets) > 1
-
-
-def test_the_policy_lets_the_pages_own_script_run_and_no_other(folders):
-    text = build(folders)
-    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
-    assert policy and f"script-src 'sha256-{digest}';" in policy[1]
-    assert "default-src 'none'" in policy[1] and "onclick" not in text
 
 
 def test_a_rigs_table_has_the_interval_of_the_fit_that_a_value_came_from(tmp_path):

@@ -58,13 +58,10 @@ def test_what_happens_at_standstill_is_reported_with_its_size(trials, numbers):
     assert bool(text) == bool(numbers)
 
 
-def test_a_swing_is_that_after_the_stop_and_at_the_end():
+def test_a_swing_and_a_channel_that_lies_off_are_reported():
     first, last = swing_after(*trial(swing=0.05)) or (0.0, 0.0)
     assert first == pytest.approx(0.05 * np.exp(-0.16), rel=0.03)
     assert last == pytest.approx(0.05 * np.exp(-1.83), rel=0.1)
-
-
-def test_a_channel_that_lies_off_for_long_is_reported():
     recorded = np.where(T < 2.0, 0.0, 1e6)
     off = recorded + np.where((T > 1.0) & (T < 2.5), 2e5, 0.0)
     series = Series(

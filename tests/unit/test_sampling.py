@@ -152,7 +152,7 @@ def test_a_key_may_be_of_a_recipe_behind():
 # --- what they say together
 
 
-def test_intervals_of_quantiles_hold_them_as_often_as_they_say():
+def test_intervals_of_quantiles_and_shares_hold_as_often_as_they_say():
     rng = np.random.default_rng(0)
     for share in (0.5, 0.9):
         held = 0
@@ -161,9 +161,6 @@ def test_intervals_of_quantiles_hold_them_as_often_as_they_say():
             low = -math.inf if found.low is None else found.low
             held += low <= share <= (math.inf if found.high is None else found.high)
         assert 375 <= held <= 398  # conservative, as order statistics are discrete
-
-
-def test_a_share_has_its_exact_interval():
     none, some = statistics.share(0, 20), statistics.share(19, 20)
     assert (none.low, none.high) == (0.0, pytest.approx(1.0 - 0.025 ** (1 / 20)))
     assert some.low == pytest.approx(0.7513, abs=1e-4)  # tables of Clopper and Pearson
@@ -181,7 +178,7 @@ def test_sobol_indices_are_those_of_ishigami():
     assert [one.total for one in found] == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.03)
 
 
-def test_a_text_explains_what_its_samples_differ_by():
+def test_rank_regression_sees_kinds_and_through_a_bend():
     """Two kinds of rig, of which the second gives more; what is drawn adds a little."""
     rng = np.random.default_rng(5)
     kind, x = np.repeat([1.0, 0.0], 100), rng.normal(size=200)
@@ -191,9 +188,6 @@ def test_a_text_explains_what_its_samples_differ_by():
     assert first.rank > 0.7 and 0.2 < second.rank < first.rank and explained > 0.95  # pyright: ignore[reportOperatorIssue]
     alone, share = statistics.rank_regression(("x",), x[:, None], y)
     assert share < 0.5 < explained and alone[0].rank > 0.0
-
-
-def test_rank_regression_sees_through_a_bend():
     x = np.random.default_rng(0).random((400, 3))
     rows, explained = statistics.rank_regression(("a", "b", "c"), x, np.exp(5 * x[:, 0]) - x[:, 1])
     assert rows[0].rank == pytest.approx(1.0, abs=0.1) and abs(rows[2].rank) < 0.1

@@ -74,7 +74,7 @@ def test_shortest_times_in_closed_form():
     assert ramp.shape[0] - 1 == math.ceil((0.2 / 0.1 + 15 / 8 * 0.1 / 0.5) / TICK)
 
 
-def test_waypoints_holds_and_cycles():
+def test_waypoints_holds_cycles_and_the_way_back():
     points = [0.05, 0.2, 0.2, 0.1]
     table = tr.point_to_point(points, tick=TICK, hold=[0.0, 0.1, 0.2, 0.3], **LIMITS)
     resting = np.flatnonzero((table[:, 1:] == 0).all(axis=1))
@@ -87,9 +87,6 @@ def test_waypoints_holds_and_cycles():
     assert back[: once.shape[0] - 1] == pytest.approx(once[:-1], abs=1e-12)
     still = tr.point_to_point([0.1], tick=TICK, hold=0.02, **LIMITS)
     assert still.shape == (21, 4) and (still == [0.1, 0, 0, 0]).all()
-
-
-def test_a_move_back_mirrors_the_move_forth():
     ways = ([0.1, 0.3], [0.3, 0.1])
     there, back = (tr.point_to_point(way, tick=TICK, **LIMITS) for way in ways)
     assert there[:, tr.X] + back[:, tr.X] == pytest.approx(0.4, abs=1e-15)

@@ -255,12 +255,9 @@ def test_valves_that_feed_the_full_chamber_shut_at_once(rig):
     assert bool(record["press.servo.command"][row]) == (not fed)
 
 
-def test_a_limit_reached_before_the_start_is_refused(rig):
+def test_a_trial_that_cannot_start_is_refused(rig):
     with refused("trial.start_limit"):
         run_trial(rig, recipe(STEP, limits={"stroke_margin": "20 mm"}, posture={"press": "10 mm"}))
-
-
-def test_the_bench_of_another_rig_is_refused(rig):
     named = {"bench/crane_proportional": "other cylinders", "datasets/slide_servo": "no bench file"}
     for bench, says in named.items():
         with refused(says):
@@ -306,6 +303,10 @@ def test_what_a_step_does_not_show_is_none():
     backwards = step_measures(t, np.full(t.size, -0.01), 0.1)
     assert backwards.overshoot is None and backwards.damping_ratio is None and backwards.ringing
     json.dumps(asdict(backwards), allow_nan=False)
+    t = np.arange(2000) * 1e-3
+    result = step_measures(t, 0.1 + 0.004 * np.exp(0.5 * t) * np.sin(25.0 * t), 0.1)
+    assert result.damping_ratio == pytest.approx(-0.5 / 25.0, abs=0.003)
+    assert result.overshoot is None and result.settling_time is None
 
 
 def test_tracking():
@@ -738,13 +739,6 @@ def test_a_set_runs_each_case_with_several_seeds(rig):
 def test_the_examples_load_and_name_what_is_there(path):
     recipe = load_recipe(path)
     assert all(recipe.file(name).exists() for name in (recipe.rig, recipe.bench) if name)
-
-
-def test_a_swing_that_grows_has_no_overshoot():
-    t = np.arange(2000) * 1e-3
-    result = step_measures(t, 0.1 + 0.004 * np.exp(0.5 * t) * np.sin(25.0 * t), 0.1)
-    assert result.damping_ratio == pytest.approx(-0.5 / 25.0, abs=0.003)
-    assert result.overshoot is None and result.settling_time is None
 
 
 def test_the_decay_of_a_shaped_step_begins_with_its_level():

@@ -90,7 +90,7 @@ def test_demands_are_kept_and_no_neighbour_is_better(tuned, motions):
     assert tuned.damping_ratio > 2 * tuned.damping_ratio_open
 
 
-def test_a_demand_binds(unlocused):
+def test_a_demand_binds_and_what_cannot_be_kept_is_said(unlocused):
     options = {"phase_margin": "10 deg", "washout": "100 rad/s", "off_gain": "1e-11 m^3/(s*Pa)"}
     free = gains(rig(), recipe(**options))
     margin = 1.3 * min(p.margins.gain_margin for p in free.points if p.counts)
@@ -98,9 +98,6 @@ def test_a_demand_binds(unlocused):
     assert min(p.margins.gain_margin for p in bound.points if p.counts) >= margin
     assert bound.feedback_gain["extend_resistive"] < free.feedback_gain["extend_resistive"]
     assert bound.damping_ratio < free.damping_ratio
-
-
-def test_what_cannot_be_kept_is_said(unlocused):
     t = gains(rig(), recipe(bandwidth="500 Hz"))
     assert not t.met and any("bandwidth" in w for w in t.warnings)
 
@@ -226,7 +223,7 @@ def test_each_function_with_its_own_gain_is_no_worse(tuned, unlocused):
     assert own.feedback_gain["extend_resistive"] != own.feedback_gain["retract_overrunning"]
 
 
-def test_result_is_plain_and_feeds_the_controller(tuned, tmp_path):
+def test_result_is_plain_feeds_the_controller_and_comes_again(tuned, tmp_path):
     rundir.write_json(tmp_path / "tuning.json", tuned.as_json())
     back = json.loads((tmp_path / "tuning.json").read_text())
     assert back["feedback_gain"] == pytest.approx(tuned.feedback_gain, rel=1e-8)
@@ -235,9 +232,6 @@ def test_result_is_plain_and_feeds_the_controller(tuned, tmp_path):
     packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **tuned.controller())
     assert packed.washout == tuned.washout and packed.off_gain == tuned.off_gain
     assert packed.feedback_gain[EXTEND_RESISTIVE] == tuned.feedback_gain["extend_resistive"]
-
-
-def test_same_input_same_result(tuned):
     assert gains(rig(), recipe(phase_margin="30 deg")).as_json() == tuned.as_json()
 
 

@@ -25,11 +25,8 @@ def test_every_law_runs_on_every_machine(machine, tmp_path):
     assert warm.warm(machine) == machine
 
 
-def test_an_arm_moves_all_its_cylinders():
+def test_an_arm_moves_and_fits_find_their_kernels_compiled():
     assert warm.together("an arm") == "an arm"
-
-
-def test_fits_find_their_kernels_compiled():
     assert warm.fits("fits") == "fits"
     folder = Path(bspline_pieces.outer.stats.cache_path)
     assert list(folder.glob("*bspline_pieces*.nbi"))
