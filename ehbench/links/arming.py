@@ -5,6 +5,7 @@ distance that fits the margin, a link that keeps time, and a person who says so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from ehbench.links.clock import estimated, exchanges_in
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import QUALITY, measure
 from ehbench.runtime.realtime import punctual
+from ehbench.trial.operator import OperatorInput, Rehearsal, levers_of, refuse_unmanned
 from ehbench.trial.preparation import RUN_OUT, Prepared
 from ehbench.trial.running import Result, run
 from ehbench.trial.session import SESSION, Watcher
@@ -82,8 +84,12 @@ def rehearsed(prepared: Prepared, watchdog: float) -> tuple[Result, dict[str, fl
     Raises:
         InputError: a limit stops the dry run; no ``stroke_margin``, or a smaller one.
     """
-    recipe = prepared.recipe
-    dry = run(prepared, fast=False)
+    recipe, levers, operator = prepared.recipe, levers_of(prepared), None
+    if levers:
+        operator = Rehearsal([*levers.values()])
+        count = operator.ticks
+        prepared = replace(prepared, t=prepared.t[:count], table=prepared.table[:count])
+    dry = run(prepared, fast=False, operator=operator)
     if dry.facts.stopped:
         raise InputError(message("links.dry_run", stopped=dry.facts.stopped), **recipe.at("limits"))
     margin = recipe.limits.stroke_margin
@@ -99,6 +105,20 @@ def rehearsed(prepared: Prepared, watchdog: float) -> tuple[Result, dict[str, fl
     return dry, distances
 
 
+def _permit(prepared: Prepared, url: str, distance: float, ask: Ask | None) -> None:
+    """Let a person say that a machine may move; ``distance`` [m] is what a lost link costs.
+
+    Raises:
+        InputError: nobody is there, or the wrong token.
+    """
+    token, shown = token_of(prepared, url), prepared.rig.shown("x", distance)
+    about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
+    if ask is None:
+        raise InputError(message("links.unarmed", about=about, token=token))
+    if ask(about, token).strip().upper() != token:
+        raise InputError(message("links.wrong_token", token=token))
+
+
 def run_remote(
     prepared: Prepared,
     url: str,
@@ -106,6 +126,7 @@ def run_remote(
     log: Path | None = None,
     progress: Progress | None = None,
     watcher: Watcher | None = None,
+    operator: OperatorInput | None = None,
 ) -> Remote:
     """Run a prepared trial on the machine at the other end of a URL.
 
@@ -116,10 +137,12 @@ def run_remote(
         log: as for `ehbench.trial.run`.
         progress: told the share done.
         watcher: sees each row.
+        operator: holds the levers of the trial's motions.
 
     Raises:
         InputError: what `rehearsed` refuses; a link that does not keep time; the wrong token.
     """
+    refuse_unmanned(prepared, operator)
     address = Address.of(url)
     machine, watchdog = open_machine(prepared, url), 0.0
     if isinstance(machine, LinkMachine):
@@ -131,15 +154,10 @@ def run_remote(
         machine.connect()
         watchdog = machine.watchdog
     dry, distances = rehearsed(prepared, watchdog)
-    token = token_of(prepared, url)
-    shown = prepared.rig.shown("x", max(distances.values(), default=0.0))
-    about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
-    if ask is None:
-        raise InputError(message("links.unarmed", about=about, token=token))
-    if ask(about, token).strip().upper() != token:
-        raise InputError(message("links.wrong_token", token=token))
+    _permit(prepared, url, max(distances.values(), default=0.0), ask)
+    fast = address.mode == "buffered"
     with punctual() as refused:
-        result = run(prepared, machine, log, progress, address.mode == "buffered", watcher)
+        result = run(prepared, machine, log, progress, fast, watcher, operator)
     ticks, warnings, late, counted = result.record.t.size, [], 0, {}
     if isinstance(machine, LinkMachine):
         gaps = result.record.channels.get("missed_ticks", np.zeros(1))  # none of a table
@@ -156,7 +174,9 @@ def run_remote(
         "not_allowed": list(refused),
         **counted,
     }
-    compared = compare(dry.record, result.record) | {"stopping_distance": distances}
+    # what an operator does, no dry run knows
+    compared = {"differences": {}} if levers_of(prepared) else compare(dry.record, result.record)
+    compared["stopping_distance"] = distances
     compared["tracking"] = dry.facts.measures.get("tracking", {})
     return Remote(result, link, compared, warnings)
 

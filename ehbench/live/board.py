@@ -11,7 +11,9 @@ from ehbench.vocabulary.settings import setting
 WAITING, RUNNING, STOPPING, ENDED = range(4)  # states of a trial
 STATE, TIME, LATE, LIMIT = range(4)  # where the board has state, time [s], late ticks, limit
 HEADER = 4
+HEARD, HELD, LEVERS = range(3)  # at its end: time of the last word [s], dead-man, deflections
 HOST = "127.0.0.1"
+PAGE = "page"  # the device whose levers are on the page
 
 
 @dataclass(frozen=True)
@@ -19,6 +21,7 @@ class ViewSettings:
     """Numbers of a live view."""
 
     frames: float = setting(20.0, "Hz", "frames a second", "smooth to the eye")
+    silence: float = setting(0.25, "s", "until a lever that says nothing is let go", "six words")
     end: float = setting(2.0, "s", "until a view that does not end is killed", "forty frames")
 
 
@@ -45,3 +48,11 @@ class Facts:
     following: dict[str, float]
     strokes: dict[str, float]
     pressure: float
+    levers: dict[str, tuple[str, float]]
+    device: str
+    button: str
+
+    @property
+    def first_lever(self) -> int:
+        """Where the board has what the operator says."""
+        return HEADER + len(self.names)

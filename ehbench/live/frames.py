@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ehbench.live.board import HEADER, LATE, LIMIT, STATE, TIME, Facts
+from ehbench.live.board import (
+    HEADER,
+    HEARD,
+    HELD,
+    LATE,
+    LEVERS,
+    LIMIT,
+    STATE,
+    STOPPING,
+    TIME,
+    VIEW,
+    Facts,
+)
 from ehbench.vocabulary.codes import FUNCTIONS
 
 STATES = ("waiting", "running", "stopping", "ended")
@@ -19,19 +32,23 @@ def frame_of(facts: Facts, numbers: Sequence[float]) -> dict[str, Any]:
         facts: of the trial.
         numbers: of the board.
     """
-    values = dict(zip(facts.names, numbers[HEADER:], strict=True))
-    cylinders = []
+    values = dict(zip(facts.names, numbers[HEADER : facts.first_lever], strict=True))
+    said, cylinders = numbers[facts.first_lever :], []
+    levers = dict(zip(facts.levers, said[LEVERS:], strict=True))
     for name, stroke in facts.strokes.items():
         row: dict[str, Any] = {"name": name, "stroke": _shown(facts, "x", stroke)}
+        row["lever"] = levers.get(name)
         for word in ("x", "v", "p_head", "p_rod"):
             for key in (word, f"{word}_desired"):
                 row[key] = _shown(facts, word, values.get(f"{name}.{key}", math.nan))
         function = values.get(f"{name}.function", math.nan)
         row["function"] = FUNCTIONS[int(function)] if function >= 0.0 else None
         cylinders.append(row)
+    state, silent = int(numbers[STATE]), time.monotonic() - said[HEARD] > VIEW.silence
     return {
-        "state": STATES[int(numbers[STATE])],
-        "stop": facts.stops[int(numbers[LIMIT])],
+        "state": STATES[state],
+        "stop": facts.stops[int(numbers[LIMIT])] if state == STOPPING else "",
+        "held": bool(said[HELD]) and not silent if levers else None,
         "t": numbers[TIME],
         "late": int(numbers[LATE]),
         "cylinders": cylinders,

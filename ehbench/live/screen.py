@@ -19,6 +19,7 @@ def screen(facts: Facts, frame: dict[str, Any]) -> Group:
     units = {word: unit for word, (unit, _) in facts.units.items()}
     ticks = max(frame["t"] * facts.rate, 1.0)
     state = frame["state"] if frame["state"] != "stopping" else f"stopping: {frame['stop']}"
+    state += {None: "", True: ", operator", False: ", dead-man switch open"}[frame["held"]]
     fields = {name: getattr(facts, name) for name in ("title", "machine", "duration")}
     fields |= {"t": frame["t"], "late": frame["late"], "share": frame["late"] / ticks}
     head = Text(message("live.head", state=state, **fields))

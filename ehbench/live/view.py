@@ -13,6 +13,7 @@ import secrets
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
@@ -23,9 +24,13 @@ import numpy as np
 from ehbench.live.board import (
     ENDED,
     HEADER,
+    HEARD,
+    HELD,
     HOST,
     LATE,
+    LEVERS,
     LIMIT,
+    PAGE,
     RUNNING,
     STATE,
     STOPPING,
@@ -33,7 +38,9 @@ from ehbench.live.board import (
     VIEW,
     Facts,
 )
+from ehbench.live.joystick import stick_of
 from ehbench.machines.rows import LIMITS
+from ehbench.trial.operator import levers_of
 from ehbench.trial.preparation import Prepared
 from ehbench.trial.session import Session
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -54,6 +61,7 @@ def facts_of(prepared: Prepared) -> Facts:
     checks = prepared.checks(machine, 1)
     follows = np.isfinite(checks.desired[0])
     bounds = np.where(follows, checks.following, np.inf).tolist()
+    levers, motion = levers_of(prepared), recipe.motion
     return Facts(
         recipe.title or recipe.path.stem,
         recipe.on,
@@ -70,6 +78,9 @@ def facts_of(prepared: Prepared) -> Facts:
         dict(zip(cylinders, bounds, strict=True)),
         dict(zip(cylinders, machine.strokes.tolist(), strict=True)),
         float(rig.supply.pressure),
+        {name: (lever.axis, lever.speed * units["v"][1]) for name, lever in levers.items()},
+        "" if motion is None else motion.device,
+        "" if motion is None else motion.button,
     )
 
 
@@ -80,15 +91,21 @@ class View:
     Args:
         prepared: the trial.
         announce: gets the address of the page; says whether the view may draw on the terminal.
+
+    Raises:
+        InputError: the joystick of its motion is not there.
     """
 
     def __init__(self, prepared: Prepared, announce: Callable[[str], bool]) -> None:
         facts = facts_of(prepared)
-        self._gaps, size = 0.0, 8 * (HEADER + len(facts.names))
+        if facts.levers and facts.device != PAGE:
+            stick_of(facts).close()
+        self._gaps, size = 0.0, 8 * (facts.first_lever + LEVERS + len(facts.levers))
         token = secrets.token_urlsafe(12)
         with socket.create_server((HOST, 0)) as door, TemporaryFile() as memory:
             memory.truncate(size)
             self.numbers = np.frombuffer(mmap.mmap(memory.fileno(), size))
+            self._said = self.numbers[facts.first_lever :]
             self.url = f"http://{HOST}:{door.getsockname()[1]}/{token}/"
             files = memory.fileno(), door.fileno()
             given = [*files, token, announce(self.url), os.getpid(), asdict(facts)]
@@ -106,14 +123,20 @@ class View:
         numbers, rows, machine = self.numbers, session.rows, session.machine
         self._gaps += session.missed
         numbers[TIME], numbers[LATE] = rows.t[row], self._gaps + getattr(machine, "missed", 0)
-        first = HEADER
+        first, end = HEADER, numbers.size - self._said.size
         for values in (rows.samples[row], rows.commands[row], *session.telemetry(row)):
-            last = min(first + values.size, numbers.size)  # notes of a class stay away
+            last = min(first + values.size, end)  # notes of a class stay away
             numbers[first:last] = values[: last - first]
             first = last
         if session.stop is not None:
             numbers[LIMIT] = LIMITS.index(session.stop.limit)
         numbers[STATE] = RUNNING if session.stop is None else STOPPING
+
+    def read(self) -> list[float] | None:
+        """As `OperatorInput.read`."""
+        said = self._said
+        silent = time.monotonic() - said[HEARD] > VIEW.silence
+        return None if silent or not said[HELD] else said[LEVERS:].tolist()
 
     def close(self) -> None:
         """End the view."""

@@ -5,12 +5,13 @@ terminal and, where its package is installed, to Foxglove.
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import os
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
@@ -18,9 +19,11 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from ehbench.live.board import ENDED, HOST, RUNNING, STATE, VIEW, Facts
+from ehbench.live.board import ENDED, HEARD, HELD, HOST, LEVERS, PAGE, RUNNING, STATE, VIEW, Facts
 from ehbench.live.frames import frame_of
+from ehbench.live.joystick import follow
 
+LONGEST = 4096  # bytes of what the page's levers say
 SAFE = {
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; img-src data:; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'",
@@ -65,6 +68,21 @@ class Page(BaseHTTPRequestHandler):
         else:
             self._answer(403 if path is None else 404)
 
+    def do_POST(self) -> None:
+        """What the levers of the page say: ``{"held": true, "levers": [0.5, -0.1]}``."""
+        path, server = self._path(), self.server
+        try:
+            size = min(int(self.headers.get("Content-Length", "0")), LONGEST)
+            said = json.loads(self.rfile.read(size))
+            held, levers = bool(said["held"]), [float(lever) for lever in said["levers"]]
+            sound = len(levers) == len(server.facts["levers"]) and all(map(math.isfinite, levers))
+        except (ValueError, TypeError, KeyError):
+            sound, held, levers = False, False, []
+        taken = path == "levers" and sound and server.facts["device"] == PAGE
+        if taken:
+            server.put(levers if held else None)
+        self._answer(204 if taken else 403 if path is None else 400)
+
     def _stream(self) -> None:
         self.send_response(200)
         for name, value in (SAFE | {"Content-Type": "text/event-stream"}).items():
@@ -89,13 +107,23 @@ class Server(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, door: socket.socket, token: str, facts: Facts, frame: Any) -> None:
+    def __init__(
+        self, door: socket.socket, token: str, facts: Facts, board: memoryview[float]
+    ) -> None:
         super().__init__(door.getsockname(), Page, bind_and_activate=False)
         self.socket.close()
         self.socket, self.server_port = door, door.getsockname()[1]
-        self.token, self.frame = token, frame
-        shown = ("title", "machine", "duration", "rate", "units")
+        self.token, self.frame = token, frame_of(facts, board)
+        shown = ("title", "machine", "duration", "rate", "units", "levers", "device")
         self.facts = {name: getattr(facts, name) for name in shown}
+        self._said = board[facts.first_lever :]
+
+    def put(self, levers: Sequence[float] | None) -> None:
+        """Write what the operator says onto the board; None while the dead-man switch is open."""
+        if levers is not None:
+            for number, lever in enumerate(levers, LEVERS):
+                self._said[number] = lever
+        self._said[HELD], self._said[HEARD] = float(levers is not None), time.monotonic()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that went away is no error."""
@@ -149,8 +177,10 @@ def run(memory: int, door: int, token: str, draws: bool, parent: int, known: Any
     with suppress(OSError):
         os.nice(5)
     facts, board = Facts(**known), memoryview(mmap.mmap(memory, 0)).cast("d")
-    server = Server(socket.socket(fileno=door), token, facts, frame_of(facts, board))
+    server = Server(socket.socket(fileno=door), token, facts, board)
     Thread(target=server.serve_forever, daemon=True).start()
+    if facts.levers and facts.device != PAGE:
+        Thread(target=follow, args=(facts, server.put), daemon=True).start()
 
     def frames(until: float) -> Iterator[dict[str, Any]]:
         while board[STATE] < until and os.getppid() == parent:

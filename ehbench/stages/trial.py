@@ -97,11 +97,11 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         with nullcontext() if live is None else closing(View(ready, live)) as view:
             if on in PLACES:
                 machine = ready.machine if view is None else PacedMachine.of(ready.machine)
-                result = trial.run(ready, machine, log, progress, watcher=view)
+                result = trial.run(ready, machine, log, progress, True, view, view)
             else:
                 from ehbench.links.arming import run_remote
 
-                remote = run_remote(ready, on, prepared.ask, log, progress, view)
+                remote = run_remote(ready, on, prepared.ask, log, progress, view, view)
                 result, late = remote.result, remote.warnings
                 more = {"link": remote.link, "dry_run": remote.dry_run}
         write_rig(folder, state.rig, state.flow_maps)
@@ -157,7 +157,8 @@ def prepared_case(
 
     notes, files = inputs.notes, []
     named = [("bench", recipe.bench), *(("command", c.file) for c in recipe.command)]
-    named.append(("motion", recipe.motion.file if recipe.motion is not None else None))
+    motions = () if recipe.motion is None else recipe.motion.each
+    named += [("motion", motion.file) for motion in motions]
     for role, file in named:
         if file:
             files.append((role, inputs.existing(file)))

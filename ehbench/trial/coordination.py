@@ -214,7 +214,9 @@ def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
     """The table that each law runs over: its cylinder's motion, for a law that uses the others'
     that of all joints after it, and for one that looks ahead the speeds to come.
     """
-    joints = joints_of(driven)[1] if len(driven) > 1 else None
+    # what an operator will do nobody knows
+    known = all(item.references.lever is None for item in driven)
+    joints = joints_of(driven)[1] if known and len(driven) > 1 else None
     widened = []
     for item in driven:
         chosen = controller_of(item.recipe)
@@ -224,7 +226,8 @@ def tables_of(driven: Sequence[Driven]) -> list[np.ndarray]:
             wide = among_others(table, joints, law.ahead)
         if law is not None and law.preview > 0.0:
             tick = 1.0 / float(item.recipe.rate)
-            wide = with_preview(wide, table[:, V], law.preview, tick)
+            preview = law.preview if known else 0.0
+            wide = with_preview(wide, table[:, V], preview, tick)
         widened.append(wide)
     return widened
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, veloc
 from ehbench.control.valve_level import top_speed
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.controllers import Design, located
+from ehbench.trial.lever import CHANNELS, Lever, commanded
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import read_value
@@ -66,12 +68,14 @@ class Level:
 @dataclass(frozen=True)
 class References:
     """``table`` of x_d, v_d, a_d, j_d, shape (samples, 4), the levels of speed in it, and the row
-    at which its last cycle begins.
+    at which its last cycle begins; the ``lever`` of an operator, and ``inputs``, what it said.
     """
 
     table: np.ndarray
     levels: tuple[Level, ...] = ()
     last_cycle: int = 0
+    lever: Lever | None = None
+    inputs: np.ndarray = field(default_factory=lambda: np.zeros((0, len(CHANNELS))))
 
 
 def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> References:
@@ -85,9 +89,7 @@ def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> Refe
         desired = References(np.tile([design.x, 0.0, 0.0, 0.0], (2, 1)))
     else:
         try:
-            desired = {"velocity_steps": _steps, "point_to_point": _points, "file": _file}[
-                motion.kind
-            ](recipe, motion, design, low_pressure)
+            desired = MOTIONS[motion.kind](recipe, motion, design, low_pressure)
         except InputError as error:
             if error.file is not None:
                 raise
@@ -106,6 +108,8 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
     if recipe.duration is not None:
         with located(recipe, "duration"):
             count = rows_of(float(recipe.duration), rate) + 1
+        if desired.lever is not None:  # a log that is played ends the trial
+            count = min(count, len(table))
         still = np.zeros((max(count - len(table), 0), ORDERS))
         still[:, X] = table[-1, X]
         table = np.ascontiguousarray(np.concatenate([table, still])[:count])
@@ -128,7 +132,8 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
         for level in desired.levels
         if level.first < len(table)
     )
-    return References(table, levels, min(desired.last_cycle, len(table) - 2))
+    last_cycle = min(desired.last_cycle, len(table) - 2)
+    return replace(desired, table=table, levels=levels, last_cycle=last_cycle)
 
 
 def full_speed(design: Design, way: int, low_pressure: float) -> float:
@@ -300,3 +305,18 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
             curve = curve.derivative()
         table[:, column] = curve(inside)
     return References(table)
+
+
+def _operator(
+    recipe: TrialRecipe, motion: CylinderMotion, design: Design, low_pressure: float
+) -> References:
+    table, lever, inputs = commanded(recipe, motion, design, limits_of(recipe, motion, 1))
+    return References(table, lever=lever, inputs=inputs)
+
+
+MOTIONS: dict[str, Callable[[TrialRecipe, Motion, Design, float], References]] = {
+    "velocity_steps": _steps,
+    "point_to_point": _points,
+    "file": _file,
+    "operator": _operator,
+}

@@ -492,7 +492,8 @@ def _loop(
     motions = []
     for single, design in zip(singles, designs, strict=True):
         # it may run slower than it is desired: its length is the recipe's only then
-        desired = single.model_copy(update={"duration": None})
+        operated = single.motion is not None and single.motion.kind == "operator"
+        desired = single.model_copy(update={} if operated else {"duration": None})
         if standing:
             motions.append(_rest(design))
         elif result is None:
@@ -561,11 +562,14 @@ def _over(laws: Laws | None, driven: Sequence[Driven]) -> Laws | None:
 
 def _together(
     recipe: TrialRecipe, driven: tuple[Driven, ...], laws: Laws | None, low: float
-) -> tuple[tuple[Driven, ...], Plan]:
-    """What the cylinders do together, as long as the recipe says."""
+) -> tuple[tuple[Driven, ...], Plan | None]:
+    """What the cylinders do together, as long as the recipe says; no plan where an operator moves
+    them.
+    """
     rules = [_rules(item, None if laws is None else laws.parts[i]) for i, item in enumerate(driven)]
-    share = recipe.motion is not None and recipe.motion.share_flow
-    driven, plan = planned(driven, rules, low, share)
+    share, plan = recipe.motion is not None and recipe.motion.share_flow, None
+    if all(item.references.lever is None for item in driven):
+        driven, plan = planned(driven, rules, low, share)
     lasting_as = [lasting(item.recipe, item.design, item.references) for item in driven]
     return tuple(
         replace(item, references=motion) for item, motion in zip(driven, lasting_as, strict=True)

@@ -26,6 +26,7 @@ from ehbench.trial.measures import (
     step_measures,
     tracking_measures,
 )
+from ehbench.trial.operator import OperatorInput
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session, Watcher
 from ehbench.trial.user_code import UserCode
@@ -153,6 +154,7 @@ def run(
     progress: Progress | None = None,
     fast: bool = True,
     watcher: Watcher | None = None,
+    operator: OperatorInput | None = None,
 ) -> Result:
     """Run a prepared trial.
 
@@ -164,12 +166,13 @@ def run(
         progress: told the share done, from 0 to 1.
         fast: advance many rows at a time where the machine can; the same bits either way.
         watcher: sees each row as it is logged; a log is then written beside the trial.
+        operator: holds the levers of the trial's motions.
 
     Raises:
         EhbenchError: as `run_trial`.
     """
     with closing(prepared.machine if machine is None else machine) as at_work:
-        session = Session(prepared, at_work, fast, watcher)
+        session = Session(prepared, at_work, fast, watcher, operator)
         meta = _meta(prepared, at_work)
         if log is None:
             session.run(None, progress)

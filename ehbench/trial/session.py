@@ -45,6 +45,13 @@ from ehbench.parts.sample import LineEntries
 from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.realtime import aside
 from ehbench.trial.controllers import Compiled, Laws
+from ehbench.trial.lever import CHANNELS
+from ehbench.trial.operator import (
+    Operator,
+    OperatorInput,
+    levers_of,
+    refuse_unmanned,
+)
 from ehbench.trial.preparation import RUN_OUT, Aftermath, Prepared, Stop
 from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import HOLD
@@ -96,6 +103,7 @@ class Session:
         machine: that it runs on; the session starts it.
         fast: advance many rows at a time where the machine can.
         watcher: sees each row.
+        operator: holds the levers of the trial's motions.
 
     Raises:
         InputError: a posture that the machine cannot take; a limit reached before the start; a
@@ -108,7 +116,9 @@ class Session:
         machine: Machine,
         fast: bool = True,
         watcher: Watcher | None = None,
+        operator: OperatorInput | None = None,
     ) -> None:
+        refuse_unmanned(prepared, operator)
         self.prepared, self.machine, self.watcher = prepared, machine, watcher
         self._truth, self._hidden = truth_of(machine), hidden_of(machine)
         self._known = self._truth or self._hidden
@@ -132,7 +142,11 @@ class Session:
                 part.controller = law._replace(monitor=law.monitor._replace(alarm=alarm))
         self._packed = packed(self.law)
         self._step = getattr(self.law, "step", None)
-        self._bind = advance_of(machine) if fast else None
+        self._operator = None
+        if operator is not None and levers_of(prepared):
+            parts = _parts(self.law)
+            self._operator = Operator(operator, prepared, parts, self.rows.checks)
+        self._bind = advance_of(machine) if fast and self._operator is None else None
         often = self._step is not None
         self._advance = None if self._bind is None else self._bind(self.rows, self._packed, often)
         self.stop: Stop | None = None
@@ -258,6 +272,7 @@ class Session:
         now, until = time.monotonic, time.monotonic() + SESSION.wait
         for i in range(first, stop):
             begun = now()
+            over = self._operator is not None and self._operator.write(i)
             if step is not None:
                 step(i, float(rows.t[i]), rows.sample, rows.commands[i])
             elif packed is not None:
@@ -268,7 +283,9 @@ class Session:
                 return i, i
             if self.watcher is not None:
                 self.watcher.show(self, i)
-            if now() > until:
+            if over:
+                self.end = i + 1
+            if over or now() > until:
                 return -1, i + 1
         return -1, stop
 
@@ -324,7 +341,7 @@ class Session:
         self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
         for law in _parts(self.law):
             _let_go(law, row, self.end)
-        self._packed = self._step = None
+        self._packed = self._step = self._operator = None
         if self._bind is not None:
             self._advance = self._bind(rows, None, False)
 
@@ -377,6 +394,12 @@ class Session:
         for law in _parts(self.law):
             telemetry = law.telemetry[part]
             channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}
+        for item in () if self.prepared.loop is None else self.prepared.loop.driven:
+            if item.references.lever is not None:
+                said = np.zeros((len(commands), len(CHANNELS)))
+                inputs = item.references.inputs[part]
+                said[: len(inputs)] = inputs
+                channels |= {f"{item.cylinder}.{n}": said[:, i] for i, n in enumerate(CHANNELS)}
         plan = None if self.prepared.loop is None else self.prepared.loop.plan
         return channels if plan is None else channels | plan.channels(part, channels)
 

@@ -183,7 +183,6 @@ class UserCode:
         )
         self.references = references
         self.telemetry = np.zeros((len(references), len(self.channels)))
-        self.telemetry[:, : len(Reference._fields)] = references
         valves = design.model.plant.valves
         self.low, self.high = valves.lowest.copy(), valves.highest.copy()
         self.beyond = 0
@@ -214,6 +213,7 @@ class UserCode:
         """One tick: write what the class asks for into ``command``, where it asks, and its notes
         into their row.
         """
+        self.telemetry[row, : len(Reference._fields)] = self.references[row]
         reference = Reference(*self.references[row].tolist())
         answer = self.code.call(".step", self.object.step, t, self._seen(sample), reference, t=t)
         retained = [float(command[i]) for i in self._unused]

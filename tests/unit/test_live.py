@@ -3,9 +3,11 @@
 import http.client
 import json
 import math
+import sys
+from importlib.machinery import ModuleSpec
 from io import StringIO
-from pathlib import Path
 from threading import Thread
+from types import ModuleType, SimpleNamespace
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -13,18 +15,18 @@ import pytest
 from rich.console import Console
 
 from ehbench import workflow
-from ehbench.config.recipe import TrialRecipe, load_rig
-from ehbench.live.board import ENDED, HEADER, LATE, LIMIT, STATE, STOPPING, TIME
+from ehbench.config.recipe import TrialRecipe
+from ehbench.live.board import ENDED, HEADER, LATE, LEVERS, LIMIT, STATE, STOPPING, TIME
 from ehbench.live.frames import frame_of
 from ehbench.live.screen import screen
 from ehbench.live.view import View, facts_of
+from ehbench.live.viewer import foxglove
 from ehbench.machines.paced import PacedMachine
 from ehbench.machines.rows import LIMITS
 from ehbench.trial import prepare, run
-from ehbench.vocabulary.errors import InputError
+from tests.shared import RECIPES, refused, shipped
 
-ROOT = Path(__file__).parents[2]
-RIG = load_rig(ROOT / "recipes/rigs/slide_servo.toml")
+RIG = shipped("slide_servo")
 KEYS = {
     "rate": "250 Hz",
     "motion": {
@@ -39,7 +41,7 @@ KEYS = {
 
 
 def trial(**keys):
-    path = ROOT / "recipes/trials/position.toml"
+    path = RECIPES / "trials/position.toml"
     return prepare(TrialRecipe(stage="trial", rig="x", path=path, **(KEYS | keys)), RIG)
 
 
@@ -60,7 +62,7 @@ def asked(url, method="GET", path="", body=None, **headers):
 def test_a_frame_has_each_limit_with_its_margin():
     prepared = trial()
     facts = facts_of(prepared)
-    numbers = np.zeros(HEADER + len(facts.names))
+    numbers = np.zeros(facts.first_lever + LEVERS)
     numbers[[STATE, TIME, LATE, LIMIT]] = STOPPING, 1.5, 3, LIMITS.index("pressure_max")
     values = {"x": 0.15, "v": -0.02, "p_head": 19e6, "p_rod": math.nan, "x_desired": 0.148}
     for name, value in values.items():
@@ -133,7 +135,7 @@ def test_a_watched_trial_is_the_trial(begun, tmp_path):
     assert watched.facts == alone.facts
     last = prepared.t.size - 1
     assert view.numbers[TIME] == prepared.t[last]
-    known = dict(zip(facts_of(prepared).names, view.numbers[HEADER:], strict=True))
+    known = dict(zip(facts_of(prepared).names, view.numbers[HEADER:], strict=False))
     for name in ("press.x", "press.servo.command", "press.x_desired"):
         assert known[name] == watched.record[name][last], name
 
@@ -155,6 +157,19 @@ def test_a_view_ends_with_its_trial(begun):
 
 def test_a_set_is_not_watched():
     session = workflow.Session(live=lambda url: False)
-    with pytest.raises(InputError) as error:
-        workflow.run(ROOT / "recipes/trials/supplies.toml", session)
-    assert error.value.key == "stages.live_of_set"
+    with refused("stages.live_of_set"):
+        workflow.run(RECIPES / "trials/supplies.toml", session)
+
+
+def test_foxglove_gets_each_frame(monkeypatch):
+    said = []
+    server = SimpleNamespace(stop=lambda: said.append("stop"))
+    module = ModuleType("foxglove")
+    module.__spec__ = ModuleSpec("foxglove", None)
+    module.set_log_level = lambda level: None
+    module.start_server = lambda **keys: said.append(keys["host"]) or server
+    module.log = lambda topic, frame: said.append((topic, frame))
+    monkeypatch.setitem(sys.modules, "foxglove", module)
+    with foxglove(facts_of(trial())) as log:
+        log({"t": 1.0})
+    assert said == ["127.0.0.1", ("/trial", {"t": 1.0}), "stop"]

@@ -162,10 +162,12 @@ class CylinderMotion(FileModel):
     before and after each; ``full_speed`` is the design model's where it is not given.
     ``point_to_point``: through ``waypoints`` (strokes, from the first of which it starts) with a
     ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``, ``cycles`` times where the
-    way ends where it begins. ``file``: a log with ``<cylinder>.x_desired``. ``path``: see `Motion`.
+    way ends where it begins. ``file``: a log with ``<cylinder>.x_desired``. ``operator``: a person
+    commands its speed, at most ``speed``, by a lever, or, with ``file``, what the lever said in
+    that log or run. ``path``, and more of ``operator``: see `Motion`.
     ``cylinder`` may be left out where there is one."""
 
-    kind: Literal["velocity_steps", "point_to_point", "file", "path"]
+    kind: Literal["velocity_steps", "point_to_point", "file", "path", "operator"]
     cylinder: str | None = None
     levels: tuple[str, ...] = ()
     full_speed: Annotated[Value, Q("speed")] | None = None
@@ -180,6 +182,8 @@ class CylinderMotion(FileModel):
     profile: Literal["ramp", "seventh"] = "ramp"
     cycles: int = Field(default=1, ge=1, le=1000)
     file: str | None = None
+    dead_zone: Annotated[Value, Q("dead_zone")] = Value(0.05)
+    axis: str = ""
     where: Annotated[tuple[str | int, ...], Internal] = Field(default=("motion",), exclude=True)
 
     @model_validator(mode="after")
@@ -192,8 +196,11 @@ class CylinderMotion(FileModel):
         if self.kind == "point_to_point":
             if len(self.waypoints) < 2:
                 raise ValueError(message("config.waypoints_needed"))
-            if self.speed is None:
-                raise ValueError("point_to_point needs 'speed'")
+        if self.kind in ("point_to_point", "operator") and self.speed is None:
+            raise ValueError(message("config.motion_needs_speed", kind=self.kind))
+        rates = [float(rate) for rate in (self.speed, self.acceleration) if rate is not None]
+        if self.kind == "operator" and not all(rate > 0.0 for rate in rates):
+            raise ValueError(message("config.operator_stands"))
         if self.cycles > 1 and (
             self.kind != "point_to_point" or float(self.waypoints[0]) != float(self.waypoints[-1])
         ):
@@ -210,13 +217,21 @@ class Motion(CylinderMotion):
     kind ``path``: the tip of the mechanism goes along straight lines through ``points``, with a
     ``hold`` at each, within ``speed``, ``acceleration`` and ``jerk``; the ``cylinders``, by default
     all, follow by inverse kinematics. Where several cylinders would draw more than the pump gives,
-    time along the motion runs slower, unless ``share_flow`` is false."""
+    time along the motion runs slower, unless ``share_flow`` is false.
+
+    kind ``operator``: ``device`` is the live ``page``, or the name or path of a joystick, whose
+    ``axis`` is the lever of a cylinder. Beyond its ``dead_zone`` a lever asks for a share of
+    ``speed``, which changes by ``acceleration`` at most. Without the dead-man switch, ``button``
+    of the joystick, the speed goes to zero and the trial does what ``release`` says."""
 
     name: str = ""
     also: tuple[CylinderMotion, ...] = ()
     points: tuple[Annotated[Value, Q("tip", 3)], ...] = ()
     cylinders: tuple[str, ...] = ()
     share_flow: bool = True
+    device: str = "page"
+    button: str = ""
+    release: Literal["continue", "end"] = "continue"
 
     @model_validator(mode="after")
     def _a_path(self) -> Motion:
@@ -461,6 +476,9 @@ class TrialRecipe(AnyTrial):
             raise ValueError(message("config.controller_needs_motion", label=self.controller.label))
         if self.motion is None and self.duration is None:
             raise ValueError("'duration' is missing")
+        levers = [] if self.motion is None else self.motion.each
+        if self.duration is None and any(i.kind == "operator" and not i.file for i in levers):
+            raise ValueError(message("config.operator_needs_duration"))
         if self.controller is not None and self.motion is not None:
             refuse_unmatched(self.controller, (self.motion,))
         return self

@@ -66,6 +66,12 @@ class TrialSetRecipe(AnyTrial):
         return self
 
     @model_validator(mode="after")
+    def _nobody_waits(self) -> TrialSetRecipe:
+        if any(i.kind == "operator" and not i.file for m in self.motion for i in m.each):
+            raise ValueError(message("config.operator_of_set"))
+        return self
+
+    @model_validator(mode="after")
     def _controllers_fit(self) -> TrialSetRecipe:
         for law in self.controller:
             refuse_unmatched(law, self.motion)
