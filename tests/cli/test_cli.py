@@ -151,7 +151,7 @@ def test_a_slip_gets_one_sentence_and_leaves_nothing(
     assert not (copy / "reports").exists() or not list((copy / "reports").iterdir())
 
 
-def test_check_tells_all_mistakes_of_a_recipe_on_stderr(workspace, inside, tmp_path):
+def test_check_tells_all_mistakes_and_a_recipe_its_command(workspace, inside, tmp_path):
     copy = broken(workspace, tmp_path, "recipes/step_small.toml", '"3.5 V"', '"35 V"')
     done = inside("check", "recipes/step_small.toml", cwd=copy)
     assert done.returncode == 2 and done.stdout.startswith("1 error: ")
@@ -159,9 +159,6 @@ def test_check_tells_all_mistakes_of_a_recipe_on_stderr(workspace, inside, tmp_p
     done = inside("check", "recipes/validate.toml", cwd=copy)
     assert done.returncode == 2 and "35 V" in done.stderr and "runs first" in done.stdout
     assert not (copy / "reports").exists()
-
-
-def test_a_recipe_of_another_stage_names_its_command(workspace, inside):
     done = inside("identify", workspace / "recipes" / "step_small.toml")
     assert done.returncode == 2 and "run-trial" in done.stderr
 

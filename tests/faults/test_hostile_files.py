@@ -127,7 +127,7 @@ def test_a_library_that_misbehaves_is_a_sentence(work, key, tmp_path, monkeypatc
     assert error.value.key == key and error.value.exit_code == 2
 
 
-def test_a_child_is_ended_with_the_wait_for_it():
+def test_a_child_ends_with_the_wait_for_it_and_prints_nothing(capfd):
     """One that sleeps is not stopped by its computing; nothing of it is left."""
     with pytest.raises(Ended) as end:
         confined(lambda pipe: time.sleep(60.0), Bounds(1e9, 60.0, 0.3))
@@ -135,8 +135,6 @@ def test_a_child_is_ended_with_the_wait_for_it():
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
 
-
-def test_a_child_prints_nothing_and_hands_over_what_it_writes(capfd):
     def work(pipe: io.BufferedIOBase) -> None:
         os.write(1, b"noise")
         os.write(2, b"noise")

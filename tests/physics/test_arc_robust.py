@@ -94,14 +94,11 @@ def test_a_trial_says_its_gains_as_designed_and_under_its_load():
     assert "bandwidth_limit" not in under
 
 
-def test_without_that_they_swing_in_motion():
+def test_without_that_they_swing_in_motion_and_calm_down_at_rest():
     late = MACHINES["pressure sensors 10 ms slower"]
     facts = facts_of("thesis_arm", "100 lb", late, "60 mm/s", bandwidth_limit="0 rad/s")
     assert facts.measures["limit_cycle"] is not None
-
-
-def test_a_load_that_swings_at_rest_is_left_to_calm_down():
-    """Bandwidths too high for a late machine: after the stop valves keep up no swing."""
+    # Bandwidths too high for a late machine: after the stop valves keep up no swing
     late, gains = MACHINES["5 ms more delay"], {"bandwidth_limit": "0 rad/s"}
     record, facts = trial_of("thesis_arm", "100 lb", late, "180 mm/s", gains=gains)
     stop = record.t[record["boom.v_desired"] != 0.0][-1]

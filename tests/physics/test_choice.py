@@ -73,8 +73,5 @@ def test_on_two_rails_less_oil_is_not_less_power():
     ranked, _ = pump_energy("600 kg", rules, supply=RAILS)
     least, _ = pump_energy("600 kg", rules | {"choice": "least_power"}, supply=RAILS)
     assert least < 0.9 * ranked
-
-
-def test_a_choice_that_is_none_is_refused():
     with pytest.raises(InputError, match="choice = 'least'.*ranked, least_power"):
         prepare(lifting({"kind": "position", "rules": {"choice": "least"}}), LIFT)

@@ -485,9 +485,6 @@ def test_intervals_cover_what_maps_say_of_themselves():
         assert "ledger.outside_map" not in keys(ledger)
         miss.append(ledger.residual.energy / (0.5 * (high - low) / 1.959964))
     assert 0.5 < math.sqrt(np.mean(np.square(miss))) < 1.6
-
-
-def test_readings_outside_of_a_map_are_said():
     true, _ = mapped(0, 0.05)
     low = np.full(2, 1e6)
     small = {n: ValveMaps(replace(m.forward, hull_high=low)) for n, m in true.items()}

@@ -108,11 +108,14 @@ def test_the_ledger_closes_with_lines(lines):
     assert ledger["press.line_head.throttling"].energy > 0.02 * ledger.pump
 
 
-def test_a_rig_without_lines_has_no_rows_of_them():
+def test_without_lines_there_are_no_rows_and_a_law_of_the_cylinder_refuses_them():
     record = simulate(slide(), {"press.servo": 2.0}, 0.1)
     rows = ledger_of_model(Model.of(slide()), record).rows
     assert not [line.name for line in rows if "line_head" in line.name or "line_rod" in line.name]
     assert not [name for name in record.channels if "p_line" in name]
+    site = DesignPoint(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=lined(LAMINAR).cylinder[0].unmodelled)
+    with refused("control.arc_lacks_part"):
+        LAWS["arc"].pack(site, {}, None, None)
 
 
 def test_a_small_line_behind_a_small_resistance_is_seen_by_the_guard():
@@ -173,9 +176,3 @@ def test_the_virtual_bench_has_the_line_too():
     assert machine.state[at] > machine.state[end] + 1e5
     own = [m.state[m.model.layout.state("qd")] for m in (machine, plain)]
     assert 0.0 < own[0] < own[1]
-
-
-def test_a_law_with_a_model_of_the_cylinder_refuses_a_line():
-    site = DesignPoint(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=lined(LAMINAR).cylinder[0].unmodelled)
-    with refused("control.arc_lacks_part"):
-        LAWS["arc"].pack(site, {}, None, None)

@@ -50,7 +50,7 @@ def test_the_oil_carries_the_force_at_rest(force, newtons):
     assert np.ptp(log[:, 0]) < 1e-9
 
 
-def test_a_force_by_direction_turns_with_the_speed():
+def test_forces_turn_with_the_speed_and_springs_stand_beside_the_oil():
     model = Model.of(pushed(DIRECTION))
     y = model.trim(model.posture(None))
     dy, work = np.empty_like(y), np.empty(model.plant.at.work)
@@ -59,10 +59,7 @@ def test_a_force_by_direction_turns_with_the_speed():
         derivatives(y, model.rest_commands(1)[0], model.plant, dy, work)
         pull = 250.0 * dy[model.layout.state("qd")] - carried(model, y) + 800.0 * v
         assert pull == pytest.approx(newtons, rel=1e-9)
-
-
-def test_a_spring_on_the_rod_stands_beside_that_of_the_oil():
-    """Valves shut: ``ω² = (β A1²/V1 + β A2²/V2 + k)/m``."""
+    # Valves shut: ω² = (β A1²/V1 + β A2²/V2 + k)/m
     stiff = {**SPRING, "stiffness": "20 kN/mm", "free_length": "200 mm"}
     for forces, k in (((), 0.0), ((stiff,), 2e7)):
         model = Model.of(pushed(*forces).with_values({"carriage.damping": 0.0}))
@@ -108,10 +105,16 @@ def test_the_ledger_closes_with_a_force_on_the_rod(force):
         assert given == pytest.approx(-newtons * (x[-1] - x[0]), abs=1e-5 * ledger.pump)
 
 
-def test_a_ledger_without_forces_has_no_rows_of_them():
+def test_without_forces_there_are_no_rows_and_a_law_of_the_cylinder_refuses_them():
     record = simulate(slide(), {"press.servo": 2.0}, 0.1)
     names = {row.name for row in ledger_of_model(Model.of(slide()), record).rows}
     assert not names & {"press.external_force", "press.load_spring"}
+    # Said in one sentence, before anything of the site is used
+    lacking = pushed(CONSTANT).cylinder[0].unmodelled
+    site = DesignPoint(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=lacking)
+    with refused("control.arc_lacks_part"):
+        LAWS["arc"].pack(site, {}, None, None)
+    assert slide().cylinder[0].unmodelled == ()
 
 
 @pytest.mark.slow
@@ -144,12 +147,3 @@ def test_the_virtual_bench_carries_it_too():
         head, rod = sample["press.p_head"] * row.area_head, sample["press.p_rod"] * row.area_rod
         loads.append(head - rod)
     assert loads[0] - loads[1] == pytest.approx(4000.0, rel=0.1)
-
-
-def test_a_law_with_a_model_of_the_cylinder_refuses_what_that_lacks():
-    """Said in one sentence, before anything of the site is used."""
-    lacking = pushed(CONSTANT).cylinder[0].unmodelled
-    site = DesignPoint(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=lacking)
-    with refused("control.arc_lacks_part"):
-        LAWS["arc"].pack(site, {}, None, None)
-    assert slide().cylinder[0].unmodelled == ()

@@ -100,7 +100,7 @@ def test_the_ledger_closes_with_a_mount(law):
     assert ledger["press.mount"].energy == pytest.approx(lost, rel=0.05)
 
 
-def test_a_stiff_mount_is_none():
+def test_a_stiff_mount_is_none_and_a_record_starts_on_its_own():
     """And the guard sees how quick it is: 2e10 N/m over 20 µs times that."""
     hard = {"stiffness": "20 MN/mm", "damping": "4e5 N*s/m"}
     commands = {"press.servo": steps((4.0, -3.0))[300:750]}
@@ -112,9 +112,6 @@ def test_a_stiff_mount_is_none():
     rate = derivatives(y, model.rest_commands(1)[0], model.plant, dy, work)
     assert rate == pytest.approx((2e10 + swing(model)) / 4e5, rel=1e-6)
     assert 1e3 * STEP < rate * STEP < 1e5 * STEP
-
-
-def test_a_record_starts_on_its_mount():
     model = Model.of(mounted().with_values({"carriage.incline": 0.3}))
     table = model.rest_commands(500)
     table[100:300, 0] = 3.0
@@ -132,7 +129,7 @@ def test_a_linear_model_has_the_mount(way):
     linear_models_agree(rig, way, ("mount_deflection",))
 
 
-def test_the_virtual_bench_has_the_mount_too():
+def test_the_virtual_bench_and_the_rig_file_have_the_mount():
     """Its position channels are the linkage's, its pressures those of the piston's own place."""
     machine = VirtualMachine(mounted().with_values({"carriage.incline": 0.5}), seed=1)
     machine.start()
@@ -142,9 +139,6 @@ def test_the_virtual_bench_has_the_mount_too():
     row, state = machine.bench.cylinders[0], machine.state
     carried = push_of(row, state, machine.bench)
     assert state[at] == pytest.approx(carried / 1e7, rel=0.05) and state[at] > 5e-5
-
-
-def test_parameters_of_a_mount_are_called_by_it():
     rig = mounted().with_values({"press.mount.stiffness": 3e7})
     assert float(rig.cylinder[0].mount.stiffness) == 3e7
     bare = mounted({"stiffness": "10 kN/mm"})

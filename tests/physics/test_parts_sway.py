@@ -45,15 +45,12 @@ def test_the_ledger_closes_with_what_sways():
     assert ledger["press.sway"].energy == pytest.approx(lost, rel=1e-2)
 
 
-def test_a_stiff_spring_makes_one_mass_of_both():
+def test_a_stiff_spring_makes_one_mass_and_a_replay_takes_it_along():
     hard = {"mass": "80 kg", "stiffness": "300 kN/mm", "damping": "20 kN*s/m"}
     commands = {"press.servo": steps((4.0, -3.0))[300:750]}
     one = slide().with_values({"carriage.mass": 330.0})
     found = [simulate(rig, commands, 0.449)["press.v"] for rig in (swaying(hard), one)]
     assert np.abs(found[0] - found[1]).max() < 5e-3 * np.abs(found[1]).max()
-
-
-def test_a_replay_in_motion_starts_with_it_going_along():
     model = Model.of(swaying())
     y = model.trim(model.posture(None))
     assert not y[model.plant.cylinders[0].sway_state :][:2].any()
@@ -70,16 +67,13 @@ def test_a_linear_model_has_what_sways(way):
     linear_models_agree(rig, way, ("sway", "sway_speed"))
 
 
-def test_the_virtual_bench_has_it_too():
+def test_the_virtual_bench_and_the_rig_file_have_it():
     machine = VirtualMachine(swaying(), seed=1)
     machine.start()
     for _ in range(400):
         machine.tick(np.array([2.0]))
     at = machine.model.layout.state("sway_speed")
     assert machine.state[at] > 0.01
-
-
-def test_parameters_of_what_sways_are_called_by_it():
     rig = swaying().with_values({"press.sway.stiffness": 3e7})
     assert float(rig.cylinder[0].sway.stiffness) == 3e7
     assert rig.cylinder[0].unmodelled == ("[cylinder.sway]",)

@@ -66,14 +66,11 @@ def steps(rig: Rig) -> tuple[Model, np.ndarray, Record]:
     return model, table, model.record(np.arange(1200) * 1e-3, table, log)
 
 
-def test_one_name_and_a_list_of_one_are_the_same():
+def test_a_first_order_valve_is_an_exponential():
     one = step_of(shipped("slide_servo"))
     listed = step_of(rig_with("spool"))
     assert all((one[name] == listed[name]).all() for name in one.channels)
-
-
-def test_a_first_order_valve_is_an_exponential():
-    """To rounding, though the plant takes steps of 500 µs; a corner says the same."""
+    # To rounding, though the plant takes steps of 500 µs; a corner says the same
     record = step_of(rig_with("lag"))
     expected = 1 - np.exp(-since(record) / LAG)
     assert np.abs(record["press.servo.opening"] - expected).max() < 1e-11
@@ -288,7 +285,7 @@ def test_a_drive_gives_no_more_than_its_limit():
     assert late.size > 1  # it opens no faster than a step to its limit does
 
 
-def test_a_design_goes_no_faster_than_the_drive():
+def test_a_design_and_the_rig_file_know_the_drives_limit(tmp_path):
     """Full speed is that of the limit: with 4 V of 10, that of a driver that takes 4 V."""
     speeds = []
     for rig in (with_limit("4 V"), rig_with("spool")):
@@ -296,9 +293,6 @@ def test_a_design_goes_no_faster_than_the_drive():
         assert point.possible
         speeds.append(point.v)
     assert speeds[0] < 0.7 * speeds[1]
-
-
-def test_a_drive_s_limit_is_a_parameter_of_the_rig(tmp_path):
     import tomli_w
 
     rig = with_limit("4 V", "pump_cylinder")

@@ -71,7 +71,7 @@ def test_on_an_ideal_actuator_the_error_decays_with_the_bandwidth(v_d, z_0):
     np.testing.assert_array_equal(told["x_error"], z)
 
 
-def test_the_integral_takes_away_what_a_valve_that_passes_less_leaves():
+def test_the_integral_takes_away_what_is_left_and_does_not_wind_up():
     """A valve 20 % below its map leaves ε v/(k (1 − ε)) behind; with an integral nothing."""
     k, v_d = 8.0, 0.05
     weak = lambda t, v: 0.8 * v
@@ -81,10 +81,7 @@ def test_the_integral_takes_away_what_a_valve_that_passes_less_leaves():
     told, z = ideal(gains | {"integral_bandwidth": "2 rad/s"}, v_d, 0.0, 6.0, weak)
     assert abs(z[-1]) < 1e-6
     assert told["v_integral"][-1] == pytest.approx(0.25 * v_d, rel=1e-2)
-
-
-def test_the_integral_does_not_wind_up():
-    """Stuck for 4 s, then free: the error comes back without going far to the other side."""
+    # Stuck for 4 s, then free: the error comes back without going far to the other side
     most, k, corner = 0.04, 8.0, 2.0
     sticks = lambda t, v: 0.0 if t < 4.0 else v
     gains = {"position_bandwidth": f"{k} rad/s", "integral_bandwidth": f"{corner} rad/s"}
@@ -95,10 +92,7 @@ def test_the_integral_does_not_wind_up():
     assert told["v_integral"][3999] < 0.5 * most
     assert z[4000] == pytest.approx(-0.04, rel=1e-3) and abs(z[-1]) < 1e-6
     assert z.max() < most / k
-
-
-def test_nor_does_it_where_a_valve_is_at_its_end():
-    """Asked for more speed than the spool passes, the integral stands still."""
+    # Asked for more speed than the spool passes, the integral stands still
     motion = MOTION | {"speed": "3 m/s", "acceleration": "20 m/s^2"}
     motion |= {"waypoints": ["50 mm", "350 mm"]}
     gains = {"integral_bandwidth": "1 rad/s", "speed_correction": "10 m/s"}

@@ -280,7 +280,7 @@ def test_a_change_of_function_brings_no_bump():
     assert after["feedback_flow"] == pytest.approx(0.0, abs=1e-10 * 9e5 * math.exp(-20))
 
 
-def test_each_channel_it_is_given_is_used():
+def test_each_channel_is_used_and_hold_shuts_its_valves_alone():
     """A pressure withheld turns up as NaN in the commands."""
     for gap in range(4):
         pressures = [2e6, 5e5, 7e6, 0.0]
@@ -288,9 +288,6 @@ def test_each_channel_it_is_given_is_used():
         alone = Alone(feedback_gain=1e-10, washout=5.0)
         alone.tick(0.05, *pressures)
         assert np.isnan(alone.command).any()
-
-
-def test_hold_shuts_and_others_are_left_alone():
     alone = Alone(feedback_gain=1e-10)
     alone.command[:] = 3.0
     note = alone.tick(0.0, 2e6, 5e5)

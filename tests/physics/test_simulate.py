@@ -125,7 +125,7 @@ def test_a_command_acts_from_its_sample_on(arm):
     assert shifted > 1e4
 
 
-def test_replay_takes_the_recorded_supply(arm):
+def test_replay_takes_the_recorded_supply_and_no_noise_for_motion(arm):
     """Supply and tank pressure of the recording, not of the rig file, feed the replay."""
     low = arm.with_values({"supply.pressure": 5.0e6, "supply.tank_pressure": 2.0e5})
     made = simulate(low, {"swing.servo": step_of(arm)["swing.servo"]}, 1.0)
@@ -134,6 +134,19 @@ def test_replay_takes_the_recorded_supply(arm):
     kept = {n: v for n, v in made.channels.items() if n not in ("p_supply", "p_tank")}
     gap = np.abs(Model.of(arm).replay(Record(made.t, kept))["swing.v"] - made["swing.v"]).max()
     assert gap > 0.1 * np.ptp(made["swing.v"])
+    # Rest is found all the same: the start is a mean over all samples before the step
+    made = simulate(arm, step_of(arm), 1.0)
+    rng = np.random.default_rng(5)
+    model = Model.of(arm)
+    channels = dict(made.channels)
+    for name, values in made.channels.items():
+        if name.endswith(".command"):
+            channels[name] = values + rng.uniform(-0.01, 0.01, made.t.shape)
+        elif name.endswith(("p_head", "p_rod")):
+            channels[name] = values + rng.normal(0.0, 2e4, made.t.shape)
+    again = model.replay(Record(made.t, channels))
+    spread = [abs(again[f"{c}.p_head"][0] - made[f"{c}.p_head"][0]) for c in model.layout.cylinders]
+    assert max(spread) < 3 * 2e4 / math.sqrt(100)
 
 
 def test_the_start_carries_the_load_from_noisy_pressures(metered):
@@ -154,22 +167,6 @@ def test_the_start_carries_the_load_from_noisy_pressures(metered):
     pressures = y[2 * n : 2 * n + 2 * len(model.layout.cylinders)]
     trim = model.trim(model.posture(None))[2 * n : 2 * n + 2 * len(model.layout.cylinders)]
     assert np.abs(pressures - trim - 2e5).max() < 2e5
-
-
-def test_noise_on_recorded_commands_is_no_motion(arm):
-    """Rest is found all the same: the start is a mean over all samples before the step."""
-    made = simulate(arm, step_of(arm), 1.0)
-    rng = np.random.default_rng(5)
-    model = Model.of(arm)
-    channels = dict(made.channels)
-    for name, values in made.channels.items():
-        if name.endswith(".command"):
-            channels[name] = values + rng.uniform(-0.01, 0.01, made.t.shape)
-        elif name.endswith(("p_head", "p_rod")):
-            channels[name] = values + rng.normal(0.0, 2e4, made.t.shape)
-    again = model.replay(Record(made.t, channels))
-    spread = [abs(again[f"{c}.p_head"][0] - made[f"{c}.p_head"][0]) for c in model.layout.cylinders]
-    assert max(spread) < 3 * 2e4 / math.sqrt(100)
 
 
 def test_what_cannot_be_simulated_is_said(arm):
@@ -229,17 +226,14 @@ def test_the_same_trial_twice_gives_the_same_bytes(rig):
     assert all(one[name].tobytes() == two[name].tobytes() for name in one.channels)
 
 
-def test_a_run_leaves_its_start_and_commands_alone(arm):
+def test_a_run_leaves_its_start_alone_and_its_rate_changes_no_motion(arm):
     model = Model.of(arm)
     y, table = model.trim(model.posture(None)), model.rest_commands(50)
     table[:, 0] = 3.0
     kept = y.copy(), table.copy()
     model.run(y, table)
     assert (y == kept[0]).all() and (table == kept[1]).all()
-
-
-def test_rate_and_step_change_the_log_not_the_motion(arm):
-    """100 Hz and 250 µs end where 1 kHz and 500 µs end, to 1e-5 of the travel."""
+    # 100 Hz and 250 µs end where 1 kHz and 500 µs end, to 1e-5 of the travel
     fine = simulate(arm, {"swing.servo": 2.0}, 1.0)
     coarse = simulate(arm, {"swing.servo": 2.0}, 1.0, rate=100.0, step=2.5e-4)
     assert coarse.t.size == 101 and coarse.sample_time == pytest.approx(0.01)

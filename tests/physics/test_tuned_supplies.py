@@ -105,7 +105,7 @@ def test_the_supply_stands_a_margin_above_what_it_feeds():
     assert max(ends) == most and all(end <= most for end in ends)
 
 
-def test_each_point_takes_from_the_rail_that_is_enough():
+def test_each_point_takes_from_the_rail_that_is_enough_or_is_told():
     rig = rig_on("two rails", "thesis_arm")
     most = float(rig.supply.pressure)
     rail, taken = 0.35 * most, set()
@@ -118,10 +118,7 @@ def test_each_point_takes_from_the_rail_that_is_enough():
                 assert path.drop == pytest.approx((rail if low else most) - chamber)
                 taken.add(low)
     assert taken == {True, False}
-
-
-def test_points_near_the_change_of_rails_are_told():
-    """The boom's head end carries the bucket at 40 bar: 8 bar below the change, or 32."""
+    # The boom's head end carries the bucket at 40 bar: 8 bar below the change, or 32
     notes = {}
     for rail in (0.35, 0.5):
         about = {"postures": 1, "payloads": ("bucket",), "functions": ("extend_resistive",)}

@@ -393,15 +393,12 @@ def test_a_preload_behind_a_measured_map_is_fitted():
     assert covers(fit, (name, 1e6)) and fit[name].std < 1e4
 
 
-def test_a_rate_that_was_not_recorded_comes_from_the_position():
+def test_a_missing_rate_and_a_low_pass_leave_the_answer():
     logs = edited(slide_logs(8), lambda c, v, _: None if c.endswith((".qd", ".v")) else v)
     fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.v" in fit.logs[0].fit_percent and near(fit, {"bulk_modulus": 9e8})
     names = {"t [s]", "press.p_head [Pa]", "simulated.press.p_head [Pa]"}
     assert all(names <= set(series) for series in fit.series().values())
-
-
-def test_a_low_pass_leaves_the_answer():
     assert near(identify(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0), TRUE)
 
 

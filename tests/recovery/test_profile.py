@@ -56,9 +56,6 @@ def test_the_others_are_fitted_again_along_a_profile(prepared):
     # the rise falls to the best value and grows beyond it
     k = int(np.argmin(found.rise))
     assert np.all(np.diff(found.rise[: k + 1]) < 0) and np.all(np.diff(found.rise[k:]) > 0)
-
-
-def test_a_parameter_that_is_not_fitted_has_no_profile(prepared):
     with pytest.raises(InputError, match="not among the parameters"):
         profile(prepared, "carriage.mass")
 

@@ -102,23 +102,17 @@ def test_the_delay_is_found_and_its_interval_holds(window):
     assert "frequency_response.curved_phase" not in [note.key for note in found.warnings]
 
 
-def test_a_phase_that_is_no_line_is_told():
+def test_logs_are_averaged_and_overlapping_segments_count_for_less():
     found = estimate(signals(log(3), frequency=40.0))
     assert "frequency_response.curved_phase" in [note.key for note in found.warnings]
-
-
-def test_logs_are_averaged_together():
-    """Four logs of 8 s weigh as one of 32 s."""
+    # Four logs of 8 s weigh as one of 32 s
     many = signals(*(log(seed, 8.0) for seed in range(4)))
     one = signals(log(9, 32.0))
     assert many.averages == pytest.approx(one.averages, rel=0.06)
     apart = estimate(many)
     widths = [np.median((r.gain_high - r.gain_low)[r.coherent]) for r in (apart, estimate(one))]
     assert widths[0] == pytest.approx(widths[1], rel=0.15)
-
-
-def test_overlapping_segments_count_for_less():
-    """Half of a Hann window is shared: (1/6)² of each neighbour's power."""
+    # Half of a Hann window is shared: (1/6)² of each neighbour's power
     found = signals(log(1, 16.5), segment=1.0)
     assert found.segments == (32,)
     assert found.averages == pytest.approx(32 / (1 + 2 * (31 / 32) / 36), rel=1e-3)

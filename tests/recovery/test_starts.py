@@ -141,13 +141,10 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
         assert off[0] > 0.3 * noise and off[1] < 0.1 * noise, (channel, off)
 
 
-def test_a_rest_that_stands_has_no_speed_to_find():
+def test_a_start_is_as_sure_as_its_samples():
     record = measured(driven("steps")[0], 2)
     start = initial_state_of(Model.of(rig("slide_servo")), record, ["press"], COMPARED)
     assert "press.qd" not in {number.name for number in start.uncertain}
-
-
-def test_a_place_is_as_sure_as_its_line():
     noise = np.random.default_rng(6).standard_normal((300, 200))
     found = [first_of(y + 0.01 * np.arange(200), 150) for y in noise]
     said = [first_error(y + 0.01 * np.arange(200), 150) for y in noise]
@@ -155,9 +152,6 @@ def test_a_place_is_as_sure_as_its_line():
     assert np.median(said) == pytest.approx(np.std(found), rel=0.15)
     assert first_of(noise[0], 3) == pytest.approx(np.mean(noise[0][:3]))
     assert first_error(noise[0], 3) == mean_error(noise[0], 3)
-
-
-def test_a_mean_is_as_sure_as_its_noise_and_drift():
     rng = np.random.default_rng(5)
     noise = rng.standard_normal(2000)
     assert mean_error(noise, 400) == pytest.approx(0.05, rel=0.4)

@@ -19,11 +19,18 @@ def grows(n):
     return np.zeros(n).sum()
 
 
-def test_a_kernel_cannot_allocate():
+def test_kernels_cannot_allocate_and_use_the_public_interface():
     """What numba compiles by itself, a kernel refuses when it is first called."""
     assert numba.njit(grows)(3) == 0.0
     with pytest.raises(NumbaError):
         compiled.kernel(grows)(3)
+    used = {
+        line.strip()
+        for path in compiled.PACKAGE.rglob("*.py")
+        for line in path.read_text().splitlines()
+        if re.match(r"\s*(import|from) (numba|llvmlite)", line)
+    }
+    assert all(line == "import numba" or "numba.extending" in line for line in used)
 
 
 def test_the_cache_is_that_of_these_sources(tmp_path, monkeypatch):
@@ -54,16 +61,6 @@ def test_kernels_use_it_and_numba_keeps_its_own(where, monkeypatch):
 
 def twice(x):
     return 2.0 * x
-
-
-def test_numba_is_used_through_its_public_interface_only():
-    used = {
-        line.strip()
-        for path in compiled.PACKAGE.rglob("*.py")
-        for line in path.read_text().splitlines()
-        if re.match(r"\s*(import|from) (numba|llvmlite)", line)
-    }
-    assert all(line == "import numba" or "numba.extending" in line for line in used)
 
 
 def test_processes_that_compile_at_once_write_files_of_their_own():

@@ -63,29 +63,23 @@ def test_joint_angle_inverts_the_linkage(geometry, stroke, degrees):
     assert cylinder.joint_angle(*geometry, x[7]) == q[7]  # pyright: ignore[reportCallIssue]
 
 
-def test_linkage_by_hand():
+def test_linkages_by_hand_at_dead_points_and_of_a_slide():
     """Pins 3 and 4 m from the joint at a right angle are 5 m apart."""
     state = cylinder.linkage(cylinder.PINS, 3.0, 4.0, 1, math.pi / 2, 4.0, 0.0)
     assert state == pytest.approx((1.0, 12 / 5, -(2.4**2) / 5), rel=1e-14)
-
-
-def test_linkage_and_joint_angle_at_the_dead_points():
     geometry = (cylinder.PINS, 0.5, 0.3, 1, 0.0, 0.0)
     assert cylinder.joint_angle(*geometry, 0.5 - 0.3) == 0.0
     assert cylinder.joint_angle(*geometry, 0.5 + 0.3) == pytest.approx(math.pi, abs=1e-15)
     assert cylinder.linkage(*geometry, 0.0)[:2] == pytest.approx((0.2, 0.0), abs=1e-15)
+    assert cylinder.linkage(*SLIDE, 0.3) == (0.3, 1.0, 0.0)
+    assert cylinder.joint_angle(*SLIDE, 0.3) == 0.3
+    assert cylinder.joint_range(*SLIDE, 0.5) == (0.0, 0.5)
 
 
 @pytest.mark.parametrize("x", [-0.31, 0.41, math.nan])
 def test_a_stroke_out_of_reach_is_refused(x):
     with pytest.raises(InputError, match="does not fit its linkage.*200 to 800 mm"):
         cylinder.joint_angle(cylinder.PINS, 0.5, 0.3, 1, 0.0, 0.4, np.array([0.0, x]))
-
-
-def test_slide_is_moved_directly():
-    assert cylinder.linkage(*SLIDE, 0.3) == (0.3, 1.0, 0.0)
-    assert cylinder.joint_angle(*SLIDE, 0.3) == 0.3
-    assert cylinder.joint_range(*SLIDE, 0.5) == (0.0, 0.5)
 
 
 class Chambers(NamedTuple):
@@ -156,7 +150,7 @@ def test_chambers_conserve_oil():
     assert p_rod == pytest.approx(1e6 - BULK * math.log(after[1] / before[1]), rel=1e-9)
 
 
-def test_internal_leak_moves_oil_and_keeps_its_sum():
+def test_internal_leak_keeps_the_sum_of_oil_and_a_guard_the_volume():
     leaks, volumes = (1e-10, 0.0, 0.0), (4e-4, 9e-4)
     path = rk4(
         lambda p: np.array(rates(p=p, leaks=leaks, volumes=volumes)),
@@ -169,9 +163,6 @@ def test_internal_leak_moves_oil_and_keeps_its_sum():
     fade = leaks[0] * BULK * (1 / volumes[0] + 1 / volumes[1])
     # exponential decay of the difference; RK4 with λh = 0.1 is good to (λh)⁴/120 a unit of time
     assert path[-1, 0] - path[-1, 1] == pytest.approx(4e6 * math.exp(-fade * 0.5), abs=4.0)
-
-
-def test_volume_guard_keeps_the_rate_finite():
     assert cylinder.chamber_volume(9e-4, -AREA_ROD * 0.3) == 9e-4 - AREA_ROD * 0.3
     assert cylinder.chamber_volume(9e-4, -AREA_ROD * 5.0) == cylinder.VOLUME_MARGIN * 9e-4
 
@@ -193,7 +184,7 @@ def test_cavitation_floor_holds(outflow):
         assert path[-1] == pytest.approx(FLOOR, abs=1.0)
 
 
-def test_cavitated_chamber_is_reversible():
+def test_cavitation_is_reversible_and_its_rate_continuous():
     rate = cylinder.chamber_rate
     stiff = BULK / 4e-4 * 1e-5
     assert rate(1e-5, FLOOR, 4e-4, BULK, FLOOR) == pytest.approx(stiff, rel=1e-14)
@@ -203,10 +194,7 @@ def test_cavitated_chamber_is_reversible():
         -stiff, rel=1e-14
     )
     assert rate(-1e-5, -1e9, 4e-4, BULK, -math.inf) == pytest.approx(-stiff, rel=1e-14)
-
-
-def test_cavitation_rate_is_continuous():
-    """Over the top of the band and through zero flow: RK4 meets kinks but no jumps."""
+    # Over the top of the band and through zero flow: RK4 meets kinks but no jumps
     top = FLOOR + cylinder.CAVITATION_BAND
     for p, flow in ((top, -1e-4), (FLOOR, -1e-4), (FLOOR + 1e4, 0.0)):
         values = [
@@ -218,7 +206,7 @@ def test_cavitation_rate_is_continuous():
         assert max(values) - min(values) <= 2e-3 / 0.9e5 * 6.8e7 + 2e-13 * 6.8e11
 
 
-def test_oil_balance_closes_with_the_makeup_flow():
+def test_oil_balance_closes_with_makeup_and_relief_opens_one_way():
     def rate(state):
         inflow = -3e-5 * math.cos(40.0 * state[2])
         made = cylinder.makeup_flow(inflow, state[0], FLOOR)
@@ -229,9 +217,6 @@ def test_oil_balance_closes_with_the_makeup_flow():
     p, made, _, inflow = rk4(rate, [0.0, 0.0, 0.0, 0.0], 1e-4, 2000)[-1]
     assert made > 1e-8
     assert p * 4e-4 / BULK == pytest.approx(made + inflow, rel=0, abs=1e-12 * made)
-
-
-def test_relief_opens_one_way():
     assert cylinder.relief_flow(99e5, 100e5, 1e-9) == 0.0
     assert cylinder.relief_flow(105e5, 100e5, 1e-9) == pytest.approx(5e-4, rel=1e-12)
     assert cylinder.relief_flow(1e12, math.inf, 1e-9) == 0.0

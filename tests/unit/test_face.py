@@ -15,7 +15,7 @@ import ehbench
 from ehbench.data.record import Record
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Outcome
-from tests.shared import ROOT
+from tests.shared import RIGS, ROOT
 
 EXAMPLES = {
     name: found[1]
@@ -101,20 +101,14 @@ print(json.dumps({"state": {name: [before[name], after[name]] for name in before
     return json.loads(python(code))
 
 
-def test_functions_stay_functions_whatever_was_imported(imported):
+def test_importing_changes_nothing_and_is_light(imported):
     assert set(imported["face"]) == set(ehbench.__all__) and all(imported["face"].values())
-
-
-def test_importing_changes_nothing_in_the_process(imported):
-    """Nor does any module of the package; what others do when imported is theirs."""
+    # Nor does any module of the package; what others do when imported is theirs
     found = imported["state"]
     assert set(found) >= {"environ", "numba", "warnings", "locale", "backend", "blas"}
     for name, (before, after) in found.items():
         assert before == after, name
-
-
-def test_importing_is_light():
-    """Nothing heavy is loaded before it is used."""
+    # Nothing heavy is loaded before it is used
     loaded = python("import ehbench, sys; print(*sys.modules)").split()
     assert "ehbench" in loaded and not {"numpy", "numba", "pandas", "pydantic"} & set(loaded)
 
@@ -135,7 +129,7 @@ def test_a_run_has_one_blas_thread_and_gives_the_others_back(workspace, undrawn)
 
 
 def test_simulate_gives_a_frame_with_units():
-    rig = ehbench.shipped("slide_servo")
+    rig = ehbench.load_rig(RIGS / "slide_servo.toml")
     command = np.zeros(201)
     command[100:] = 2.0
     frame = ehbench.simulate(
@@ -145,8 +139,8 @@ def test_simulate_gives_a_frame_with_units():
     assert frame["press.x"].iloc[0] == pytest.approx(0.1) and frame["press.x"].iloc[-1] > 0.1
 
 
-def test_a_rig_shows_itself_in_one_line_and_as_a_table():
-    rig = ehbench.shipped("thesis_arm")
+def test_rigs_and_records_show_themselves_in_one_line_and_as_a_table():
+    rig = ehbench.load_rig(RIGS / "thesis_arm.toml")
     assert repr(rig) == str(rig)
     assert repr(rig).startswith("<Rig 'thesis_arm': 3 joints, 3 cylinders, 7 valves, ")
     page = rig._repr_html_()
@@ -156,9 +150,6 @@ def test_a_rig_shows_itself_in_one_line_and_as_a_table():
     assert page.count("<tr>") == len(rig.parameters()) + 1
     odd = rig.model_copy(update={"title": "<b> & co"})
     assert "<caption>&lt;b&gt; &amp; co</caption>" in odd._repr_html_()
-
-
-def test_a_record_shows_itself_in_one_line_and_as_a_table():
     t = np.linspace(0.0, 2.0, 5)
     record = Record(t, {"boom.p_head": 1e6 * t, "boom.q": np.zeros(5)})
     assert repr(record) == "<Record: 5 samples from 0 to 2 s, 2 channels: boom.p_head, boom.q>"

@@ -292,7 +292,7 @@ def test_no_chatter_on_noisy_pressures():
         assert (np.diff(run(c, bare, v_d, head + noise[0], rod + noise[1])) != 0).sum() > 20
 
 
-def test_dwell_is_kept_whatever_the_pressures():
+def test_dwell_is_kept_but_for_a_change_of_direction():
     rng, n = np.random.default_rng(6), 5000
     c = circuit(FIVE)
     head, rod = rng.uniform(0.0, PS, (2, n))
@@ -300,9 +300,6 @@ def test_dwell_is_kept_whatever_the_pressures():
         history = run(c, fn.pack_rules(A2, PS, dwell=dwell, allow_seventh=True), 0.1, head, rod)
         gaps = np.diff(np.flatnonzero(np.diff(history)))
         assert gaps.size > 10 and gaps.min() >= round(dwell * 1000) - 1
-
-
-def test_direction_changes_at_once_and_small_speeds_hold():
     c = circuit(FIVE)
     rules = fn.pack_rules(A2, PS, dwell=10.0, speed_start=2e-3, speed_stop=1e-3)
     slow = [0.0, 0.0019, 0.0021, 0.0011, 0.0009, 0.0019, -0.0019]
@@ -359,7 +356,7 @@ def low_passed(c, rules, v_d, tick=1e-3, steady=True):
     return np.array(history)
 
 
-def test_a_noisy_speed_about_the_dead_zone_changes_nothing():
+def test_a_noisy_speed_changes_nothing_and_a_wish_acts_at_once():
     """0.2 mm/s rms about speeds from rest to beyond where a motion begins: no more than one change
     a second, where the bare speed makes hundreds.
     """
@@ -369,9 +366,6 @@ def test_a_noisy_speed_about_the_dead_zone_changes_nothing():
         assert (np.diff(low_passed(c, rules, v_d)) != 0).sum() <= 2
     bare = low_passed(c, rules, rng.normal(0.0, 2e-4, 1000), steady=False)
     assert (np.diff(bare) != 0).sum() > 200
-
-
-def test_a_wish_beyond_noise_acts_at_once_and_a_slow_one_soon():
     c, rules = circuit(FIVE), fn.pack_rules(A2, PS)
     steps = [0.0, 2e-3, 2e-3, 0.0, -2e-3, 2e-3]
     assert fn.DIRECTION[low_passed(c, rules, steps)].tolist() == [0, 1, 1, 0, -1, 1]

@@ -47,7 +47,7 @@ def _named(entry: dict[str, str]) -> set[str]:
     return {name.split(".")[0].split("[")[0] for _, name, _, _ in parsed if name}
 
 
-def test_every_use_has_its_entry_and_every_entry_its_fields():
+def test_every_use_has_its_entry_and_every_entry_its_use():
     wrong = []
     for place, key, fields in _uses():
         if key not in ENTRIES:
@@ -55,16 +55,13 @@ def test_every_use_has_its_entry_and_every_entry_its_fields():
         elif fields is not None and (missing := _named(ENTRIES[key]) - fields):
             wrong.append(f"{place}: {key} lacks {missing}")
     assert wrong == []
-
-
-def test_every_entry_is_used():
     texts = "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
     begun = tuple(re.findall(r'message\(\s*f"([a-z_]+\.\w*)\{', texts))  # f"part.name_{{kind}}"
     unused = [key for key in ENTRIES if f'"{key}"' not in texts and not key.startswith(begun)]
     assert unused == []
 
 
-def test_a_message_is_text_that_keeps_its_key_and_fields(tmp_path):
+def test_a_message_keeps_its_key_and_fields_and_an_unknown_one_is_a_bug(tmp_path):
     original = Message("3 of 4 fail", "data.fail", {"count": 3}, "look at them")
     for copied in (copy.deepcopy(original), pickle.loads(pickle.dumps(original))):
         assert (copied, copied.key, copied.fields) == ("3 of 4 fail", "data.fail", {"count": 3})
@@ -74,9 +71,6 @@ def test_a_message_is_text_that_keeps_its_key_and_fields(tmp_path):
     first, second = read_json(tmp_path / "a.json")["notes"]
     assert (first, first.key, first.fields) == (str(original), "data.fail", {"count": 3})
     assert second == "plain"
-
-
-def test_an_unknown_key_or_a_missing_field_is_a_bug():
     with pytest.raises(KeyError):
         message("data.no_such_entry")
 

@@ -62,13 +62,10 @@ def test_the_page_is_whole_and_needs_no_network(runs, tmp_path):
     assert text.startswith("<!DOCTYPE html>") and "<title>All &lt;of&gt; it</title>" in text
 
 
-def test_runs_stand_in_the_order_of_the_data(runs):
+def test_runs_stand_in_order_with_their_saved_figures(runs):
     heads = re.findall(r"<h2>(.*?) ?(?:<|$)", build(runs, None), re.M)
     kinds = ["Flow maps", "Bulk modulus", "Held-out logs", "A step"]
     assert heads[:6] == ["At a glance", "Chapters", *kinds] and heads[-1] == "Provenance"
-
-
-def test_figures_are_the_saved_ones(runs):
     text, drawn = build(runs, None), [svg for run in runs for svg in run.glob("figures/*.svg")]
     indices = [json.loads((run / "figures/index.json").read_text())["figures"] for run in runs]
     index = [item for items in indices for item in items]
@@ -229,13 +226,10 @@ def test_saved_tables_say_what_is_wrong(tmp_path, read, text, key, line):
     assert (key is None or caught.value.key == key) and caught.value.line == line
 
 
-def test_a_missing_entry_is_named_by_its_path(tmp_path):
+def test_series_are_read_in_si_and_a_missing_entry_is_named(tmp_path):
     with pytest.raises(InputError, match=r"'a\.b'") as caught:
         Table({"a": {"c": 1}}, tmp_path)["a"]["b"]
     assert caught.value.key == "report.no_key"
-
-
-def test_series_are_read_in_si_whatever_their_unit(tmp_path):
     path = tmp_path / "s.csv"
     head = "t [ms],boom.q [deg],simulated.boom.q [rad],boom.hect.command"
     path.write_text(f"{head}\n0,180,3,1\n500,90,2,1\n")

@@ -305,8 +305,7 @@ def test_runs_cover_what_holds_and_close_small_gaps():
     assert stretches(t, blink, 100) == [(t[500], pytest.approx(0.00999))]  # still seen
 
 
-def test_the_crossing_is_the_pair_on_the_axis_and_not_the_slow_pole():
-    # two washouts, nearly as slow
+def test_a_locus_has_its_crossing_and_its_zeros():
     slow = [[-0.05, 0.4], [-0.05, -0.4], [1e-6, 70.0], [1e-6, -70.0]]
     for poles, pair in (
         ([[0.0, -60.0], [-280.0, 0.0], [-0.01, 0.0], [0.0, 60.0]], [[0.0, -60.0], [0.0, 60.0]]),
@@ -314,6 +313,13 @@ def test_the_crossing_is_the_pair_on_the_axis_and_not_the_slow_pole():
         (slow, slow[2:]),
     ):
         assert root_locus.crossing(poles, 100.0) == pair
+    # (s + 2)(s + 5 ± 3j) + K (s + 1)(s + 4): the branches end at −1 and −4
+    values = np.linspace(0.0, 20.0, 41)
+    start = np.poly([-2.0, -5.0 + 3.0j, -5.0 - 3.0j]).real
+    poles = np.array([np.roots(start + k * np.array([0.0, 1.0, 5.0, 4.0])) for k in values])
+    assert np.sort(root_locus.zeros(values, poles).real) == pytest.approx([-4.0, -1.0])
+    squared = np.array([np.roots(start + k**2 * np.array([0.0, 1.0, 5.0, 4.0])) for k in values])
+    assert root_locus.zeros(values, squared).size == 0
 
 
 def test_rays_of_the_grid_have_their_damping_ratio():
@@ -353,16 +359,6 @@ def test_errors_far_apart_have_a_strip_each(runs):
         drawn = max(float(np.abs(line.get_ydata()).max()) for line in ax.lines)
         assert drawn == pytest.approx(most)
         plt.close(figure)
-
-
-def test_zeros_of_a_locus_are_found_from_its_poles():
-    """(s + 2)(s + 5 ± 3j) + K (s + 1)(s + 4): the branches end at −1 and −4."""
-    values = np.linspace(0.0, 20.0, 41)
-    start = np.poly([-2.0, -5.0 + 3.0j, -5.0 - 3.0j]).real
-    poles = np.array([np.roots(start + k * np.array([0.0, 1.0, 5.0, 4.0])) for k in values])
-    assert np.sort(root_locus.zeros(values, poles).real) == pytest.approx([-4.0, -1.0])
-    squared = np.array([np.roots(start + k**2 * np.array([0.0, 1.0, 5.0, 4.0])) for k in values])
-    assert root_locus.zeros(values, squared).size == 0
 
 
 def test_cases_know_their_files_and_need_a_controller(runs, unpainted, tmp_path):

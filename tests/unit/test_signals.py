@@ -149,12 +149,21 @@ def test_no_frequency_beyond_half_the_sampling_rate_is_found(hertz):
         assert found.natural_frequency == pytest.approx(omega, rel=0.01)
 
 
-def test_fit_percent():
+def test_fit_percent_and_low_pass():
     y = np.sin(np.linspace(0.0, 9.0, 200))
     assert series.fit_percent(y, y) == 100.0
     assert series.fit_percent(y, np.full(200, y.mean())) == pytest.approx(0.0, abs=1e-12)
     assert series.fit_percent(y, y + 0.1 * np.std(y)) == pytest.approx(90.0)
     assert math.isnan(series.fit_percent(np.ones(5), np.zeros(5)))
+    t = np.arange(0.0, 4.0, 1.0 / RATE)
+    middle = slice(1000, 3000)
+    for hertz, gain in ((0.5, 1.0), (10.0, 0.5), (100.0, 1e-4)):
+        wave = np.cos(2 * math.pi * hertz * (t - 2.0))
+        out = series.lowpass(wave, 1.0 / RATE, 10.0)
+        # bilinear Butterworth twice: 1/(1 + (f/fc)⁴), warped by less than 1 % at these frequencies
+        assert out[2000] == pytest.approx(gain, rel=0.1, abs=1e-3)
+        assert np.allclose(out[middle], gain * wave[middle], atol=0.02)
+    assert np.array_equal(series.lowpass(t, 1.0 / RATE, 600.0), t)
 
 
 def test_transients_lie_between_command_changes():
@@ -170,19 +179,7 @@ def test_transients_lie_between_command_changes():
     assert [window.stop for window in series.transients(t, ramp)] == [100]
 
 
-def test_lowpass_has_no_phase_and_halves_at_its_cutoff():
-    t = np.arange(0.0, 4.0, 1.0 / RATE)
-    middle = slice(1000, 3000)
-    for hertz, gain in ((0.5, 1.0), (10.0, 0.5), (100.0, 1e-4)):
-        wave = np.cos(2 * math.pi * hertz * (t - 2.0))
-        out = series.lowpass(wave, 1.0 / RATE, 10.0)
-        # bilinear Butterworth twice: 1/(1 + (f/fc)⁴), warped by less than 1 % at these frequencies
-        assert out[2000] == pytest.approx(gain, rel=0.1, abs=1e-3)
-        assert np.allclose(out[middle], gain * wave[middle], atol=0.02)
-    assert np.array_equal(series.lowpass(t, 1.0 / RATE, 600.0), t)
-
-
-def test_correlation_sign_and_scale():
+def test_correlation_has_its_sign_scale_and_time():
     u = np.random.default_rng(5).standard_normal(4000)
     x = np.roll(u, 3)
     r = series.correlation(x, u, 10)
@@ -194,9 +191,6 @@ def test_correlation_sign_and_scale():
         for k in range(11)
     ]
     assert np.allclose(r[10:], direct)
-
-
-def test_correlation_time_of_a_first_order_process():
     for pole in (0.0, 0.5, 0.9):
         times = [
             series.correlation_time(coloured(np.random.default_rng(seed), 4000, pole))
@@ -207,7 +201,7 @@ def test_correlation_time_of_a_first_order_process():
         assert np.mean(times) == pytest.approx((1 + pole) / (1 - pole), rel=0.15)
 
 
-def test_autocorrelation_band_allows_for_short_lived_colour():
+def test_bands_allow_for_colour():
     rng, outside, white = np.random.default_rng(6), [], []
     for _ in range(200):
         e = rng.standard_normal(601)
@@ -219,9 +213,6 @@ def test_autocorrelation_band_allows_for_short_lived_colour():
         assert band[1] == pytest.approx(1.96 / math.sqrt(x.size), rel=1e-3)
     assert np.mean(outside) == pytest.approx(0.05, abs=0.02)  # 200 series of 19 correlated lags
     assert np.mean(white) > 0.08  # what the band for white noise would have said
-
-
-def test_correlation_band_of_independent_coloured_series():
     rng, outside, white = np.random.default_rng(7), [], []
     for _ in range(150):
         x, u = coloured(rng, 1500, 0.9), coloured(rng, 1500, 0.9)

@@ -23,7 +23,7 @@ def fitted(judged):
     return next(judged.parent.glob("hydraulics_*"))
 
 
-def test_a_fit_shows_each_parameter_with_interval_unit_and_status(fitted):
+def test_a_fit_shows_each_parameter_to_people_and_scripts(fitted):
     told = terminal.answer(fitted).lines(100)
     known = json.loads((fitted / "parameters.json").read_text())["parameters"]
     for one in known:
@@ -31,6 +31,10 @@ def test_a_fit_shows_each_parameter_with_interval_unit_and_status(fitted):
         (line,) = [line for line in told if line.startswith(one["name"] + "  ")]
         assert "…" in line and one["status"].replace("_", " ") in line
     assert max(map(len, told)) <= 100
+    found = terminal.values(fitted)
+    known = json.loads((fitted / "parameters.json").read_text())["parameters"]
+    assert [row["parameter"] for row in found["results"]] == [one["name"] for one in known]
+    assert found["numbers"]["parameters"] == known and "parameters.json" in found["files"]
 
 
 def test_a_narrow_terminal_gets_fewer_columns_and_no_broken_line(fitted):
@@ -52,13 +56,6 @@ def test_a_verdict_comes_first_and_in_capitals(judged):
         assert told[0].startswith("REJECTED") and "- it rings at another rate" in told
     finally:
         (judged / "validation.json").write_text(kept)
-
-
-def test_scripts_get_the_same_with_numbers(fitted):
-    found = terminal.values(fitted)
-    known = json.loads((fitted / "parameters.json").read_text())["parameters"]
-    assert [row["parameter"] for row in found["results"]] == [one["name"] for one in known]
-    assert found["numbers"]["parameters"] == known and "parameters.json" in found["files"]
 
 
 @pytest.mark.parametrize("option", ["-q", "--json", ""])

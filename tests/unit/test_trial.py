@@ -144,7 +144,7 @@ def test_a_command_that_cannot_be_is_refused_with_its_line(rig, tmp_path, comman
     assert hint is None or hint in error.value.hint
 
 
-def test_a_trial_on_the_model_is_what_simulate_gives(rig):
+def test_a_trial_is_what_simulate_gives_or_what_a_machine_measures(rig):
     given = recipe(STEP, posture={"press": "120 mm"}, payload="100 kg")
     record, facts = run_trial(rig, given)
     u = played(rig, STEP)
@@ -157,9 +157,6 @@ def test_a_trial_on_the_model_is_what_simulate_gives(rig):
     assert not facts.stopped and facts.samples == 1001
     assert (record.meta["payload"], record.meta["on"]) == ("100 kg", "model")
     json.dumps(facts.as_json(), allow_nan=False)
-
-
-def test_a_trial_on_the_bench_has_only_what_a_machine_measures(rig):
     record, facts = run_trial(rig, recipe(STEP, on="bench", seed=4))
     own = [f"press.{key}" for key in ("x", "v", "p_head", "p_rod")]
     assert list(record.channels) == [*own, "press.servo.command", "p_supply", "p_tank"]
@@ -223,7 +220,7 @@ def test_the_valves_go_to_rest_in_the_recipes_ramp_and_the_log_goes_on_until_it_
     assert facts.samples == record.t.size and facts.duration == record.t[-1]
 
 
-def test_what_came_of_a_stop_is_said(rig):
+def test_a_stop_is_told_ramps_and_shuts_what_feeds_a_full_chamber(rig):
     """How far each quantity went beyond its limit, in numbers and in the rig's units."""
     limits = {"speed_max": "0.25 m/s", "pressure_max": "100 bar", "stroke_margin": "5 mm"}
     _, facts = run_trial(rig, recipe({**STEP, "amplitude": "10 V"}, limits=limits))
@@ -235,19 +232,13 @@ def test_what_came_of_a_stop_is_said(rig):
     after = facts.after.sentence.fields
     assert after["seconds"] == facts.after.seconds and "press.v went to" in after["beyond"]
     assert facts.as_json()["after"]["beyond"][0]["limit"] in beyond
-
-
-def test_a_ramp_keeps_the_pressure_lower_than_valves_that_snap_shut(rig):
-    """A load at speed between shut valves: their ramp lets it slow down (m v = A ∫p dt)."""
+    # A load at speed between shut valves: their ramp lets it slow down (m v = A ∫p dt)
     peaks = {}
     for ramp in ("0 s", "50 ms"):
         limits = {"speed_max": "0.25 m/s", "ramp": ramp}
         record, facts = run_trial(rig, recipe({**STEP, "amplitude": "10 V"}, limits=limits))
         peaks[ramp] = record["press.p_rod"][round(facts.stop.t * 1000) :].max()
     assert peaks["50 ms"] < 0.8 * peaks["0 s"]
-
-
-def test_valves_that_feed_the_full_chamber_shut_at_once(rig):
     limits = {"pressure_max": "75 bar", "ramp": "0.1 s"}
     given = recipe({**STEP, "amplitude": "-8 V"}, limits=limits, posture={"press": "200 mm"})
     record, facts = run_trial(rig, given)
@@ -296,7 +287,7 @@ def test_a_step_is_read_off_as_its_formula_says(zeta, speed, reached):
     assert found.rms_error == pytest.approx(np.sqrt(np.mean((reached * y - speed) ** 2)), rel=1e-12)
 
 
-def test_what_a_step_does_not_show_is_none():
+def test_what_a_step_does_not_show_is_none_and_tracking():
     t = np.arange(500) * 1e-3
     ringing_on = step_measures(t, 0.1 * second_order(t, 40.0, 0.01), 0.1)
     assert ringing_on.settling_time is None and ringing_on.overshoot > 0.5
@@ -307,9 +298,6 @@ def test_what_a_step_does_not_show_is_none():
     result = step_measures(t, 0.1 + 0.004 * np.exp(0.5 * t) * np.sin(25.0 * t), 0.1)
     assert result.damping_ratio == pytest.approx(-0.5 / 25.0, abs=0.003)
     assert result.overshoot is None and result.settling_time is None
-
-
-def test_tracking():
     t = np.arange(1001) * 1e-3
     found = tracking_measures(t, np.where(t < 0.5, 0.01, 0.002), np.zeros(t.size))
     assert found["max_error"] == 0.01 and found["final_error"] == pytest.approx(0.002, rel=1e-12)
@@ -596,7 +584,7 @@ def test_code_that_goes_wrong_says_where(rig, tmp_path, code, says, line):
     assert left == ["mine.py", "trial.toml"], "not even bytecode"
 
 
-def test_what_a_class_would_not_see_is_refused(rig, tmp_path):
+def test_a_class_runs_only_when_allowed_and_is_given_no_rules(rig, tmp_path):
     (tmp_path / "mine.py").write_text(HEAD + BODY)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "tuning.json").write_text('{"cylinder": "press"}')
@@ -605,9 +593,6 @@ def test_what_a_class_would_not_see_is_refused(rig, tmp_path):
         with refused("trial.code_given_tuning" if more in tuned else "trial.code_given_rules") as e:
             run_trial(rig, closed(tmp_path, f'class = "mine:C"\n{more}\n'), allow_code=True)
         assert e.value.file.endswith("trial.toml") and e.value.line == 9
-
-
-def test_code_runs_only_when_allowed(rig, tmp_path):
     (tmp_path / "mine.py").write_text("open('touched', 'w')\n")
     recipe = closed(tmp_path, 'class = "mine:C"')
     with refused("trial.code_not_allowed") as error:

@@ -124,7 +124,7 @@ def test_locus_is_that_of_the_closed_loop(motions):
     assert all(np.abs(found - pole).min() < 1e-4 * abs(pole) for pole in exact)
 
 
-def test_margins_and_bandwidth_agree_with_poles_and_python_control(motions):
+def test_limit_margins_and_bandwidth_agree_with_poles_and_python_control(motions):
     import control
 
     law, gain = Law(20.0, 0.0, 1e-3), 1e-10
@@ -138,9 +138,6 @@ def test_margins_and_bandwidth_agree_with_poles_and_python_control(motions):
     exact = float(control.bandwidth(speed_of(loop, gain)))
     assert bandwidth(loop, gain) == pytest.approx(exact, rel=2e-3)
     assert margins(loop, 2 * gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))).gain_margin == 0.0
-
-
-def test_limit_is_a_limit(motions):
     loop = next(s for s in motions if s.counts).loop(Law(20.0, 4e-11, 1e-3))
     limit = gain_limit(loop, np.geomspace(1e-12, 1e-8, 60))
     for factor, stable in ((0.99, True), (1.01, False)):
@@ -148,7 +145,7 @@ def test_limit_is_a_limit(motions):
     assert gain_limit(loop, np.geomspace(1e-12, 0.5 * limit, 20)) == math.inf
 
 
-def test_steps_and_bias(tuned):
+def test_steps_bias_and_alternatives(tuned):
     for step in tuned.steps:
         opened, closed = np.array(step.v_open), np.array(step.v_closed)
         # with a washout the speed comes out as desired; python-control's samples end after ten
@@ -159,6 +156,11 @@ def test_steps_and_bias(tuned):
         # without a washout pressure takes from the inflow of the metered chamber: slower by
         # meter-in, faster by meter-out
         assert (p.bias < 0) == (METERED[FUNCTIONS.index(p.point.function)] == HEAD), p.name
+    by = {a.what: a for a in tuned.alternatives}
+    # constraints may cost the chosen law something, a coarse grid the alternative: 5
+    # %
+    assert by["chosen law"].damping_ratio >= 0.95 * tuned.damping_ratio
+    assert {"no washout", "load force feedback", "faster valves (× 10)", "no delay"} <= set(by)
 
 
 def test_bias_without_washout_is_the_steady_error(motions):
@@ -233,14 +235,6 @@ def test_result_is_plain_feeds_the_controller_and_comes_again(tuned, tmp_path):
     assert packed.washout == tuned.washout and packed.off_gain == tuned.off_gain
     assert packed.feedback_gain[EXTEND_RESISTIVE] == tuned.feedback_gain["extend_resistive"]
     assert gains(rig(), recipe(phase_margin="30 deg")).as_json() == tuned.as_json()
-
-
-def test_alternatives_are_at_their_best(tuned):
-    by = {a.what: a for a in tuned.alternatives}
-    # constraints may cost the chosen law something, a coarse grid the alternative: 5
-    # %
-    assert by["chosen law"].damping_ratio >= 0.95 * tuned.damping_ratio
-    assert {"no washout", "load force feedback", "faster valves (× 10)", "no delay"} <= set(by)
 
 
 def test_one_spool_has_no_off_side(tmp_path):

@@ -196,7 +196,7 @@ def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):
     assert of == {"boom.hepc.command", "boom.rect.command"}
 
 
-def test_a_log_the_model_was_fitted_to_does_not_count(arm, boom, swing):
+def test_logs_that_do_not_count_are_marked(arm, boom, swing):
     stiff = arm.with_values({"bulk_modulus": 1.5 * 2.71e8})
     alone = validate_rig(arm, [("boom", boom)], fitted_on=["boom"])
     assert not alone.accepted and alone.reasons[0].key == "validation.all_fitted"
@@ -204,15 +204,14 @@ def test_a_log_the_model_was_fitted_to_does_not_count(arm, boom, swing):
     assert "validation.fitted" in keys(alone.logs[0].warnings)
     both = validate_rig(stiff, [("boom", boom), ("swing", swing)], fitted_on=["boom"])
     assert both.reasons and all(reason.startswith("swing") for reason in both.reasons)
-
-
-def test_a_log_without_motion_is_marked(arm, boom):
     still = recorded(arm, {})
     result = validate_rig(arm, [("still", still), ("boom", boom)])
     assert result.accepted and result.logs[0].status == "still"
     assert "validation.no_motion" in keys(result.logs[0].warnings)
     alone = validate_rig(arm, [("still", still)])
     assert not alone.accepted and alone.reasons[0].key == "validation.no_check"
+    result = validate_rig(arm, [("log", boom), ("log", swing)])
+    assert [log.name for log in result.logs] == ["log", "log_2"] == list(result.series())
 
 
 def test_constant_and_noisy_channels_have_no_fit(arm, boom):
@@ -255,7 +254,7 @@ def test_a_stroke_sensor_stands_in_for_a_joint_encoder(arm, boom):
     assert {c.channel for c in bare.logs[0].channels} == {"boom.v", "boom.p_head"}
 
 
-def test_a_log_that_cannot_be_simulated_is_kept_and_rejects(arm, boom):
+def test_logs_that_cannot_be_judged_are_said(arm, boom):
     far = Record(boom.t, boom.channels | {"boom.q": boom["boom.q"] + 2.0}, boom.meta)
     keep = np.delete(np.arange(T.size), 700)
     gap = Record(boom.t[keep], {n: v[keep] for n, v in boom.channels.items()}, boom.meta)
@@ -267,18 +266,12 @@ def test_a_log_that_cannot_be_simulated_is_kept_and_rejects(arm, boom):
     reason = result.reasons[0]
     assert not result.accepted and reason.key == "validation.not_simulated"
     assert reason.fields["log"] == "far" and "posture boom" in reason.fields["reason"]
-
-
-def test_bad_input_is_refused(arm, boom):
     with pytest.raises(InputError, match="no log"):
         validate_rig(arm, [])
     with pytest.raises(InputError, match="cannot be judged on channel 'temperature'"):
         validate_rig(arm, [("boom", boom)], channels=("temperature",))
     with pytest.raises(InputError, match="no payload '70 lb'"):
         validate_rig(arm, [("boom", Record(boom.t, boom.channels, {"payload": "70 lb"}))])
-
-
-def test_a_valve_the_rig_does_not_have_is_named(arm, boom):
     odd = Record(boom.t, boom.channels | {"bucket.servo.command": np.zeros(T.size)}, boom.meta)
     result = validate_rig(arm, [("boom", odd)])
     said = "'bucket.servo.command', a valve that rig 'thesis_arm' does not have"
@@ -294,11 +287,6 @@ def test_noise_on_recorded_commands_makes_no_steps_and_moves_no_cylinder(arm, bo
     result = validate_rig(arm, [("boom", Record(boom.t, channels, boom.meta))])
     assert result.logs[0].moved == ("boom",)
     assert [w.start for w in result.logs[0].transients] == pytest.approx([0.3, 1.4])
-
-
-def test_logs_of_one_name_stay_apart(arm, boom, swing):
-    result = validate_rig(arm, [("log", boom), ("log", swing)])
-    assert [log.name for log in result.logs] == ["log", "log_2"] == list(result.series())
 
 
 def test_series_are_recorded_and_simulated_columns_in_si(accepted):

@@ -171,7 +171,7 @@ def test_what_a_drop_cannot_do_is_told():
     assert vent(1e5, 5e-4) == (10.0, both, both)
 
 
-def test_the_edge_of_the_measured_range_is_that_of_the_map():
+def test_the_measured_range_is_that_of_the_map_and_leaving_it_is_told():
     c = CIRCUITS["five, maps"]
     rng = np.random.default_rng(3)
     seen = set()
@@ -182,9 +182,6 @@ def test_the_edge_of_the_measured_range_is_that_of_the_map():
             seen.add((drop > 0, expected))
             assert vl.inside(c, edge, drop, command) == expected
     assert len(seen) == 4
-
-
-def test_leaving_the_measured_range_is_told():
     c = CIRCUITS["five, maps"]
     edge = c.paths[fn.SUPPLY_HEAD]
     for p_head, outside in ((1.95e6, True), (2.05e6, False), (6.95e6, True)):

@@ -160,7 +160,7 @@ def folders(made_once) -> dict[str, Path]:
     return {name: next(root.glob(f"{name}_*")) for name in (*RECIPES, *SHIPPED)}
 
 
-def test_results_change_only_with_the_version_of_their_method(folders):
+def test_results_and_files_change_only_with_their_versions(folders):
     stored, numbers = json.loads(STORED.read_text()), numbers_of(folders)
     assert set(numbers) == set(METHODS)
     for method, version in METHODS.items():
@@ -169,9 +169,6 @@ def test_results_change_only_with_the_version_of_their_method(folders):
         # optimisers stop at 1e-8 of their cost, linear algebra differs from machine to machine
         expected = pytest.approx(stored["methods"][method]["numbers"], rel=1e-4, abs=1e-12)
         assert numbers[method] == expected, about
-
-
-def test_files_change_only_with_the_schema_of_their_stage(folders):
     stored = json.loads(STORED.read_text())["stages"]
     for stage, files in schemas_of(folders).items():
         about = f"files of '{stage}' changed: raise its schema and store them anew"
