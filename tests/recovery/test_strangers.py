@@ -1,0 +1,69 @@
+"""Two machines of others, from a wrong model to the right one by what the tool says, as their
+READMEs have it."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ehbench import workflow
+from tests.shared import RECIPES
+from tests.strangers import LOADER, PRESS, logs_of
+
+# by machine: numbers of the machine [SI] by parameter, and the change that leads to them
+STRANGERS = {
+    "press": (
+        {
+            "bulk_modulus": PRESS.bulk,
+            "tool.damping": PRESS.damping,
+            "press.friction_coulomb": PRESS.coulomb,
+            "press.leakage_internal": PRESS.leakage,
+        },
+        "leakage of press.leakage_internal",
+    ),
+    "loader": (
+        {
+            "bulk_modulus": LOADER.bulk,
+            "arm.damping": LOADER.damping,
+            "lift.friction_coulomb": LOADER.coulomb,
+            "lift.spool.overlap": LOADER.lap,
+            "lift.spool.null": LOADER.middle,
+        },
+        "overlap of lift.spool",
+    ),
+}
+
+
+def result(name: str, file: str):
+    (path,) = Path("reports").glob(f"{name}_*/{file}.json")
+    return json.loads(path.read_text())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("machine", STRANGERS)
+def test_a_wrong_model_of_a_stranger_is_led_to_the_right_one(
+    machine, inside, undrawn, tmp_path, monkeypatch
+):
+    truth, change = STRANGERS[machine]
+    shutil.copytree(RECIPES / machine, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    for name, text in logs_of(machine).items():
+        Path(name).write_text(text)
+    readme = Path("README.md").read_text(encoding="utf-8")
+    codes, answers = {}, {}
+    for words in re.findall(r"^    ehbench (.+)$", readme, re.M):
+        done = inside(*words.split(), cwd=tmp_path)
+        codes[words], answers[words] = done.returncode, done.stdout
+    wrong = [words for words, code in codes.items() if code]
+    assert wrong == ["validate judge_first.toml"] and codes[wrong[0]] == workflow.REJECTED
+    suggested = answers["identify first.toml --suggest"]
+    assert change in next(line for line in suggested.splitlines() if re.match(r" *[\d.]+ %", line))
+    first, better = (result(name, "parameters")["parameters"] for name in ("first", "better"))
+    damping = next(row for row in first if row["name"].endswith("damping"))
+    assert damping["value"] > 2.0 * truth[damping["name"]]
+    found = {row["name"]: row["value"] for row in better}
+    assert found == pytest.approx(truth, rel=0.025)
+    assert result("judge_better", "validation")["verdict"] == "accepted"
+    assert len(readme.split()) < 300
