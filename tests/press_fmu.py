@@ -125,9 +125,7 @@ def press_fmu(path: Path, fault: str = "", platform: str = "linux64") -> Path:
 
 
 def press(t: np.ndarray, u: np.ndarray, beta: float, drag: float, y0: np.ndarray) -> np.ndarray:
-    """States x [m], v [m/s], p_head, p_rod [Pa] of the press, shape (samples, 4): each command
-    acts from its sample on.
-    """
+    """States x [m], v [m/s], p_head, p_rod [Pa]: each command acts from its sample on."""
 
     def root(d: float) -> float:
         return math.copysign(math.sqrt(abs(d)), d)

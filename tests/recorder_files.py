@@ -39,9 +39,7 @@ SIGNALS = {
 
 
 class Recording(NamedTuple):
-    """A file of a recorder: its name, who writes it, the rig, the truth, and the columns that a
-    draft has to find.
-    """
+    """A recorder's file: name, writer, rig, truth, and the columns that a draft has to find."""
 
     file: str
     write: Callable[[Path], None]

@@ -179,13 +179,19 @@ def heading_anchors(page: str) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_link_reaches_a_file_and_a_heading(page):
+def test_every_link_and_every_name_of_the_package_leads_somewhere(page):
     for name, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(?:#([\w-]+))?\)", PAGES[page]):
         target = (ROOT / page).parent.joinpath(name).resolve() if name else ROOT / page
         assert target.exists(), f"{page} links {name}"
         if anchor:
             where = target.relative_to(ROOT).as_posix()
             assert anchor in heading_anchors(where), f"{page} links {name}#{anchor}"
+    for dotted in re.findall(r"\b(?<![/\w])ehbench(?:\.[A-Za-z_]\w*)+", PAGES[page]):
+        assert resolved(dotted) is not None
+    for path in re.findall(
+        r"`((?:ehbench|tests|recipes|datasets|docs)/[\w/.]*(?:/|\.\w+))`", PAGES[page]
+    ):
+        assert (ROOT / path).exists() or path == "ehbench/facts.json", path  # a name inside a log
 
 
 def words(page: str) -> int:
@@ -306,13 +312,3 @@ def resolved(dotted: str) -> Any:
             found = getattr(found, part)
         return found
     raise ModuleNotFoundError(dotted)
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_every_name_of_the_package_in_the_docs_is_there(page):
-    for dotted in re.findall(r"\b(?<![/\w])ehbench(?:\.[A-Za-z_]\w*)+", PAGES[page]):
-        assert resolved(dotted) is not None
-    for path in re.findall(
-        r"`((?:ehbench|tests|recipes|datasets|docs)/[\w/.]*(?:/|\.\w+))`", PAGES[page]
-    ):
-        assert (ROOT / path).exists() or path == "ehbench/facts.json", path  # a name inside a log

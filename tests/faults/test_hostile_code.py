@@ -1,6 +1,4 @@
-"""A user's class that does what no class should: each time one sentence that names it, and a log
-that holds only what was measured under the names of what is measured.
-"""
+"""A user's class that does what none should: one sentence names it, and the log is true."""
 
 import os
 import subprocess

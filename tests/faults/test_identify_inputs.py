@@ -1,6 +1,4 @@
-"""Logs and recipes broken the way people break them: refused or told, in one sentence that says
-what would be right.
-"""
+"""Logs and recipes broken the way people break them: refused or told, in one sentence."""
 
 import re
 from dataclasses import replace
@@ -65,9 +63,7 @@ def crane(payload=None):
 
 
 def changed(record, **edits):
-    """A log with channels scaled, by their last word: ``p_head=0.01``; or replaced, by
-    ``lift_x=array``.
-    """
+    """A log with channels scaled by their last word, ``p_head=0.01``, or replaced."""
     channels = dict(record.channels)
     for name in channels:
         word = name.rsplit(".", 1)[-1]
@@ -122,9 +118,7 @@ EXCITED = {
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "factor"), [(n, f) for n, fs in EXCITED.items() for f in fs])
 def test_what_the_log_excites_comes_back_without_bounds(name, factor):
-    """Only the start is given (an upper bound where it is zero); no vocabulary range may stand in
-    for a scale.
-    """
+    """Only the start is given; no vocabulary range may stand in for a scale."""
     slides = name == "carriage.mass"
     machine = rig("slide_servo") if slides else rig()
     valve, volts = ("press.servo", (3.0, -3.0)) if slides else ("lift.spool", (5.0, -4.5))
@@ -262,9 +256,7 @@ def test_a_turned_sensor_is_named():
 
 @pytest.mark.parametrize("word", ["q", "qd"])
 def test_a_position_that_goes_against_its_commands_is_told_before_a_fit(word):
-    """On the crane, whose angle rises as it extends, and on one whose pins turn it the other way;
-    what the log is, right or turned, is told of either.
-    """
+    """On the crane and on one whose pins turn it the other way."""
     log, channel = crane(), f"lift.{word}"
     turned = changed(log, **{f"lift_{word}": -log[channel]})
     pins = rig().cylinder[0].pins.model_copy(update={"sign": -1})
@@ -314,9 +306,7 @@ def test_a_gap_is_named(tmp_path):
 
 
 def test_jitter_is_resampled_and_told(tmp_path):
-    """Samples up to a quarter of a tick early or late: what was sampled when it says, comes back on
-    the grid.
-    """
+    """Samples up to a quarter of a tick early or late come back on the grid."""
     fine = simulate(
         rig(), {"lift.spool": np.repeat(steps(601, 5.0, -4.5), 20)[:12001]}, 0.6, rate=20000.0
     )
@@ -485,9 +475,7 @@ def test_sines_that_samples_cannot_hold_are_refused(tmp_path, command, says):
 
 
 def test_the_lower_limit_of_the_meter_goes_from_the_recipe_to_the_fit(undrawn, tmp_path):
-    """A turbine that stands still below 1 L/min does not shift the deadband of a map, whether the
-    recipe says so or its zeros do.
-    """
+    """A turbine still below 1 L/min shifts no deadband, by the recipe or by its zeros."""
     gain, deadband, limit = 2.2 / 6e4 / 1e3, 1.0, 1.0 / 6e4  # the rig file's `sh`
     rows = ["valve,direction,command [V],pressure_drop [kPa],flow [L/min],trial"]
     rng = np.random.default_rng(5)

@@ -1,6 +1,4 @@
-"""Trials that are killed: what was logged can be read, the next run clears what is left and keeps
-the log, and what a living process works on stays.
-"""
+"""Killed trials: what was logged is read, what is left is cleared, what lives stays."""
 
 import os
 import signal

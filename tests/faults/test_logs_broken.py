@@ -1,6 +1,4 @@
-"""Logs cut, flipped, holed and mistyped on purpose: the samples that come back are the true ones,
-and what is missing is said.
-"""
+"""Logs cut, flipped, holed and mistyped: true samples come back, and what is missing is said."""
 
 import os
 import signal
@@ -55,9 +53,7 @@ def records(data: bytes) -> list[tuple[int, int, int]]:
 
 
 def judge(path: Path, data: bytes, truth: Record) -> Record | None:
-    """Read broken bytes: a LogError, or true samples only with a word about everything that is not
-    there.
-    """
+    """Read broken bytes: a LogError, or true samples with a word about what is not there."""
     path.write_bytes(data)
     try:
         back = read(path)

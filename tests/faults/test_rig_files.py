@@ -1,6 +1,4 @@
-"""Rig files by strangers: odd ones run, and a slip gets one sentence with its line and what would
-be right.
-"""
+"""Rig files by strangers: odd ones run, and a slip gets one sentence with its line."""
 
 import re
 import tomllib
@@ -84,9 +82,7 @@ def test_a_load_that_the_supply_cannot_carry_is_noted(tmp_path):
 
 
 def test_pressure_that_the_areas_raise_is_no_load_beyond_the_supply(tmp_path):
-    """One edge open at rest holds the head end at the supply's pressure, and the smaller rod end
-    stands above it.
-    """
+    """One open edge holds the head end at the supply's pressure; the rod end stands above."""
     rig = tomllib.loads(CRANE)
     (edge,) = [
         e

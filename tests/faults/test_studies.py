@@ -1,6 +1,4 @@
-"""Studies where things go wrong: samples that raise, hang or end their process, workers that are
-killed, a study that is. What comes out is the same, byte for byte, wherever it was made.
-"""
+"""Studies where samples, workers or the study die: what comes out is the same, byte for byte."""
 
 import json
 import os

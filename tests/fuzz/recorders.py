@@ -1,6 +1,4 @@
-"""Files as recorders and attackers write them: a table in a random spelling, a formula with code
-in it, a small file that swells, a name of any bytes, a figure with rules in its text.
-"""
+"""Odd spellings, formulas with code, files that swell, names of any bytes, figures with rules."""
 
 import gzip
 import io

@@ -1,6 +1,4 @@
-"""The adaptive robust controller on the noise-free model, tick by tick, its samples late and those
-of pressure lagging: what its margins are judged by.
-"""
+"""Adaptive robust control on the noise-free model, its samples late: what judges its margins."""
 
 import math
 from typing import Any, NamedTuple
@@ -94,9 +92,7 @@ class Bench:
         return SampledPlant.of(at.model, at.point, TICK).loop(self.site, gains)
 
     def stroke(self, at, gains, delay, push, span=1.6, louder=1.0):
-        """Strokes [m] of a steady motion that begins with a push of the speed [m/s], its samples
-        ``delay`` [s] late, what it commands ``louder`` [1] than it is.
-        """
+        """Strokes [m] after a push of the speed [m/s], ``delay`` [s] late, ``louder`` commands."""
         model, point, site = at.model, at.point, self.site
         plant, layout = model.plant, model.layout
         y, command = state_of(model, point)

@@ -137,9 +137,7 @@ def nominal_run(payload, estimates, adapt, span=1.6, **gains):
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.0, 40.0])
 def test_lyapunov_function_falls_as_derived(payload):
-    """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (docs), wherever no
-    estimate is at a bound.
-    """
+    """dV/dt = −k2 z2² − k3 w z3² with V = ½ z2² + ½ w z3² + ½ θ̃ᵀ Γ⁻¹ θ̃ (docs)."""
 
     def off(packed):
         lower, upper = packed.lower, packed.upper
@@ -167,9 +165,7 @@ def test_lyapunov_function_falls_as_derived(payload):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_transient_bound_holds_for_any_estimates_without_adaptation(seed):
-    """½ z2² + ½ w z3² ≤ e^(−λt) of its start + (k2 e2² + w k3 e3²)/λ with λ = 2 min(k2, k3),
-    whatever the estimates are.
-    """
+    """½ z2² + ½ w z3² ≤ e^(−λt) of its start + (k2 e2² + w k3 e3²)/λ, λ = 2 min(k2, k3)."""
     rng = np.random.default_rng(seed)
 
     def drawn(packed):

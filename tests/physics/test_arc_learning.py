@@ -109,9 +109,7 @@ def test_gain_and_deadband_are_told_apart_on_the_virtual_bench(factor):
 
 
 def test_a_hysteresis_that_is_known_is_not_taken_for_a_wrong_map(monkeypatch):
-    """Speeding up and slowing down tell a gain from a deadband, and there a valve is on either side
-    of its hysteresis: with its width in the maps, less is left of every edge that was the worst.
-    """
+    """With its width in the maps, less is left of every edge that was the worst."""
 
     def left():
         measures = run(prepared("50 lb", on="bench"), plain_bench(1.1)).facts.measures

@@ -211,9 +211,7 @@ def in_range(values):
 
 
 def test_the_gains_and_bounds_that_a_trial_ran_with_are_saved():
-    """A payload of 50 lb under a bound of 12 kg: the estimates go to their bounds, and no
-    farther.
-    """
+    """50 lb under a bound of 12 kg: the estimates go to their bounds, and no farther."""
     stated = {"position_bandwidth": "8 rad/s", "observer_bandwidth": "50 rad/s"}
     stated |= {"adaptation": "1 rad/s", "disturbance": "100 N", "payload": ["0 kg", "12 kg"]}
     record, facts = moved(ARC | {"gains": stated}, payload="50 lb")

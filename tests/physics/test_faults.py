@@ -1,6 +1,4 @@
-"""A trial on a machine that fails: it stops for the right reason, valves end at rest, and the log
-can be read.
-"""
+"""A machine that fails: it stops for the right reason, valves rest, the log can be read."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,4 @@
-"""Light pistons under strong friction and in their end stops, against SciPy's Radau on equations
-of their own.
-"""
+"""Light pistons under strong friction and in end stops, against SciPy's Radau."""
 
 import numpy as np
 import pytest

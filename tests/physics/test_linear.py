@@ -76,10 +76,6 @@ def test_equations_agree_with_differences_of_the_plant(case):
         assert (np.abs(b - plant.b / s[:, None]) <= 1e-7 * np.abs(b).max()).all(), point.name
         count += 1
     assert count >= 12
-
-
-@pytest.mark.parametrize("case", MACHINES, ids=lambda c: "-".join(map(str, c)))
-def test_leakage_and_friction_too(case):
     rig, cylinder, payload = case
     given = {"leakage_internal": 2e-12, "leakage_head": 1e-12, "leakage_rod": 3e-12}
     given |= {"friction_viscous": 900.0, "friction_coulomb": 300.0}

@@ -306,9 +306,7 @@ def test_checks_that_open_and_shut_within_a_step_are_not_stepped_over():
 
 
 def test_the_head_end_alone_is_the_spring():
-    """A pump at rest shuts the head end in, an open check valve ties the rod end to the charge
-    line: ``ω² = β A1²/(V1 m)``, where the gas of the line is too soft to count.
-    """
+    """A pump at rest shuts it in, a check valve ties the rod end: ``ω² = β A1²/(V1 m)``."""
     values = {"lift.pump.slip": 0.0, "table.damping": 0.0, "supply.gas_volume": 1.0}
     model = Model.of(RIG.with_values(values | {"lift.check_rod.orifice_gain": 1e-5}))
     row, y = model.plant.cylinders[0], model.trim(model.posture({"lift": "200 mm"}))
@@ -340,9 +338,7 @@ def test_controllers_of_metering_edges_refuse_a_pump():
 
 @pytest.mark.parametrize("end", ["head", "rod"])
 def test_a_check_valve_holds_up_its_own_chamber_alone(end):
-    """The chamber that it feeds from the supply rests at the supply's pressure, the other where the
-    load has it; with both fed, none stands below.
-    """
+    """The chamber that it feeds rests at the supply's pressure, the other where the load has it."""
     both = Model.of(RIG).plant
     tables = RIG.as_toml()
     (own,) = tables["cylinder"]

@@ -241,9 +241,7 @@ LAWS = tuple(law | {"deadband": 0.5} for law in OPEN)
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law["law"])
 def test_a_preload_takes_its_pressure_of_the_drop(law):
-    """``Q(Δp) = Q0(Δp − p_c)`` above ``p_c``, nothing below, all of it in reverse; exact
-    inverse.
-    """
+    """``Q(Δp) = Q0(Δp − p_c)`` above ``p_c``, nothing below, all in reverse; exact inverse."""
     plain = Model.of(with_law(**law)).plant
     plant = Model.of(with_law(**law, cracking_pressure=CRACKING)).plant
     edge, bare, maps = plant.edges[0], plain.edges[0], plant.maps
@@ -279,9 +277,7 @@ def test_the_ledger_closes_with_a_preload():
 
 
 def test_controllers_and_the_bench_know_a_preload():
-    """A design goes on where the off side stands above it, the inverse is that of the drop beyond
-    it, and the bench's edge passes nothing below.
-    """
+    """A design goes on beyond it, the inverse too, and the bench passes nothing below."""
     model = Model.of(preloaded())
     circuit = circuit_of(model, 0)
     points = [point_of(model, low=low, speed=0.05) for low in (5e5, 4e6)]

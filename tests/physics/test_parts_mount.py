@@ -68,7 +68,7 @@ def test_a_mount_rests_where_it_carries_the_load():
 
 
 @pytest.mark.parametrize("law", FRICTIONS)
-def test_the_balance_of_forces_holds_at_any_speed(law):
+def test_the_balance_of_forces_holds_and_the_ledger_closes(law):
     """``c (u − v) = A1 P1 − A2 P2 − friction(u) − k δ``, also in the end stops."""
     model = Model.of(mounted(friction=FRICTIONS[law], **SEALS))
     row, plant = model.plant.cylinders[0], model.plant
@@ -84,12 +84,8 @@ def test_the_balance_of_forces_holds_at_any_speed(law):
         taken = 6000.0 * (u - v) + 1e7 * y[row.mount_state]
         assert x == 0.2 + y[row.mount_state]
         assert taken == pytest.approx(force, abs=1e-8 * abs(push_of(row, y, plant)))
-
-
-@pytest.mark.parametrize("law", FRICTIONS)
-def test_the_ledger_closes_with_a_mount(law):
-    """To what RK4 leaves over, as without; ``k δ²/2`` is stored, ``c ∫(dδ/dt)² dt`` lost. The
-    damper is steeper than any friction here falls, 0.86·200 N/(20 mm/s)."""
+    # To what RK4 leaves over, as without; k δ²/2 is stored, c ∫(dδ/dt)² dt lost. The damper is
+    # steeper than any friction here falls, 0.86·200 N/(20 mm/s)
     rig = mounted(SOFT | {"damping": "1e4 N*s/m"}, friction=FRICTIONS[law], **SEALS)
     record = moved(rig)
     ledger = books(rig, record, "press.mount", "press.mount_spring", "press.work")

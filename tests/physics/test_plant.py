@@ -182,9 +182,7 @@ def test_energy_is_conserved(ledger):
 
 
 def test_fourth_order(rig):
-    """The error falls by 2⁴ within 0.1 of the order where nothing is kinked: valves stand open from
-    the start, and steps are short enough that no substeps are taken.
-    """
+    """The error falls by 2⁴ within 0.1, valves open from the start, without substeps."""
     model = Model.of(rig)
     command = gentle(model, 1)[0]
     y0 = model.trim(model.posture(None))

@@ -196,7 +196,7 @@ CHOSEN = {
 
 
 @pytest.mark.parametrize("function", CHOSEN)
-def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function):
+def test_the_metered_chamber_gives_and_the_off_side_is_driven_to_its_set_point(function):
     """K_p Δp less into the metered chamber: a leak to its mean pressure, which takes energy."""
     v_d, p_head, p_rod = CHOSEN[function]
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
@@ -218,13 +218,7 @@ def test_pressure_above_its_mean_takes_inflow_from_the_metered_chamber(function)
     other = Alone(feedback_gain=gains, washout=5.0, rules=rules)
     other.tick(v_d, p_head, p_rod)
     assert other.tick(v_d, p_head + 3e4, p_rod + 3e4)["feedback_flow"] == 0.0
-
-
-@pytest.mark.parametrize("function", CHOSEN)
-def test_the_off_side_is_driven_to_its_set_point(function):
-    """off_gain·(set − p) more than A v_d into it; the set-point is low, in the seventh Δp3
-    above.
-    """
+    # off_gain·(set − p) more than A v_d into it; the set-point is low, in the seventh Δp3 above
     v_d, p_head, p_rod = CHOSEN[function]
     rules = fn.pack_rules(FIVE.circuit.area_rod, 7e6, allow_seventh=function == 7, drop_start=1e6)
     alone = Alone(off_gain=2e-11, rules=rules)

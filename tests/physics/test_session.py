@@ -1,7 +1,4 @@
-"""The one session: its compiled path is its tick-by-tick path to the bit, on every machine, under
-every kind of controller, with and without a limit that stops it; and a log streamed is the log
-written at once.
-"""
+"""The compiled path is the tick-by-tick path to the bit; a log streamed is that written at once."""
 
 from dataclasses import replace
 

@@ -150,9 +150,7 @@ def test_replay_takes_the_recorded_supply_and_no_noise_for_motion(arm):
 
 
 def test_the_start_carries_the_load_from_noisy_pressures(metered):
-    """Pressures out of balance are moved until nothing accelerates, by no more than the gap: on the
-    thesis arm 500 N are 220 kPa on the head end alone.
-    """
+    """Moved until nothing accelerates, by no more than the gap: 500 N are 220 kPa at one end."""
     model = Model.of(metered)
     rest = simulate(metered, {}, 0.2)
     rng = np.random.default_rng(3)

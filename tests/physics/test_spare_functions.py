@@ -27,9 +27,7 @@ from tests.shared import ROOT, shipped
     ],
 )
 def test_the_load_moves_without_a_cartridge(tmp_path, valve, function, largest):
-    """Up and down at 40 mm/s with 50 lb; nothing passes the valve, and oil that moves the cylinder
-    comes and goes by the others (the tracking error is that of the model's true stroke).
-    """
+    """Nothing passes the valve, and oil that moves the cylinder comes and goes by the others."""
     loaded = load_recipe(ROOT / "recipes/trials/arc_fast_bench.toml")
     assert isinstance(loaded, TrialRecipe) and loaded.controller is not None
     way = {"waypoints": ["50 mm", "200 mm", "50 mm"], "hold": "1 s", "speed": "40 mm/s"}

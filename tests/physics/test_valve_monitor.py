@@ -1,6 +1,4 @@
-"""A valve that fails in motion is detected by the flows of both chambers, and the load moves on; a
-wrong sensor by the others and the model, and the trial stops.
-"""
+"""A failed valve is detected by flows and the load moves on; a wrong sensor stops the trial."""
 
 import numpy as np
 import pytest

@@ -119,9 +119,7 @@ def steps(levels: tuple[float, ...] | np.ndarray, hold: int = 150) -> np.ndarray
 
 
 def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> None:
-    """Fail unless parameters, started that many times off, come back from two noisy logs of steps:
-    estimated to that share and, over five draws of the noise, held by their 95 % intervals.
-    """
+    """Fail unless parameters come back from two noisy logs, held by intervals over five draws."""
     truth = {name: float(rig.parameters()[name]) for name in factors}
     start = {name: factor * truth[name] for name, factor in factors.items()}
     made = []

@@ -1,6 +1,4 @@
-"""Logs much faster than the machine, compared as means of several samples: the same numbers with
-the same intervals, said in words, whatever the clock, the gaps and the end of the log.
-"""
+"""Logs faster than the machine, compared as means: the same numbers and intervals."""
 
 import math
 from dataclasses import replace
@@ -116,9 +114,7 @@ def test_a_step_may_be_taken_at_any_sample():
 
 
 def test_means_of_a_simulation_are_means_of_its_samples():
-    """Added up in the kernel or taken of all samples afterwards; of what is
-    not linear in the state, the stroke of a joint, to the square of what it moves in a mean.
-    """
+    """Added up in the kernel or afterwards; the stroke of a joint to the square of its motion."""
     boom = rig("boom_four_valve")
     t = np.arange(7004) / RATE
     up = 4.0 * ((t >= 0.0503) & (t < 0.4))
@@ -168,9 +164,7 @@ def test_a_log_at_one_kilohertz_is_compared_sample_by_sample(path):
 
 
 def test_the_hydraulic_mode_counts_where_it_is_faster_than_valves():
-    """Of a slide between two chambers ω² = β (A_h²/V_h + A_r²/V_r)/m; the fastest of the postures
-    of the log, dry friction or not.
-    """
+    """ω² = β (A_h²/V_h + A_r²/V_r)/m, the fastest of the log's postures, dry friction or not."""
     machine = rig().with_values({"carriage.mass": 25.0})
     model, record = Model.of(machine), clean()
     row = model.plant.cylinders[0]

@@ -113,9 +113,7 @@ def test_a_pressure_that_each_log_has_is_not_asked_of_it():
 
 
 def test_sensitivities_of_a_wide_line_are_those_of_the_line():
-    """Through an orifice at rest the oil of a line and of its chamber swap faster than either
-    alone: steps that only one of them allows let rounding grow to what a difference tells.
-    """
+    """Oil of line and chamber swaps fast: steps of one alone let rounding grow."""
     name, one = "press.line_rod.orifice_gain", bed("slide, lines")
     truth = float(one.rig.parameters()[name])
     log = one.logs(one.rig)[0].at(slice(700))

@@ -1,6 +1,4 @@
-"""More freedom never ends worse than less, and a parameter is told by its whole range: not by what
-moving it a little does where the search begins.
-"""
+"""More freedom never ends worse than less, and a parameter is told by its whole range."""
 
 import math
 
@@ -132,9 +130,7 @@ def misfit(fit) -> float:
 
 @pytest.mark.slow
 def test_more_freedom_ends_no_worse_on_a_model_that_does_not_hold():
-    """A saturated valve, friction and a lag that the model does not have: however the parameters
-    are started, those of a part of them never follow the log better than all.
-    """
+    """However started, a part of the parameters never follows the log better than all."""
     plain = shipped("slide_servo").as_toml()
     for edge in plain["cylinder"][0]["valve"][0]["edge"]:
         edge |= {"law": "saturating", "opening_max": "1.5 V"}

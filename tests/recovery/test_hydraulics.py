@@ -300,9 +300,7 @@ def test_a_gain_that_is_wrongly_held_is_named():
 
 
 def test_commands_within_the_dead_band_are_refused():
-    """1.2 V on a valve that opens at 1.5 V: no data. One such log beside a good one is a warning,
-    and none where the dead band is to be fitted.
-    """
+    """1.2 V on a valve that opens at 1.5 V: no data; beside a good log, a warning."""
     machine = rig("crane_proportional")
     still = ("still", noisy(clean("crane_proportional", None, (("lift.spool", (1.2, -1.2)),)), 1))
     good = ("good", noisy(clean("crane_proportional", None, SPOOL), 2))

@@ -23,9 +23,7 @@ def machine_of(name, words):
 
 
 def test_a_delay_held_short_is_named_with_what_the_estimates_would_be():
-    """1 ms in the rig file, 2.5 ms in the machine: the damping comes out 25 times too large, far
-    beyond its interval. What the fit says is held against the truth.
-    """
+    """1 ms in the file, 2.5 ms in the machine: the damping comes out 25 times too large."""
     rig = rig_of(FATIGUE)
     machine = machine_of(FATIGUE, "valve's delay 1.5 ms short")
     fit = fitted(FATIGUE, rig, machine, kinds=("chirp",))

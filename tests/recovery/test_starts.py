@@ -1,6 +1,4 @@
-"""Where a log starts is estimated: logs that begin in motion, at a drifting rest, or without a
-sensor of speed are followed as well as the model can.
-"""
+"""Where a log starts is estimated: in motion, at a drifting rest, or without a speed."""
 
 import math
 from dataclasses import replace
@@ -90,9 +88,7 @@ def test_parameters_come_back_from_logs_that_begin_in_motion():
 
 
 def test_a_rest_that_drifts_does_not_bias():
-    """Leakage lets the pressures creep before the first command: their mean is not where the log
-    starts.
-    """
+    """Leakage lets the pressures creep: their mean is not where the log starts."""
     leaky = rig("slide_servo").with_values({"press.leakage_internal": 1e-12})
     model = Model.of(leaky)
     t = np.arange(1201) * 1e-3
@@ -126,9 +122,7 @@ def test_a_rest_that_creeps_tells_its_first_place():
 
 @pytest.mark.parametrize("drop", [(), ("v",)])
 def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
-    """What slips through a pump at rest lets its load sink: begun from no speed at all the model
-    rings by as much as the load sinks.
-    """
+    """Begun from no speed at all the model rings by as much as the load sinks."""
     pump, t = rig("pump_cylinder"), np.arange(1601) * 1e-3
     command = 4.0 * ((t > 0.9) & (t < 1.2)) - 3.0 * (t > 1.3)
     made = cut(simulate(pump, {"lift.drive": command}, 1.6), 600)
@@ -171,9 +165,7 @@ def test_a_slide_with_a_position_sensor_only_keeps_its_motion():
 
 
 def test_what_a_log_lacks_is_left_wide():
-    """A pressure that is compared is held loosely, one that is not recorded hardly at all; without
-    a recorded supply its set pressure is the rig's.
-    """
+    """A compared pressure is held loosely, one that is not recorded hardly at all."""
     made = driven("steps")[0]
     model = Model.of(rig("slide_servo"))
     lacking = measured(made, 8, ("p_rod", "p_supply"))
@@ -184,9 +176,7 @@ def test_what_a_log_lacks_is_left_wide():
 
 
 def test_a_tank_is_as_sure_as_the_mean_of_its_sensor():
-    """As noisy as the supply's it is as much in number; one that is typed in, without noise, is
-    not.
-    """
+    """As noisy as the supply's it is as much in number; one typed in, without noise, is not."""
     made, model = driven("steps")[0], Model.of(rig("slide_servo"))
     seen = measured(made, 8)
     noise = seen["p_supply"] - made["p_supply"]

@@ -415,9 +415,7 @@ def test_what_a_draft_is_not_sure_of_stands_as_a_remark(tmp_path):
 
 
 def test_readings_of_a_flowmeter_are_drafted_and_taken(tmp_path):
-    """A sweep as a recorder wrote it: units in brackets below the names, one of them a
-    differential, a column of words, a time that readings do not need.
-    """
+    """Units below the names, a differential, a column of words, a time that nobody needs."""
     rows = [
         f"{i / 10}\t{('PB', 'PA')[i % 2]}\t{4 + i % 40 * 0.4:.3f}\t{100 + i % 7}\t{i % 40 / 9:.3f}"
         for i in range(200)

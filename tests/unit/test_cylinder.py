@@ -40,23 +40,15 @@ def rk4(rate, state, step, count):
 
 
 @THESIS_CASES
-def test_joint_range_of_the_thesis(geometry, stroke, degrees):
+def test_joint_range_lever_and_its_inverse_of_the_thesis(geometry, stroke, degrees):
     ends = np.degrees(cylinder.joint_range(*geometry, stroke))  # pyright: ignore[reportCallIssue]
     assert ends == pytest.approx(degrees, abs=0.5)  # SPEC prints whole degrees
-
-
-@THESIS_CASES
-def test_lever_and_its_slope_by_finite_difference(geometry, stroke, degrees):
     h = 1e-5  # truncation h² = 1e-10 of the value, rounding 1e-16 / h = 1e-11
     for q in np.linspace(*cylinder.joint_range(*geometry, stroke), 15):  # pyright: ignore[reportCallIssue]
         below, here, above = (cylinder.linkage(*geometry, q + k * h) for k in (-1, 0, 1))
         assert here[1] == pytest.approx((above[0] - below[0]) / (2 * h), abs=1e-9)
         assert here[2] == pytest.approx((above[1] - below[1]) / (2 * h), abs=1e-9)
         assert here[1] * geometry[3] > 0
-
-
-@THESIS_CASES
-def test_joint_angle_inverts_the_linkage(geometry, stroke, degrees):
     x = np.linspace(0.0, stroke, 50)
     q = cylinder.joint_angle(*geometry, x)  # pyright: ignore[reportCallIssue]
     assert [cylinder.linkage(*geometry, value)[0] for value in q] == pytest.approx(x, abs=1e-14)

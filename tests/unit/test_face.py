@@ -58,9 +58,7 @@ def test_every_function_has_an_example_that_runs(name, workspace, kept, undrawn,
 
 @pytest.fixture(scope="module")
 def imported() -> dict:
-    """What a new process says that imports every module of the package and then simulates: its
-    state (before, after), and what the names of the face are then.
-    """
+    """A process that imports every module and simulates: its state before and after, its names."""
     code = """
 import json, locale, logging, os, pkgutil, signal, sys, threading, warnings
 import control, jinja2, matplotlib, mcap, numba, numpy, pandas, pydantic, rich, scipy.optimize

@@ -387,9 +387,7 @@ def test_a_splines_bands_and_increments_are_those_of_the_full_matrices(spans, ri
 
 
 def test_a_reading_is_compared_on_its_side_of_the_hysteresis():
-    """``fitted`` of points.csv is what the fit makes of a reading, not the middle of both sides;
-    the map where the fit has nothing of its own, or the meter was silent.
-    """
+    """``fitted`` is what the fit makes of a reading; the map where the fit has nothing."""
     one = a_map()
     command, drop = np.array([4.0, 4.0, 6.0, 6.0]), np.full(4, 2.0e6)
     level = np.asarray(one.flow(drop, command))

@@ -1,6 +1,4 @@
-"""Targets that are processes of their own, on loopback: the responders in C and Python, the served
-bench over UDP, Modbus and CAN, and either end killed.
-"""
+"""Targets in processes of their own: responders in C and Python, the served bench, ends killed."""
 
 import os
 import shutil

@@ -1,6 +1,4 @@
-"""Machines out of this process: packets, the states of a target, trials over a link, faults, the
-responders. Everything is on loopback or on a virtual clock.
-"""
+"""Packets, the states of a target, trials over a link, faults, on loopback or a virtual clock."""
 
 import math
 import struct
@@ -563,9 +561,7 @@ def test_clocks_and_delays_are_estimated_with_intervals_that_hold_the_truth():
 
 @pytest.mark.slow
 def test_no_fault_takes_the_machine_farther_than_its_margin(tmp_path):
-    """Over 200 of the faults that the study draws: the true stroke stays within the margin, the
-    valve ends at rest, the log can be read, and what stopped the trial fits the fault.
-    """
+    """200 of the study's faults: within the margin, valve at rest, log read, the stop fits."""
     base, reasons = link_study.trial("model"), {}
     for seed in range(200):
         item = link_study.outcome(base, link_study.drawn(seed), seed, tmp_path / "log.mcap")

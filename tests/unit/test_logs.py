@@ -1,6 +1,4 @@
-"""Logs as others see them, and back: MCAP checked with the plain mcap library and by hand, CSV,
-foreign files.
-"""
+"""Logs as others see them, and back: MCAP by the plain mcap library and by hand, CSV."""
 
 import io
 import json
@@ -307,9 +305,7 @@ LABELS = {"p": "boom.p_head [kPa]", "angle": "boom.q [deg]"}
 def foreign(
     path: Path, labels: dict[str, str], schema: str = MIXED, encoding: str = "cdr", **options
 ) -> Path:
-    """A log as another ROS 2 recorder might write it: mixed types, epoch time, no ``t``, a topic of
-    text beside it.
-    """
+    """A log as another ROS 2 recorder might write it: mixed types, epoch time, no ``t``."""
     with open(path, "wb") as file:
         writer = Writer(file, **options)
         writer.start(profile="ros2")

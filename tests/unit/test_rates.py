@@ -1,6 +1,4 @@
-"""A logger of a bus writes a row for each message: signals of several rates in one table, blank in
-the rows of all others.
-"""
+"""A bus logger's row for each message: signals of several rates in one table."""
 
 import numpy as np
 import pytest
@@ -22,9 +20,7 @@ HEAD = "time (s),pressure (bar),angle (deg),coil (V)"
 
 
 def bus(turns: int = 300) -> list[str]:
-    """Rows of pressures at 100 Hz, of commands 2 ms later, of an angle at 50 Hz 7 ms later; the
-    pressure and the angle rise along lines.
-    """
+    """Pressures at 100 Hz, commands 2 ms later, an angle at 50 Hz 7 ms later, along lines."""
     rows = []
     for n in range(turns):
         t = 0.01 * n
@@ -42,9 +38,7 @@ def read_bus(tmp_path, rows: list[str], policy: str = "refuse"):
 
 @pytest.mark.parametrize("turns", [300, 800])  # rows that are looked at may fall in step
 def test_signals_that_take_turns_are_each_of_their_own_rate(turns, tmp_path):
-    """All come on the times of the fastest, by time and not by row; no sample is called bad, and
-    that they begin some milliseconds apart is no loss.
-    """
+    """All on the times of the fastest, by time; no sample is bad, and a late begin no loss."""
     record = read_bus(tmp_path, bus(turns))
     assert record.losses == ()
     assert np.median(np.diff(record.t)) == pytest.approx(0.01)

@@ -1,6 +1,4 @@
-"""Files as the libraries of their formats write them are read for what stands in them: columns,
-units, rates, the wall clock.
-"""
+"""Files as the libraries of their formats write them are read for what stands in them."""
 
 import json
 import struct

@@ -1,6 +1,4 @@
-"""Numbers of methods that decide something: each row has an outcome that is as stated with the
-number as it is, and another one where it is a third more or a third less.
-"""
+"""Each number decides an outcome: as stated with it, another with a third more or less."""
 
 import math
 from contextlib import contextmanager

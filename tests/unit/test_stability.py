@@ -1,6 +1,4 @@
-"""Margins against closed forms, against the poles of loops made faster and turned until one
-crosses the axis, and against dense sweeps of the response with its exact delay.
-"""
+"""Margins against closed forms, poles made to cross the axis, and dense sweeps."""
 
 import math
 from collections.abc import Iterator

@@ -58,9 +58,7 @@ def leaking_press(leakage: float = 6.0e-12):
 
 @pytest.mark.parametrize("excess", [1.0e5, 4.0e5])
 def test_the_exact_model_of_a_leaking_rig_has_no_findings(excess):
-    """Its pressures [Pa] begin above their equilibrium and fall at standstill, so that the mean of
-    the standstill is not the initial state.
-    """
+    """Pressures fall at standstill, so that their mean is not the initial state."""
     rig = leaking_press(2.0e-11)
     model = Model.of(rig)
     log = clean_log("slide_servo", rig, "ramps", duration=2.0)

@@ -160,9 +160,7 @@ def test_thresholds_decide(arm, boom):
 
 
 def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
-    """Fewer than 1.5 cycles, or damped above 0.35: drift and ringing cannot be told apart well
-    enough to reject a model by.
-    """
+    """Fewer than 1.5 cycles, or damped above 0.35: drift and ringing cannot be told apart."""
     known = {"natural_frequency": 20.0, "natural_frequency_std": 0.1, "damping_ratio_std": 0.01}
     assert Ring(**known, damping_ratio=0.2, cycles=2.0).clear
     assert not Ring(**known, damping_ratio=0.2, cycles=1.2).clear

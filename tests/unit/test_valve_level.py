@@ -116,7 +116,7 @@ def test_the_commands_give_the_flows(name):
 
 
 @pytest.mark.parametrize("name", CIRCUITS)
-def test_saturation_begins_at_the_top_speed(name):
+def test_saturation_begins_at_the_top_speed_and_hold_shuts_this_cylinder_only(name):
     c = CIRCUITS[name]
     for function, _, pressures in states(c, 50, 2):
         if fn.coupled(c, function):
@@ -129,6 +129,11 @@ def test_saturation_begins_at_the_top_speed(name):
         assert not below.met & codes.SATURATED
         assert above.met & codes.SATURATED and (above.limits.astype(int) & codes.SATURATED).any()
     assert vl.top_speed(codes.HOLD, Pressures(1e6, 1e6, 7e6, 0.0), c) == 0.0
+    c = CIRCUITS[name]
+    given = Given(c, codes.HOLD, 1e-4, 1e-4, (1e6, 1e6, 7e6, 0.0))
+    own = sorted(set(c.edges.valve[c.first : c.first + c.count].tolist()))
+    assert given.met == 0 and not given.flows.any() and not given.limits.any()
+    assert not given.command[own].any() and (np.delete(given.command, own) == 7.0).all()
 
 
 def test_a_spool_follows_the_edge_that_meters():
@@ -193,15 +198,6 @@ def test_the_measured_range_is_that_of_the_map_and_leaving_it_is_told():
     both = [Given(k, 3, 2e-5, 1e-5, (1e6, 2e6, 7e6, 0.0)) for k in (c, other)]
     limits = [given.limits[c.paths[fn.ROD_HEAD] - c.first] for given in both]
     assert limits == [0, codes.OUTSIDE]
-
-
-@pytest.mark.parametrize("name", CIRCUITS)
-def test_hold_shuts_this_cylinder_only(name):
-    c = CIRCUITS[name]
-    given = Given(c, codes.HOLD, 1e-4, 1e-4, (1e6, 1e6, 7e6, 0.0))
-    own = sorted(set(c.edges.valve[c.first : c.first + c.count].tolist()))
-    assert given.met == 0 and not given.flows.any() and not given.limits.any()
-    assert not given.command[own].any() and (np.delete(given.command, own) == 7.0).all()
 
 
 def test_a_driver_that_cannot_go_to_zero_rests_at_its_lowest():
