@@ -120,9 +120,8 @@ class Server(ThreadingHTTPServer):
 
     def put(self, levers: Sequence[float] | None) -> None:
         """Write what the operator says onto the board; None while the dead-man switch is open."""
-        if levers is not None:
-            for number, lever in enumerate(levers, LEVERS):
-                self._said[number] = lever
+        for number, lever in enumerate(levers or [0.0] * len(self.facts["levers"]), LEVERS):
+            self._said[number] = lever
         self._said[HELD], self._said[HEARD] = float(levers is not None), time.monotonic()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
