@@ -67,13 +67,7 @@ def _decides(text: str, separator: str, decimal: str) -> bool:
     digits = rf"[-+\u22120-9{_GROUPING}{_OTHER[decimal].replace(separator, '')}]*"
     either = rf'{_TWO_READINGS.pattern}(?:$|["\s{separator}])'
     pattern = rf"(?!{either})(?={digits}\{decimal}){_grammar(decimal)}"
-    known = separator != decimal and clock_fraction(text, decimal)
-    return known or _holds(text, separator, decimal, pattern)
-
-
-def clock_fraction(text: str, decimal: str) -> bool:
-    """Whether a time of day in a text has a fraction of a second behind this decimal sign."""
-    return bool(re.search(rf"\d:\d\d\{decimal}\d", text))
+    return _holds(text, separator, decimal, pattern)
 
 
 def two_readings(

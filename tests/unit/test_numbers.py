@@ -181,10 +181,11 @@ def test_a_row_with_a_number_too_many_is_refused_with_its_line(name, tmp_path):
     assert all(column.odd == {2: wrong} for column in table.columns)
 
 
-def test_the_fraction_of_a_time_tells_the_decimal_sign(tmp_path):
-    rows = [f"25.11.2026 10:00:0{n},250;{n}6,000" for n in range(1, 6)]
+@pytest.mark.parametrize(("clock", "cell"), [("{}.250", "63.990"), ("{},250", "16,000")])
+def test_the_fraction_of_a_time_tells_no_decimal_sign(clock, cell, tmp_path):
+    """Times come from one part of a recorder's program and numbers from another."""
+    rows = [f"2026-11-25 {clock.format(f'10:00:0{n}')};{cell}" for n in range(1, 6)]
     (tmp_path / "a.csv").write_text("Zeit;p [bar]\n" + "\n".join(rows))
     (table,) = open_source(tmp_path / "a.csv").tables
-    time, pressure = table.columns
-    assert pressure.doubt is None and pressure.values.tolist() == [16.0, 26.0, 36.0, 46.0, 56.0]
-    assert time.values.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert table.columns[1].doubt is not None
+    assert table.columns[0].values.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]

@@ -11,7 +11,7 @@ from itertools import islice
 
 from ehbench.data.readers.clock import is_time
 from ehbench.data.readers.table import Dialect
-from ehbench.data.text import clock_fraction, is_hole, number, split
+from ehbench.data.text import is_hole, number, split
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import absolute_unit, named_unit
@@ -86,7 +86,6 @@ def marks_of(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
                 kinds = [_kind(cell, decimal) for cell in split(line, separator)]
                 good = kinds.count("numbers") + kinds.count("times")
                 score += good * (good / max(len(kinds) - kinds.count("holes"), 1))
-                score += separator != decimal and clock_fraction(line, decimal)
             if score > maximum:
                 best, maximum = (separator, decimal), score
     return best
