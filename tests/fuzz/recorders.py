@@ -140,6 +140,35 @@ def take_draft(given: Written, folder: Path) -> None:
     mapping.drafted(path, source, mapping.guessed(source, None))
 
 
+def stacked(rng: Random) -> Written:
+    """Tables below one another, under one head that comes again or under others; what the columns
+    called p hold together.
+    """
+    lines, values = [], []
+    for table in range(rng.randrange(1, 5)):
+        name = "p" if table == 0 else rng.choice("pppx")
+        lines += [f"Run;{table}"] * rng.randrange(2) + [f"t;{name}"] + ["s;N"] * rng.randrange(2)
+        for row in range(rng.choice((3, 10, 25, 60))):
+            number = round(rng.uniform(-9.0, 9.0), 3) + 0.0001
+            lines.append(f"{len(lines) / 100:.2f};{number:.4f}")
+            values += [number] if name == "p" else []
+        lines += [""] * rng.randrange(1, 3)
+        lines += [rng.choice(("Operator;me", "Remark", "end of run;1;2"))] * (rng.random() < 0.2)
+    return Written("a.csv", "\n".join(lines).encode(), np.array(values))
+
+
+def take_stacked(given: Written, folder: Path) -> None:
+    """Its numbers stand under their names, or a cell that is none shows where they do not."""
+    path = folder / given.name
+    path.write_bytes(given.data)
+    tables = open_source(path).tables
+    columns = [column for table in tables for column in table.columns]
+    each = [column.values for column in columns if column.name.startswith("p")]
+    found, truth = np.concatenate([np.zeros(0), *each]), np.asarray(given.values)
+    same = found.size == truth.size and np.allclose(found, truth, atol=1e-9)
+    assert same or any(cell for column in columns for cell in column.odd.values()), "numbers moved"
+
+
 # --- formulas
 
 
@@ -270,6 +299,7 @@ def take_figure(svg: str, _: Path) -> None:
 
 RECORDERS: dict[str, tuple[Callable[[Random], Any], Callable[[Any, Path], None], float]] = {
     "spelled tables": (spelled, take_written, 0.04),
+    "stacked tables": (stacked, take_stacked, 0.02),
     "odd columns": (columns_odd, take_draft, 0.03),
     "MDF formulas": (formula, take_formula, 0.01),
     "bombs": (bomb, take_draft, 0.002),

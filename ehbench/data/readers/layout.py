@@ -275,10 +275,13 @@ def sections_of(
     """
 
     def layout(first: int, end: int, dialect: Dialect) -> Layout | None:
+        """Of a table; None of facts, whose first column are words."""
         try:
-            return layout_of(lines[first:end], marks, dialect)
+            result = layout_of(lines[first:end], marks, dialect)
         except LogError:
             return None
+        few = end - first - result.first < _TOGETHER
+        return None if few and result.kinds[0] == "words" else result
 
     at = [n for n, line in enumerate(lines) if line.strip(" \t,;")]
     begins = [
@@ -290,15 +293,15 @@ def sections_of(
     firsts, facts, above = [0], None, None  # facts: where rows of words may begin the next
     for begin, end in zip(begins, [*begins[1:], len(lines)]):
         facts = begin if facts is None else facts
-        here = layout(begin, end, free) if end - begin >= _TOGETHER else None
+        here = layout(begin, end, free)
         if here is None or here.header is None:
             continue
         named = [cell for cell in split(bare(lines[begin + here.header]), marks[0]) if cell]
         if 2 * len(named) < len(here.kinds):
             continue
         above = above or layout(firsts[-1], facts, dialect if len(firsts) == 1 else free)
-        if above is None or facts - firsts[-1] - above.first < _TOGETHER:
-            above = None  # the table is the first
+        if above is None:  # facts above the first table
+            pass
         elif (
             above.header is not None
             and here.clock is None
