@@ -251,7 +251,8 @@ def _runner(command: Command) -> Callable[..., None]:
             read = workflow.expect_stage(recipe, command.name)
             _say_first(says.quiet)
             with _progress(says.quiet) as report_progress:
-                session = workflow.Session(out=out, progress=report_progress)
+                allowed = more.pop("allow_code")
+                session = workflow.Session(out=out, progress=report_progress, allow_code=allowed)
                 result = workflow.suggest(read, session, seconds)
             _say(result.answer(recipe, None if out is None else out / read.path.name), says)
         else:
@@ -316,6 +317,7 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
         bool,
         typer.Option("--unvalidated", help="Export what no validation accepted and no run tuned."),
     ] = False,
+    allow_code: AllowCode = False,
 ) -> None:
     """Export a validated model and a tuned controller as C or FMU, with a check of the numbers."""
     from ehbench import workflow
@@ -331,7 +333,9 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
     says = Says.of(loud, as_json)
     _say_first(says.quiet)
     with _progress(says.quiet) as report_progress:
-        session = workflow.Session(out=out, progress=report_progress, unvalidated=unvalidated)
+        session = workflow.Session(
+            out=out, progress=report_progress, unvalidated=unvalidated, allow_code=allow_code
+        )
         built = workflow.export(source, options, session)
     _say(answer(built.folder, built.notes, built.code), says)
     raise typer.Exit(built.code)
@@ -418,13 +422,14 @@ def next_test(
     ] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
+    allow_code: AllowCode = False,
 ) -> None:
     """Propose the test that would sharpen a fitted parameter most, with the interval to expect."""
     from ehbench import workflow
 
     _say_first(quiet)
     with _progress(quiet) as report_progress:
-        session = workflow.Session(out=out, progress=report_progress)
+        session = workflow.Session(out=out, progress=report_progress, allow_code=allow_code)
         result = workflow.next_test(run, name, session)
     _say(result.answer(run, out), Says(quiet, as_json=as_json))
 

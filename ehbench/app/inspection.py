@@ -51,7 +51,8 @@ class Inspection:
         if self.notes is not None and not self.errors and not self.notes.refused:
             stage = stage_of(self.notes.recipe)
             if isinstance(stage, Stage):
-                fields = {"command": stage.command, "recipe": path}
+                options = "".join(f" {option}" for option in sorted(self.notes.options))
+                fields = {"command": stage.command, "recipe": path, "options": options}
                 steps.append(message("steps.run_recipe", **fields))
         state = plural(len(self.errors), "error") if self.errors else "ok"
         state += ", with losses" if self.code == 3 else ""
@@ -150,6 +151,8 @@ def _rig(path: Path) -> Inspection:
         f"  {parts}, supply {pressure} up to {maximum}{kind}",
     ]
     notes: list[str] = []
+    if rig.model is not None:
+        notes.append(message("stages.fmu_is_code", fmu=rig.model.fmu))
     for cylinder in rig.cylinder:  # unusual, but at times meant
         edges = [*(edge for valve in cylinder.valve for edge in valve.edge), *cylinder.edge]
         connected = {end for edge in edges for end in (edge.from_, edge.to)}

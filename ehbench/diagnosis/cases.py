@@ -12,6 +12,7 @@ import numpy as np
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults.hypothesis import Hypothesis
 from ehbench.plant.build import Maps
+from ehbench.plant.foreign import model_of
 from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.ties import tied_words
@@ -58,7 +59,7 @@ class Case:
         terms, bias = self.terms, self.bias
         if fault is not None:
             rig = fault.rig(model.rig, delta)
-            model = model if rig is model.rig else Model.of(rig, self.maps)
+            model = model if rig is model.rig else model_of(rig, self.maps)
             record = fault.record(record, delta)
             terms, bias = fault.terms(terms, bias, delta)
         true = corrected(record, terms, bias)

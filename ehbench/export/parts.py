@@ -57,7 +57,7 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
     y = model.trim(model.posture(trial.posture), trial.low_side)
     sample = np.empty(len(channels))
     perfect_sample(y, plant, sample)
-    states = model.layout.state_names
+    states = [name.replace(".rate", ".opening_rate") for name in model.layout.state_names]
     hidden = [i for i, name in enumerate(states) if name not in channels]
     rest, reach = trial.machine.commands.rest, (plant.valves.lowest, plant.valves.highest)
     variables = [

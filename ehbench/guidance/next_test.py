@@ -23,7 +23,8 @@ from ehbench.identification.hydraulics import PreparedFit, simulator_of
 from ehbench.identification.problem import Problem, initial, problem_of
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, channels_of, prepare
-from ehbench.plant.model import Model, simulate
+from ehbench.plant.foreign import model_of
+from ehbench.plant.model import Start
 from ehbench.preprocessing.observations import column
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
 from ehbench.vocabulary.messages import message
@@ -266,23 +267,19 @@ class _Planner:
         """
         tick = self.prepared.logs[0].record.sample_time
         t = np.arange(round(trial.seconds / tick) + 1) * tick
-        built = simulate(
-            self.rig,
-            commands_of(trial.commands, t),
-            float(t[-1]),
-            posture={trial.cylinder: f"{trial.stroke!r} m"},
-            payload=trial.payload,
-            flow_maps=self.prepared.flow_maps,
-            rate=1.0 / tick,
-        )
+        model = model_of(self.rig, self.prepared.flow_maps, trial.payload)
+        begin = model.trim(model.posture({trial.cylinder: f"{trial.stroke!r} m"}))
+        table = {f"{name}.command": y for name, y in commands_of(trial.commands, t).items()}
+        built = model.replay(Record(t, table, {}), start=Start(begin))
         # what a careful person would not run; emptied chambers are no part of the model
         stroke = float(self.rig.cylinder_named(trial.cylinder).stroke)
-        x = built[f"{trial.cylinder}.x"]
+        x = built.channels.get(f"{trial.cylinder}.x", np.full(t.size, trial.stroke))
         if np.min(x) < 0.04 * stroke or np.max(x) > 0.96 * stroke:
             raise InsufficientData(message("guidance.hits_end", cylinder=trial.cylinder))
-        pressures = [built[f"{trial.cylinder}.{word}"] for word in ("p_head", "p_rod")]
+        ends = (f"{trial.cylinder}.{word}" for word in ("p_head", "p_rod"))
         supply = float(self.rig.supply.pressure)
-        if np.max(pressures) > 1.5 * supply or np.min(pressures) < 2.0e5:
+        shown = [built[name] for name in ends if name in built] or [np.array([supply])]
+        if np.max(shown) > 1.5 * supply or np.min(shown) < 2.0e5:
             raise InsufficientData(message("guidance.bad_pressure", cylinder=trial.cylinder))
         rng = np.random.default_rng(0)
         measured = {name for log in self.prepared.logs for name in log.record.channels}
@@ -292,7 +289,6 @@ class _Planner:
             if name in measured
         }
         record = Record(built.t, channels, {"payload": trial.payload or "none"})
-        model = Model.of(self.rig, self.prepared.flow_maps, trial.payload)
         terms = self.prepared.logs[0].start.terms
         channels, each = self.prepared.options.channels, self.prepared.logs[0].each
         log = prepare(model, record, "test", channels, terms, each)

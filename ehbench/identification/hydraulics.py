@@ -259,7 +259,7 @@ def _refuse_inert(
     """Refuse the law's numbers of an edge that goes by its measured map, and the factor of one that
     does not; of an FMU what it does not take.
     """
-    known = rig.parameters() if rig.model is None else rig.model.parameters
+    known = rig.parameters() if rig.model is None else rig.model.settable
     for name in parameters:
         if rig.model is not None and name not in known:
             text = message("identification.fmu_parameter", name=name, known=", ".join(known))

@@ -177,7 +177,6 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
     terms = {(term.channel, term.word) for log in logs for term in log.start.terms}
     spectra = any(log.band is not None for log in logs)
     rows = hypotheses(rig, cylinders, channels, records, simulator.maps)
-    given = None if rig.model is None else {*rig.model.parameters}
     return [
         row
         for row in (row.without(simulator.names, ()) if row.edits else row for row in rows)
@@ -188,9 +187,6 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
         and not {*row.parameters} & {*simulator.names}
         and not {(channel, word) for channel, word, _ in row.readings} & terms
         and not (spectra and row.readings)
-        # of an FMU nobody knows more than its parameters and the sensors about it
-        and (given is None or len(row.readings) == 1 or not row.edits)
-        and (given is None or {number.name for number in row.numbers} <= given)
     ]
 
 

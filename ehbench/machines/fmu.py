@@ -15,7 +15,7 @@ from ehbench.plant.foreign import FmuModel
 from ehbench.plant.model import Start
 from ehbench.plant.trim import LowSide
 from ehbench.runtime.fmu import FmuProcess
-from ehbench.vocabulary.errors import InputError, SimulationError
+from ehbench.vocabulary.errors import FmuError, InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
@@ -67,7 +67,8 @@ class FmuMachine:
         """As `Machine.start`; also
 
         Raises:
-            InputError: it does not begin in the posture; it crashes or hangs.
+            InputError: it does not begin in the posture.
+            FmuError: it crashes or hangs.
         """
         model = self.model
         self._first = Start(model.trim(model.posture(posture), low_side))
@@ -90,7 +91,7 @@ class FmuMachine:
         given = self.model.commanded(np.asarray(command, dtype=float))
         rows = self._process.steps(given[None, :], 1.0 / self.rate)
         if not np.isfinite(rows).all():
-            raise SimulationError(message("machines.fmu_not_finite"))
+            raise FmuError(message("machines.fmu_not_finite"), file=self.model.binding.fmu.file)
         return self._sample(rows[0])
 
     def _sample(self, row: np.ndarray) -> np.ndarray:

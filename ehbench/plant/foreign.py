@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.rig import Rig, parameter_row
+from ehbench.config.rig import Rig
 from ehbench.data.record import BlockAverages, Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.physics.arm import SLIDE
@@ -23,7 +23,7 @@ from ehbench.plant.model import FREE, Model, Start
 from ehbench.plant.paced import Step
 from ehbench.plant.ties import supplied, tied_words
 from ehbench.runtime.fmu import FmuProcess, Variable, fmu_of
-from ehbench.vocabulary.errors import InputError, LogError, SimulationError
+from ehbench.vocabulary.errors import FmuError, InputError, LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 
@@ -40,15 +40,15 @@ class Binding:
         for key, table in tables.items():
             self.variables[key] = []
             for given, name in table.items():
-                row = parameter_row(given) if key == "parameters" else None
-                unit = row.unit if row else "V" if key == "commands" else quantity(given).unit
+                row = quantity("command" if key == "commands" else given)
+                unit = row.unit if row.name != "number" else None  # that of the FMU
                 self.variables[key].append(self.fmu.variable(name, unit))
         self._idle: list[FmuProcess] = []
         self._lock = Lock()
 
     def open(self) -> FmuProcess:
         """A process of the caller's own."""
-        given = [*self.variables["parameters"], *self.variables["start"]]
+        given = [*self.variables["settable"], *self.variables["start"]]
         lists = {"start": given} | {key: self.variables[key] for key in ("commands", "channels")}
         references = {key: [item.reference for item in row] for key, row in lists.items()}
         return self.fmu.process(references)
@@ -91,7 +91,7 @@ class FmuModel(Model):
         """
         model = self.rig.model
         assert model is not None  # else it is a `Model`
-        keys = ("channels", "commands", "parameters", "start")
+        keys = ("channels", "commands", "settable", "start")
         tables = tuple((key, tuple(getattr(model, key).items())) for key in keys)
         stamp = model.place.stat().st_mtime_ns if model.place.exists() else 0
         return _bound(model.place, stamp, tables)
@@ -111,7 +111,7 @@ class FmuModel(Model):
     def values_at(self, start: Start) -> np.ndarray:
         """What the FMU is given before it begins, in its units: parameters, then first values."""
         binding, known = self.binding, self.rig.parameters()
-        values = [float(known[name]) for name in binding.names["parameters"]]
+        values = [float(known[name]) for name in binding.names["settable"]]
         for name in binding.names["start"]:
             owner, _, word = name.rpartition(".")
             if not owner:
@@ -129,7 +129,7 @@ class FmuModel(Model):
             q, qd = (start.y[self.layout.state(each, int(row.joint))] for each in ("q", "qd"))
             x, lever = linkage_arrays(row, np.array([q]))
             values.append(float({"q": q, "qd": qd, "x": x[0], "v": lever[0] * qd}[word]))
-        factor, offset = binding.taken("parameters", "start")
+        factor, offset = binding.taken("settable", "start")
         return (np.array(values) - offset) / factor
 
     def commanded(self, commands: np.ndarray) -> np.ndarray:
@@ -180,8 +180,8 @@ class FmuModel(Model):
 
         Raises:
             LogError: uneven time.
-            InputError: a recording that ties motions or the supply; the FMU crashes or hangs.
-            SimulationError: it reports an error, or numbers that are not finite.
+            InputError: a recording that ties motions or the supply.
+            FmuError: the FMU crashes, hangs, reports an error or numbers that are not finite.
         """
         if not record.even:
             raise LogError(message("plant.fmu_uneven"))
@@ -197,7 +197,8 @@ class FmuModel(Model):
             bad = int(np.argmin(np.isfinite(rows).all(axis=1)))
             channel = self.binding.names["channels"][int(np.argmin(np.isfinite(rows[bad])))]
             t = float(record.t[bad])
-            raise SimulationError(message("plant.fmu_not_finite", channel=channel, t=t))
+            text = message("plant.fmu_not_finite", channel=channel, t=t)
+            raise FmuError(text, file=self.binding.fmu.file)
         channels = self.channels_of(rows, start)
         commands = {f"{name}.command": table[:, i] for i, name in enumerate(self.layout.valves)}
         return Record(record.t, channels | commands, record.meta)

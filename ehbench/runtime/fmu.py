@@ -26,7 +26,7 @@ import numpy as np
 
 from ehbench.runtime.fmu_child import DONE, HEAD, START, STEP
 from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import InputError, SimulationError, UnitError
+from ehbench.vocabulary.errors import FmuError, InputError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
@@ -96,8 +96,8 @@ class Fmu:
             fields = {"platform": fmpy.platform, "there": there}
             raise InputError(message("runtime.fmu_platform", **fields), file=file)
 
-    def variable(self, name: str, unit: str) -> Variable:
-        """A variable by name, in the SI unit of what it stands for.
+    def variable(self, name: str, unit: str | None) -> Variable:
+        """A variable by name, in the SI unit of what it stands for; without one as the FMU has it.
 
         Raises:
             InputError: there is none, it is no single real number, or not of that dimension.
@@ -112,7 +112,7 @@ class Fmu:
         if item.type not in ("Real", "Float64") or item.dimensions:
             raise InputError(message("runtime.fmu_not_real", name=name), file=self.file)
         declared = item.unit or getattr(item.declaredType, "unit", None)
-        if declared is None:
+        if declared is None or unit is None:
             return Variable(item.valueReference, 1.0, 0.0)
         base = {each.name: each.baseUnit for each in self.description.unitDefinitions}.get(declared)
         if base is not None:
@@ -153,8 +153,7 @@ def fmu_of(file: Path) -> Fmu:
 class FmuProcess:
     """An FMU at work in a child.
 
-    Every method raises InputError where the binary crashes or hangs, SimulationError where it
-    reports an error."""
+    Every method raises FmuError where the binary crashes, hangs or reports an error."""
 
     def __init__(self, fmu: Fmu, references: Mapping[str, Sequence[int]]) -> None:
         self.fmu, self.width = fmu, len(references["channels"])
@@ -201,9 +200,9 @@ class FmuProcess:
             name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
             if -code in (signal.SIGXCPU, signal.SIGALRM):
                 raise self._hung() from None
-            raise InputError(message("runtime.fmu_crashed", end=name), file=self.fmu.file) from None
+            raise FmuError(message("runtime.fmu_crashed", end=name), file=self.fmu.file) from None
         if status != DONE:
-            raise SimulationError(
+            raise FmuError(
                 message("runtime.fmu_failed", problem=answer.decode(errors="replace")),
                 file=self.fmu.file,
             )
@@ -226,8 +225,8 @@ class FmuProcess:
                 result += piece
         return result
 
-    def _hung(self) -> InputError:
-        return InputError(message("runtime.fmu_hung", seconds=FMU.wait), file=self.fmu.file)
+    def _hung(self) -> FmuError:
+        return FmuError(message("runtime.fmu_hung", seconds=FMU.wait), file=self.fmu.file)
 
 
 def _end(child: subprocess.Popen[Any]) -> None:

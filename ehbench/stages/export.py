@@ -74,6 +74,10 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
         at_trial = replace(inputs, recipe=source)
         _, files, prepared = prepared_case("", trial, state, at_trial)
         contents = recipe.parts or ("model" if law is None else "both")
+        laws = {"c", "fmu2", "fmu3"} & {*recipe.formats}
+        if state.rig.model is not None and laws and contents != "controller":
+            text = message("export.is_fmu", fmu=state.rig.model.fmu)
+            raise InputError(text, **recipe.at("parts" if recipe.parts else "rig"))
         does = message(
             "export.does",
             parts={"both": "model and controller"}.get(contents, contents),

@@ -147,8 +147,6 @@ def suggested(
     from ehbench.guidance.suggestions import SECONDS, suggest
 
     assert prepared.fit is not None  # a run has all its logs
-    if prepared.fit.rig.model is not None:
-        raise InputError(message("stages.fmu_no_laws"), file=prepared.recipe.path)
     limit = SECONDS if seconds is None else seconds
     return suggest(prepared.fit, prepared.logs.records, progress, limit)
 

@@ -151,6 +151,8 @@ class Inputs:
         loaded = load_rig(path)
         if loaded.model is not None:
             refuse_fmu(loaded, self.allow_code)
+            self.notes.add("remarks", message("stages.fmu_is_code", fmu=loaded.model.fmu))
+            self.notes.options.add("--allow-code")
             inputs.append(("fmu", loaded.model.place))
         state = kind(loaded, maps, stage, tuple(inputs), path)
         sources = [f"{self.notes.name_of(path)} (rig '{state.rig.name}', {stage})"]

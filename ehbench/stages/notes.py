@@ -30,6 +30,7 @@ class Notes:
         undecided: what only a run can tell.
         losses: data that are lost.
         errors: what the run would stop at.
+        options: of the command, without which the run is refused.
     """
 
     recipe: Recipe
@@ -44,6 +45,7 @@ class Notes:
     undecided: list[str] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     errors: list[EhbenchError] = field(default_factory=list)
+    options: set[str] = field(default_factory=set)
 
     def add(self, kind: str, *texts: str) -> None:
         """Add texts to ``reads``, ``required``, ``remarks``, ``undecided``, ``losses``, once."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ehbench.config.recipe import HydraulicsRecipe, load_recipe
+from ehbench.config.recipe import HydraulicsRecipe, load_recipe, load_rig
 from ehbench.config.rig import Rig
 from ehbench.guidance.next_test import Known, Proposal, must_be_fitted, propose, widest
 from ehbench.report.blocks import Grid
@@ -103,7 +103,7 @@ class NextTest:
             "stage": "trial",
             "title": f"{trial.wave.capitalize()} of {trial.cylinder}, for {self.known.name}",
             "rig": Path(os.path.relpath(self.rig_file, path.resolve().parent)).as_posix(),
-            "on": "bench",
+            "on": "bench" if load_rig(self.rig_file).model is None else "model",
             "posture": {trial.cylinder: f"{1e3 * trial.stroke:.4g} mm"},
             "duration": f"{trial.seconds:g} s",
         }
@@ -180,8 +180,6 @@ def plan(run: TracedRun, inputs: Inputs, name: str | None, progress: Progress | 
         must_be_fitted(name, rows)  # before anything that the recipe names is run
     prepared = HydraulicsStage().prepare(recipe, inputs)
     assert prepared.fit is not None
-    if prepared.fit.rig.model is not None:
-        raise InputError(message("stages.fmu_no_laws"), file=recipe.path)
     fitted = {}
     for c in prepared.fit.search:
         row = rows[c.name]

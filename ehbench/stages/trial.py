@@ -178,6 +178,7 @@ def prepared_case(
         notes.add("undecided", message("stages.bench_settles"))
     if recipe.controller is not None and (code := recipe.controller.code) is not None:
         notes.add("remarks", message("stages.is_code", name=code))
+        notes.options.add("--allow-code")
         notes.add("undecided", message("stages.code_not_run", name=code))
     return case, tuple(files), prepared
 

@@ -186,7 +186,7 @@ class Case:
             result = run(prepared, log=log)
         except SimulationError as error:
             problem = message("trial.case_failed", case=self.name, problem=error.message)
-            raise SimulationError(problem, hint=error.hint) from None
+            raise type(error)(problem, file=error.file, hint=error.hint) from None
         return CaseResult(result.record, account(prepared, result, intervals))
 
     @property

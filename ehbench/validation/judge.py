@@ -42,7 +42,7 @@ from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
-from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
+from ehbench.vocabulary.errors import EhbenchError, FmuError, InputError, LogError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import GAUGES
@@ -228,7 +228,7 @@ def run_validation(
         reservations=(*better, *_unexplained(results)),
         black_box=black_box,
     ).with_fit(prepared.leans)
-    if not diagnose or prepared.rig.model is not None:  # whose laws nobody knows
+    if not diagnose:
         return verdict
     if progress is not None:
         progress("diagnosing the residuals", 1.0)
@@ -356,12 +356,11 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
             raise LogError(str(judged.failure).removeprefix(f"{log.name}: "))
         result = _followed(log, moved, free)
         simulated = result.replay(model)
+    except FmuError:  # says nothing of the log
+        raise
     except EhbenchError as error:
-        names = [
-            name
-            for item in _channels_wanted(record, moved, channels)
-            for name in alternatives(item)
-        ]
+        wanted = _channels_wanted(record, moved, channels)
+        names = [name for item in wanted for name in alternatives(item)]
         series = {"t": record.t} | {name: record[name] for name in names if name in record}
         facts = replace(facts, warnings=tuple(warnings), series=series)
         return replace(facts, status="failed", failure=str(error))

@@ -79,3 +79,11 @@ class SimulationError(EhbenchError):
     """A simulation left the range in which its numbers mean anything (exit 5)."""
 
     exit_code = 5
+
+
+class FmuError(SimulationError):
+    """A user's FMU crashes, hangs, reports an error or gives what is no number: whichever command
+    runs it, its file is invalid (exit 2).
+    """
+
+    exit_code = 2

@@ -10,7 +10,8 @@ import pytest
 import tomli_w
 
 import ehbench
-from ehbench.config.recipe import load_rig
+from ehbench import workflow
+from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.runtime import fmu
@@ -161,6 +162,38 @@ def test_the_judge_accepts_it_and_rejects_where_it_began(fitted, place):
     assert bad.code == 4
 
 
+@pytest.fixture(scope="module")
+def off(place):
+    """Logs whose sensor of the head end reads 6 % and 3 bar too much."""
+    for name, *steps in (("aoff", 1, 1.5, -1.0), ("boff", 2, -1.2, 1.8)):
+        record = recorded(*steps)
+        reading = {"press.p_head": 1.06 * record["press.p_head"] + 3e5}
+        write_log(place / f"{name}.mcap", replace(record, channels=record.channels | reading))
+    a, b = (f'[[data]]\npath = "{name}off.mcap"\n' for name in "ab")
+    (place / "judge_off.toml").write_text(JUDGE + a)
+    (place / "fit_off.toml").write_text(FIT + a + b)
+    return place
+
+
+def test_a_sensor_that_reads_wrong_is_named(fitted, off):
+    run = ehbench.validate(off / "judge_off.toml", out=off / "judged_off", allow_code=True)
+    found = run.json("validation")["structure"]["findings"][0]
+    assert found["kind"].startswith("sensor") and found["about"] == "press.p_head"
+
+
+@pytest.mark.slow
+def test_what_is_suggested_reads_it_right_and_a_test_is_proposed(fitted, off):
+    session = workflow.Session(allow_code=True, out=off / "better")
+    workflow.suggest(off / "fit_off.toml", session, 60.0)
+    (sensor,) = load_recipe(off / "better" / "fit_off.toml").sensor
+    assert sensor.channel == "press.p_head" and sensor.scale.value == pytest.approx(1.06, abs=2e-3)
+    assert sensor.offset.value == pytest.approx(3e5, abs=2e4)
+    proposed = workflow.next_test(off / "fit", None, workflow.Session(allow_code=True))
+    assert proposed.known.interval is not None
+    low, high = proposed.known.interval
+    assert proposed.proposals[0].interval[1] - proposed.proposals[0].interval[0] < high - low
+
+
 def test_a_trial_runs_on_it(place):
     run = ehbench.run_trial(place / "trial.toml", out=place / "trial", allow_code=True)
     log = ehbench.read_log(run.folder / "log.mcap")
@@ -210,15 +243,47 @@ def test_what_cannot_run_is_refused(fault, change, key, place, tmp_path, monkeyp
         press_fmu(tmp_path / "press.fmu", fault)
     text = RIG + (MODEL.replace(*change) if change else MODEL)
     (tmp_path / "rig.toml").write_text(text)
-    for name in ("a.mcap", "b.mcap", "fit.toml"):
+    for name in ("a.mcap", "b.mcap", "c.mcap", "fit.toml", "judge.toml", "trial.toml"):
         (tmp_path / name).write_bytes((place / name).read_bytes())
+    judge = (tmp_path / "judge.toml").read_text().replace('"fit"', '"rig.toml"')
+    (tmp_path / "judge.toml").write_text(judge)
+    before = sorted(tmp_path.rglob("*"))
     with pytest.raises(EhbenchError) as caught:
         ehbench.identify(tmp_path / "fit.toml", out=tmp_path / "fit", allow_code=True)
-    not_finite = ("runtime.fmu_failed", "plant.fmu_not_finite")
-    assert caught.value.exit_code == (5 if key in not_finite else 2)
-    if key is not None:
-        assert caught.value.key == key
-    assert not (tmp_path / "fit").exists()
+    assert caught.value.exit_code == 2 and (key is None or caught.value.key == key)
+    for name in ("judge", "trial") if fault.isupper() else ():
+        with pytest.raises(EhbenchError) as caught:
+            ehbench.run(tmp_path / f"{name}.toml", out=tmp_path / name, allow_code=True)
+        assert caught.value.exit_code == 2 and "press.fmu" in str(caught.value.file), name
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_number_that_only_the_fmu_has_is_fitted(place, tmp_path):
+    shutil.copy(place / "press.fmu", tmp_path)
+    number = """[model.numbers.drag]
+variable = "drag"
+number = { value = 500, lower = 1, upper = 20000 }
+"""
+    model = MODEL.replace(', "carriage.damping" = "drag"', "") + number
+    (tmp_path / "rig.toml").write_text(RIG + model)
+    write_log(tmp_path / "a.mcap", recorded(1, 1.5, -1.0))
+    fit = FIT.replace("carriage.damping", "drag.number") + '[[data]]\npath = "a.mcap"\n'
+    (tmp_path / "fit.toml").write_text(fit)
+    run = ehbench.identify(tmp_path / "fit.toml", out=tmp_path / "fit", allow_code=True)
+    low, high = run.parameters.loc["drag.number", ["low", "high"]]
+    assert low <= TRUE["carriage.damping"] <= high < 1.1 * low
+    again = load_rig(run.folder).parameters()["drag.number"]
+    assert float(again) == run.parameters.loc["drag.number", "value"] and again.upper == 20000.0
+
+
+def test_the_controller_of_an_fmu_is_exported_and_its_model_is_not(place, tmp_path):
+    session = workflow.Session(out=tmp_path / "out", unvalidated=True, allow_code=True)
+    with pytest.raises(EhbenchError) as caught:
+        workflow.export(place / "trial.toml", {}, session)
+    assert caught.value.key == "export.is_fmu" and caught.value.exit_code == 2
+    done = workflow.export(place / "trial.toml", {"parts": "controller"}, session)
+    (check,) = {item["check"].partition(" of")[0] for item in done.json("export")["written"]}
+    assert check == "0"
 
 
 def test_foreign_code_runs_only_where_it_is_allowed(fitted, place, tmp_path):
@@ -232,7 +297,10 @@ def test_foreign_code_runs_only_where_it_is_allowed(fitted, place, tmp_path):
             run()
         assert caught.value.key == "stages.fmu_not_allowed" and caught.value.exit_code == 2
     assert not (tmp_path / "fit").exists()
-    assert ehbench.check(place / "fit.toml").errors == ()
+    checked = ehbench.check(place / "fit.toml")
+    assert checked.errors == ()
+    (step,) = checked.answer(place / "fit.toml").steps
+    assert step.fields["options"] == " --allow-code"
     json.dumps(ehbench.check(place / "rig.toml").lines)
 
 

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field
 
-from ehbench.vocabulary.fields import FileModel
+from ehbench.vocabulary.fields import FileModel, Q, Value
+
+
+class ForeignNumber(FileModel):
+    """A number that an FMU has and the laws do not, the parameter ``<name>.number``."""
+
+    variable: str
+    number: Annotated[Value, Q("number")]
 
 
 class ForeignModel(FileModel):
@@ -19,5 +27,11 @@ class ForeignModel(FileModel):
     channels: dict[str, str] = Field(min_length=1)
     commands: dict[str, str] = Field(min_length=1)
     parameters: dict[str, str] = {}
+    numbers: dict[str, ForeignNumber] = {}
     start: dict[str, str] = {}
     place: Path = Field(default=Path(), exclude=True, repr=False)
+
+    @property
+    def settable(self) -> dict[str, str]:
+        """The FMU's variable of each parameter that it takes."""
+        return self.parameters | {f"{name}.number": i.variable for name, i in self.numbers.items()}

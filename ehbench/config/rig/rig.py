@@ -354,6 +354,8 @@ class Rig(FileModel):
             yield f"{owner}.{valve.name}.", place, valve
         for name, dynamics in self.dynamics.items():
             yield f"{name}.", ("dynamics", name), dynamics
+        numbers = {} if self.model is None else self.model.numbers
+        yield from ((f"{name}.", ("model", "numbers", name), numbers[name]) for name in numbers)
         for owner, place, valve in valves:
             for k, edge in enumerate(valve.edge):
                 yield f"{owner}.{valve.edge_name(edge)}.", (*place, "edge", k), edge

@@ -77,6 +77,10 @@ def hypotheses(
     """
     table = _Rows(rig, [c for c in rig.cylinder if c.name in cylinders], records, maps)
     results = [*table.of_parts(), *table.of_commands(), *table.of_sensors(channels)]
+    if rig.model is not None:  # of which nobody knows more than its sensors and what it takes
+        taken = {*rig.model.settable}
+        results = [item for item in results if item.readings or not item.edits]
+        results = [item for item in results if {*item.parameters} <= taken]
     # of two that do the same the one that concerns more comes last, and stays
     return list({(item.kind, item.about): item for item in results}.values())
 
