@@ -10,7 +10,7 @@ from ehbench.vocabulary.settings import setting
 
 WAITING, RUNNING, STOPPING, ENDED = range(4)  # states of a trial
 STATE, TIME, LATE, LIMIT = range(4)  # where the board has state, time [s], late ticks, limit
-HEADER = 4
+FIRST = LIMIT + 1  # of the numbers that `Facts` names
 HEARD, HELD, LEVERS = range(3)  # at its end: time of the last word [s], dead-man, deflections
 HOST = "127.0.0.1"
 PAGE = "page"  # the device whose levers are on the page
@@ -21,6 +21,9 @@ class ViewSettings:
     """Numbers of a live view."""
 
     frames: float = setting(20.0, "Hz", "frames a second", "smooth to the eye")
+    near: float = setting(0.9, "", "share of the way to a limit from which on it is red", "chosen")
+    width: int = setting(16, "cells", "of a bar on the terminal", "lines of 120 letters")
+    longest: int = setting(4096, "bytes", "of what a page may say at a time", "a hundred levers")
     silence: float = setting(0.25, "s", "until a lever that says nothing is let go", "six words")
     end: float = setting(2.0, "s", "until a view that does not end is killed", "forty frames")
 
@@ -55,4 +58,4 @@ class Facts:
     @property
     def first_lever(self) -> int:
         """Where the board has what the operator says."""
-        return HEADER + len(self.names)
+        return FIRST + len(self.names)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ehbench.live.board import (
-    HEADER,
+    FIRST,
     HEARD,
     HELD,
     LATE,
@@ -32,23 +32,23 @@ def frame_of(facts: Facts, numbers: Sequence[float]) -> dict[str, Any]:
         facts: of the trial.
         numbers: of the board.
     """
-    values = dict(zip(facts.names, numbers[HEADER : facts.first_lever], strict=True))
-    said, cylinders = numbers[facts.first_lever :], []
-    levers = dict(zip(facts.levers, said[LEVERS:], strict=True))
+    values = dict(zip(facts.names, numbers[FIRST : facts.first_lever], strict=True))
+    inputs, cylinders = numbers[facts.first_lever :], []
+    levers = dict(zip(facts.levers, inputs[LEVERS:], strict=True))
     for name, stroke in facts.strokes.items():
-        row: dict[str, Any] = {"name": name, "stroke": _shown(facts, "x", stroke)}
+        row: dict[str, Any] = {"name": name, "stroke": _displayed(facts, "x", stroke)}
         row["lever"] = levers.get(name)
         for word in ("x", "v", "p_head", "p_rod"):
             for key in (word, f"{word}_desired"):
-                row[key] = _shown(facts, word, values.get(f"{name}.{key}", math.nan))
+                row[key] = _displayed(facts, word, values.get(f"{name}.{key}", math.nan))
         function = values.get(f"{name}.function", math.nan)
         row["function"] = FUNCTIONS[int(function)] if function >= 0.0 else None
         cylinders.append(row)
-    state, silent = int(numbers[STATE]), time.monotonic() - said[HEARD] > VIEW.silence
+    state, silent = int(numbers[STATE]), time.monotonic() - inputs[HEARD] > VIEW.silence
     return {
         "state": STATES[state],
         "stop": facts.stops[int(numbers[LIMIT])] if state == STOPPING else "",
-        "held": bool(said[HELD]) and not silent if levers else None,
+        "held": bool(inputs[HELD]) and not silent if levers else None,
         "t": numbers[TIME],
         "late": int(numbers[LATE]),
         "cylinders": cylinders,
@@ -56,7 +56,7 @@ def frame_of(facts: Facts, numbers: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _shown(facts: Facts, word: str, value: float) -> float | None:
+def _displayed(facts: Facts, word: str, value: float) -> float | None:
     return value * facts.units[word][1] if math.isfinite(value) else None
 
 
@@ -69,7 +69,7 @@ def _margins(facts: Facts, values: dict[str, float]) -> Iterator[dict[str, Any]]
     def row(limit: str, channel: str, word: str, margin: float, span: float) -> dict[str, Any]:
         value = values[channel] if word != "following_error" else span - margin
         used = min(max(1.0 - margin / span, 0.0), 1.0) if math.isfinite(margin) else None
-        shown = {"value": _shown(facts, word, value), "margin": _shown(facts, word, margin)}
+        shown = {"value": _displayed(facts, word, value), "margin": _displayed(facts, word, margin)}
         named = {"limit": limit, "channel": channel, "unit": facts.units[word][0]}
         return named | shown | {"used": used}
 

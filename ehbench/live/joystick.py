@@ -62,8 +62,8 @@ class Joystick:
             info = self._device.absinfo(code)
             share = (info.value - info.min) / (info.max - info.min)
             levers.append(way * (2.0 * share - 1.0))
-        held = self._button in keys if self._button is not None else bool(keys)
-        return levers if held else None
+        pressed = self._button in keys if self._button is not None else bool(keys)
+        return levers if pressed else None
 
     def close(self) -> None:
         """Let it go."""
@@ -80,7 +80,7 @@ def stick_of(facts: Facts) -> Joystick:
     return Joystick(facts.device, axes, facts.button)
 
 
-def follow(facts: Facts, put: Callable[[list[float] | None], None]) -> None:
+def follow_stick(facts: Facts, put: Callable[[list[float] | None], None]) -> None:
     """Hand on what a joystick says, for ever; one that was unplugged is let go until it is there
     again.
     """

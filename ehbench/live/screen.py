@@ -8,10 +8,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ehbench.live.board import Facts
+from ehbench.live.board import VIEW, Facts
 from ehbench.vocabulary.messages import message
-
-NEAR, WIDTH = 0.9, 16  # share of the way to a limit that is shown in red; cells of a bar
 
 
 def screen(facts: Facts, frame: dict[str, Any]) -> Group:
@@ -26,30 +24,30 @@ def screen(facts: Facts, frame: dict[str, Any]) -> Group:
     cylinders = Table(box=None, pad_edge=False)
     heads = ("x", "x_desired", "v", "v_desired", "p_head", "p_rod")
     cylinders.add_column("")
-    cylinders.add_column("stroke", min_width=WIDTH)
+    cylinders.add_column("stroke", min_width=VIEW.width)
     for name in heads:
         label = f"{name} [{units[name]}]" if name in units else "desired"
         cylinders.add_column(Text(label), justify="right")
     cylinders.add_column("function")
     for row in frame["cylinders"]:
         share = 0.0 if row["x"] is None else row["x"] / row["stroke"]
-        numbers = (_number(row[name]) for name in heads)
+        numbers = (_rounded(row[name]) for name in heads)
         cylinders.add_row(row["name"], _bar(share), *numbers, row["function"] or "")
     limits = Table(box=None, pad_edge=False)
     for name in ("limit", "", "nearest", "value", "margin", ""):
         limits.add_column(name, justify="right" if name in ("value", "margin") else "left")
     for row in frame["margins"]:
-        style = "bold red" if (row["used"] or 0.0) > NEAR else ""
+        style = "bold red" if (row["used"] or 0.0) > VIEW.near else ""
         cells = row["limit"], _bar(row["used"] or 0.0), row["channel"]
-        shown = _number(row["value"]), _number(row["margin"]), row["unit"]
+        shown = _rounded(row["value"]), _rounded(row["margin"]), row["unit"]
         limits.add_row(*cells, *shown, style=style)
     return Group(head, Text(), cylinders, Text(), limits)
 
 
 def _bar(share: float) -> str:
-    full = round(WIDTH * min(max(share, 0.0), 1.0))
-    return "█" * full + "░" * (WIDTH - full)
+    full = round(VIEW.width * min(max(share, 0.0), 1.0))
+    return "█" * full + "░" * (VIEW.width - full)
 
 
-def _number(value: float | None) -> str:
+def _rounded(value: float | None) -> str:
     return "–" if value is None else f"{value:.1f}"

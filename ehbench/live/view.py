@@ -23,7 +23,7 @@ import numpy as np
 
 from ehbench.live.board import (
     ENDED,
-    HEADER,
+    FIRST,
     HEARD,
     HELD,
     HOST,
@@ -105,7 +105,7 @@ class View:
         with socket.create_server((HOST, 0)) as door, TemporaryFile() as memory:
             memory.truncate(size)
             self.numbers = np.frombuffer(mmap.mmap(memory.fileno(), size))
-            self._said = self.numbers[facts.first_lever :]
+            self._inputs = self.numbers[facts.first_lever :]
             self.url = f"http://{HOST}:{door.getsockname()[1]}/{token}/"
             files = memory.fileno(), door.fileno()
             given = [*files, token, announce(self.url), os.getpid(), asdict(facts)]
@@ -123,7 +123,7 @@ class View:
         numbers, rows, machine = self.numbers, session.rows, session.machine
         self._gaps += session.missed
         numbers[TIME], numbers[LATE] = rows.t[row], self._gaps + getattr(machine, "missed", 0)
-        first, end = HEADER, numbers.size - self._said.size
+        first, end = FIRST, numbers.size - self._inputs.size
         for values in (rows.samples[row], rows.commands[row], *session.telemetry(row)):
             last = min(first + values.size, end)  # notes of a class stay away
             numbers[first:last] = values[: last - first]
@@ -134,9 +134,9 @@ class View:
 
     def read(self) -> list[float] | None:
         """As `OperatorInput.read`."""
-        said = self._said
-        silent = time.monotonic() - said[HEARD] > VIEW.silence
-        return None if silent or not said[HELD] else said[LEVERS:].tolist()
+        inputs = self._inputs
+        silent = time.monotonic() - inputs[HEARD] > VIEW.silence
+        return None if silent or not inputs[HELD] else inputs[LEVERS:].tolist()
 
     def close(self) -> None:
         """End the view."""

@@ -21,9 +21,8 @@ from typing import Any
 
 from ehbench.live.board import ENDED, HEARD, HELD, HOST, LEVERS, PAGE, RUNNING, STATE, VIEW, Facts
 from ehbench.live.frames import frame_of
-from ehbench.live.joystick import follow
+from ehbench.live.joystick import follow_stick
 
-LONGEST = 4096  # bytes of what the page's levers say
 SAFE = {
     "Content-Security-Policy": "default-src 'none'; connect-src 'self'; img-src data:; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-ancestors 'none'",
@@ -72,15 +71,18 @@ class Page(BaseHTTPRequestHandler):
         """What the levers of the page say: ``{"held": true, "levers": [0.5, -0.1]}``."""
         path, server = self._path(), self.server
         try:
-            size = min(int(self.headers.get("Content-Length", "0")), LONGEST)
-            said = json.loads(self.rfile.read(size))
-            held, levers = bool(said["held"]), [float(lever) for lever in said["levers"]]
+            size = int(self.headers.get("Content-Length", "0"))
+            if not 0 <= size <= VIEW.longest:
+                self.close_connection = True  # what it sends is not read
+                raise ValueError
+            words = json.loads(self.rfile.read(size))
+            pressed, levers = bool(words["held"]), [float(lever) for lever in words["levers"]]
             sound = len(levers) == len(server.facts["levers"]) and all(map(math.isfinite, levers))
         except (ValueError, TypeError, KeyError):
-            sound, held, levers = False, False, []
+            sound, pressed, levers = False, False, []
         taken = path == "levers" and sound and server.facts["device"] == PAGE
         if taken:
-            server.put(levers if held else None)
+            server.put(levers if pressed else None)
         self._answer(204 if taken else 403 if path is None else 400)
 
     def _stream(self) -> None:
@@ -116,13 +118,13 @@ class Server(ThreadingHTTPServer):
         self.token, self.frame = token, frame_of(facts, board)
         shown = ("title", "machine", "duration", "rate", "units", "levers", "device")
         self.facts = {name: getattr(facts, name) for name in shown}
-        self._said = board[facts.first_lever :]
+        self._inputs = board[facts.first_lever :]
 
     def put(self, levers: Sequence[float] | None) -> None:
         """Write what the operator says onto the board; None while the dead-man switch is open."""
         for number, lever in enumerate(levers or [0.0] * len(self.facts["levers"]), LEVERS):
-            self._said[number] = lever
-        self._said[HELD], self._said[HEARD] = float(levers is not None), time.monotonic()
+            self._inputs[number] = lever
+        self._inputs[HELD], self._inputs[HEARD] = float(levers is not None), time.monotonic()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that went away is no error."""
@@ -162,7 +164,7 @@ def terminal(facts: Facts) -> Iterator[Callable[[dict[str, Any]], None]]:
         yield lambda frame: live.update(screen(facts, frame), refresh=True)
 
 
-def run(memory: int, door: int, token: str, draws: bool, parent: int, known: Any) -> None:
+def show_trial(memory: int, door: int, token: str, draws: bool, parent: int, known: Any) -> None:
     """The view, until the trial ends it or is no more.
 
     Args:
@@ -179,7 +181,7 @@ def run(memory: int, door: int, token: str, draws: bool, parent: int, known: Any
     server = Server(socket.socket(fileno=door), token, facts, board)
     Thread(target=server.serve_forever, daemon=True).start()
     if facts.levers and facts.device != PAGE:
-        Thread(target=follow, args=(facts, server.put), daemon=True).start()
+        Thread(target=follow_stick, args=(facts, server.put), daemon=True).start()
 
     def frames(until: float) -> Iterator[dict[str, Any]]:
         while board[STATE] < until and os.getppid() == parent:
@@ -201,4 +203,4 @@ def run(memory: int, door: int, token: str, draws: bool, parent: int, known: Any
 
 
 if __name__ == "__main__":
-    run(*json.loads(sys.argv[1]))
+    show_trial(*json.loads(sys.argv[1]))

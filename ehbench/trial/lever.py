@@ -20,7 +20,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
 DEFLECTION, DEADMAN = range(2)  # columns of what a lever said
-CHANNELS = ("operator", "deadman")  # by which logs have them
+LEVER_CHANNELS = ("operator", "deadman")  # by which logs have them
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def commanded(
     else:
         assert recipe.duration is not None  # the recipe's model sees to it
         with located(recipe, "duration"):
-            inputs = np.zeros((rows_of(float(recipe.duration), rate) + 1, len(CHANNELS)))
+            inputs = np.zeros((rows_of(float(recipe.duration), rate) + 1, len(LEVER_CHANNELS)))
     return lever.table(design.x, inputs[:, DEFLECTION]), lever, inputs
 
 
@@ -110,12 +110,12 @@ def _logged(recipe: TrialRecipe, file: str, cylinder: str) -> np.ndarray:
 
     path, rate = recipe.file(file), float(recipe.rate)
     record = read(path / "log.mcap" if path.is_dir() else path)
-    names = [f"{cylinder}.{name}" for name in CHANNELS]
+    names = [f"{cylinder}.{name}" for name in LEVER_CHANNELS]
     if names[DEFLECTION] not in record:
         known = ", ".join(record.channels)
         raise InputError(message("trial.no_channel", channel=names[0], known=known), file=path)
     t = record.t - record.t[0]
     times = np.arange(rows_of(float(t[-1]), rate) + 1) / rate
     rows = np.searchsorted(t, times + 0.1 / rate, side="right") - 1
-    held = record.channels.get(names[DEADMAN], np.ones(t.size))
-    return np.column_stack([record[names[DEFLECTION]], held])[rows]
+    pressed = record.channels.get(names[DEADMAN], np.ones(t.size))
+    return np.column_stack([record[names[DEFLECTION]], pressed])[rows]

@@ -30,7 +30,7 @@ from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, veloc
 from ehbench.control.valve_level import top_speed
 from ehbench.runtime.memory import rows_of
 from ehbench.trial.controllers import Design, located
-from ehbench.trial.lever import CHANNELS, Lever, commanded
+from ehbench.trial.lever import LEVER_CHANNELS, Lever, commanded
 from ehbench.vocabulary.codes import FUNCTIONS
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import read_value
@@ -75,7 +75,7 @@ class References:
     levels: tuple[Level, ...] = ()
     last_cycle: int = 0
     lever: Lever | None = None
-    inputs: np.ndarray = field(default_factory=lambda: np.zeros((0, len(CHANNELS))))
+    inputs: np.ndarray = field(default_factory=lambda: np.zeros((0, len(LEVER_CHANNELS))))
 
 
 def references(recipe: TrialRecipe, design: Design, low_pressure: float) -> References:

@@ -51,9 +51,9 @@ class Operator:
         self._source, self._checks, self._moved = source, checks, False
         self._ends = prepared.recipe.motion.release == "end"
         pairs = zip(prepared.loop.driven, parts, strict=True)
-        held = levers_of(prepared)
+        levers = levers_of(prepared)
         self._levers = [
-            (item, held[item.cylinder], part) for item, part in pairs if item.cylinder in held
+            (item, levers[item.cylinder], part) for item, part in pairs if item.cylinder in levers
         ]
 
     def write(self, row: int) -> bool:

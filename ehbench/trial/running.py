@@ -183,8 +183,8 @@ def run(
             names = list(session.channels(slice(0, 0)))
             rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
             files = {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
-            beside = in_real_time(at_work) or watcher is not None
-            with closing(LiveLog(log, names, meta, files, beside)) as live:
+            aside = in_real_time(at_work) or watcher is not None
+            with closing(LiveLog(log, names, meta, files, aside)) as live:
                 session.run(live, progress)
                 record = _record(session, meta)
                 live.finish(record)

@@ -45,7 +45,7 @@ from ehbench.parts.sample import LineEntries
 from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.realtime import aside
 from ehbench.trial.controllers import Compiled, Laws
-from ehbench.trial.lever import CHANNELS
+from ehbench.trial.lever import LEVER_CHANNELS
 from ehbench.trial.operator import (
     Operator,
     OperatorInput,
@@ -396,10 +396,12 @@ class Session:
             channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}
         for item in () if self.prepared.loop is None else self.prepared.loop.driven:
             if item.references.lever is not None:
-                said = np.zeros((len(commands), len(CHANNELS)))
+                levers = np.zeros((len(commands), len(LEVER_CHANNELS)))
                 inputs = item.references.inputs[part]
-                said[: len(inputs)] = inputs
-                channels |= {f"{item.cylinder}.{n}": said[:, i] for i, n in enumerate(CHANNELS)}
+                levers[: len(inputs)] = inputs
+                channels |= {
+                    f"{item.cylinder}.{n}": levers[:, i] for i, n in enumerate(LEVER_CHANNELS)
+                }
         plan = None if self.prepared.loop is None else self.prepared.loop.plan
         return channels if plan is None else channels | plan.channels(part, channels)
 

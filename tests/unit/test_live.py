@@ -16,7 +16,7 @@ from rich.console import Console
 
 from ehbench import workflow
 from ehbench.config.recipe import TrialRecipe
-from ehbench.live.board import ENDED, HEADER, LATE, LEVERS, LIMIT, STATE, STOPPING, TIME
+from ehbench.live.board import ENDED, FIRST, LATE, LEVERS, LIMIT, STATE, STOPPING, TIME
 from ehbench.live.frames import frame_of
 from ehbench.live.screen import screen
 from ehbench.live.view import View, facts_of
@@ -66,8 +66,8 @@ def test_a_frame_has_each_limit_with_its_margin():
     numbers[[STATE, TIME, LATE, LIMIT]] = STOPPING, 1.5, 3, LIMITS.index("pressure_max")
     values = {"x": 0.15, "v": -0.02, "p_head": 19e6, "p_rod": math.nan, "x_desired": 0.148}
     for name, value in values.items():
-        numbers[HEADER + facts.names.index(f"press.{name}")] = value
-    numbers[HEADER + facts.names.index("press.servo.command")] = -4.5
+        numbers[FIRST + facts.names.index(f"press.{name}")] = value
+    numbers[FIRST + facts.names.index("press.servo.command")] = -4.5
     frame = frame_of(facts, numbers.tolist())
     assert (frame["state"], frame["stop"], frame["late"]) == ("stopping", "pressure_max", 3)
     row, stroke = frame["cylinders"][0], float(prepared.machine.strokes[0])
@@ -135,7 +135,7 @@ def test_a_watched_trial_is_the_trial(begun, tmp_path):
     assert watched.facts == alone.facts
     last = prepared.t.size - 1
     assert view.numbers[TIME] == prepared.t[last]
-    known = dict(zip(facts_of(prepared).names, view.numbers[HEADER:], strict=False))
+    known = dict(zip(facts_of(prepared).names, view.numbers[FIRST:], strict=False))
     for name in ("press.x", "press.servo.command", "press.x_desired"):
         assert known[name] == watched.record[name][last], name
 

@@ -17,7 +17,7 @@ from ehbench.links.client import LinkMachine
 from ehbench.links.layout import Layout
 from ehbench.links.serve import ServedTarget
 from ehbench.links.transport import VirtualLink
-from ehbench.live.joystick import Joystick, follow
+from ehbench.live.joystick import Joystick, follow_stick
 from ehbench.live.view import View, facts_of
 from ehbench.machines.paced import PacedMachine
 from ehbench.trial import prepare, run
@@ -264,6 +264,7 @@ def test_a_page_takes_sound_words_from_its_reader_only():
             (400, {"held": True, "levers": [0.1, 0.2]}, {}),
             (400, {"levers": [0.1]}, {}),
             (400, [1], {}),
+            (400, sound | {"more": "x" * 5000}, {}),
             (403, sound, {"Host": "evil.example"}),
             (403, sound, {"path": "/guess/levers"}),
         ):
@@ -368,7 +369,7 @@ def test_a_joystick_that_is_unplugged_lets_go_until_it_is_back(sticks):
             raise Over
 
     with pytest.raises(Over):
-        follow(facts, put)
+        follow_stick(facts, put)
     assert said == [[1.0], [1.0], None, [1.0]]
 
 
