@@ -1,7 +1,9 @@
 """Each number decides an outcome: as stated with it, another with a third more or less."""
 
 import math
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace as Stub
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 
 from ehbench.config.recipe import TrialRecipe
 from ehbench.data.record import Record
+from ehbench.flow_maps import tables
 from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import FlowMapOptions, Noise, few, readings_table, sort_readings
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
@@ -24,7 +27,9 @@ from ehbench.identification.results import _late, _turned
 from ehbench.ledger.bounds import SETTINGS as BOUNDS
 from ehbench.ledger.bounds import bounds
 from ehbench.plant.model import Model
-from ehbench.stages.flow_map import ERRORS, _shared_errors
+from ehbench.signals.oddities import SETTINGS as ODD
+from ehbench.signals.oddities import oddities
+from ehbench.stages.flow_map import ERRORS, FlowMapStage
 from ehbench.trial.coordination import COORDINATION, _direction, pace_of
 from ehbench.trial.limit_cycle import LIMIT_CYCLE, limit_cycle
 from ehbench.trial.measures import MEASURES, short_measures, step_measures, tracking_measures
@@ -56,6 +61,33 @@ def refusal(work) -> str:
     except EhbenchError as error:
         return error.key
     return ""
+
+
+# --- samples that no sensor can have seen
+
+
+def odd(values):
+    return [item.kind for item in oddities(np.asarray(values, dtype=float))]
+
+
+def sentinels(count):
+    """Two runs of a value far off in a thousand samples of a sine."""
+    y = np.sin(np.linspace(0.0, 6.0, 1000))
+    y[200 : 200 + count] = y[600 : 600 + count] = -10.0
+    return odd(y)
+
+
+def spike(height, steps=1.0):
+    """One sample off, among steps to and fro or on a slow ramp to 100."""
+    y = np.arange(1000) % 2 if steps else np.linspace(0.0, 100.0, 1000)
+    y = y.astype(float)
+    y[500] = y[499] + height
+    return odd(y)
+
+
+def wraps(short):
+    """An angle that turns by a degree a sample, and once over its end and ``short`` degrees on."""
+    return odd(np.concatenate([np.arange(260.0, 360.0), short + np.arange(100.0)]))
 
 
 # --- trials
@@ -268,7 +300,27 @@ def tip_stands(speed):
     return not _direction(np.outer(speed * t, [1.0, 0.0, 0.0]), 1e-3).any()
 
 
+@dataclass(frozen=True)
+class Edges:
+    edges: tuple = (Stub(edge="sh", side="forward"),)
+
+
+def errors_of_steps():
+    """The options of a map from steps whose recipe names no error of its sensors."""
+    recipe = Stub(method="steps", calibration=(), calibration_drop=None, meter_limit=0.0)
+    recipe.pressure_error = recipe.command_error = None
+    prepared, seen = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Edges()), []
+    with pytest.MonkeyPatch.context() as patch, suppress(EhbenchError):
+        patch.setattr(tables, "run_readings", lambda part, options, _: seen.append(options) or [])
+        FlowMapStage().work(prepared, Path(), None)
+    return seen[0]
+
+
 ROWS = [
+    (ODD, "share", lambda: [sentinels(n) for n in (20, 30)], [["sentinel"], []]),
+    (ODD, "jump", lambda: [spike(h) for h in (7.0, 9.0)], [[], ["jump"]]),
+    (ODD, "span", lambda: [spike(h, 0.0) for h in (17.0, 23.0)], [[], ["jump"]]),
+    (ODD, "wrap", lambda: [wraps(d) for d in (30.0, 40.0)], [["wrap"], []]),
     (MEASURES, "steady", steady, 1.027),
     (MEASURES, "unsettled", lambda: [unsettled(e) for e in (0.85, 0.91)], [False, True]),
     (MEASURES, "band", lambda: [in_band(o) for o in (0.04, 0.06)], [0.0, 0.3]),
@@ -312,11 +364,9 @@ ROWS = [
     (RESULTS, "opposite", lambda: [goes_other_way(a) for a in (1.98, 2.2)], [False, True]),
     (RESULTS, "late", lambda: [behind(n) for n in (0.2, 0.3)], [False, True]),
     (RESULTS, "latest", lambda: [behind(n) for n in (4.5, 6.0)], [True, False]),
-    (ERRORS, "pressure", lambda: round(_shared_errors(
-        Stub(pressure_error=None, command_error=None), RIG, "sh")["drop_std"]
-        / float(RIG.supply.pressure), 6), 0.001414),
-    (ERRORS, "command", lambda: _shared_errors(
-        Stub(pressure_error=1.0, command_error=None), RIG, "sh")["command_std"], 0.005),
+    (ERRORS, "pressure", lambda: round(
+        errors_of_steps().drop_std / float(RIG.supply.pressure), 6), 0.001414),
+    (ERRORS, "command", lambda: errors_of_steps().command_std, 0.005),
     (MOTION, "rest", drive, (0.5, 5.0)),
     (MOTION, "speed_up", drive, (0.5, 5.0)),
     (COORDINATION, "smooth", pace, 863),
