@@ -20,7 +20,7 @@ from ehbench.control.measured import Pressures
 from ehbench.control.records import blank, constants, numbers, reals, rows_of
 from ehbench.parts.edge import EDGE, MAP, PUMP, edge_flow, edge_known
 from ehbench.parts.edge.preload import preload
-from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, most_pressure, offered
+from ehbench.parts.supply import SUPPLY, drawn_at, metered_at, offered
 from ehbench.physics.flow_map import ValveMaps
 from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.codes import (
@@ -222,7 +222,8 @@ def feasible(function, active, v_d, load_force, p, circuit, rules):
     In each, oil must be able to flow through the path that sets the motion. Meter-in: the supply
     carries the load. Regeneration: the drop across the ends is enough and the cross-port edge at
     full command carries its flow at it. With a raised rod end: see `raised_feasible`."""
-    maximum = most_pressure(p.supply, circuit.supply[0])
+    supply = circuit.supply[0]  # the highest pressure that it brings
+    maximum = p.supply if supply.margin == 0.0 else max(p.supply, supply.pressure)
     cross = CROSS[function]
     # fed at the rod, the drop of the path that sets the motion is the planned one
     fed_at_rod = RAISED[function] and METERING[function] == cross

@@ -17,7 +17,7 @@ from ehbench.physics.arm import SLIDE
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
-from ehbench.plant.valves import felt_commands, follow_valves
+from ehbench.plant.valves import acting_commands, follow_valves
 from ehbench.vocabulary.errors import InputError, LogError
 from ehbench.vocabulary.messages import message
 
@@ -85,7 +85,7 @@ def ledger_of_model(
     states, commands = states_of(model, record)
     plant = model.plant.at_pressures(tank=record["p_tank"][0] if "p_tank" in record else None)
     first = [float(record[f"{name}.opening"][0]) for name in model.layout.valves]
-    plant = plant.held_before(
+    plant = plant.commanded_before(
         np.where(model.plant.valves.delay > 0.0, first, model.plant.valves.before)
     )
     tank, loads = np.full(t.size, plant.tank_pressure), Loads.of(record)
@@ -104,7 +104,7 @@ def ledger_of_model(
         notes += _missed(model, states, ends)
     else:
         tick = t[1] - t[0]
-        felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / step)))
+        felt = acting_commands(plant, commands, tick, tick / max(1, round(tick / step)))
         flows_at(states, felt, tank, plant, flows)
         power = np.empty((t.size, sheet.powers))
         powers_at(states, commands, flows, tank, plant, sheet.owner, power)

@@ -1,7 +1,7 @@
 """The powers of a state and what is stored in it, asked of the parts one by one.
 
 Energies count from oil at zero gauge pressure. A volume of oil that crosses a pressure p carries p,
-and what its own compression holds, ``u(p)`` of `ehbench.parts.oil.held` per volume; with these two
+and what its compression holds, ``u(p)`` of `ehbench.parts.oil.stored` per volume; with these two
 the chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
 piston work and a change of what is stored, a function of state."""
 
@@ -20,13 +20,13 @@ from ehbench.parts.cylinder import (
 )
 from ehbench.parts.edge import PUMP as PUMP_LAW
 from ehbench.parts.edge.pump import slip_loss
-from ehbench.parts.end_stop import stop_held, stop_loss
-from ehbench.parts.friction import friction_held, friction_loss
+from ehbench.parts.end_stop import stop_loss, stop_stored
+from ehbench.parts.friction import friction_loss, friction_stored
 from ehbench.parts.line import line_drop, line_flow
-from ehbench.parts.load import push_on, spring_held
-from ehbench.parts.mount import mount_held, mount_loss, piston_of
-from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_held, node_pressure
-from ehbench.parts.sway import sway_held, sway_loss
+from ehbench.parts.load import push_on, spring_stored
+from ehbench.parts.mount import mount_loss, mount_stored, piston_of
+from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure, node_stored
+from ehbench.parts.sway import sway_loss, sway_stored
 from ehbench.physics import arm
 from ehbench.runtime.compiled import kernel
 
@@ -84,7 +84,7 @@ def store_at(cylinder, which):
 def _node(node, y, plant):
     """(pressure [Pa], energy of its compression [J/m³]) of the oil at a node of the circuit."""
     p = node_pressure(y, plant, node)
-    return p, node_held(plant, node, p)
+    return p, node_stored(plant, node, p)
 
 
 @kernel
@@ -177,7 +177,7 @@ def _throttle(e, y, flow, plant, at, out):
     """
     a, b = plant.edges[e].from_node, plant.edges[e].to_node
     p_a, p_b, railed = ends_of(y, plant, plant.edges[e])
-    u_a, u_b = node_held(plant, a, p_a), node_held(plant, b, p_b)
+    u_a, u_b = node_stored(plant, a, p_a), node_stored(plant, b, p_b)
     out[FIRST_EDGE + e] = (p_a - p_b) * flow
     out[at + OF.expansion] += (u_a - u_b) * flow
     for node, p, u, sign in ((a, p_a, u_a, 1.0), (b, p_b, u_b, -1.0)):
@@ -257,12 +257,12 @@ def stores(y, plant, work, out):
         for side in range(2):
             _, fixed = _node(chamber_of(row, side)[0], y, plant)
             out[store_at(c, STORED.head + side)] = chamber_oil(row, side, piston) * fixed
-        out[store_at(c, STORED.stop)] = stop_held(row, piston)
-        out[store_at(c, STORED.load_spring)] = spring_held(c, x, plant)
+        out[store_at(c, STORED.stop)] = stop_stored(row, piston)
+        out[store_at(c, STORED.load_spring)] = spring_stored(c, x, plant)
     at = store_at(plant.cylinders.shape[0], 0)
     for c in range(plant.cylinders.shape[0]):
         if plant.cylinders[c].friction_state >= 0:
-            out[at] = friction_held(plant.cylinders[c], y)
+            out[at] = friction_stored(plant.cylinders[c], y)
             at += 1
     for i in range(plant.lines.shape[0]):
         _, fixed = _node(plant.lines[i].node, y, plant)
@@ -270,11 +270,11 @@ def stores(y, plant, work, out):
         at += 1
     for c in range(plant.cylinders.shape[0]):
         if plant.cylinders[c].mount_state >= 0:
-            out[at] = mount_held(plant.cylinders[c], y)
+            out[at] = mount_stored(plant.cylinders[c], y)
             at += 1
     for c in range(plant.cylinders.shape[0]):
         if plant.cylinders[c].sway_state >= 0:
-            out[at] = sway_held(plant.cylinders[c], y)
+            out[at] = sway_stored(plant.cylinders[c], y)
             at += 1
     if plant.supply.gas_volume > 0.0:
         out[at] = gas_energy(node_pressure(y, plant, SUPPLY), plant.supply)

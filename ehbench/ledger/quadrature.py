@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.ledger.powers import powers, stores
 from ehbench.parts.nodes import TANK
-from ehbench.parts.valve.delay import line_felt, line_push
+from ehbench.parts.valve.delay import line_acting, line_push
 from ehbench.physics import arm
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, STIFF, advance, put
@@ -46,8 +46,8 @@ def integrate(t, states, commands, plant, line, owner, step, out):
         put(states[i], y)
         tick = t[min(i + 1, t.shape[0] - 1)] - t[min(i, t.shape[0] - 2)]
         steps = max(1, math.ceil(tick / step - 1e-6))
-        felt, fixed = tick / steps, line.held
-        line_felt(line, commands[i], plant, 0.0, felt)
+        felt, fixed = tick / steps, line.acting
+        line_acting(line, commands[i], plant, 0.0, felt)
         rate = derivatives(y, fixed, plant, k[0], work)
         put(work[at:], out.flows[i])
         if i + 1 == t.shape[0]:
@@ -58,7 +58,7 @@ def integrate(t, states, commands, plant, line, owner, step, out):
         energies[i] = 0.0
         for piece in range(pieces):
             if line.past.shape[0] > 1 and piece > 0:  # what is late may come in between
-                line_felt(line, commands[i], plant, (piece * steps // pieces) * felt, felt)
+                line_acting(line, commands[i], plant, (piece * steps // pieces) * felt, felt)
                 rate = derivatives(y, fixed, plant, k[0], work)
                 powers(y, fixed, work[at:], plant, owner, start)
             for half in range(2):

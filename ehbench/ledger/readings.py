@@ -13,7 +13,7 @@ from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.physics.cylinder import DIRECT
 from ehbench.plant.model import Model
-from ehbench.plant.valves import felt_commands
+from ehbench.plant.valves import acting_commands
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
@@ -92,7 +92,7 @@ def read_log(model: Model, record: Record) -> tuple[Readings, list[str]]:
         notes.append(message("ledger.no_pump_flow"))
     t = np.ascontiguousarray(record.t, dtype=float)
     tick = float(t[1] - t[0])
-    felt = felt_commands(model.plant.held_before(commands[0]), commands, tick, tick)
+    felt = acting_commands(model.plant.commanded_before(commands[0]), commands, tick, tick)
     return Readings(t, felt, q, qd, x, p, p_supply, p_tank, flow_supply), notes
 
 

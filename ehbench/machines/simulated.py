@@ -11,7 +11,7 @@ from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, control, violated
 from ehbench.parts.sample import perfect_sample, sample_channels
-from ehbench.parts.valve.delay import Line, line_felt, line_of, line_push
+from ehbench.parts.valve.delay import Line, line_acting, line_of, line_push
 from ehbench.plant.build import Maps, Plant, links_of
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STEP, advance, rk4
@@ -46,58 +46,58 @@ def model_tick(y, command, plant, line, steps, k, work, sample):
     steps a tick."""
     h = line.tick / steps
     for step in range(steps):
-        line_felt(line, command, plant, step * h, h)
-        rk4(y, line.held, plant, h, k, work)
+        line_acting(line, command, plant, step * h, h)
+        rk4(y, line.acting, plant, h, k, work)
     line_push(line, command)
     perfect_sample(y, plant, sample)
 
 
 @kernel
-def paced_tick(own, command, pace, sample):
+def paced_tick(run, command, pace, sample):
     """`model_tick` in steps chosen by the guard."""
-    line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
-    rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
-    over_tick(Way(own.y, own.plant, own.line, pace, own.k, own.work), command, rate)
-    line_push(own.line, command)
-    perfect_sample(own.y, own.plant, sample)
+    line_acting(run.line, command, run.plant, 0.0, run.tick / run.steps)
+    rate = derivatives(run.y, run.line.acting, run.plant, run.k[0], run.work)
+    over_tick(Way(run.y, run.plant, run.line, pace, run.k, run.work), command, rate)
+    line_push(run.line, command)
+    perfect_sample(run.y, run.plant, sample)
 
 
 @kernel
-def model_truth(own, command, row):
+def model_truth(run, command, row):
     """Write state, edge flows and pump flow into ``row``; the fastest rate [1/s] of the
     derivatives."""
-    size, at = own.y.shape[0], own.plant.at.flow
-    line_felt(own.line, command, own.plant, 0.0, own.tick / own.steps)
-    rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
+    size, at = run.y.shape[0], run.plant.at.flow
+    line_acting(run.line, command, run.plant, 0.0, run.tick / run.steps)
+    rate = derivatives(run.y, run.line.acting, run.plant, run.k[0], run.work)
     for j in range(size):
-        row[j] = own.y[j]
-    for j in range(own.work.shape[0] - at):
-        row[size + j] = own.work[at + j]
+        row[j] = run.y[j]
+    for j in range(run.work.shape[0] - at):
+        row[size + j] = run.work[at + j]
     return rate
 
 
 @kernel
-def _advance(first, stop, own, rows, law, pace):
-    sample, h = rows.sample, own.tick / own.steps
+def _advance(first, stop, run, rows, law, pace):
+    sample, h = rows.sample, run.tick / run.steps
     for i in range(first, stop):
         if law is not None:
             control(law, i, rows)
         if violated(rows, i):
             return i
         command = rows.commands[i]
-        rate = model_truth(own, command, rows.truth[i])
+        rate = model_truth(run, command, rows.truth[i])
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
         if pace is None:
-            for step in range(own.steps):
+            for step in range(run.steps):
                 if step > 0:
-                    line_felt(own.line, command, own.plant, step * h, h)
-                    rate = derivatives(own.y, own.line.held, own.plant, own.k[0], own.work)
-                advance(own.y, own.line.held, own.plant, h, own.k, own.work, rate)
+                    line_acting(run.line, command, run.plant, step * h, h)
+                    rate = derivatives(run.y, run.line.acting, run.plant, run.k[0], run.work)
+                advance(run.y, run.line.acting, run.plant, h, run.k, run.work, rate)
         else:
-            over_tick(Way(own.y, own.plant, own.line, pace, own.k, own.work), command, rate)
-        line_push(own.line, command)
-        perfect_sample(own.y, own.plant, sample)
+            over_tick(Way(run.y, run.plant, run.line, pace, run.k, run.work), command, rate)
+        line_push(run.line, command)
+        perfect_sample(run.y, run.plant, sample)
     return -1
 
 
@@ -122,7 +122,7 @@ class SimulatedMachine:
         self.steps = LATE if step == AUTO else max(1, round(1.0 / (self.rate * step)))
         plant, states = model.plant, model.layout.states
         self.state = np.zeros(states)
-        self._own = Running(
+        self._running = Running(
             self.state,
             plant,
             line_of(plant, 1.0 / self.rate),
@@ -132,7 +132,7 @@ class SimulatedMachine:
             np.empty(plant.at.work),
         )
         self._pace = pace_of(plant, model.layout, 1.0 / self.rate) if step == AUTO else None
-        self.truth = ModelTruth(model, self._own)
+        self.truth = ModelTruth(model, self._running)
 
     @classmethod
     def of(cls, recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine:
@@ -153,7 +153,7 @@ class SimulatedMachine:
         """As `Machine.start`."""
         self.model.plant.links[:] = links_of(self.model.rig)
         self.state[:] = self.model.trim(self.model.posture(posture), low_side)
-        self._own.line.past[:] = self.model.plant.valves.before
+        self._running.line.past[:] = self.model.plant.valves.before
         sample = np.empty(len(self.channels))
         perfect_sample(self.state, self.model.plant, sample)
         return sample
@@ -161,7 +161,7 @@ class SimulatedMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
-        sim, fixed = self._own, np.asarray(command, dtype=float)
+        sim, fixed = self._running, np.asarray(command, dtype=float)
         if self._pace is None:
             model_tick(sim.y, fixed, sim.plant, sim.line, sim.steps, sim.k, sim.work, sample)
         else:
@@ -175,11 +175,11 @@ class SimulatedMachine:
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        running, pace = self._own, self._pace
-        run = bound(_advance, 0, 0, running, rows, law, pace) if often else _advance
+        running, pace = self._running, self._pace
+        through_rows = bound(_advance, 0, 0, running, rows, law, pace) if often else _advance
 
         def through(first: int, stop: int) -> int:
-            row = run(first, stop, running, rows, law, pace)
+            row = through_rows(first, stop, running, rows, law, pace)
             self._must_be_finite()
             return row
 
@@ -193,12 +193,12 @@ class ModelTruth:
     """States of a running model, edge flows and pump flow, as in `Model.run`'s log."""
 
     def __init__(self, model: Model, running: Running) -> None:
-        self.model, self._own = model, running
+        self.model, self._running = model, running
         self.width = model.layout.states + len(model.layout.edges) + 1
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
         """As `Truth.read`."""
-        model_truth(self._own, command, row)
+        model_truth(self._running, command, row)
 
     def channels(
         self, t: np.ndarray, commands: np.ndarray, rows: np.ndarray

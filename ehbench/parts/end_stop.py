@@ -26,7 +26,7 @@ def stop_rate(row, x):
 
 
 @part_kernel
-def stop_held(row, x):
+def stop_stored(row, x):
     """Energy [J] that the end stops hold as springs at stroke x [m]."""
     depth = max(-x, x - row.stroke, 0.0)
     return 0.5 * row.stop_stiffness * depth * depth

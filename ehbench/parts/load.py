@@ -64,7 +64,7 @@ def force_slope(c, v, plant):
 
 
 @part_kernel
-def spring_held(c, x, plant):
+def spring_stored(c, x, plant):
     """Energy [J] in the springs on the rod of cylinder ``c`` at stroke x [m]."""
     fixed = 0.0
     for i in range(plant.forces.shape[0]):

@@ -140,7 +140,7 @@ def mount_settle(row, v, y, plant):
 
 
 @part_kernel
-def mount_held(row, y):
+def mount_stored(row, y):
     """Energy [J] in a mount's spring: k δ²/2."""
     return 0.5 * row.mount_stiffness * y[row.mount_state] * y[row.mount_state]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ehbench.parts.oil import held
+from ehbench.parts.oil import stored
 from ehbench.parts.supply import from_rail
 from ehbench.runtime.compiled import part_kernel, record
 
@@ -44,11 +44,11 @@ def ends_of(y, plant, edge):
 
 
 @part_kernel
-def node_held(plant, node, pressure):
+def node_stored(plant, node, pressure):
     """Energy [J/m³] that compression to a pressure [Pa] holds in the oil of a node."""
     cylinder, line = plant.nodes[node].cylinder, plant.nodes[node].line
     if line >= 0:
-        return held(plant.lines[line], pressure)
+        return stored(plant.lines[line], pressure)
     if cylinder < 0:
-        return held(plant.supply, pressure)
-    return held(plant.cylinders[cylinder], pressure)
+        return stored(plant.supply, pressure)
+    return stored(plant.cylinders[cylinder], pressure)

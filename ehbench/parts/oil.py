@@ -50,7 +50,7 @@ def _squeezed(pressure, solid, air, exponent):
 
 
 @part_kernel
-def held(row, pressure):
+def stored(row, pressure):
     """Energy [J/m³] in the oil of a row compressed to gauge pressure p, by its own β(p).
 
     It obeys ``β du/dp = p + u``, u(0) = 0, with which flow work closes against the chamber law

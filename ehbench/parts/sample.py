@@ -95,5 +95,5 @@ def perfect_sample(y, plant, sample):
 
 def sample_channels(cylinders: Sequence[str]) -> tuple[str, ...]:
     """Channel names of a sample, in order."""
-    own = (f"{name}.{key}" for name in cylinders for key in CylinderEntries._fields)
-    return (*own, *LineEntries._fields)
+    names = (f"{name}.{key}" for name in cylinders for key in CylinderEntries._fields)
+    return (*names, *LineEntries._fields)

@@ -100,12 +100,6 @@ def drawn_at(p_supply, chamber, supply):
 
 
 @part_kernel
-def most_pressure(p_supply, supply):
-    """The highest pressure [Pa] that the supply brings, now ``p_supply`` [Pa]."""
-    return p_supply if supply.margin == 0.0 else max(p_supply, supply.pressure)
-
-
-@part_kernel
 def pump_flow(p_supply, demand, set_pressure, supply):
     """Flow [m³/s] a pressure-compensated pump delivers at ``p_supply`` [Pa] and ``demand`` [m³/s].
 

@@ -70,7 +70,7 @@ def sway_settle(row, v, y):
 
 
 @part_kernel
-def sway_held(row, y):
+def sway_stored(row, y):
     """Energy [J] in spring and mass: k z²/2 + m w²/2."""
     z, w = y[row.sway_state], y[row.sway_state + 1]
     return 0.5 * (row.sway_stiffness * z * z + row.sway_mass * w * w)

@@ -91,11 +91,11 @@ def tip_frames(chain: Chain, q: np.ndarray) -> Frames:
         place = place + np.einsum("...ij,...j->...i", turn, offset)
         if i + 1 == q.shape[-1]:
             break
-        own = np.empty((*angle.shape, 3, 3))
-        own[..., 0, 0], own[..., 0, 1], own[..., 0, 2] = c, -s * ca, s * sa
-        own[..., 1, 0], own[..., 1, 1], own[..., 1, 2] = s, c * ca, -c * sa
-        own[..., 2, 0], own[..., 2, 1], own[..., 2, 2] = 0.0, sa, ca
-        turn = turn @ own
+        local = np.empty((*angle.shape, 3, 3))
+        local[..., 0, 0], local[..., 0, 1], local[..., 0, 2] = c, -s * ca, s * sa
+        local[..., 1, 0], local[..., 1, 1], local[..., 1, 2] = s, c * ca, -c * sa
+        local[..., 2, 0], local[..., 2, 1], local[..., 2, 2] = 0.0, sa, ca
+        turn = turn @ local
     return Frames(place, axes, origins)
 
 

@@ -73,7 +73,7 @@ class Plant(NamedTuple):
                 edges[end][edges[end] == line.node] = line.chamber
         return edges
 
-    def held_before(self, command: np.ndarray) -> Plant:
+    def commanded_before(self, command: np.ndarray) -> Plant:
         """This plant, commanded ``command`` [V] before the first tick, the valves' first."""
         valves = self.valves.copy()
         valves["before"] = command[: valves.shape[0]]
@@ -415,11 +415,11 @@ def _supply(rig: Rig) -> np.record:
     return table_of([row | oil_fields(rig)], SUPPLY_LINE)[0]
 
 
-def oil_fields(rig: Rig, own: Value | None = None) -> dict[str, float]:
-    """Fields of a row of oil, its bulk modulus that of ``own`` where given."""
+def oil_fields(rig: Rig, bulk_modulus: Value | None = None) -> dict[str, float]:
+    """Fields of a row of oil, its bulk modulus ``bulk_modulus`` where given."""
     oil = rig.oil
     return {
-        "bulk_modulus": float(own or oil.bulk_modulus),
+        "bulk_modulus": float(bulk_modulus or oil.bulk_modulus),
         "air": float(oil.air_fraction or 0.0),
         "polytropic": float(oil.polytropic_exponent or EXPONENT),
     }

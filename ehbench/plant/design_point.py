@@ -32,13 +32,13 @@ def design_point_of(
     plant, row = model.plant, model.plant.cylinders[circuit.cylinder]
     mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, q)
     axis = axis_of(circuit, mechanism, row)
-    own = slice(circuit.first, circuit.first + circuit.count)
-    shut = np.isin(plant.edges.valve[own], still)
+    numbers = range(circuit.first, circuit.first + circuit.count)
+    shut = np.isin(plant.edges.valve[numbers.start : numbers.stop], still)
     axis = axis._replace(onset=np.where(shut, 0.0, axis.onset))  # they stay shut
     limit = float(plant.supply.flow_limit)
     if not math.isfinite(limit):
         limit = 0.5 * circuit.area_head  # half a metre a second
-    used = {int(circuit.edges[e].valve) for e in range(own.start, own.stop) if e in circuit.paths}
+    used = {int(circuit.edges[e].valve) for e in numbers if e in circuit.paths}
     lag = max((valve_lag(plant.valves[i], plant) for i in used), default=0.0)
     unmodelled = unmodelled_of(model.rig, model.rig.cylinder[circuit.cylinder])
     x = float(linkage_arrays(row, q[int(row.joint) : int(row.joint) + 1])[0][0])

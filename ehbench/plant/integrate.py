@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from ehbench.parts.valve.delay import line_felt, line_push
+from ehbench.parts.valve.delay import line_acting, line_push
 from ehbench.plant.derivatives import any_derivatives, any_finish
 from ehbench.runtime.compiled import allocating_kernel, part_kernel
 
@@ -95,14 +95,14 @@ def run(y, commands, plant, line, steps, log):
     k, work = np.empty((5, size)), np.empty(plant.at.work)
     maximum, h = 1, line.tick / steps
     for sample in range(commands.shape[0]):
-        line_felt(line, commands[sample], plant, 0.0, h)
-        rate = any_derivatives(y, line.held, plant, k[0], work)
+        line_acting(line, commands[sample], plant, 0.0, h)
+        rate = any_derivatives(y, line.acting, plant, k[0], work)
         put(y, log[sample])
         put(work[at:], log[sample, size:])
         if sample + 1 < commands.shape[0]:
-            maximum = max(maximum, advance(y, line.held, plant, h, k, work, rate))
+            maximum = max(maximum, advance(y, line.acting, plant, h, k, work, rate))
             for step in range(1, steps):
-                line_felt(line, commands[sample], plant, step * h, h)
-                maximum = max(maximum, rk4(y, line.held, plant, h, k, work))
+                line_acting(line, commands[sample], plant, step * h, h)
+                maximum = max(maximum, rk4(y, line.acting, plant, h, k, work))
             line_push(line, commands[sample])
     return maximum

@@ -23,7 +23,7 @@ from ehbench.plant.layout import SIDES, Layout, layout
 from ehbench.plant.paced import AUTO, Step, pace_of, run_paced
 from ehbench.plant.rest import CREEPS, creep
 from ehbench.plant.ties import supplied, tied_words, ties_of
-from ehbench.plant.valves import felt_commands
+from ehbench.plant.valves import acting_commands
 from ehbench.signals.series import first_of
 from ehbench.vocabulary.errors import InputError, LogError, SimulationError
 
@@ -99,14 +99,14 @@ class Model:
         names = kept.of(layout, [], loaded)
         return cls(loaded, build(loaded, names, maps, kept), names, rig)
 
-    def asked_at_start(self, moves: bool) -> Hashable:
-        """All that its start along a recording depends on (`trim.asked_at_start`)."""
-        if moves not in self._asked:
-            self._asked[moves] = starts.asked_at_start(self.plant, moves)
-        return self._asked[moves]
+    def start_key(self, moves: bool) -> Hashable:
+        """All that its start along a recording depends on (`trim.start_key`)."""
+        if moves not in self._keys:
+            self._keys[moves] = starts.start_key(self.plant, moves)
+        return self._keys[moves]
 
     @cached_property
-    def _asked(self) -> dict[bool, Hashable]:
+    def _keys(self) -> dict[bool, Hashable]:
         return {}
 
     def starts(self, number: str) -> bool:
@@ -410,7 +410,7 @@ class Model:
                 hint="resample it to one rate",
             )
         table = self.commands_of(record)
-        plant = self.plant.at_pressures(start.supply, start.tank).held_before(table[0])
+        plant = self.plant.at_pressures(start.supply, start.tank).commanded_before(table[0])
         if not tied_words(record) and not supplied(record):
             return replace(self, plant=plant), table, start.y
         ties, y = ties_of(plant, self.layout, record), start.y.copy()
@@ -466,7 +466,7 @@ class Model:
         for index, channel in enumerate(names.played, len(names.valves)):
             channels[channel] = commands[:, index]
         tick = float(t[1] - t[0]) if len(t) > 1 else STEP
-        felt = felt_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
+        felt = acting_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
         for index, valve in enumerate(names.valves):
             output = plant.valves[index].output
             channels[f"{valve}.opening"] = felt[:, index] if output < 0 else log[:, output]

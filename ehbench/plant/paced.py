@@ -16,7 +16,7 @@ import numpy as np
 
 from ehbench.parts.cylinder import joint_range_of
 from ehbench.parts.valve import limited, valve_advance
-from ehbench.parts.valve.delay import Line, line_felt, line_push
+from ehbench.parts.valve.delay import Line, line_acting, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import STABLE, put, stages
@@ -146,10 +146,10 @@ def _step(way, command, part, room, step, rate, given):
     while True:
         if line.past.shape[0] > 1:
             step = min(step, units // LATE)
-            line_felt(line, command, way.plant, part * unit, step * unit)
-            rate = derivatives(way.y, line.held, way.plant, way.k[0], way.work)
+            line_acting(line, command, way.plant, part * unit, step * unit)
+            rate = derivatives(way.y, line.acting, way.plant, way.k[0], way.work)
         if given or step == 1 or rate * step * unit <= STABLE:
-            error, after = attempt(way, line.held, step * unit)
+            error, after = attempt(way, line.acting, step * unit)
             if given or step == 1 or error <= 1.0:
                 return step, 2 * step if error < 1.0 / 16.0 else step, after
         half = step // 2
@@ -258,8 +258,8 @@ def run_paced(y, commands, plant, line, pace, mesh, each, log):
     way, late = Way(y, plant, line, pace, k, work), line.past.shape[0] > 1
     sample, part, until, step, count = 0, 0, 0, pace.units, 0
     steps, there, ahead = np.empty(256, np.int64), 0, 0
-    line_felt(line, commands[0], plant, 0.0, line.tick / LATE)
-    rate = derivatives(y, line.held, plant, k[0], work)
+    line_acting(line, commands[0], plant, 0.0, line.tick / LATE)
+    rate = derivatives(y, line.acting, plant, k[0], work)
     for i in range(size):
         log[0, i] = y[i] / each
     _let(way, log, 0)
@@ -286,7 +286,7 @@ def run_paced(y, commands, plant, line, pace, mesh, each, log):
         elif part == 0:
             put(k[4], log[ends])
             _let(way, log, ends)
-            _write_samples(way, line.held, log, sample, ends, taken)
+            _write_samples(way, line.acting, log, sample, ends, taken)
         arrive(way)
         if part == 0:
             if not _finite(y):
@@ -294,8 +294,8 @@ def run_paced(y, commands, plant, line, pace, mesh, each, log):
                 break
             line_push(line, commands[sample])
             if late or not _same(commands[ends], commands[sample]):
-                line_felt(line, commands[ends], plant, 0.0, line.tick / LATE)
-                rate = derivatives(y, line.held, plant, k[0], work)
+                line_acting(line, commands[ends], plant, 0.0, line.tick / LATE)
+                rate = derivatives(y, line.acting, plant, k[0], work)
                 _let(way, log, ends)
                 step = min(step, pace.units)
         sample = ends

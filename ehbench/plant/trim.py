@@ -141,9 +141,9 @@ def trim(
     return y
 
 
-def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
+def start_key(plant: Plant, moves: bool) -> tuple[object, ...]:
     """All of a plant that its start along a recording depends on, at rest or where it ``moves``."""
-    requested = _asked(moves, mounted(plant), bool(open_at_rest(plant).any()))
+    requested = _needed(moves, mounted(plant), bool(open_at_rest(plant).any()))
     parts: list[object] = [plant.kind, plant.gravity.tobytes(), plant.at]
     for name, spans in requested:
         rows: Any = getattr(plant, name)
@@ -154,10 +154,10 @@ def asked_at_start(plant: Plant, moves: bool) -> tuple[object, ...]:
 
 
 @cache
-def _asked(
+def _needed(
     moves: bool, mounts: bool, opens: bool
 ) -> tuple[tuple[str, tuple[tuple[int, int], ...]], ...]:
-    """(table of a plant, the bytes of its rows that `asked_at_start` asks for, as spans)."""
+    """(table of a plant, the bytes of its rows that `start_key` asks for, as spans)."""
     results = []
     for name, layout in _TABLES.items():
         idle = {*_IDLE.get(name, ()), *(() if moves else _MOVING.get(name, ()))}

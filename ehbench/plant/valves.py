@@ -9,7 +9,7 @@ from ehbench.parts.friction import friction_advance
 from ehbench.parts.mount import mount_settle
 from ehbench.parts.sway import sway_settle
 from ehbench.parts.valve import limited, valve_advance, valve_recover, valve_settle
-from ehbench.parts.valve.delay import line_felt, line_of, line_push
+from ehbench.parts.valve.delay import line_acting, line_of, line_push
 from ehbench.plant.build import Plant
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.integrate import MOST_SUBSTEPS, put
@@ -53,13 +53,13 @@ def follow_valves(t, commands, plant, known, states):
 @kernel
 def _felt(commands, plant, line, h, out):
     for s in range(commands.shape[0]):
-        line_felt(line, commands[s], plant, 0.0, h)
+        line_acting(line, commands[s], plant, 0.0, h)
         for i in range(commands.shape[1]):
-            out[s, i] = line.held[i]
+            out[s, i] = line.acting[i]
         line_push(line, commands[s])
 
 
-def felt_commands(plant: Plant, commands: np.ndarray, tick: float, h: float) -> np.ndarray:
+def acting_commands(plant: Plant, commands: np.ndarray, tick: float, h: float) -> np.ndarray:
     """Commands [V] that act over ``h`` [s] from each sample on, shape (samples, valves), by the
     delays."""
     if not plant.valves.delay.any():
@@ -102,24 +102,24 @@ def follow_parts(t, commands, plant, states):
         states: of the plant, in and out, shape (samples, states).
     """
     size = states.shape[1]
-    own = np.zeros(size, dtype=np.bool_)
+    moved = np.zeros(size, dtype=np.bool_)
     for i in range(plant.lines.shape[0]):
         row = plant.lines[i]
-        own[plant.nodes[row.node].state] = True
+        moved[plant.nodes[row.node].state] = True
         states[0, plant.nodes[row.node].state] = states[0, plant.nodes[row.chamber].state]
     for c in range(plant.cylinders.shape[0]):
         mount_settle(plant.cylinders[c], 0.0, states[0], plant)
         if plant.cylinders[c].mount_state >= 0:
-            own[plant.cylinders[c].mount_state] = True
+            moved[plant.cylinders[c].mount_state] = True
         sway_settle(plant.cylinders[c], 0.0, states[0])
         if plant.cylinders[c].sway_state >= 0:
-            own[plant.cylinders[c].sway_state] = own[plant.cylinders[c].sway_state + 1] = True
+            moved[plant.cylinders[c].sway_state] = moved[plant.cylinders[c].sway_state + 1] = True
     y, ahead, work = states[0].copy(), np.empty(size), np.empty(plant.at.work)
     first, last = np.empty(size), np.empty(size)
     for s in range(t.shape[0] - 1):
         dt, left = t[s + 1] - t[s], 1.0
         for i in range(size):
-            if not own[i]:
+            if not moved[i]:
                 y[i] = states[s, i]
         while left > 0.0:
             rate = derivatives(y, commands[s], plant, first, work)
@@ -127,16 +127,16 @@ def follow_parts(t, commands, plant, states):
             left = left - share if left - share > 1e-9 else 0.0
             for i in range(size):
                 step = (
-                    share * dt * first[i] if own[i] else share * (states[s + 1, i] - states[s, i])
+                    share * dt * first[i] if moved[i] else share * (states[s + 1, i] - states[s, i])
                 )
                 ahead[i] = y[i] + step
             derivatives(ahead, commands[s], plant, last, work)
             for i in range(size):
-                if own[i]:
+                if moved[i]:
                     ahead[i] = y[i] + 0.5 * share * dt * (first[i] + last[i])
             put(ahead, y)
         for i in range(size):
-            if own[i]:
+            if moved[i]:
                 states[s + 1, i] = y[i]
 
 

@@ -124,7 +124,7 @@ class InitialState:
         true = self.true(shifts, shared)
         if true is not self.record:  # sensors are put right, and it shows something else
             return replace(self, record=true)._start(model)
-        key = model.asked_at_start(self.moves)
+        key = model.start_key(self.moves)
         if (result := self._known.get(key)) is None:
             result = self._start(model)
             result.y.flags.writeable = False

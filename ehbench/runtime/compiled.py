@@ -193,7 +193,7 @@ def bound(function: Any, *like: Any) -> Callable:
     return _entry_point(function.outer, like)
 
 
-def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
+def choice(name: str, laws: Sequence[Callable], arguments: str, by: str = "law") -> Any:
     """A function ``name(law, …)`` that calls one of several kernels by its number ``law``.
 
     In a kernel the choice is a chain of comparisons over calls that the compiler may inline, and
@@ -203,12 +203,13 @@ def choice(name: str, laws: Sequence[Callable], arguments: str) -> Callable:
     Args:
         laws: the kernels, all of the same arguments and the same type of result.
         arguments: their arguments as a signature has them, such as ``"row, v"``.
+        by: where these have the number instead, such as ``"row.friction"``: ``name(row, v)``.
     """
     space: dict[str, Any] = {f"law_{i}": law for i, law in enumerate(laws)}
-    last = len(laws) - 1
-    chain = "".join(f"    if law == {i}: return law_{i}({arguments})\n" for i in range(last))
-    text = f"(law, {arguments}):\n{chain}    return law_{last}({arguments})\n"
-    exec(f"def {name}{text}def typed(law, {arguments}): return chosen\ndef chosen{text}", space)
+    last, given = len(laws) - 1, f"law, {arguments}" if by == "law" else arguments
+    chain = "".join(f"    if {by} == {i}: return law_{i}({arguments})\n" for i in range(last))
+    text = f"({given}):\n{chain}    return law_{last}({arguments})\n"
+    exec(f"def {name}{text}def typed({given}): return chosen\ndef chosen{text}", space)
     overload(space[name], jit_options=_CHOSEN)(space["typed"])
     return space[name]
 

@@ -10,7 +10,7 @@ from ehbench.config.recipe import BenchRecipe
 from ehbench.config.rig import Rig
 from ehbench.ledger import ledger_of_log
 from ehbench.machines.virtual import VirtualMachine
-from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, held
+from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, stored
 from ehbench.plant.model import Model
 from ehbench.tune.linear import development_model
 from ehbench.vocabulary.fields import Value
@@ -32,9 +32,9 @@ def test_the_energy_of_compression_obeys_the_chamber_law():
         found = solve_ivp(
             lambda p, u: (p + u) / bulk_of(row, p), (0.0, end), [0.0], rtol=1e-12, atol=1e-9
         )
-        assert held(row, end) == pytest.approx(found.y[0, -1], rel=1e-9)
+        assert stored(row, end) == pytest.approx(found.y[0, -1], rel=1e-9)
     plain = Model.of(slide()).plant.supply
-    assert held(plain, 1e7) == compressed(1e7, plain.bulk_modulus)
+    assert stored(plain, 1e7) == compressed(1e7, plain.bulk_modulus)
     assert bulk_of(plain, 1e7) == plain.bulk_modulus
     p = 5e6 + ATMOSPHERE
     softer = 1.0 / 9e8 + 0.02 / (1.3 * p) * (ATMOSPHERE / p) ** (1.0 / 1.3)

@@ -16,7 +16,7 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.valve import valve_lag
 from ehbench.plant.model import Model, simulate
-from ehbench.plant.valves import felt_commands, follow_valves
+from ehbench.plant.valves import acting_commands, follow_valves
 from ehbench.tune.linear import development_model, faster
 from ehbench.vocabulary.errors import InputError
 from tests.shared import RIGS, shipped
@@ -170,7 +170,7 @@ def test_openings_follow_from_commands(series):
     """Without the plant, to what RK4 leaves over in the simulation."""
     model, table, record = steps(rig_with(*series))
     states, row = np.zeros((1200, model.layout.states)), model.plant.valves[0]
-    felt = felt_commands(model.plant, table, 1e-3, 1e-3)
+    felt = acting_commands(model.plant, table, 1e-3, 1e-3)
     follow_valves(record.t, felt, model.plant, False, states)
     gap = np.abs(states[:, row.output] - record["press.servo.opening"])
     # behind a delay, a tick feels the mean of what the model's steps tell apart

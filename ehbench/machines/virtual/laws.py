@@ -17,7 +17,7 @@ from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, line_reading, reading
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
 from ehbench.parts.valve import limited
-from ehbench.parts.valve.delay import line_felt, line_push
+from ehbench.parts.valve.delay import line_acting, line_push
 from ehbench.physics.cylinder import relief_flow
 from ehbench.physics.friction import stribeck, stribeck_slope
 from ehbench.plant.derivatives import (
@@ -322,8 +322,8 @@ def bench_tick(state, command, bench, tick, steps, scratch, noise_row, sample):
     h = tick / steps
     line = scratch.line
     for step in range(steps):
-        line_felt(line, scratch.target, bench, step * h, h)
-        rk4(y, line.held, bench, h, scratch.k, scratch.work)
+        line_acting(line, scratch.target, bench, step * h, h)
+        rk4(y, line.acting, bench, h, scratch.k, scratch.work)
         raw_of(y, bench, scratch.raw)
         for i in range(at.channels):
             lag = bench.sensors[i].lag

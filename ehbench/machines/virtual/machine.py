@@ -51,7 +51,7 @@ class Running(NamedTuple):
 
 
 @kernel
-def _advance(first, stop, own, rows, law, noise):
+def _advance(first, stop, run, rows, law, noise):
     sample = rows.sample
     for i in range(first, stop):
         if law is not None:
@@ -61,14 +61,14 @@ def _advance(first, stop, own, rows, law, noise):
         for j in range(sample.shape[0]):
             rows.samples[i, j] = sample[j]
         for c in range(rows.truth.shape[1]):
-            rows.truth[i, c] = own.scratch.raw[A_CYLINDER * c + STROKE]
+            rows.truth[i, c] = run.scratch.raw[A_CYLINDER * c + STROKE]
         bench_tick(
-            own.state,
+            run.state,
             rows.commands[i],
-            own.bench,
-            own.tick,
-            own.steps,
-            own.scratch,
+            run.bench,
+            run.tick,
+            run.steps,
+            run.scratch,
             noise[i - first],
             sample,
         )
@@ -79,11 +79,11 @@ class TrueStrokes:
     """The strokes of a running bench as they are, without its sensors."""
 
     def __init__(self, running: Running) -> None:
-        self._own, self.width = running, running.bench.cylinders.shape[0]
+        self._running, self.width = running, running.bench.cylinders.shape[0]
 
     def read(self, command: np.ndarray, row: np.ndarray) -> None:
         """As `Hidden.read`."""
-        row[:] = self._own.scratch.raw[STROKE : A_CYLINDER * self.width : A_CYLINDER]
+        row[:] = self._running.scratch.raw[STROKE : A_CYLINDER * self.width : A_CYLINDER]
 
 
 class VirtualMachine:
@@ -129,8 +129,8 @@ class VirtualMachine:
         at = self.bench.at
         self.size, self.raw = at.states, at.channels
         self.state = np.zeros(at.size)
-        self._own = self._at_rest()
-        self.hidden = TrueStrokes(self._own)
+        self._running = self._at_rest()
+        self.hidden = TrueStrokes(self._running)
         self._rng = self._new_noise()
         self._noise, self._used = np.empty((0, self.raw)), 0
 
@@ -167,8 +167,8 @@ class VirtualMachine:
         """The same machine, not started, with other noise of its sensors."""
         other = copy(self)
         other.seed, other.state = seed, np.zeros_like(self.state)
-        other._own = other._at_rest()
-        other.hidden = TrueStrokes(other._own)
+        other._running = other._at_rest()
+        other.hidden = TrueStrokes(other._running)
         other._rng = other._new_noise()
         other._noise, other._used = np.empty((0, self.raw)), 0
         return other
@@ -210,7 +210,7 @@ class VirtualMachine:
         for index, (valve, command) in enumerate(zip(bench.valves, rest, strict=True)):
             target = valve.gain * command + valve.offset
             valve_settle(valve, target, bench, state)
-            self._own.scratch.line.past[:, index] = target
+            self._running.scratch.line.past[:, index] = target
         raw_of(state[: at.states], bench, state[at.lags : at.filters])
         for c in range(len(self.layout.cylinders)):
             k = at.filters + FILTER * c
@@ -229,7 +229,7 @@ class VirtualMachine:
         return sample
 
     def _tick(self, command: np.ndarray, sample: np.ndarray) -> None:
-        running = self._own
+        running = self._running
         noise = self.noise(1)[0]
         bench_tick(
             running.state,
@@ -244,7 +244,7 @@ class VirtualMachine:
 
     def advance(self, rows: Rows, law: Controls | None, often: bool) -> Advance:
         """As `advance_of` says."""
-        running = self._own
+        running = self._running
         run = bound(_advance, 0, 0, running, rows, law, self._noise) if often else _advance
 
         def through(first: int, stop: int) -> int:

@@ -91,11 +91,11 @@ def offsets_of(names: Layout, depth: int) -> BenchOffsets:
     filters = lags + channels
     ring = filters + FILTER * nc
     place = ring + depth * channels
-    own = {"pump": at.states, "sensed": at.states + 1, "states": states, "hysteresis": states}
-    own |= {"lags": lags, "filters": filters, "ring": ring, "depth": depth, "place": place}
-    own |= {"size": place + 1, "channels": channels, "work": at.pump}
+    bench = {"pump": at.states, "sensed": at.states + 1, "states": states, "hysteresis": states}
+    bench |= {"lags": lags, "filters": filters, "ring": ring, "depth": depth, "place": place}
+    bench |= {"size": place + 1, "channels": channels, "work": at.pump}
     shared = {name: value for name, value in at._asdict().items() if name in BenchOffsets._fields}
-    return BenchOffsets(**(shared | own))
+    return BenchOffsets(**(shared | bench))
 
 
 class VirtualPlant(NamedTuple):

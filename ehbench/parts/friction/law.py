@@ -24,7 +24,12 @@ class FrictionTable(FileModel):
 
 @part_kernel
 def _nothing(*_):
-    """A law without states has nothing to settle, to advance and to hold [J]."""
+    """A law without states has none to settle or advance."""
+
+
+@part_kernel
+def _no_energy(row, y):
+    """A law without states stores no energy [J]."""
     return 0.0
 
 
@@ -41,8 +46,9 @@ class FrictionLaw:
     A law with ``states`` has them from ``row.friction_state`` on, and six more kernels:
     ``force(row, v, y)`` is the resistance now [N], ``loss(row, v, y)`` the power that turns to heat
     [W], ``rates(row, v, y, dy)`` writes the states' rates, ``settle(row, v, y)`` puts them where a
-    lasting speed does, ``advance(row, v, dt, y)`` brings them on by ``dt`` [s] at a held speed, and
-    ``held(row, y)`` is the energy in them [J]. Without states the resistance is the steady one."""
+    lasting speed does, ``advance(row, v, dt, y)`` brings them on by ``dt`` [s] at a constant speed,
+    and ``stored(row, y)`` is the energy in them [J]. Without states the resistance is the steady
+    one."""
 
     name: str
     table: type[FrictionTable]
@@ -56,13 +62,15 @@ class FrictionLaw:
     rates: Callable = _nothing
     settle: Callable = _nothing
     advance: Callable = _nothing
-    held: Callable = _nothing
+    stored: Callable = _no_energy
 
     def pack(self, cylinder: Any) -> dict[str, float]:
         """Columns of a cylinder of the rig file: of its own table, else of the cylinder."""
-        own = cylinder.friction
+        table = cylinder.friction
         names = [name for name, _ in self.columns]
-        return {key: float(getattr(own if hasattr(own, key) else cylinder, key)) for key in names}
+        return {
+            key: float(getattr(table if hasattr(table, key) else cylinder, key)) for key in names
+        }
 
     def resistance(self) -> Callable:
         """``force(row, v, y)`` of a law with or without states."""

@@ -71,9 +71,9 @@ def slope(row, v):
 @part_kernel
 def fastest(row, v):
     """Fastest rate [1/s]: the bristles' own, their spring and their damper on the lightest mass."""
-    own = row.bristle_stiffness * abs(v) / level(row, v)
+    bristles = row.bristle_stiffness * abs(v) / level(row, v)
     spring = math.sqrt(row.mobility * row.bristle_stiffness)
-    return own + spring + row.mobility * (row.bristle_damping + row.friction_viscous)
+    return bristles + spring + row.mobility * (row.bristle_damping + row.friction_viscous)
 
 
 @part_kernel
@@ -106,7 +106,7 @@ def settle(row, v, y):
 
 @part_kernel
 def advance(row, v, dt, y):
-    """The exact answer over ``dt`` [s] at a held speed."""
+    """The exact answer over ``dt`` [s] at a stored speed."""
     if v != 0.0:
         at, bear = row.friction_state, level(row, v)
         there = math.copysign(bear / row.bristle_stiffness, v)
@@ -115,7 +115,7 @@ def advance(row, v, dt, y):
 
 
 @part_kernel
-def held(row, y):
+def stored(row, y):
     """Energy [J] of the bent bristles: σ0 z²/2."""
     return 0.5 * row.bristle_stiffness * y[row.friction_state] * y[row.friction_state]
 
@@ -137,7 +137,7 @@ LAW = FrictionLaw(
     rates=rates,
     settle=settle,
     advance=advance,
-    held=held,
+    stored=stored,
 )
 
 # bristles that bend by a tenth of a millimetre before the rod slides

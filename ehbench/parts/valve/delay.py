@@ -33,13 +33,13 @@ class Line(NamedTuple):
     """The commands of past ticks.
 
     ``tick`` [s]; ``past`` [V], shape (depth, valves), a ring by tick of as many as the longest
-    delay needs, of one where there is none; ``count`` of ticks so far, shape (1,); ``held`` what
-    the plant feels of a row of commands over a step: forces that are played are never late."""
+    delay needs, of one where there is none; ``count`` of ticks so far, shape (1,); ``acting`` what
+    acts of a row of commands over a step: forces that are played are never late."""
 
     tick: float
     past: np.ndarray
     count: np.ndarray
-    held: np.ndarray
+    acting: np.ndarray
 
 
 def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
@@ -55,11 +55,11 @@ def line_of(plant: Any, tick: float, columns: int = 0) -> Line:
 
 
 @part_kernel
-def line_felt(line, command, plant, start, h):
+def line_acting(line, command, plant, start, h):
     """Write the delayed commands over ``h`` [s] from ``start`` [s] of this tick into
-    ``line.held``."""
+    ``line.acting``."""
     for i in range(command.shape[0]):
-        line.held[i] = command[i]
+        line.acting[i] = command[i]
     depth = line.past.shape[0]
     if depth == 1:
         return
@@ -70,7 +70,7 @@ def line_felt(line, command, plant, start, h):
             late = command[i] if first >= 0 else line.past[(line.count[0] + first) % depth, i]
             soon = command[i] if first >= -1 else line.past[(line.count[0] + first + 1) % depth, i]
             share = min(max((since + h - (first + 1) * line.tick) / h, 0.0), 1.0)
-            line.held[i] = late + share * (soon - late)
+            line.acting[i] = late + share * (soon - late)
 
 
 @part_kernel
