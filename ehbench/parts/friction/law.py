@@ -23,8 +23,13 @@ class FrictionTable(FileModel):
 
 
 @part_kernel
-def _nothing(*_):
-    """A law without states has none to settle or advance."""
+def _idle(row, v, _, y):
+    """A law without states has no rates, and nothing to advance."""
+
+
+@part_kernel
+def _settled(row, v, y):
+    """A law without states has none to settle."""
 
 
 @part_kernel
@@ -59,9 +64,9 @@ class FrictionLaw:
     states: tuple[str, ...] = ()
     force: Callable | None = None
     loss: Callable | None = None
-    rates: Callable = _nothing
-    settle: Callable = _nothing
-    advance: Callable = _nothing
+    rates: Callable = _idle
+    settle: Callable = _settled
+    advance: Callable = _idle
     stored: Callable = _no_energy
 
     def pack(self, cylinder: Any) -> dict[str, float]:
