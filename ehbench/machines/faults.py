@@ -113,36 +113,32 @@ class FaultyMachine:
         self.name, self.channels, self.commands = machine.name, machine.channels, machine.commands
         self.strokes, self.rate, self.latency = machine.strokes, machine.rate, machine.latency
         self.hidden = TrueStrokes(len(self.strokes))
-        self._failures = [self._failure(fault, where) for fault, where in faults]
+        self._failures: list[Failure] = []
+        names = {"sensor": self.channels, "valve": self.commands.names, "machine": ("",)}
+        for fault, where in faults:
+            kind, rest, high = KINDS[fault.kind], 0.0, 0.0
+            known = names[kind.place]
+            if fault.target not in known:
+                fields = {"kind": fault.kind, "target": fault.target, "known": ", ".join(known)}
+                raise InputError(message("machines.fault_target", **fields), **where)
+            index = known.index(fault.target)
+            if kind.place == "valve":
+                rest, high = float(self.commands.rest[index]), float(self.commands.highest[index])
+            size = high
+            if fault.value is not None:
+                word = "command" if kind.place == "valve" else fault.target.rsplit(".", 1)[-1]
+                row = VOCABULARY["sensor_scale" if fault.kind == "scale" else word]
+                try:  # a difference has no range
+                    size = float(read_value(fault.value, replace(row, lower=-math.inf)))
+                except InputError as error:
+                    raise InputError(error.message, **where, hint=error.hint) from None
+            elif kind.needs:
+                raise InputError(message("machines.fault_value", kind=fault.kind), **where)
+            self._failures.append(Failure(fault, index, size, 1.0 / self.rate, rest, high))
         self._tick, self.stamp = 0, Stamp(0.0, 0, 0.0)
         plant = getattr(machine, "bench", None) or machine.model.plant  # type: ignore[attr-defined]
         self._supply, self._flow_limit = plant.supply, float(plant.supply.flow_limit)
         self._seen = np.empty(0)
-
-    def _failure(self, fault: Fault, where: dict[str, Any]) -> Failure:
-        kind, tick = KINDS[fault.kind], 1.0 / self.rate
-        names = {"sensor": self.channels, "valve": self.commands.names, "machine": ("",)}
-        known = names[kind.place]
-        if fault.target not in known:
-            fields = {"kind": fault.kind, "target": fault.target, "known": ", ".join(known)}
-            raise InputError(message("machines.fault_target", **fields), **where)
-        index = known.index(fault.target)
-        rest, high = 0.0, 0.0
-        if kind.place == "valve":
-            rest, high = (
-                float(ends[index]) for ends in (self.commands.rest, self.commands.highest)
-            )
-        size = high
-        if fault.value is not None:
-            word = "command" if kind.place == "valve" else fault.target.rsplit(".", 1)[-1]
-            row = VOCABULARY["sensor_scale" if fault.kind == "scale" else word]
-            try:  # a difference has no range
-                size = float(read_value(fault.value, replace(row, lower=-math.inf)))
-            except InputError as error:
-                raise InputError(error.message, **where, hint=error.hint) from None
-        elif kind.needs:
-            raise InputError(message("machines.fault_value", kind=fault.kind), **where)
-        return Failure(fault, index, size, tick, rest, high)
 
     def seeded(self, seed: int) -> FaultyMachine:
         """The same machine, not started, with other noise of its sensors."""

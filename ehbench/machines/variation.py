@@ -12,7 +12,7 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.machines.virtual.plant import RAW
 from ehbench.parts.sample import OF
-from ehbench.physics.flow_map import FlowMap, FlowMaps, collect
+from ehbench.physics.flow_map import FlowMaps, collect
 from ehbench.plant.build import Maps
 from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import InputError
@@ -41,9 +41,17 @@ def varied(recipe: TrialRecipe, rig: Rig, maps: Maps | None) -> SimulatedMachine
             **recipe.at(*change.where, "pressure_lag"),
             hint='take on = "bench"',
         )
-    model = Model.of(
-        _varied_rig(rig, change), _varied_maps(maps, float(change.deadband)), recipe.payload
-    )
+    shift = float(change.deadband)
+    if isinstance(maps, FlowMaps) and shift != 0.0:  # their edges open later
+        moved = ("deadband", "opening_knots", "hull_command", "std_command", "rising_to")
+        shifted = []
+        for item in maps.each():
+            low, high = item.deadband_interval
+            values: dict[str, Any] = {name: getattr(item, name) + shift for name in moved}
+            values["deadband_interval"] = (low + shift, high + shift)
+            shifted.append(replace(item, **values))
+        maps = collect(shifted)
+    model = Model.of(_varied_rig(rig, change), maps, recipe.payload)
     # late commands do to a loop what late samples do
     model.plant.valves.delay += float(change.delay)
     step = recipe.step if isinstance(recipe.step, str) else float(recipe.step)
@@ -85,26 +93,6 @@ def _varied_rig(rig: Rig, change: MachineChange) -> Rig:
     values = {name: _changed(name, number, change, powers) for name, number in known.items()}
     values = {name: number for name, number in values.items() if number != known[name]}
     return rig.with_values(values) if values else rig
-
-
-def _varied_maps(maps: Maps | None, shift: float) -> Maps | None:
-    """Flow maps whose edges open by ``shift`` [V] later."""
-    if not isinstance(maps, FlowMaps) or shift == 0.0:
-        return maps
-
-    def later(entry: FlowMap) -> FlowMap:
-        low, high = entry.deadband_interval
-        return replace(
-            entry,
-            deadband=entry.deadband + shift,
-            deadband_interval=(low + shift, high + shift),
-            opening_knots=entry.opening_knots + shift,
-            hull_command=entry.hull_command + shift,
-            std_command=entry.std_command + shift,
-            rising_to=entry.rising_to + shift,
-        )
-
-    return collect([later(item) for item in maps.each()])
 
 
 def _bench(

@@ -446,7 +446,14 @@ class Model:
                 channels[f"{name}.{key}"] = log[:, names.state(key, index)]
         for index, key in names.part_states:
             channels[f"{names.cylinders[index]}.{key}"] = log[:, names.state(key, index)]
-        channels |= {} if commands is None else self._driven(t, commands, log)
+        if commands is not None:
+            columns = [f"{valve}.command" for valve in names.valves] + list(names.played)
+            channels |= {channel: commands[:, i] for i, channel in enumerate(columns)}
+            tick = float(t[1] - t[0]) if len(t) > 1 else STEP
+            acting = acting_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
+            for index, valve in enumerate(names.valves):
+                output = plant.valves[index].output
+                channels[f"{valve}.opening"] = acting[:, index] if output < 0 else log[:, output]
         for channel, at in names.inner_states:
             channels[channel] = log[:, at]
         channels["p_supply"] = log[:, plant.at.supply]
@@ -456,21 +463,6 @@ class Model:
                 channels[f"{edge}.flow"] = log[:, names.states + index]
             channels["flow_supply"] = log[:, -1]
         return Record(t, channels, dict(meta or {}))
-
-    def _driven(
-        self, t: np.ndarray, commands: np.ndarray, log: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """Commands and forces played, and the openings that they make."""
-        names, plant = self.layout, self.plant
-        channels = {f"{valve}.command": commands[:, i] for i, valve in enumerate(names.valves)}
-        for index, channel in enumerate(names.played, len(names.valves)):
-            channels[channel] = commands[:, index]
-        tick = float(t[1] - t[0]) if len(t) > 1 else STEP
-        felt = acting_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
-        for index, valve in enumerate(names.valves):
-            output = plant.valves[index].output
-            channels[f"{valve}.opening"] = felt[:, index] if output < 0 else log[:, output]
-        return channels
 
 
 def simulate(

@@ -153,7 +153,20 @@ class Cluster:
             sent = client.scatter(self._sent, broadcast=False, hash=True)
             try:
                 while True:
-                    self._feed(tasks, sent)
+                    threads = sum(client.nthreads().values())  # however many workers there are now
+                    while len(self._jobs) < max(self._settings.under_way * threads, 2):
+                        size = 1
+                        if self._count:
+                            size = round(
+                                self._settings.chunk * self._count / max(self._seconds, 1e-9)
+                            )
+                        size = max(1, min(self._settings.largest_chunk, size))
+                        chunk = [self._alone.pop()] if self._alone else list(islice(tasks, size))
+                        if not chunk:
+                            break
+                        job = client.submit(make_chunk, sent, chunk, pure=False)
+                        self._jobs[job] = chunk, time.monotonic()
+                        job.add_done_callback(self._done.put)
                     if not self._jobs:
                         return
                     for samples in self._ready():
@@ -163,21 +176,6 @@ class Cluster:
             finally:
                 client.cancel(list(self._jobs), force=True)
                 self._jobs.clear()
-
-    def _feed(self, tasks: Iterator[Task], sent: Future) -> None:
-        """Keep the cluster busy, however many workers it has now."""
-        threads = sum(self._client.nthreads().values())
-        while len(self._jobs) < max(self._settings.under_way * threads, 2):
-            size = 1
-            if self._count:
-                size = round(self._settings.chunk * self._count / max(self._seconds, 1e-9))
-            size = max(1, min(self._settings.largest_chunk, size))
-            chunk = [self._alone.pop()] if self._alone else list(islice(tasks, size))
-            if not chunk:
-                return
-            job = self._client.submit(make_chunk, sent, chunk, pure=False)
-            self._jobs[job] = chunk, time.monotonic()
-            job.add_done_callback(self._done.put)
 
     def _ready(self) -> Iterator[list[Sample]]:
         """The samples of chunks that are done; those of lost ones go back."""
