@@ -125,6 +125,10 @@ class Cluster:
                 ca, cert, key = map(os.fspath, workers.certificates)
                 files = {"tls_ca_file": ca, "tls_client_cert": cert, "tls_client_key": key}
             security = Security(require_encryption=workers.is_encrypted or None, **files)
+            known = security.get_connection_args("client").get("ssl_context")
+            if workers.is_encrypted and known is None:  # else a client is half-made
+                address = workers.scheduler
+                raise InputError(message("sampling.certificates_missing", address=address))
             self._client: Any = Client(
                 workers.scheduler,
                 timeout=settings.connect,

@@ -190,14 +190,13 @@ def test_an_encrypted_cluster_works_for_who_has_a_certificate_of_its_authority(m
         address = cluster.scheduler_address
         made, _ = samples(Cluster(workflow.Workers.of(address, ours), bundle, 2), 9)
         assert [one.index for one in made] == list(range(9))
-        for refused in (
-            workflow.Workers.of(address, strange),
-            workflow.Workers.of(address),
-            workflow.Workers.of(address.replace("tls:", "tcp:")),
+        for workers, key in (
+            (workflow.Workers.of(address, strange), "sampling.no_scheduler"),
+            (workflow.Workers.of(address), "sampling.certificates_missing"),
+            (workflow.Workers.of(address.replace("tls:", "tcp:")), "sampling.no_scheduler"),
         ):
-            with pytest.raises(InputError) as caught:
-                Cluster(refused, bundle, 2, settings=QUICK)
-            assert caught.value.key == "sampling.no_scheduler"
+            with refused(key):
+                Cluster(workers, bundle, 2, settings=QUICK)
 
 
 def test_the_hint_starts_no_scheduler_that_others_reach():
