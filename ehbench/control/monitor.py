@@ -232,7 +232,8 @@ def watch(sample, command, axis, monitor):
                 shut = shut or gain > 0.0
                 gain = min(gain, 0.0) if doubted else gain
             score = monitor.scores[i, kind] = max(monitor.scores[i, kind] + share * gain, 0.0)
-            if score > SCORES.alarm and monitor.fault[0] == 0.0:
+            known = monitor.fault[0]  # an open valve may look like another that is shut, at first
+            if score > SCORES.alarm and (known == 0.0 or (known > 0.0 and kind == OPEN)):
                 monitor.fault[0] = i + 1.0 if kind == SHUT else -i - 1.0
                 for f in range(circuit.able.shape[0]):
                     circuit.able[f] = monitor.without[i, f] if kind == SHUT else f == HOLD
