@@ -4,9 +4,10 @@ Residuals are low-passed and compared with the deviation σ that a sound machine
 have: the stroke against that of the joint's angle; the load force against what the mechanism asks
 for, with any payload that the rig may carry, and with the payload that it carried until now; the
 pressures of supply and tank against the rig file; a pressure that stays at one number against what
-has changed since. Each has a score that sums ``e²/2σ² − drift`` over the correlation time, from 0
-up, as those of `ehbench.control.monitor`. A wrong force is the fault of the pressure that the flows
-of its chamber contradict the more; a stroke and an angle that differ are named by the stroke."""
+has changed since; one that jumps against what the flows can do in a tick. Each has a score that
+sums ``e²/2σ² − drift`` over the correlation time, from 0 up, as those of `ehbench.control.monitor`.
+A wrong force is the fault of the pressure that the flows of its chamber contradict the more; a
+stroke and an angle that differ are named by the stroke."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ import numpy as np
 from ehbench.control.axis import Axis, inertias, load_at
 from ehbench.control.measured import load_force, place_joints, pressures
 from ehbench.control.records import constants
-from ehbench.parts.cylinder import linkage_of
+from ehbench.parts.cylinder import chamber_oil, linkage_of
 from ehbench.parts.sample import LINE, OF, cylinders_in, entry, line_entry
 from ehbench.physics.arm import work_size
 from ehbench.runtime.compiled import kernel
@@ -51,13 +52,16 @@ class SensorSettings:
         0.7, "", "of the supply's flow, beyond which its pressure may fall", "chosen"
     )
     ends: float = setting(0.01, "", "of the stroke, where no load is weighed", "end stops")
+    jump: float = setting(3.0, "", "of a pressure in a tick, by twice the supply's flow", "chosen")
     still: float = setting(0.05, "s", "after which a pressure that stays is doubted", "it is noisy")
+    usual: float = setting(5.0, "", "by which it stays for longer than ever before", "chosen")
     memory: float = setting(3.0, "rad/s", "decay of what tells two pressures apart", "chosen")
     carried: float = setting(1.0, "rad/s", "low-pass of the payload that is carried", "chosen")
 
 
 SCORES, SENSORS = constants(ScoreSettings()), constants(SensorSettings())
-STROKE, LOAD, SUPPLY, TANK, STUCK_HEAD, STUCK_ROD, CHANGED, RESIDUALS = range(8)
+STROKE, LOAD, CHANGED, SUPPLY, TANK = range(5)
+STUCK_HEAD, STUCK_ROD, JUMP_HEAD, JUMP_ROD, RESIDUALS = range(5, 10)
 HEAD, ROD = 0, 1  # chambers
 
 
@@ -67,11 +71,12 @@ class Sensors(NamedTuple):
     ``angles`` and ``work`` are scratch; ``low``, shape (RESIDUALS,), low-passed residuals,
     ``scores``, shape (RESIDUALS,), theirs; ``speed``, shape (1,), the low-passed speed [m/s];
     ``carried``, shape (1,), the payload [kg]; ``doubts``, shape (2,), what the flows say against
-    each chamber's pressure [m²/s²]; ``still``, shape (2, 4), of each chamber the pressure that
-    stays [Pa], with the demanded force and the other chamber's force [N] when it came, and for how
-    long [s]. ``lines`` are the pressures [Pa] of supply and tank, nan where they follow the load;
-    ``payload`` [kg] at the tip is the heaviest, ``steady`` whether it stays the same; ``tick``
-    [s]."""
+    each chamber's pressure [m²/s²]; ``still``, shape (2, 5), of each chamber the pressure that
+    stays [Pa], with the demanded force and the other chamber's force [N] when it came, for how long
+    [s], and for how long one stayed at most before; ``jumped``, shape (2,), by how much each
+    pressure jumped [Pa]. ``lines`` are the pressures [Pa] of supply and tank, nan where they follow
+    the load; ``payload`` [kg] at the tip is the heaviest, ``steady`` whether it stays the same;
+    ``tick`` [s]."""
 
     angles: np.ndarray
     work: np.ndarray
@@ -81,6 +86,7 @@ class Sensors(NamedTuple):
     scores: np.ndarray
     doubts: np.ndarray
     still: np.ndarray
+    jumped: np.ndarray
     lines: np.ndarray
     payload: float
     steady: bool
@@ -107,7 +113,8 @@ def sensors_of(axis: Axis, tank: float, payload: float, steady: bool, tick: floa
         np.full(1, math.nan),
         np.zeros(RESIDUALS),
         np.zeros(2),
-        np.zeros((2, 4)),
+        np.zeros((2, 5)),
+        np.zeros(2),
         np.array([supply.pressure if fixed else math.nan, tank]),
         float(payload),
         steady,
@@ -162,16 +169,24 @@ def _load(sample, v, axis, sensors):
 
 
 @kernel
-def _still(side, p, demand, axis, sensors):
-    """What has changed [N] since a chamber's pressure has come to the number that it stays at."""
+def _still(side, p, x, demand, axis, sensors):
+    """What has changed [N] since a chamber's pressure has come to the number that it stays at; how
+    far it jumped is remembered.
+    """
     cylinder, row = axis.cylinder, sensors.still[side]
     pressure = p.head if side == HEAD else p.rod
     other = p.rod * cylinder.area_rod if side == HEAD else p.head * cylinder.area_head
+    flow = 2.0 * SENSORS.jump * axis.circuit.supply[0].flow_limit
+    most = flow * sensors.tick * cylinder.bulk_modulus / chamber_oil(cylinder, side, x)
+    rise = pressure - row[0] if row[3] > 0.0 else 0.0
+    sensors.jumped[side] *= 1.0 - SENSORS.memory * sensors.tick
+    sensors.jumped[side] += rise - min(max(rise, -most), most)
     if pressure != row[0]:
+        row[4] = max(row[4], row[3])  # a coarse sensor stays for long
         row[0], row[1], row[2], row[3] = pressure, demand, other, 0.0
     row[3] += sensors.tick
     least = SENSORS.force * axis.circuit.supply[0].pressure  # a sensor may end at zero
-    sound = pressure < least or row[3] < SENSORS.still
+    sound = pressure < least or row[3] < max(SENSORS.still, SENSORS.usual * row[4])
     return 0.0 if sound else abs(demand - row[1]) + abs(other - row[2])
 
 
@@ -224,8 +239,9 @@ def wrong_sensor(sample, r_head, r_rod, calm, axis, sensors):
     _score(CHANGED, changed if alone and sensors.steady else 0.0, variance, sensors)
     variance = (SENSORS.force * axis.circuit.supply[0].pressure * cylinder.area_head) ** 2
     for side in range(2):
-        e = _still(side, pressures(sample, number), demand, axis, sensors)
+        e = _still(side, pressures(sample, number), x, demand, axis, sensors)
         _score(STUCK_HEAD + side, e, variance, sensors)
+        _score(JUMP_HEAD + side, sensors.jumped[side] * cylinder.area_head, variance, sensors)
     variance = (SENSORS.line * axis.circuit.supply[0].pressure) ** 2
     for line in range(2):
         p = sample[line_entry(cylinders, LINE.p_supply if line == 0 else LINE.p_tank)]
@@ -245,7 +261,7 @@ def _blamed(number, cylinders, moved, sensors):
     if sensors.scores[STROKE] > alarm:
         return entry(number, OF.x)
     for side in range(2):
-        if sensors.scores[STUCK_HEAD + side] > alarm:
+        if max(sensors.scores[STUCK_HEAD + side], sensors.scores[JUMP_HEAD + side]) > alarm:
             return entry(number, OF.p_head if side == HEAD else OF.p_rod)
     if sensors.scores[LOAD] > alarm or sensors.scores[CHANGED] > alarm:
         if not moved:

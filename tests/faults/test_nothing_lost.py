@@ -41,6 +41,18 @@ def tree(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in Path(folder).rglob("*.*")}
 
 
+@pytest.mark.parametrize("there", [False, True])
+def test_a_refused_run_leaves_no_folder_that_was_not_there(place, there):
+    if there:
+        Path("reports").mkdir()
+    with (
+        pytest.raises(InputError),
+        rundir.open_run(Path("reports/new/trial_1"), "trial", Path(RECIPE), []),
+    ):
+        raise InputError("no")
+    assert Path("reports").is_dir() is there and not Path("reports/new").exists()
+
+
 def test_a_run_replaces_the_run_before(place):
     made("out")
     assert made("out", "two").left_over == ()

@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     for (kind, limit), number in sorted(table.items()):
         print(f"| {kind} | {limit} | {number} |")
     print(f"{count} trials; beyond the margin, without a log or stopped for another reason:")
-    print(*(f"{seed} {item}" for seed, item in wrong) or ["none"], sep="\n")
+    print(*([f"{seed} {item}" for seed, item in wrong] or ["none"]), sep="\n")
 
 
 if __name__ == "__main__":

@@ -46,7 +46,8 @@ def cases(root: Path) -> Iterator[Case]:
 def monitored(case: Case) -> Case | None:
     """The same trial with a monitor, where its controllers can have one."""
     controller = case.recipe.controller
-    if controller is None or controller.kind is None:
+    rails = case.recipe.supply.low_rail or case.rig.supply.low_rail
+    if controller is None or controller.kind is None or rails:
         return None
     changed = controller.model_copy(update={"monitor": True})
     recipe = case.recipe.model_copy(update={"controller": changed})
@@ -70,7 +71,9 @@ def main(arguments: Sequence[str] = ()) -> None:
         with ThreadPoolExecutor(cores()) as pool:
             outcomes = list(pool.map(outcome, islice(enumerate(cycle(every)), count)))
     stopped = Counter((name, text) for name, text in outcomes if text)
-    print(f"{len(outcomes)} of {len(every)} different trials, {stopped.total()} stopped")
+    watched = len(every) - len(plain)
+    print(f"{len(outcomes)} trials of {len(plain)} plain and {watched} monitored ones")
+    print(f"{stopped.total()} stopped")
     for (name, text), number in sorted(stopped.items()):
         print(number, name, text, sep=" | ")
 
