@@ -1,7 +1,5 @@
 """Any log that is read, written as Parquet or MAT."""
 
-from __future__ import annotations
-
 import json
 import re
 from datetime import datetime

@@ -2,8 +2,6 @@
 dry run: by the ``prepare`` of its stage, with which a run begins.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands about links: the layout of packets, the quality of a link, a served machine."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

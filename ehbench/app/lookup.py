@@ -1,7 +1,5 @@
 """The rows of the vocabulary that a word leads to."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 from ehbench.report.blocks import Grid

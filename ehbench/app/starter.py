@@ -1,7 +1,5 @@
 """Where a user begins: a new workspace, and a campaign by its name."""
 
-from __future__ import annotations
-
 from difflib import get_close_matches
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """What the logs of a fit should be compared by: the position where the rate is noise, a tied
 position where the commands follow it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ eliminated. A test adds its own normal matrix ``H'``, which the fitted model giv
 is run; the interval then shrinks by ``√((H + H')⁻¹/H⁻¹)`` of its diagonal entry (Ljung 1999,
 ch. 13). Residuals of the test are taken to be as large and as coloured as those of the logs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ held at a value and everything else is fitted again.
 Where it is a parabola over the interval, the interval means what it says; where it is lopsided,
 flat or has a second valley, the interval does not."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

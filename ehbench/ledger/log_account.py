@@ -1,7 +1,5 @@
 """The ledger of a machine's log, from measured channels alone, and how far it can be trusted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

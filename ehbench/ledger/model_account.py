@@ -1,7 +1,5 @@
 """The ledger of a trial on the model, from what the model logs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

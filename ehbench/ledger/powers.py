@@ -5,8 +5,6 @@ and what its compression holds, ``u(p)`` of `ehbench.parts.oil.stored` per volum
 the chamber law ``V/β ṗ = Q − V̇`` is exactly ``(p + u(p)) Q = p V̇ + d/dt (V u(p))``: flow work is
 piston work and a change of what is stored, a function of state."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from ehbench.parts.accumulator import gas_energy

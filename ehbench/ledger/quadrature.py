@@ -1,7 +1,5 @@
 """Powers and stores over a whole record: at its samples, or integrated with the plant's motion."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

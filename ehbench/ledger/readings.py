@@ -1,7 +1,5 @@
 """A machine's log in the order of a model's arrays."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

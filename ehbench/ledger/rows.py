@@ -1,7 +1,5 @@
 """The ledger itself: its rows and what can be asked of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field
 from typing import Any

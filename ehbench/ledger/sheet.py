@@ -1,7 +1,5 @@
 """What the columns of a rig's powers and stores are called, and how a ledger is made of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

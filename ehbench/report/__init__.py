@@ -1,7 +1,5 @@
 """Draw saved results: a run's figures, and one HTML page over many runs; re-runs nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ehbench.report.index import FigureIndex

@@ -1,7 +1,5 @@
 """What captions and sentences are made of: values in the reader's units, spans, names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

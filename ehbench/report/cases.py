@@ -1,7 +1,5 @@
 """Trials under a controller as run folders hold them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

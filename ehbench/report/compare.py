@@ -1,7 +1,5 @@
 """What differs between two runs of one kind: inputs, parameters, verdict, headline numbers."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

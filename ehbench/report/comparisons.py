@@ -1,7 +1,5 @@
 """Recorded against simulated, over time and frequency, and ringing side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

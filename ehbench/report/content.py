@@ -1,7 +1,5 @@
 """What a stage gives to the report: its figures, its section, and cells of tables."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

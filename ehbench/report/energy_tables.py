@@ -1,7 +1,5 @@
 """Energy of trials: what was saved, against which bound, what ate the rest, other supplies."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

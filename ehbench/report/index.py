@@ -1,7 +1,5 @@
 """Which figures a run has: the index that grows as they are drawn."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 """Whether the results of a run are still supported by what they came from: its own files, its
 recipe, the files and runs it read, and the versions of the methods."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Saved figures made small: the same picture in a third of the bytes."""
 
-from __future__ import annotations
-
 import re
 from functools import lru_cache
 from xml.etree import ElementTree

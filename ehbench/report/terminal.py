@@ -2,8 +2,6 @@
 the first part of its section of the report, from the run's saved files only.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -1,7 +1,5 @@
 """Trials under a controller in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Tables of trials under a controller: measures, corrected maps, settings."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any

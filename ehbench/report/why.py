@@ -1,8 +1,6 @@
 """Where a number of a run comes from: interval, method, windows, logs with SHA-256, recipe line,
 rig line and source, and whether all of it is unchanged."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence

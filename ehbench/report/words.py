@@ -1,7 +1,5 @@
 """Numbers and names as people read them: display units, sensible digits, a value with its error."""
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

@@ -5,8 +5,6 @@ half-written stays. What a killed process left is cleared by the next run, and t
 kept. ``run.json`` holds only what the same inputs give again; what differs from run to run is in
 ``volatile.json``."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import itertools

@@ -1,7 +1,5 @@
 """The stages, one file each; a run, a check and the command line look them up in `REGISTRY`."""
 
-from __future__ import annotations
-
 from ehbench.stages.base import REGISTRY, Checked, Stage, stage_of
 from ehbench.stages.bench import BenchFile, Dataset
 from ehbench.stages.campaign import CampaignStage

@@ -1,7 +1,5 @@
 """Files of the virtual bench, which no command runs: a bench, and a dataset recorded on it."""
 
-from __future__ import annotations
-
 from ehbench.config.recipe import BenchRecipe, DatasetRecipe, TrialRecipe, load_rig
 from ehbench.stages.base import Checked, Prepared
 from ehbench.stages.inputs import Inputs

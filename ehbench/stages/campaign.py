@@ -1,7 +1,5 @@
 """Several recipes in order, then one report; a rejected or stopped run is shown too."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a fit knows of the sensors of its logs, for whoever judges its rig on other logs."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What preparing a recipe finds: what it reads, what a check leaves undecided, what is wrong."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator

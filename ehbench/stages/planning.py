@@ -1,7 +1,5 @@
 """The next test after a fit: what it would tell, as lines, as plain values and as a recipe."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recipes written into another folder name the same files from there."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

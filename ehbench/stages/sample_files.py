@@ -1,7 +1,5 @@
 """Samples of a study as runs, with all files, to be opened, run again and changed."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field

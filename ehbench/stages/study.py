@@ -1,7 +1,5 @@
 """A recipe over many samples → tables, ``study.json``, and the worst as whole runs."""
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections import Counter

@@ -2,8 +2,6 @@
 
 Plain words and numbers, for controllers that write them and reports that read them."""
 
-from __future__ import annotations
-
 # channel `function`
 FUNCTIONS = (
     "hold",

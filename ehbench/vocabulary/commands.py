@@ -2,8 +2,6 @@
 
 A table by itself, so that ``ehbench --help`` need not load the stages."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

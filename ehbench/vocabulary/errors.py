@@ -1,7 +1,5 @@
 """The error tree. Every error a user can cause says what, where and what would be right."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ehbench.vocabulary.messages import Message

@@ -6,8 +6,6 @@
 reads ``"12 kg"`` or ``{ value = "12 kg", source = "datasheet", std = "0.1 kg" }`` by the vocabulary
 row of its name, and writes it back as it was read."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Words and tables with which a rig, a record and the outcome of a run show themselves."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from html import escape
 

@@ -4,8 +4,6 @@ The rows stand in ``quantities.csv`` beside this file; to add a quantity, add a 
 inside. A channel is named ``<cylinder>.<quantity>`` or ``<cylinder>.<valve>.<quantity>``; its row
 is that of the last word. A float field of a rig or recipe has the row of its own name."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

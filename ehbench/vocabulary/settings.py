@@ -4,8 +4,6 @@ A method keeps its numbers in one frozen dataclass whose fields are made by `set
 pages of the docs list them all.
 """
 
-from __future__ import annotations
-
 from dataclasses import field, fields
 from typing import Any, NamedTuple
 

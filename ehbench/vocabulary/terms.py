@@ -1,7 +1,5 @@
 """Words and numbers that laws, methods and reports share."""
 
-from __future__ import annotations
-
 Z95 = 1.959964  # standard errors from the middle to the end of a 95 % interval
 CORRELATED = 0.95  # correlation from which logs tell two estimates only together
 # half widths of its 95 % interval from which an estimate is elsewhere

@@ -1,7 +1,5 @@
 """Text as files and messages take it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable
 from pathlib import Path

@@ -3,8 +3,6 @@
 A guess goes by the unit that the file says, the words in the column's name and the names in the
 rig. What is not sure stands in the draft as a remark, for the user to decide."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path

@@ -4,8 +4,6 @@ Each piece of evidence has a weight. A quantity or a place that words name in fu
 port's letter or number, or a unit alone, makes it likely. What contradicts, or fits several,
 leaves a column undecided."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections import Counter

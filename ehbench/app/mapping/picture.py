@@ -1,7 +1,5 @@
 """A picture of every column of a foreign file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flowmeter readings: which column of a foreign table is the command, the drop, the flow."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ehbench.app.mapping.guesses import (

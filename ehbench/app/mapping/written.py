@@ -1,7 +1,5 @@
 """A draft of a map as TOML."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rigs and recipes from TOML, one file a kind of recipe."""
 
-from __future__ import annotations
-
 from ehbench.config.recipe.base import ByParameter, DataFile, DataFiles, Recipe
 from ehbench.config.recipe.bench import (
     BenchCurve,

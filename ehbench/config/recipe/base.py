@@ -3,8 +3,6 @@
 Paths in a recipe are relative to the recipe. A rig or a flow map may be named by a file, by a run
 folder, or by the recipe that makes it: the workflow then makes it first if it is not there."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Set

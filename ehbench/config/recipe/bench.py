@@ -1,7 +1,5 @@
 """The file of a virtual bench: a machine with what no model of it knows."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -1,7 +1,5 @@
 """The recipe of a campaign: several recipes and one report over them."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

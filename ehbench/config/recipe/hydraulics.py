@@ -1,7 +1,5 @@
 """The recipe of an identification from step logs."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field

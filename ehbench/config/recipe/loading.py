@@ -1,7 +1,5 @@
 """Rigs and recipes from their files."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """What a recipe says of a log's sensors and of the commands as they were recorded."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ValidationInfo, field_validator

@@ -1,7 +1,5 @@
 """TOML in, with errors that name file, line, key, value and the nearest valid key."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """The recipe of a validation."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Any, Literal
 

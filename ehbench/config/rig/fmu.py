@@ -1,7 +1,5 @@
 """A user's FMU in place of a rig's laws: what its variables are called."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

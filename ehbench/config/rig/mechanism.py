@@ -1,7 +1,5 @@
 """What moves: a chain of joints or a slide, what a payload changes, how a cylinder drives it."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Names in a rig file, and where in it several keys are wrong together."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Sequence

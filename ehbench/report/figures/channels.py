@@ -1,7 +1,5 @@
 """Channels of a log over time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

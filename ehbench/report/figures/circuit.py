@@ -1,7 +1,5 @@
 """A cylinder's circuit under one working function: which edges are open, where oil flows."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How the energies of several trials compare, as stacked bars."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

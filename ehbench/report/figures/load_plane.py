@@ -1,7 +1,5 @@
 """The load of a cylinder over its speed: which quadrants a motion needs, and the forces at hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

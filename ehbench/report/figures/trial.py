@@ -1,7 +1,5 @@
 """One trial under a controller in all its channels, and its estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Several controllers on one motion, and what they took from the pump."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

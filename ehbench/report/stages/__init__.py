@@ -2,8 +2,6 @@
 
 A new section is one file here and one line in ``SECTIONS``; the order is that of the page."""
 
-from __future__ import annotations
-
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.saved import Saved

@@ -1,7 +1,5 @@
 """Tuning of adaptive robust control: the bandwidths, and the margins that they keep."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

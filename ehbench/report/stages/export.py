@@ -1,7 +1,5 @@
 """An export: what was written, and how it was checked."""
 
-from __future__ import annotations
-
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex

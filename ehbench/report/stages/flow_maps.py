@@ -1,7 +1,5 @@
 """Flow maps: maps, inverse maps, deadbands, calibration, readings left out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

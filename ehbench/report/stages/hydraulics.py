@@ -1,7 +1,5 @@
 """Hydraulic parameters: values, intervals, correlation, what was matched, fit to each log."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

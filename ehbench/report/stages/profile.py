@@ -1,7 +1,5 @@
 """The profile likelihood of a parameter: picture, ends, the other parameters along it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frequency response: the Bode figure, delay and corner frequencies with their intervals."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

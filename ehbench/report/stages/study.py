@@ -1,7 +1,5 @@
 """A study: spread of its measures, shares within targets, what moves them, the worst."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """One trial: where it ran, how it ended, its figures; under a controller also how it did."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A set of trials: controllers compared, one table over all, energies, and each trial alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -2,8 +2,6 @@
 promise, loci, steps, what else was tried, draws.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

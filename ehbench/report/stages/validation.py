@@ -1,7 +1,5 @@
 """Validation: verdict, reasons, checks, and each log's errors, ringing, correlations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

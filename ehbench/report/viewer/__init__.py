@@ -3,8 +3,6 @@ the cursor, curves that can be hidden, two of a kind over one another.
 
 The curves are drawn by uPlot (``uplot/``, MIT), which travels inside the page."""
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
