@@ -6,7 +6,7 @@ import tomllib
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -189,7 +189,9 @@ def _explained(
 ) -> tuple[str, tuple[Any, ...], str | None]:
     """(message, location, hint) of one of pydantic's errors."""
     reason = first.get("ctx", {}).get("error")
-    location = _untagged(model, first["loc"]) + getattr(reason, "where", ())
+    location = _untagged(table, first["loc"], first["type"] == "missing") + getattr(
+        reason, "where", ()
+    )
     kind, hint, given = first["type"], None, first["input"]
     expected = first.get("ctx", {}).get("expected", "")
     if kind.startswith("union_tag"):
@@ -235,26 +237,17 @@ def _with(text: str, original: str) -> Message:
     return Message(text, getattr(original, "key", ""), fields, hint)
 
 
-def _untagged(model: Any, location: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A location as the file has it: without the names by which pydantic tells the kinds of a
-    table apart, which follow the table's name.
-    """
+def _untagged(table: Any, location: tuple[Any, ...], missing: bool) -> tuple[Any, ...]:
+    """A location without the names by which pydantic tells the kinds of a table apart."""
     retained: list[Any] = []
-    here, keys = [model], 0
-    for part in location:
-        chosen = [kind for kind in here if len(here) > 1 and part in _tags(kind)]
-        if part == "[key]":
-            continue
-        if isinstance(part, int) or keys:
-            keys -= not isinstance(part, int)
-        elif chosen:
-            here = chosen
-            continue
-        else:
-            fields = [_field(kind, part) for kind in here]
-            result = next((field.annotation for field in fields if field is not None), None)
-            here, keys = _models(result), _keyed(result)
-        retained.append(part)
+    for place, part in enumerate(location, 1):
+        names = part == "[key]" or isinstance(table, dict) and str(part).split(".")[0] not in table
+        if not names or (missing and place == len(location)):
+            retained.append(part)
+            try:
+                table = table[part]
+            except (KeyError, IndexError, TypeError):
+                table = None
     return tuple(retained)
 
 
@@ -264,23 +257,11 @@ def _field(model: Any, key: Any) -> Any:
     return next((field for name, field in fields if key in (name, field.alias)), None)
 
 
-def _tags(model: Any) -> tuple[Any, ...]:
-    """What the ``kind`` or ``law`` of a table says where it is of this model."""
-    words = (model.model_fields.get(word) for word in ("kind", "law"))
-    return tuple(tag for field in words if field for tag in get_args(field.annotation))
-
-
 def _models(annotation: Any) -> list[Any]:
     """The models that an annotation holds."""
     if isinstance(annotation, type) and issubclass(annotation, FileModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]
-
-
-def _keyed(annotation: Any) -> int:
-    """How many names stand between an annotation's key and its tables."""
-    inner = [_keyed(part) for part in get_args(annotation)]
-    return (get_origin(annotation) is dict) + max(inner, default=0)
 
 
 def _valid_hint(
