@@ -66,10 +66,6 @@ def _option(*names: str, help: str, **more: Any) -> Any:
     return typer.Option(*names, help=help, show_default=False, **more)
 
 
-def _pem(name: str, what: str) -> Any:
-    return Annotated[Path | None, _option(name, help=f"With --workers tls://…: {what} (PEM).")]
-
-
 RecipeFile = Annotated[Path, typer.Argument(help="Recipe (TOML).", show_default=False)]
 Out = Annotated[
     Path | None, _option("--out", help="Folder for the run. Default: reports/<recipe>_<hash8>/.")
@@ -90,49 +86,17 @@ Columns = Annotated[
 AllowCode = Annotated[
     bool, _option("--allow-code", help="Let code of your own run: a controller, an FMU.")
 ]
-Unvalidated = Annotated[
-    bool, _option("--unvalidated", help="Tune on a rig that no validation accepted.")
-]
-Suggest = Annotated[
-    bool,
-    _option(
-        "--suggest",
-        help="Try what would better the fit; with --out write the best as a recipe.",
-    ),
-]
-Seconds = Annotated[
-    float, _option("--seconds", help="With --suggest: for how long to try.", min=1.0)
-]
-ProfileOf = Annotated[
-    str | None,
-    _option(
-        "--profile",
-        metavar="NAME",
-        help="Profile likelihood of this parameter, with its picture, in place of the fit.",
-    ),
-]
-Workers = Annotated[
-    str,
-    _option(
-        "--workers",
-        metavar="N|ADDRESS",
-        help="So many here (one a core), or those of a Dask scheduler, tls://host:8786.",
-    ),
-]
-Insecure = Annotated[
-    bool, _option("--insecure-workers", help="Let --workers be tcp://… on another machine.")
-]
-Resume = Annotated[bool, _option("--resume", help="Go on where a run of this recipe was stopped.")]
 Verbose = Annotated[bool, _option("--verbose", "-v", help="All tables, steps and notes.")]
 AsJson = Annotated[bool, _option("--json", help="Print what was found as JSON.")]
 
-On = Annotated[
-    str | None,
-    _option("--on", metavar="URL", help="The machine, udp://host:port, in place of the recipe's."),
-]
-Arm = Annotated[bool, _option("--arm", help="Let the machine move: a token is asked for.")]
-Token = Annotated[str | None, _option("--token", help="The token, in a script that lets it move.")]
-Live = Annotated[bool, _option("--live", help="Watch it here and on a page, in real time.")]
+
+def _row(kind: Any, default: Any, flag: str, text: str, **more: Any) -> tuple[Any, Any]:
+    return Annotated[kind, _option(flag, help=text, **more)], default
+
+
+def _pem(flag: str, what: str) -> tuple[Any, Any]:
+    return _row(Path | None, None, flag, f"With --workers tls://…: {what} (PEM).")
+
 
 # options of commands that run a recipe, with their defaults; the first four are those of all
 _OPTIONS: dict[str, tuple[Any, Any]] = {
@@ -141,20 +105,25 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
     "loud": (Loud, None),
     "as_json": (AsJson, False),
     "allow_code": (AllowCode, False),
-    "unvalidated": (Unvalidated, False),
-    "suggest": (Suggest, False),
-    "seconds": (Seconds, 120.0),
-    "profile": (ProfileOf, None),
-    "workers": (Workers, ""),
-    "tls_ca_file": (_pem("--tls-ca-file", "who signs the cluster's certificates"), None),
-    "tls_cert": (_pem("--tls-cert", "your certificate"), None),
-    "tls_key": (_pem("--tls-key", "its key"), None),
-    "insecure_workers": (Insecure, False),
-    "resume": (Resume, False),
-    "on": (On, None),
-    "arm": (Arm, False),
-    "token": (Token, None),
-    "live": (Live, False),
+    "unvalidated": _row(bool, False, "--unvalidated", "Tune on a rig that was not validated."),
+    "suggest": _row(bool, False, "--suggest", "Try what betters the fit; with --out write it."),
+    "seconds": _row(float, 120.0, "--seconds", "With --suggest: how long to try.", min=1.0),
+    "profile": _row(str | None, None, "--profile", "Profile likelihood of this.", metavar="NAME"),
+    "workers": _row(
+        *(str, "", "--workers", "So many here, or a Dask scheduler's, tls://host:8786."),
+        metavar="N|ADDRESS",
+    ),
+    "tls_ca_file": _pem("--tls-ca-file", "who signs the cluster's certificates"),
+    "tls_cert": _pem("--tls-cert", "your certificate"),
+    "tls_key": _pem("--tls-key", "its key"),
+    "insecure_workers": _row(
+        bool, False, "--insecure-workers", "Let --workers be tcp://… elsewhere"
+    ),
+    "resume": _row(bool, False, "--resume", "Go on where a run of this recipe was stopped."),
+    "on": _row(str | None, None, "--on", "The machine, udp://host:port.", metavar="URL"),
+    "arm": _row(bool, False, "--arm", "Let the machine move: a token is asked for."),
+    "token": _row(str | None, None, "--token", "The token, in a script that lets it move."),
+    "live": _row(bool, False, "--live", "Watch it here and on a page, in real time."),
 }
 
 
