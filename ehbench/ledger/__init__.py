@@ -8,6 +8,6 @@ what is possible."""
 from ehbench.ledger.bounds import Bounds, bounds
 from ehbench.ledger.log_account import Accuracy, ledger_of_log
 from ehbench.ledger.model_account import ledger_of_model
-from ehbench.ledger.rows import Ledger, Row
+from ehbench.ledger.sheet import Ledger, Row
 
 __all__ = ["Accuracy", "Bounds", "Ledger", "Row", "bounds", "ledger_of_log", "ledger_of_model"]

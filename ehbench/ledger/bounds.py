@@ -9,8 +9,7 @@ import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
-from ehbench.ledger.rows import Ledger
-from ehbench.ledger.sheet import function_of
+from ehbench.ledger.sheet import Ledger, function_of
 from ehbench.parts.oil import bulk
 from ehbench.physics.cylinder import linkage
 from ehbench.plant.build import oil_fields, pins_of

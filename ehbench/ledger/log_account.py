@@ -12,8 +12,7 @@ from ehbench.ledger.loads import Loads
 from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
 from ehbench.ledger.quadrature import flows_at, powers_at
 from ehbench.ledger.readings import Readings, noise_of, read_log
-from ehbench.ledger.rows import Ledger
-from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
+from ehbench.ledger.sheet import Ledger, Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.edge import MAP
 from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.oil import bulk, bulk_of

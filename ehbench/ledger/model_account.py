@@ -8,8 +8,7 @@ from ehbench.data.record import Record
 from ehbench.ledger.loads import Loads
 from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at
 from ehbench.ledger.readings import ROUNDING
-from ehbench.ledger.rows import Ledger
-from ehbench.ledger.sheet import Sheet, must_have_samples, oil_drawn, payload_of
+from ehbench.ledger.sheet import Ledger, Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.valve.delay import line_of
 from ehbench.physics.arm import SLIDE
 from ehbench.plant.integrate import STEP

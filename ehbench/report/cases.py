@@ -9,8 +9,8 @@ import numpy as np
 
 from ehbench.config.rig import Rig, Slide
 from ehbench.data.record import Record
-from ehbench.report.captions import load_name
 from ehbench.report.saved import Saved, Table, grouped
+from ehbench.report.words import load_name
 from ehbench.runs.rundir import read_json
 from ehbench.vocabulary.codes import STATUS_MEANS
 

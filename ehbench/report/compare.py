@@ -9,13 +9,22 @@ from typing import Any
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Grid
-from ehbench.report.captions import plus, range_of
 from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import report_of
 from ehbench.report.terminal import Answer, reported
-from ehbench.report.words import DASH, estimate, number, pretty, shown, unit_of, words
+from ehbench.report.words import (
+    DASH,
+    estimate,
+    number,
+    plus,
+    pretty,
+    range_of,
+    shown,
+    unit_of,
+    words,
+)
 from ehbench.runs.rundir import read_json
 from ehbench.runs.versions import read_versions
 from ehbench.vocabulary.errors import InputError

@@ -8,13 +8,12 @@ from typing import Any
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Cell, Text
-from ehbench.report.captions import load_name
 from ehbench.report.cases import Case, by_controller
 from ehbench.report.content import num
 from ehbench.report.figures.energy import SEEN, half_of, part_of
 from ehbench.report.saved import Table, grouped
 from ehbench.report.template import Template
-from ehbench.report.words import number, shown, with_error, words
+from ehbench.report.words import load_name, number, shown, with_error, words
 
 _BOUNDS = {
     "standard": "a four-way valve",

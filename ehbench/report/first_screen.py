@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ehbench.report.blocks import Block, Bullets, Card, Cards, Cell, Grid, Text
-from ehbench.report.captions import capital, sentence
 from ehbench.report.content import (
     OFTEN,
     SAVED,
@@ -24,7 +23,7 @@ from ehbench.report.content import (
 from ehbench.report.saved import Saved
 from ehbench.report.stages import report_of
 from ehbench.report.template import Template
-from ehbench.report.words import words
+from ehbench.report.words import capital, sentence, words
 from ehbench.vocabulary.messages import Message, message, ranked
 
 _PAGE = Template("headlines")

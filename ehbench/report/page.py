@@ -27,14 +27,24 @@ from ehbench.report.blocks import (
     prose,
     slug,
 )
-from ehbench.report.captions import as_fitted, capital, plus
 from ehbench.report.content import chip, num
 from ehbench.report.first_screen import Chapter, chapters_of, first_screen, overview
 from ehbench.report.provenance import TracedRun, unsupported
 from ehbench.report.saved import Saved, Table, grouped
 from ehbench.report.stages import place_of
 from ehbench.report.svg import sound
-from ehbench.report.words import count, number, pretty, row_of, shown, unit_of, words
+from ehbench.report.words import (
+    as_fitted,
+    capital,
+    count,
+    number,
+    plus,
+    pretty,
+    row_of,
+    shown,
+    unit_of,
+    words,
+)
 from ehbench.runs import rundir
 from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes

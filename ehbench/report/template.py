@@ -21,7 +21,7 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.config.rig import Rig
-from ehbench.report import captions, words
+from ehbench.report import words
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.content import chip, num
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -44,11 +44,11 @@ _FILTERS: dict[str, Any] = {
     "pretty": words.pretty,
     "estimate": lambda value, ends: words.estimate(value, *ends),
     "title": words.title_of,
-    "percent": captions.percent,
+    "percent": words.percent,
     "percents": lambda share, sign=1: 100.0 * sign * share,
-    "span": captions.span,
-    "capital": captions.capital,
-    "load": captions.load_name,
+    "span": words.span,
+    "capital": words.capital,
+    "load": words.load_name,
     "code": lambda text, hint="": Cell(text, "code", hint=hint),
     "hint": lambda text, hint: Cell(text, "number", hint=hint),
     "chip": chip,
@@ -59,26 +59,26 @@ _FILTERS: dict[str, Any] = {
     "meaning": lambda name: words.row_of(name).meaning,
 }
 _RIG_FILTERS: dict[str, Any] = {
-    "measure": lambda rig, value, name, digits=3: captions.measure(rig, name, value, digits),
+    "measure": lambda rig, value, name, digits=3: words.measure(rig, name, value, digits),
     "in_unit": lambda rig, value, name, digits=4: words.number(
         words.shown(rig, name, value), digits
     ),
-    "spanned": lambda rig, values, name, digits=3: captions.span(
+    "spanned": lambda rig, values, name, digits=3: words.span(
         [words.shown(rig, name, value) for value in values], digits
     ),
     "unit": lambda rig, name: words.pretty(words.unit_of(rig, name)),
     "axis": lambda rig, name, text="": words.axis(rig, name, text),
-    "fitted": lambda rig, item, name: captions.as_fitted(rig, name, item),
-    "ends": lambda rig, ends, name: captions.range_of(rig, name, ends),
-    "error": lambda rig, row, which, key: captions.error_of(rig, row, which, key),
-    "ranged": captions.ranged_in,
+    "fitted": lambda rig, item, name: words.as_fitted(rig, name, item),
+    "ends": lambda rig, ends, name: words.range_of(rig, name, ends),
+    "error": lambda rig, row, which, key: words.error_of(rig, row, which, key),
+    "ranged": words.ranged_in,
     # a number of a decay with its 95 % interval; why there is none, as a hint
     "ring": lambda rig, ring, key: Cell(
-        captions.plus(rig, key, ring.get(key), _scaled(ring.get(f"{key}_std"), Z95)),
+        words.plus(rig, key, ring.get(key), _scaled(ring.get(f"{key}_std"), Z95)),
         "number",
         hint=ring.get("reason", ""),
     ),
-    "plus": lambda rig, value, name: captions.plus(rig, name, value, None),
+    "plus": lambda rig, value, name: words.plus(rig, name, value, None),
 }
 
 

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
-from ehbench.report.captions import capital
 from ehbench.report.content import SectionContent, names
 from ehbench.report.first_screen import chapters_of, next_steps, summary
 from ehbench.report.provenance import TracedRun
 from ehbench.report.saved import Saved
 from ehbench.report.stages import report_of
-from ehbench.report.words import words
+from ehbench.report.words import capital, words
 from ehbench.runs.rundir import plain, read_json
 from ehbench.vocabulary.messages import Message, message, ranked
 from ehbench.vocabulary.notebook import plural

@@ -6,11 +6,10 @@ from typing import Any
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Text
-from ehbench.report.captions import span
 from ehbench.report.cases import Case, by_controller, damping, groups_of, limits_of
 from ehbench.report.content import num
 from ehbench.report.template import Template
-from ehbench.report.words import DASH, pretty, row_of, shown, symbol_of, unit_of, words
+from ehbench.report.words import DASH, pretty, row_of, shown, span, symbol_of, unit_of, words
 from ehbench.vocabulary.codes import LIMITS_MEAN, STATUS_MEANS
 
 

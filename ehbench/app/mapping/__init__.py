@@ -9,10 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.app.mapping.guesses import CYLINDER, LIMITS, VALVE, Guess, guessed
-from ehbench.app.mapping.picture import draw
-from ehbench.app.mapping.readings import holds_readings, reading_guesses
-from ehbench.app.mapping.written import drafted, own_rows, range_of, remark
+from ehbench.app.mapping.guesses import (
+    CYLINDER,
+    LIMITS,
+    VALVE,
+    Guess,
+    guessed,
+    holds_readings,
+    reading_guesses,
+)
+from ehbench.app.mapping.written import drafted, draw, own_rows, range_of, remark
 from ehbench.config.recipe.columns import ENDING, load_columns
 from ehbench.config.rig import Rig
 from ehbench.data import read

@@ -8,6 +8,9 @@ from ehbench.config.recipe.bench import (
     BenchRecipe,
     BenchSensors,
     BenchValve,
+    DatasetLog,
+    DatasetRecipe,
+    Flowmeter,
 )
 from ehbench.config.recipe.campaign import Campaign, TextSection
 from ehbench.config.recipe.columns import (
@@ -18,10 +21,8 @@ from ehbench.config.recipe.columns import (
     load_columns,
     whole_map,
 )
-from ehbench.config.recipe.dataset import DatasetLog, DatasetRecipe, Flowmeter
 from ehbench.config.recipe.export import ExportRecipe
-from ehbench.config.recipe.flow_map import CalibrationPoint, FlowMapRecipe
-from ehbench.config.recipe.hydraulics import HydraulicsRecipe
+from ehbench.config.recipe.identify import CalibrationPoint, FlowMapRecipe, HydraulicsRecipe
 from ehbench.config.recipe.loading import kind_of, load_recipe, load_rig, recipe_kinds
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.recipe.study import Measure, Span, Spread, StudyRecipe, Target
@@ -35,8 +36,9 @@ from ehbench.config.recipe.trial import (
     Limits,
     MachineChange,
     Motion,
+    SetController,
     TrialRecipe,
+    TrialSetRecipe,
 )
-from ehbench.config.recipe.trials import SetController, TrialSetRecipe
 from ehbench.config.recipe.tune import AnyTuning, ArcTuneRecipe, TuneRecipe
 from ehbench.config.recipe.validate import JudgedFile, Thresholds, ValidateRecipe

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ehbench.report.captions import load_name
 from ehbench.report.saved import Table
 from ehbench.report.style import ACCENT, INK, MUTED, RECORDED, SIMULATED, Look, canvas, key, legend
+from ehbench.report.words import load_name
 
 _BEYOND = "#9db4cf"
 _ZERO: Look = {

@@ -8,7 +8,6 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.report.captions import capital
 from ehbench.report.cases import Case, payloads_carried
 from ehbench.report.figures.channels import mark_stop
 from ehbench.report.style import (
@@ -27,7 +26,7 @@ from ehbench.report.style import (
     thin,
 )
 from ehbench.report.trial_captions import ESTIMATES
-from ehbench.report.words import axis, number, shown, words
+from ehbench.report.words import axis, capital, number, shown, words
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
 
 FUNCTION_SHADES = (

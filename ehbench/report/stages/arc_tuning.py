@@ -6,14 +6,13 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Fold, Part, Text
-from ehbench.report.captions import measure
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages.tuning import supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
 from ehbench.report.template import Template
-from ehbench.report.words import axis, count, shown, words
+from ehbench.report.words import axis, count, measure, shown, words
 from ehbench.vocabulary.messages import message
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")

@@ -9,7 +9,6 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.physics.flow_map import FlowMap
 from ehbench.report.blocks import Part
-from ehbench.report.captions import measure
 from ehbench.report.content import (
     OFTEN,
     Findings,
@@ -36,7 +35,7 @@ from ehbench.report.style import (
     tag,
 )
 from ehbench.report.template import Template
-from ehbench.report.words import axis, count, number, shown
+from ehbench.report.words import axis, count, measure, number, shown
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import Z95
 

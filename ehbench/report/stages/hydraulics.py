@@ -9,7 +9,6 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Grid, Heat, Part, Text
-from ehbench.report.captions import as_fitted, capital
 from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
 from ehbench.report.content import (
     OFTEN,
@@ -28,7 +27,19 @@ from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
 from ehbench.report.template import Template
-from ehbench.report.words import DASH, axis, interval, number, pretty, row_of, shown, unit_of, words
+from ehbench.report.words import (
+    DASH,
+    as_fitted,
+    axis,
+    capital,
+    interval,
+    number,
+    pretty,
+    row_of,
+    shown,
+    unit_of,
+    words,
+)
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import BEYOND, CORRELATED, Z95
 

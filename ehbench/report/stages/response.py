@@ -8,13 +8,12 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Bullets, Grid, Part
-from ehbench.report.captions import capital
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
-from ehbench.report.words import number, pretty, shown, unit_of, with_error
+from ehbench.report.words import capital, number, pretty, shown, unit_of, with_error
 from ehbench.vocabulary.terms import Z95
 
 # key of response.json, what it is called, its unit there and on the page, the factor between them

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Part
-from ehbench.report.captions import capital
 from ehbench.report.content import (
     OFTEN,
     Findings,
@@ -21,7 +20,7 @@ from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, SIMULATED, canvas, key, legend
 from ehbench.report.template import Template
-from ehbench.report.words import number, pretty, words
+from ehbench.report.words import capital, number, pretty, words
 from ehbench.vocabulary.messages import message
 
 _ENDED = ("done", "incomplete", "rejected")

@@ -8,7 +8,6 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.blocks import Block, Cell, Grid, Part, Text
-from ehbench.report.captions import MODEL, load_name, measure, span
 from ehbench.report.cases import Case, by_controller, cases_of, damping
 from ehbench.report.content import (
     OFTEN,
@@ -36,7 +35,17 @@ from ehbench.report.trial_captions import (
     standstill_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
-from ehbench.report.words import number, pretty, shown, unit_of, words
+from ehbench.report.words import (
+    MODEL,
+    load_name,
+    measure,
+    number,
+    pretty,
+    shown,
+    span,
+    unit_of,
+    words,
+)
 from ehbench.vocabulary.messages import message
 
 

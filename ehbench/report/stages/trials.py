@@ -6,7 +6,6 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
-from ehbench.report.captions import capital, load_name
 from ehbench.report.cases import Case, cases_of, groups_of, stem_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, folded
 from ehbench.report.energy_tables import saving_blocks, supply_blocks
@@ -26,7 +25,7 @@ from ehbench.report.trial_captions import (
     trials_caption,
 )
 from ehbench.report.trial_tables import measure_tables, settings_blocks
-from ehbench.report.words import pretty, shown, unit_of, words
+from ehbench.report.words import capital, load_name, pretty, shown, unit_of, words
 
 
 def draw(run: Saved, index: FigureIndex) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ehbench.config.rig import Rig, Slide
 from ehbench.report.blocks import Block, Cell, Fold, Grid, Part, Text
-from ehbench.report.captions import capital, load_name, measure
 from ehbench.report.content import (
     DAMPING,
     OFTEN,
@@ -39,7 +38,7 @@ from ehbench.report.style import (
     tag,
 )
 from ehbench.report.template import Template
-from ehbench.report.words import axis, count, number, shown, words
+from ehbench.report.words import axis, capital, count, load_name, measure, number, shown, words
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.vocabulary.messages import message
 

@@ -19,10 +19,9 @@ from ehbench.data.readers import suffixes
 from ehbench.data.record import summary
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.report.blocks import digest
-from ehbench.report.captions import capital
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, read_points, read_series
-from ehbench.report.words import number, pretty, row_of, title_of, unit_of, words
+from ehbench.report.words import capital, number, pretty, row_of, title_of, unit_of, words
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
