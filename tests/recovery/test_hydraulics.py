@@ -35,11 +35,6 @@ def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: 
     return identify_hydraulics(machine, logs, parameters, given, flow_maps, where=where)
 
 
-@cache
-def rig(name):
-    return shipped(name)
-
-
 def pulses(samples, *spans):
     u = np.zeros(samples)
     for first, last, volts in spans:
@@ -54,7 +49,7 @@ def clean(name, payload=None, drive=None, samples=801):
     commands = {
         valve: pulses(samples, (a, b, out), (c, d, back)) for valve, (out, back) in drive or ()
     }
-    return simulate(rig(name), commands, (samples - 1) / 1000.0, payload=payload)
+    return simulate(shipped(name), commands, (samples - 1) / 1000.0, payload=payload)
 
 
 def noisy(record, seed, pole=0.0, share=1.0):
@@ -132,11 +127,11 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_far_starts_come_back_within_intervals(name):
     drive, loads, factors = CASES[name]
-    known = {parameter: float(rig(name).parameters()[parameter]) for parameter in factors}
+    known = {parameter: float(shipped(name).parameters()[parameter]) for parameter in factors}
     start = {name: known[name] * factor for name, factor in factors.items()}
     start["bulk_modulus"] = min(start["bulk_modulus"], 1.7e9)
     logs = [(f"log {i}", noisy(clean(name, load, drive, 1501), i)) for i, load in enumerate(loads)]
-    fit = identify(rig(name), logs, list(factors), start=start)
+    fit = identify(shipped(name), logs, list(factors), start=start)
     assert near(fit, known)
     for parameter, truth in known.items():
         found, value = fit[parameter], fit.rig.parameters()[parameter]
@@ -159,7 +154,7 @@ def test_six_parameters_of_the_arm_from_six_logs():
     factors = zip(truth.items(), (4.0, 0.25, 3.0, 0.3), strict=True)
     start = {name: value * factor for (name, value), factor in factors}
     zeros = ["boom.leakage_internal", "stick.friction_coulomb"]
-    fit = identify(rig("thesis_arm"), logs, [*truth, *zeros], start=start)
+    fit = identify(shipped("thesis_arm"), logs, [*truth, *zeros], start=start)
     assert near(fit, truth)
     for name, value in truth.items():
         assert fit[name].status == "estimated" and fit[name].std < 0.03 * value
@@ -178,7 +173,7 @@ def test_intervals_cover(pole):
     hits, narrow = 0, []
     for seed in range(12):
         logs = slide_logs(seed + 1, pole)
-        fit = identify(rig("slide_servo"), logs, SLIDE, start=start, workers=1)
+        fit = identify(shipped("slide_servo"), logs, SLIDE, start=start, workers=1)
         hits += sum(covers(fit, item) for item in TRUE.items())
         narrow.append(fit["bulk_modulus"].std)
     assert hits >= 0.85 * 2 * 12
@@ -186,7 +181,7 @@ def test_intervals_cover(pole):
 
 
 def test_a_fit_is_the_same_however_many_threads():
-    given = (rig("slide_servo"), slide_logs(3), SLIDE)
+    given = (shipped("slide_servo"), slide_logs(3), SLIDE)
     one, *more = (
         identify(*given, start={"bulk_modulus": 3e8}, workers=n).as_json() for n in (1, 3, 3)
     )
@@ -200,7 +195,7 @@ def test_a_sample_is_the_state_at_its_time():
     right = slide_logs(4)
     late = lambda c, v, _: v if c.endswith("command") else np.concatenate([v[:1], v[:-1]])
     shifted = edited(right, late)
-    good, late = (identify(rig("slide_servo"), logs, SLIDE) for logs in (right, shifted))
+    good, late = (identify(shipped("slide_servo"), logs, SLIDE) for logs in (right, shifted))
     assert all(covers(good, item) for item in TRUE.items())
     assert "identification.late" not in keys(good) and "identification.late" in keys(late)
     stds = {name: good[name].std or 0.0 for name in TRUE}
@@ -213,7 +208,7 @@ def test_a_sample_is_the_state_at_its_time():
 
 def test_what_a_closed_valve_hides_is_not_excited():
     logs = [("boom", noisy(clean("boom_four_valve", None, FOUR[:2]), 5))]  # opens sh and rt only
-    machine, start = rig("boom_four_valve"), {"boom.sr.flow_gain": "2.5 L/min/V/MPa^0.5"}
+    machine, start = shipped("boom_four_valve"), {"boom.sr.flow_gain": "2.5 L/min/V/MPa^0.5"}
     fit = identify(machine, logs, ["bulk_modulus", *start], start=start)
     hidden = fit["boom.sr.flow_gain"]
     assert (hidden.status, hidden.std, hidden.interval) == ("not_excited", None, None)
@@ -229,7 +224,7 @@ def test_what_a_closed_valve_hides_is_not_excited():
 @pytest.mark.slow
 def test_a_bound_that_holds_is_told():
     given = {"start": {"bulk_modulus": 5e8}, "upper": {"bulk_modulus": "700 MPa"}}
-    fit = identify(rig("slide_servo"), slide_logs(6, samples=601), SLIDE, **given)
+    fit = identify(shipped("slide_servo"), slide_logs(6, samples=601), SLIDE, **given)
     assert (fit["bulk_modulus"].status, fit["bulk_modulus"].value) == ("at_bound", 7e8)
     assert "identification.at_bound" in keys(fit)
     left = fit.left_over.fields
@@ -240,7 +235,7 @@ def test_a_pair_that_only_works_together_is_told():
     """Slide damping and the cylinder's viscous friction are one number for the data."""
     pair = ["carriage.damping", "press.friction_viscous"]
     given = {"upper": {pair[1]: 2000.0}, "start": {pair[1]: 300.0}}
-    fit = identify(rig("slide_servo"), slide_logs(7), ["bulk_modulus", *pair], **given)
+    fit = identify(shipped("slide_servo"), slide_logs(7), ["bulk_modulus", *pair], **given)
     assert {fit[name].status for name in pair} == {"correlated"}
     assert any("correlated by -" in text for text in fit.warnings)
     assert fit["bulk_modulus"].status == "estimated"
@@ -251,7 +246,7 @@ def test_a_prior_is_shown_apart_from_the_data():
     """With every flow gain known to 3 % and one of them off by that, bulk modulus and damping come
     right, which they do not with the gains held; a prior beside strong data changes nothing.
     """
-    machine, wrong = rig("slide_servo"), "press.servo_supply_head.flow_gain"
+    machine, wrong = shipped("slide_servo"), "press.servo_supply_head.flow_gain"
     gains = {name: value for name, value in machine.parameters().items() if "flow_gain" in name}
     off = machine.with_values({wrong: 1.03 * float(gains[wrong])})
     logs = slide_logs(14)
@@ -272,7 +267,7 @@ def test_a_prior_is_shown_apart_from_the_data():
 def test_a_prior_holds_what_the_data_do_not_tell():
     """Slide damping and viscous friction are one number for the data: a prior on one tells both."""
     pair = ["carriage.damping", "press.friction_viscous"]
-    machine = rig("slide_servo").with_values({pair[1]: 1.0})
+    machine = shipped("slide_servo").with_values({pair[1]: 1.0})
     given = {"upper": {pair[1]: 2000.0}, "prior": {pair[1]: "20 N*s/m"}}
     fit = identify(machine, slide_logs(7), ["bulk_modulus", *pair], **given)
     held = fit["press.friction_viscous"]
@@ -288,7 +283,7 @@ def gains_of(fit):
 
 def test_a_gain_that_is_wrongly_held_is_named():
     """One gain 4 % off: the warning's recipe line puts it right; right gains, no word."""
-    machine, wrong = rig("slide_servo"), "press.servo_rod_tank.flow_gain"
+    machine, wrong = shipped("slide_servo"), "press.servo_rod_tank.flow_gain"
     gain = float(machine.parameters()[wrong])
     off, logs = machine.with_values({wrong: 0.96 * gain}), slide_logs(15)
     (said,) = gains_of(identify(off, logs, SLIDE))
@@ -301,7 +296,7 @@ def test_a_gain_that_is_wrongly_held_is_named():
 
 def test_commands_within_the_dead_band_are_refused():
     """1.2 V on a valve that opens at 1.5 V: no data; beside a good log, a warning."""
-    machine = rig("crane_proportional")
+    machine = shipped("crane_proportional")
     still = ("still", noisy(clean("crane_proportional", None, (("lift.spool", (1.2, -1.2)),)), 1))
     good = ("good", noisy(clean("crane_proportional", None, SPOOL), 2))
     asked = ["bulk_modulus", "lift.leakage_internal"]
@@ -320,9 +315,9 @@ def test_pins_that_cannot_be_do_not_end_the_search():
         for i, load in enumerate((None, "200 kg"))
     ]
     start = {"lift.l_a": 1.25}
-    fit = identify(rig("crane_proportional"), logs, ["bulk_modulus", *start], start=start)
+    fit = identify(shipped("crane_proportional"), logs, ["bulk_modulus", *start], start=start)
     assert covers(fit, ("lift.l_a", 1.1)) and covers(fit, ("bulk_modulus", 8e8))
-    machine = rig("crane_proportional")
+    machine = shipped("crane_proportional")
     log = prepare(Model.of(machine), logs[0][1], "log", CHANNELS)
     impossible = Simulator(machine, [log], ["lift.l_a"], None, 1, 5e-4)
     assert impossible.simulate([[0.1]]) == [[None]]
@@ -331,10 +326,10 @@ def test_pins_that_cannot_be_do_not_end_the_search():
 def test_more_freedom_ends_no_worse():
     """Parameters that add nothing leave a fit where it was, however they are started."""
     logs = slide_logs(16)
-    few = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
+    few = identify(shipped("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
     more = ["press.friction_coulomb", "press.leakage_internal", "spool.natural_frequency"]
     start = {"bulk_modulus": 4e8, "spool.natural_frequency": "25 Hz"}
-    many = identify(rig("slide_servo"), logs, [*SLIDE, *more], start=start)
+    many = identify(shipped("slide_servo"), logs, [*SLIDE, *more], start=start)
     for one, other in zip(few.logs, many.logs, strict=True):
         for channel, left in one.residual_rms.items():
             assert other.residual_rms[channel] < 1.02 * left
@@ -353,7 +348,7 @@ def a_map(valve, most):
 
 def test_a_measured_map_has_a_factor():
     """The level of another specimen's map comes back as its factor; the law's gain is refused."""
-    machine, maps = rig("boom_four_valve"), {"boom.sh": a_map("sh", 1.2e-3)}
+    machine, maps = shipped("boom_four_valve"), {"boom.sh": a_map("sh", 1.2e-3)}
     t = np.arange(801) * 1e-3
     out, back = (t > 0.06) & (t < 0.24), (t > 0.44) & (t < 0.64)
     volts = {"boom.sh": 4.0 * out, "boom.rt": 4.0 * out}
@@ -380,7 +375,7 @@ def test_a_measured_map_has_a_factor():
 
 def test_a_preload_behind_a_measured_map_is_fitted():
     """Started at half, from one log of a step out and back."""
-    machine, maps = rig("boom_four_valve"), {"boom.rt": a_map("rt", 1.2e-3)}
+    machine, maps = shipped("boom_four_valve"), {"boom.rt": a_map("rt", 1.2e-3)}
     name, t = "boom.rt.cracking_pressure", np.arange(601) * 1e-3
     out, back = (t > 0.06) & (t < 0.24), (t > 0.3) & (t < 0.5)
     commands = {"boom.sh": 4.0 * out, "boom.rt": 6.0 * out}
@@ -393,11 +388,11 @@ def test_a_preload_behind_a_measured_map_is_fitted():
 
 def test_a_missing_rate_and_a_low_pass_leave_the_answer():
     logs = edited(slide_logs(8), lambda c, v, _: None if c.endswith((".qd", ".v")) else v)
-    fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
+    fit = identify(shipped("slide_servo"), logs, SLIDE, start={"bulk_modulus": 3e8})
     assert "press.v" in fit.logs[0].fit_percent and near(fit, {"bulk_modulus": 9e8})
     names = {"t [s]", "press.p_head [Pa]", "simulated.press.p_head [Pa]"}
     assert all(names <= set(series) for series in fit.series().values())
-    assert near(identify(rig("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0), TRUE)
+    assert near(identify(shipped("slide_servo"), slide_logs(9), SLIDE, cutoff=80.0), TRUE)
 
 
 def test_the_recorded_ringing_is_the_linear_formula():
@@ -405,7 +400,7 @@ def test_the_recorded_ringing_is_the_linear_formula():
     record, window = clean("slide_servo", None, SERVO), slice(260, 440)
     channels = [record[f"press.{c}"][window] for c in ("v", "p_head", "p_rod")]
     found = ringing(record.t[window], np.column_stack(channels))
-    cylinder, x = rig("slide_servo").cylinder[0], float(np.mean(record["press.x"][window]))
+    cylinder, x = shipped("slide_servo").cylinder[0], float(np.mean(record["press.x"][window]))
     head, rod = cylinder.areas()
     stiffness = head**2 / (float(cylinder.volume_head) + head * x)
     stiffness += rod**2 / (float(cylinder.volume_rod) - rod * x)
@@ -417,7 +412,7 @@ def test_the_recorded_ringing_is_the_linear_formula():
 @pytest.mark.parametrize("factor", [0.25, 4.0])
 def test_the_thesis_way_recovers(factor):
     start = {"bulk_modulus": min(9e8 * factor, 1.7e9), "carriage.damping": 800.0 / factor}
-    fit = identify(rig("slide_servo"), slide_logs(10), SLIDE, method="thesis", start=start)
+    fit = identify(shipped("slide_servo"), slide_logs(10), SLIDE, method="thesis", start=start)
     # frequency and decay of single rings are known to about 0.2 % and 2 %: twice that in the bulk
     # modulus
     assert fit["bulk_modulus"].value == pytest.approx(9e8, rel=0.01)
@@ -436,7 +431,7 @@ def test_commands_read_back_with_noise_do(method):
         return values + 0.01 * rng.standard_normal(values.size) * channel.endswith("command")
 
     logs = edited(slide_logs(12), scattered)
-    fit = identify(rig("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8})
+    fit = identify(shipped("slide_servo"), logs, SLIDE, method=method, start={"bulk_modulus": 4e8})
     # 10 mV on a command moves the slide a little on its own, which no model answers for: 2 % of the
     # bulk modulus at most
     assert fit["bulk_modulus"].value == pytest.approx(9e8, rel=0.02)
@@ -444,7 +439,7 @@ def test_commands_read_back_with_noise_do(method):
 
 def test_the_thesis_way_refuses_what_it_cannot():
     with pytest.raises(InputError, match="cannot fit press.leakage_internal"):
-        identify(rig("slide_servo"), slide_logs(0), ["press.leakage_internal"], method="thesis")
+        identify(shipped("slide_servo"), slide_logs(0), ["press.leakage_internal"], method="thesis")
 
     def still(channel, values, record):
         return np.full_like(values, values[0])
@@ -458,7 +453,7 @@ def test_the_thesis_way_refuses_what_it_cannot():
         (dull, "identification.no_ringing"),
     ):
         with pytest.raises(InsufficientData) as refused:
-            identify(rig("slide_servo"), edited(slide_logs(0), change), SLIDE, method="thesis")
+            identify(shipped("slide_servo"), edited(slide_logs(0), change), SLIDE, method="thesis")
         assert refused.value.key == key
 
 
@@ -484,7 +479,7 @@ def test_the_thesis_way_refuses_what_it_cannot():
 def test_bad_input_is_named(options, says):
     options = {"parameters": SLIDE} | options
     with pytest.raises(InputError, match=says):
-        identify(rig("slide_servo"), slide_logs(0), **options)
+        identify(shipped("slide_servo"), slide_logs(0), **options)
 
 
 def test_a_sample_that_is_no_number_is_named():
@@ -496,7 +491,7 @@ def test_a_sample_that_is_no_number_is_named():
 
     says = r"log 0: channel 'press.p_rod' is not a number at t = 0.007 s"
     with pytest.raises(InputError, match=says):
-        identify(rig("slide_servo"), [*edited([first], holed), *rest], SLIDE)
+        identify(shipped("slide_servo"), [*edited([first], holed), *rest], SLIDE)
 
 
 def test_what_follows_an_empty_chamber_does_not_count():
@@ -509,7 +504,7 @@ def test_what_follows_an_empty_chamber_does_not_count():
         return np.where(void, -8e4, np.where(later, values + 1e6, values))
 
     logs = [*edited([first], emptied), *rest]
-    fit = identify(rig("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
+    fit = identify(shipped("slide_servo"), logs, SLIDE, start={"bulk_modulus": 4e8})
     (text,) = [w for w in fit.warnings if getattr(w, "key", "") == "identification.cavitates"]
     assert 0.25 <= text.fields["t"] < 0.26
     # 0.25 s to 0.05 s after the next step
@@ -518,7 +513,7 @@ def test_what_follows_an_empty_chamber_does_not_count():
 
 
 def test_valve_dynamics_are_told_apart():
-    machine = rig("slide_servo")
+    machine = shipped("slide_servo")
     spool = machine.dynamics["spool"]
     frequency = replace(spool.natural_frequency, value=150.0, text=None)
     slow = spool.model_copy(update={"natural_frequency": frequency})
@@ -534,7 +529,9 @@ def test_valve_dynamics_are_told_apart():
 
 
 def test_volumes_and_bulk_modulus_are_told_as_ratios_where_the_stroke_does_not_tell_them_apart():
-    large = rig("slide_servo").with_values({"press.volume_head": 0.02, "press.volume_rod": 0.02})
+    large = shipped("slide_servo").with_values(
+        {"press.volume_head": 0.02, "press.volume_rod": 0.02}
+    )
     made = simulate(large, {"press.servo": pulses(801, (60, 240, 2.0), (440, 640, -2.0))}, 0.8)
     names = ["bulk_modulus", "press.volume_head", "press.volume_rod", "carriage.damping"]
     fit = identify(large, [("log", noisy(made, 5))], names)

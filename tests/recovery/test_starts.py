@@ -25,11 +25,6 @@ SLIDE = ["bulk_modulus", "carriage.damping"]
 COMPARED = ["press.v", "press.p_head", "press.p_rod"]
 
 
-@cache
-def rig(name):
-    return shipped(name)
-
-
 def measured(record, seed, drop=()):
     """The record as sensors would have it: noise, no flows or openings, nothing of ``drop``."""
     rng, channels = np.random.default_rng(seed), {}
@@ -52,14 +47,14 @@ def driven(kind):
     t = np.arange(1501) * 1e-3
     steps = 3.0 * ((t > 0.1) & (t < 0.7)) - 3.0 * (t > 0.9)
     command = steps if kind == "steps" else 3.0 * np.sin(2.0 * math.pi * 1.5 * t)
-    return simulate(rig("slide_servo"), {"press.servo": command}, 1.5), 350
+    return simulate(shipped("slide_servo"), {"press.servo": command}, 1.5), 350
 
 
 @pytest.mark.parametrize("kind", ["steps", "sine"])
 @pytest.mark.parametrize("drop", [(), ("v", "qd")])
 def test_a_log_that_begins_in_motion_is_followed(kind, drop):
     made, first = driven(kind)
-    record, model = cut(measured(made, 1, drop), first), Model.of(rig("slide_servo"))
+    record, model = cut(measured(made, 1, drop), first), Model.of(shipped("slide_servo"))
     rest = model.replay(record)
     start = follow_recording(model, record, ["press"], COMPARED).start
     followed = model.replay(record, start=start)
@@ -78,7 +73,7 @@ def test_parameters_come_back_from_logs_that_begin_in_motion():
         for made, first in [driven(kind)]
     ]
     given = FitOptions(start={"bulk_modulus": 5e8, "carriage.damping": 1500.0})
-    fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, given)
+    fit = identify_hydraulics(shipped("slide_servo"), logs, SLIDE, given)
     for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)):
         assert abs(fit[name].value - truth) < 4.0 * fit[name].std, fit[name]  # pyright: ignore[reportOperatorIssue]
         assert fit[name].std < 0.02 * truth
@@ -89,7 +84,7 @@ def test_parameters_come_back_from_logs_that_begin_in_motion():
 
 def test_a_rest_that_drifts_does_not_bias():
     """Leakage lets the pressures creep: their mean is not where the log starts."""
-    leaky = rig("slide_servo").with_values({"press.leakage_internal": 1e-12})
+    leaky = shipped("slide_servo").with_values({"press.leakage_internal": 1e-12})
     model = Model.of(leaky)
     t = np.arange(1201) * 1e-3
     table = model.rest_commands(t.size)
@@ -108,7 +103,7 @@ def test_a_rest_that_creeps_tells_its_first_place():
     """The mean of a place that leakage lets creep is half of the creep off, in the same direction
     in every log: it made the bulk modulus wrong by more than its interval.
     """
-    leaky = rig("boom_four_valve").with_values({"boom.leakage_internal": 1e-11})
+    leaky = shipped("boom_four_valve").with_values({"boom.leakage_internal": 1e-11})
     model = Model.of(leaky)
     table = model.rest_commands(401)
     table[300:, 0] = 3.0
@@ -123,7 +118,7 @@ def test_a_rest_that_creeps_tells_its_first_place():
 @pytest.mark.parametrize("drop", [(), ("v",)])
 def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
     """Begun from no speed at all the model rings by as much as the load sinks."""
-    pump, t = rig("pump_cylinder"), np.arange(1601) * 1e-3
+    pump, t = shipped("pump_cylinder"), np.arange(1601) * 1e-3
     command = 4.0 * ((t > 0.9) & (t < 1.2)) - 3.0 * (t > 1.3)
     made = cut(simulate(pump, {"lift.drive": command}, 1.6), 600)
     record, model = measured(made, 4, drop), Model.of(pump)
@@ -137,7 +132,7 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
 
 def test_a_start_is_as_sure_as_its_samples():
     record = measured(driven("steps")[0], 2)
-    start = initial_state_of(Model.of(rig("slide_servo")), record, ["press"], COMPARED)
+    start = initial_state_of(Model.of(shipped("slide_servo")), record, ["press"], COMPARED)
     assert "press.qd" not in {number.name for number in start.uncertain}
     noise = np.random.default_rng(6).standard_normal((300, 200))
     found = [first_of(y + 0.01 * np.arange(200), 150) for y in noise]
@@ -158,7 +153,7 @@ def test_a_slide_with_a_position_sensor_only_keeps_its_motion():
         (f"log {seed}", measured(driven("steps")[0], seed, ("v", "qd", "q"))) for seed in (6, 7)
     ]
     given = FitOptions(start={"bulk_modulus": 5e8, "carriage.damping": 1500.0})
-    fit = identify_hydraulics(rig("slide_servo"), logs, SLIDE, given)
+    fit = identify_hydraulics(shipped("slide_servo"), logs, SLIDE, given)
     assert "press.v" in fit.logs[0].fit_percent
     for name, truth in (("bulk_modulus", 9e8), ("carriage.damping", 800.0)):
         assert abs(fit[name].value - truth) < 4.0 * fit[name].std, fit[name]  # pyright: ignore[reportOperatorIssue]
@@ -167,7 +162,7 @@ def test_a_slide_with_a_position_sensor_only_keeps_its_motion():
 def test_what_a_log_lacks_is_left_wide():
     """A compared pressure is held loosely, one that is not recorded hardly at all."""
     made = driven("steps")[0]
-    model = Model.of(rig("slide_servo"))
+    model = Model.of(shipped("slide_servo"))
     lacking = measured(made, 8, ("p_rod", "p_supply"))
     start = initial_state_of(model, lacking, ["press"], ["press.v", "press.p_head"])
     std = {number.name: number.std for number in start.uncertain}
@@ -177,7 +172,7 @@ def test_what_a_log_lacks_is_left_wide():
 
 def test_a_tank_is_as_sure_as_the_mean_of_its_sensor():
     """As noisy as the supply's it is as much in number; one typed in, without noise, is not."""
-    made, model = driven("steps")[0], Model.of(rig("slide_servo"))
+    made, model = driven("steps")[0], Model.of(shipped("slide_servo"))
     seen = measured(made, 8)
     noise = seen["p_supply"] - made["p_supply"]
     noisy = replace(seen, channels=seen.channels | {"p_tank": 2e5 + noise})
@@ -197,7 +192,7 @@ def test_a_mean_tank_pressure_that_is_off_is_in_the_interval():
     """A preload of the way to the tank answers to the tank's pressure as it does to the preload:
     where the mean of a noisy sensor is off by twice its error, its value is off by less than that.
     """
-    one = rig("slide_servo")
+    one = shipped("slide_servo")
     name = "press.servo_rod_tank.cracking_pressure"
     one = one.with_values({name: 5e5})
     t = np.arange(2001) * 1e-3
@@ -219,22 +214,22 @@ def test_an_encoder_between_two_counts_stands_still():
     for turning, found in ((0.0, ()), (0.3, ("lift",))):
         angle = np.round((flicker + way + turning * t) / 2e-3) * 2e-3
         record = Record(t, {"lift.q": angle, "lift.spool.command": np.where(t < 0.5, 0.0, 5.0)})
-        assert moving_at_first(record, rig("crane_proportional"), 500) == found
+        assert moving_at_first(record, shipped("crane_proportional"), 500) == found
 
 
 @pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("name", ["slide_servo", "crane_proportional", "pump_cylinder"])
 def test_models_share_a_start_only_where_it_is_the_same(name, moves):
     """A start that was found for other parameters is that of these, whichever number differs."""
-    made, known = Model.of(rig(name)), rig(name).parameters()
+    made, known = Model.of(shipped(name)), shipped(name).parameters()
     table = made.rest_commands(200)
     y = made.trim(made.posture(None), None, table[0])
     record = made.record(np.arange(200) * 1e-3, table, made.run(y, table), {"rig": name})
-    live = [one.name for one in rig(name).cylinder]
+    live = [one.name for one in shipped(name).cylinder]
     start = replace(initial_state_of(made, record, live, []), moves=moves)
     none, found = np.zeros(len(start.uncertain)), []
     for key, value in known.items():
-        varied = Model.of(rig(name).with_values({key: 1.01 * float(value) or 1e-3}, known))
+        varied = Model.of(shipped(name).with_values({key: 1.01 * float(value) or 1e-3}, known))
         shared, own = start.at(varied, none), replace(start).at(varied, none)
         np.testing.assert_array_equal(shared.y, own.y, err_msg=key)
         assert shared[1:] == own[1:]

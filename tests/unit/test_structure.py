@@ -20,10 +20,6 @@ from tools.studies.structure_study import Fault, asked, faults, log_of
 QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}
 
 
-def rig_of(name: str):
-    return shipped(name)
-
-
 BUILT = {
     "slide_servo": ("gain", "lag", "friction", "damping", "sensor lag", "sensor sign"),
     "crane_proportional": ("gain", "deadband", "load", "delay", "sensor scale"),
@@ -34,7 +30,7 @@ BUILT = {
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [(n, k) for n, kinds in BUILT.items() for k in kinds])
 def test_a_built_fault_is_named_first_or_second(name, kind):
-    rig = rig_of(name)
+    rig = shipped(name)
     fault = next(one for one in faults(name, rig) if one.kind == kind)
     found = asked(name, rig, fault, 7, **QUICK)
     assert fault.named(found), found.findings
@@ -45,14 +41,14 @@ def test_a_built_fault_is_named_first_or_second(name, kind):
 
 @pytest.mark.parametrize("name", ["slide_servo", "crane_proportional", "thesis_arm"])
 def test_a_sound_model_has_no_findings(name):
-    rig = rig_of(name)
+    rig = shipped(name)
     for seed in (21, 22):
         assert not asked(name, rig, Fault("none", "", rig), seed, **QUICK).findings
 
 
 def leaking_press(leakage: float = 6.0e-12):
     """The slide, with a heavier load and a piston seal that leaks [m³/(s·Pa)]."""
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     return rig.with_values({"press.leakage_internal": leakage, "carriage.mass": 400.0})
 
 
@@ -89,7 +85,7 @@ def test_a_cause_of_most_of_the_residual_is_a_reservation(name, factor):
 
 
 def test_size_and_remedy_of_a_gain():
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     fault = next(item for item in faults("slide_servo", rig) if item.words == "one gain 8 % down")
     first = asked("slide_servo", rig, fault, 3, **QUICK).findings[0]
     assert first.about == "press.servo_supply_head" and first.size == pytest.approx(-0.08, abs=0.01)
@@ -99,13 +95,13 @@ def test_size_and_remedy_of_a_gain():
 
 def rows_of(rig, kind):
     """The rows of a kind for the slide's logs."""
-    log = clean_log("slide_servo", rig_of("slide_servo"), "steps", duration=1.0)
+    log = clean_log("slide_servo", shipped("slide_servo"), "steps", duration=1.0)
     rows = hypotheses(rig, ["press"], ["press.v", "press.p_head"], [log])
     return [row for row in rows if row.kind == kind]
 
 
 def test_remedies_of_what_was_fitted_and_of_a_late_command():
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     names = [name for name in rig.parameters() if name.endswith("flow_gain")]
     fitted = rig.with_values({n: replace(rig.parameters()[n], sure="identified") for n in names})
     for given, key in ((rig, "faults.free"), (fitted, "faults.fitted")):
@@ -117,7 +113,7 @@ def test_remedies_of_what_was_fitted_and_of_a_late_command():
 
 
 def test_a_delay_that_the_rig_file_has_is_to_be_freed():
-    tables = rig_of("slide_servo").as_toml()
+    tables = shipped("slide_servo").as_toml()
     tables["dynamics"]["bus"] = {"kind": "delay", "delay": "1 ms"}
     press = dict(tables["cylinder"][0])
     press["valve"] = [{**press["valve"][0], "dynamics": ["spool", "bus"]}]
@@ -139,14 +135,14 @@ def test_a_delay_that_the_rig_file_has_is_to_be_freed():
 )
 def test_a_row_moves_its_number(kind, name, delta, value):
     """Also one that is 0 or missing in the rig file."""
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     row = next(row for row in rows_of(rig, kind) if name in row.parameters)
     assert float(row.rig(rig, delta).parameters()[name]) == pytest.approx(value)
     assert float(row.altered(rig).parameters()[name]) >= 0.0
 
 
 def test_stroke_and_angle_are_held_against_the_pins():
-    rig = rig_of("crane_proportional")
+    rig = shipped("crane_proportional")
     log = log_of("crane_proportional", Fault("none", "", rig), "steps", 5)
     model = Model.of(rig)
 
@@ -161,7 +157,7 @@ def test_stroke_and_angle_are_held_against_the_pins():
 
 
 def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
-    rig = rig_of("slide_servo")
+    rig = shipped("slide_servo")
     fault = next(one for one in faults("slide_servo", rig) if one.kind == "sensor sign")
     log = log_of("slide_servo", fault, "steps", 5)
     model = Model.of(rig)
