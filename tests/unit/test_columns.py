@@ -15,6 +15,7 @@ from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_
 from ehbench.data import read, read_log  # noqa: E402
 from ehbench.data.flowmeter import read_flowmeter  # noqa: E402
 from ehbench.data.readers import open_source  # noqa: E402
+from ehbench.report import terminal  # noqa: E402
 from ehbench.signals.series import lowpass  # noqa: E402
 from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
 from tests.shared import ROOT
@@ -681,3 +682,13 @@ def test_a_bad_reading_is_refused_or_left_out(tmp_path):
     own.write_text('bad_samples = "leave out"\n' + own.read_text())
     back = read_flowmeter(tmp_path / "sh.csv", load_columns(own), leave_out=True)
     assert len(back) == len(read_flowmeter(READINGS)) - 1 and 10 not in back.line
+    (tmp_path / "r.toml").write_text(
+        f'stage = "identify"\nwhat = "flow_map"\nrig = "{ROOT}/recipes/rigs/boom_four_valve.toml"\n'
+        'data = ["sh.csv"]\ncolumns = "m.toml"\n'
+    )
+    from ehbench import workflow
+
+    run = workflow.run(tmp_path / "r.toml", workflow.Session(root=tmp_path / "reports"))
+    said = terminal.answer(run.folder, run.notes, run.code)
+    counts = [sum("sh.csv:10: " in line for line in said.lines(whole=whole)) for whole in (0, 1)]
+    assert run.code == 3 and counts == [0, 1]

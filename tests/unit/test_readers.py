@@ -19,6 +19,7 @@ from ehbench.app.converting import convert  # noqa: E402
 from ehbench.app.inspection import check  # noqa: E402
 from ehbench.app.mapping import draft  # noqa: E402
 from ehbench.data import read, readers  # noqa: E402
+from ehbench.data.flowmeter import is_flowmeter  # noqa: E402
 from ehbench.data.readers import (  # noqa: E402
     READERS,
     Dialect,
@@ -437,3 +438,30 @@ def test_a_table_that_the_map_leaves_alone_is_noted_and_no_loss(tmp_path):
     (note,) = record.losses
     assert (note.key, note.fields) == ("data.unused_table", {"table": "2", "line": 31})
     assert lost(record.losses) == [] and record.t.size == 25
+
+
+def test_a_clock_that_mostly_stands_ends_no_reading_without_checks(tmp_path):
+    still = "t;p\ns;bar\n" + "".join(f"{n // 20};{n}\n" for n in range(40))
+    (tmp_path / "a.csv").write_text(still + "\n" + _block("t;x\ns;mm\n", 40, 3.0))
+    (tmp_path / "a.map.toml").write_text(
+        '[names]\n"1/t" = "t [s]"\np = "ram.p_head [bar]"\n"2/t" = "t [s]"\nx = "ram.x [mm]"\n'
+    )
+    record = read(tmp_path / "a.csv", tmp_path / "a.map.toml", check=False)
+    assert np.isfinite(record.t).all() and set(record.channels) == {"ram.p_head", "ram.x"}
+    with pytest.raises(LogError):
+        read(tmp_path / "a.csv", tmp_path / "a.map.toml")
+
+
+@pytest.mark.parametrize(
+    ("header", "readings"),
+    [
+        ("Time [s],Angle [deg],Valve [V]", False),
+        ("Timestamp,Flow [L/min]", False),
+        ("t [s],flow [L/min]", False),
+        ("valve,command [V],pressure_drop [bar],flow [L/min]", True),
+        ("Flow [L/min],Drop [bar]", True),
+    ],
+)
+def test_a_table_with_a_time_is_no_flowmeters(header, readings, tmp_path):
+    (tmp_path / "a.csv").write_text(header + "\n" + "1,2,3,4\n")
+    assert is_flowmeter(tmp_path / "a.csv") is readings
