@@ -11,6 +11,7 @@ import pytest
 from ehbench import trial, workflow
 from ehbench.app import inspection
 from ehbench.config.recipe import ExportRecipe, TrialRecipe
+from ehbench.control import LAW_NAMES
 from ehbench.export import FORMATS, Export, c99, compiler
 from ehbench.export.source import write_sources
 from ehbench.plant.model import Model
@@ -21,26 +22,35 @@ CC = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler is here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
 SANE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-# every shipped rig and every built-in law
-CASES = {
+QUICK = {
     "thesis_arm": "arc",
+    "thesis_arm_standard": "",  # the same arm with a four-way valve
     "slide_servo": "position",
     "crane_proportional": "pressure_feedback",
     "boom_four_valve": "open_loop",
     "pump_cylinder": "",  # a pump moves it: commands alone
 }
+# every shipped rig and every built-in law
+CASES = [
+    pytest.param(name, law, marks=() if QUICK.get(name) == law else pytest.mark.slow)
+    for name in sorted(path.stem for path in (RECIPES / "rigs").glob("*.toml"))
+    for law in (LAW_NAMES if QUICK.get(name) != "" else ("",))
+]
 
 
 def prepared(name: str, law: str = "", seconds: float = 0.5):
-    """A short trial of the last cylinder of a rig, out and back."""
+    """A short trial of a rig: its cylinders go out and back, several at once."""
     rig = shipped(name)
-    stroke, cylinder = float(rig.cylinder[-1].stroke), rig.cylinder[-1].name
     keys = {"stage": "trial", "rig": "rig.toml", "duration": f"{seconds} s"}
     if law:
-        points = [f"{share * stroke!r} m" for share in (0.4, 0.42, 0.4)]
         gains = {"feedback_gain": "1e-12 m^3/(s*Pa)"} if law == "pressure_feedback" else {}
-        keys["motion"] = {"kind": "point_to_point", "cylinder": cylinder, "waypoints": points}
-        keys["motion"] |= {"speed": f"{0.2 * stroke!r} m/s", "hold": "0.05 s"}
+        motions = []
+        for cylinder in rig.cylinder:
+            stroke = float(cylinder.stroke)
+            points = [f"{share * stroke!r} m" for share in (0.4, 0.42, 0.4)]
+            motion = {"kind": "point_to_point", "cylinder": cylinder.name, "waypoints": points}
+            motions.append(motion | {"speed": f"{0.2 * stroke!r} m/s", "hold": "0.05 s"})
+        keys["motion"] = motions[-1] | ({"also": motions[:-1]} if motions[:-1] else {})
         keys["controller"] = {"kind": law, "gains": gains}
     recipe = TrialRecipe(path=Path("x.toml"), **keys)
     return rig, trial.prepare(recipe, rig)
@@ -64,10 +74,11 @@ def program(folder: Path, name: str, *flags: str) -> str:
 
 
 @needs_compiler
-@pytest.mark.parametrize("name", CASES)
-def test_c_equals_a_trial_to_the_bit(name, tmp_path):
-    export = export_of(name, CASES[name])
+@pytest.mark.parametrize(("name", "law"), CASES)
+def test_c_equals_a_trial_to_the_bit(name, law, tmp_path):
+    export = export_of(name, law)
     record = trial.run(export.trial).record
+    assert len(export.components) == 1 + 2 * len(export.rig.cylinder) * bool(law)
     for part, kernel in zip(export.components, export.kernels, strict=True):
         write_sources(part, kernel, tmp_path / part.name)
         said = program(tmp_path / part.name, part.name, *(SANE if name == "slide_servo" else ()))
@@ -149,6 +160,30 @@ def test_a_unit_equals_the_run_of_the_model(units, version, changed):
     for name in names:
         column = log[:, model.layout.state_names.index(name)]
         assert np.array_equal(result[name], column[::2]), name
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_another_importer_runs_a_unit_alike(units):
+    """libcosim, by its C++ importer FMI Library."""
+    pytest.importorskip("libcosimpy", reason="libcosimpy is not installed")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    run = CosimExecution.from_step_size(1_000_000)  # ns
+    file = str(units[0] / "fmu2" / "slide_servo_model.fmu")
+    unit = run.add_local_slave(CosimLocalSlave(fmu_path=file, instance_name="press"))
+    inputs, outputs = CosimManipulator.create_override(), CosimObserver.create_last_value()
+    assert run.add_manipulator(inputs) and run.add_observer(outputs)
+    number = {item.name.decode(): item.reference for item in run.slave_variables(unit)}
+    inputs.slave_real_values(unit, [number["press.servo.command"]], [3.0])
+    run.step(200)
+    names = ["press.p_head", "press.p_rod", "carriage.q", "press.servo.opening", "p_supply"]
+    values = outputs.last_real_values(unit, [number[name] for name in names])
+    model = Model.of(units[1].rig)
+    log = model.run(model.trim(model.posture(None)), np.full((201, 1), 3.0))
+    assert values == [log[-1, model.layout.state_names.index(name)] for name in names]
 
 
 def test_a_unit_refuses_what_it_cannot_do(units):
