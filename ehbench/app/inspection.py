@@ -1,6 +1,4 @@
-"""What one file holds and whether it is valid, without running anything. A recipe is checked by a
-dry run: by the ``prepare`` of its stage, with which a run begins.
-"""
+"""What a file holds, and whether it is valid; a recipe by a dry run of its stage."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -31,9 +29,7 @@ from ehbench.workflow import ROOT
 
 @dataclass(frozen=True)
 class Inspection:
-    """What a file holds, as lines, its errors, and the exit code: that of the first error, else 3
-    with data loss, else 0; of a recipe the notes of its preparation.
-    """
+    """What a file holds, its errors and exit code (3: data loss); a recipe's notes."""
 
     lines: tuple[str, ...]
     code: int = 0

@@ -123,9 +123,7 @@ def fits(what: str) -> str:
 
 
 def ahead() -> None:
-    """Compile, from its end on, what a first trial needs, while another process runs that trial:
-    what one has compiled the other finds in the cache.
-    """
+    """Compile what a first trial needs, from its end on, while another process runs it."""
     from ehbench.ledger.loads import Loads
     from ehbench.ledger.model_account import ledger_of_model, states_of
     from ehbench.ledger.powers import powers

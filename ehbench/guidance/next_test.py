@@ -295,9 +295,7 @@ class _Planner:
 
 
 def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]:
-    """What drove each cylinder out and back in the logs: shares of the largest command by valve
-    while its speed is beyond a share ``driven`` of the largest.
-    """
+    """What drove each cylinder: shares of the largest command by valve in fast motion."""
     results: dict[str, Drive] = {}
     for log, name in ((item, name) for item in logs for name in item.asked):
         record, cylinder = log.record, rig.cylinder_named(name)

@@ -91,8 +91,7 @@ class Setup:
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A fit that was tried: mean squares of what is left out [SI²] by (log, window) and channel,
-    the numbers it came to, a fold each, and what these cost."""
+    """A fit that was tried: what it leaves out [SI²], its numbers and costs by fold."""
 
     setup: Setup
     left: dict[tuple[str, int], dict[str, float]]

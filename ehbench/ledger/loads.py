@@ -35,9 +35,7 @@ class Loads:
             yield slice(first, last + 1), model.plant._replace(links=links)
 
     def stored(self, model: Model, t: np.ndarray, states: np.ndarray, columns: int) -> np.ndarray:
-        """What is stored [J] at each state more than at the first, shape (samples, columns); where
-        the payload changes, with a last column of what has gone with it.
-        """
+        """Stored energy [J] less the first, (samples, columns); last what went with payloads."""
         fixed = np.empty((t.size, columns))
         gone = np.zeros((t.size, 1))
         for n, (rows, plant) in enumerate(self.spans(model, t)):

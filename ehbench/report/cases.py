@@ -65,9 +65,7 @@ def stem_of(text: str) -> str:
 
 
 def cases_of(run: Saved) -> list[Case]:
-    """The trials under a controller that a run holds: one of a ``trial`` run, as often as it has
-    controlled cylinders; all of a ``trials`` run.
-    """
+    """The controlled trials of a run; of one ``trial``, one for each cylinder."""
     if run.stage == "trials":
         rows = run.json("table.json")["rows"]
         return [
@@ -118,9 +116,7 @@ def limits_of(row: Table) -> dict[str, float]:
 
 
 def payloads_carried(rig: Rig, row: Table) -> list[tuple[float, float]] | None:
-    """(time [s], what a payload estimate should be from then on [kg]) of a trial; None where some
-    payload is none at the end of the last link.
-    """
+    """(time [s], payload from then on [kg]); None where one is not at the last link's end."""
     names = [(0.0, row["payload"]), *(row.get("payload_change") or ())]
     masses = [(float(at), payload_at_end(rig, name)) for at, name in names]
     known = [(at, mass) for at, mass in masses if mass is not None]

@@ -58,9 +58,7 @@ class Shift:
 
     @property
     def intervals(self) -> float | None:
-        """Their distance by √(a² + b²), a and b the parts of their 95 % intervals that point to one
-        another; None where neither run has an interval.
-        """
+        """Their distance by √(a² + b²) of the facing half intervals; None without any."""
         a, b = self.first, self.second
         known = [ends for ends in (self.first_interval, self.second_interval) if ends]
         if a is None or b is None or not known:

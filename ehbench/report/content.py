@@ -41,9 +41,7 @@ PARAMETER, FIT, DAMPING, TRACKING, SAVED, STEPS = range(6)
 
 @dataclass(frozen=True)
 class Findings:
-    """What a run gives to the first screen: numbers, the figures to choose from (the first that is
-    there), what speaks against its result, and what to do next.
-    """
+    """What the first screen takes: numbers, figures to choose from, doubts, next steps."""
 
     numbers: Sequence[Headline] = ()
     figures: Sequence[Mapping[str, str]] = ()

@@ -33,9 +33,7 @@ _CONSTANT = "constant pressure"
 
 @dataclass(frozen=True)
 class Saving:
-    """A closed cycle of one trial against its bound, and against the four-way valve that drew least
-    on the same motion, if one ran: ``reference`` [J].
-    """
+    """A closed cycle against its bound, and the thriftiest four-way valve, ``reference`` [J]."""
 
     case: Case
     ledger: Table

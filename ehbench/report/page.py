@@ -119,9 +119,7 @@ def _run_section(chapter: Chapter, titles: Titles) -> Section:
 
 
 class RunPictures:
-    """The figures of a run, inlined as they are asked for; a campaign's title wins over the
-    figure's own. Every style grows a class in ``looks``.
-    """
+    """A run's figures, inlined, under a campaign's titles; styles grow in ``looks``."""
 
     def __init__(self, run: Saved, anchor: str, titles: Titles, looks: dict[str, str]) -> None:
         self._run, self._anchor, self._titles, self._looks = run, anchor, titles, looks
@@ -190,9 +188,7 @@ def _rigs(chapters: Sequence[Chapter]) -> list[Section]:
 
 
 def _provenance(runs: Sequence[Saved]) -> Section:
-    """Whether files, inputs and upstream runs are as they were, by their checksums now; files with
-    their hashes, versions and seeds of every run.
-    """
+    """Checksums of files, inputs and upstream runs as they are now; versions and seeds."""
     changes = [change for run in runs for change in TracedRun(run.folder).changes()]
     missing = sum(change.key == "report.input_missing" for change in changes)
     differ = len(changes) - missing

@@ -1,5 +1,4 @@
-"""Whether the results of a run are still supported by what they came from: its own files, its
-recipe, the files and runs it read, and the versions of the methods."""
+"""Whether a run is still supported by its files, recipe, inputs and method versions."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -17,9 +16,7 @@ from ehbench.vocabulary.messages import Message, message
 
 @dataclass(frozen=True)
 class Source:
-    """A file or run folder that a run read: its role, its name in ``run.json``, where it is now
-    (None: not found), and its SHA-256 at the time.
-    """
+    """What a run read: role, name in ``run.json``, where it is now, its SHA-256 then."""
 
     role: str
     name: str
@@ -98,9 +95,7 @@ class TracedRun:
 
 
 def unsupported(folder: Path) -> list[Message]:
-    """What no longer supports a run, by all checksums that can be taken: a run that was passed on
-    without its inputs is judged by what is there.
-    """
+    """What no longer supports a run, by the checksums that can be taken."""
     changes = TracedRun(folder).changes()
     return [change for change in changes if change.key != "report.input_missing"]
 

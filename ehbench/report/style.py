@@ -79,9 +79,7 @@ def canvas(
 
 
 def painted(page: FigureCanvasSVG) -> str:
-    """A figure as SVG. Names stand as people wrote them, with dollar signs too; only the numbers
-    that a logarithmic axis writes by itself are formulas.
-    """
+    """A figure as SVG; only numbers of logarithmic axes are formulas, names are not."""
     import matplotlib
     from matplotlib.text import Text
     from matplotlib.ticker import LogFormatter
@@ -108,9 +106,7 @@ def shades(count: int) -> list:
 
 
 def thin(t: np.ndarray, y: np.ndarray, buckets: int = 320) -> tuple[np.ndarray, np.ndarray]:
-    """The series with the minimum and maximum of each of ``buckets`` stretches: the same picture,
-    fewer points. Half a figure is about as many pixels wide.
-    """
+    """The series by minimum and maximum of each of ``buckets`` stretches, to plot."""
     if t.size <= 4 * buckets:
         return t, y
     ends = np.linspace(0, t.size, buckets + 1).astype(int)
@@ -126,9 +122,7 @@ def thin(t: np.ndarray, y: np.ndarray, buckets: int = 320) -> tuple[np.ndarray, 
 
 
 def spread(places: Sequence[float], gap: float, low: float, high: float) -> np.ndarray:
-    """Places moved apart to ``gap`` between neighbours, in their order and inside low…high, as
-    little as that takes; closer where they are too many.
-    """
+    """Places moved apart to ``gap``, in order and inside low…high, as little as it takes."""
     from scipy.optimize import isotonic_regression
 
     order = np.argsort(places, kind="stable")

@@ -199,9 +199,7 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
 def table_lines(
     grid: Grid, columns: Sequence[str] = (), width: int = 100, readable: int = 20
 ) -> Iterator[str]:
-    """A table in columns of one width each: those that are named (none: all), as many as fit; a
-    last one of words may be cut to ``readable`` characters for that.
-    """
+    """A table in columns, named ones or all, as many as fit; words may be cut."""
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))
     cells = [[grid.head[i] for i in places]] if any(grid.head) else []

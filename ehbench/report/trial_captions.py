@@ -27,9 +27,7 @@ def case_caption(rig: Rig, case: Case) -> str:
 
 
 def compared_caption(rig: Rig, cases: Sequence[Case]) -> str:
-    """What each controller came to on one motion; by one number which does best and which worst,
-    where they differ. A stopped trial is no match.
-    """
+    """What each controller came to on a motion, the best and worst; no stopped trial."""
     results = []
     for case in cases:
         values = [step.get("overshoot") for step in case.steps]
@@ -128,9 +126,7 @@ def estimates_caption(
 def _learnt(
     t: np.ndarray, estimate: np.ndarray, carried: Sequence[tuple[float, float]], within: float
 ) -> Iterator[tuple[float, float, float | None]]:
-    """(time [s], mass [kg]) of each change of payload, and how long after it [s] the estimate came
-    to stay within a share of the change; None where it did not.
-    """
+    """(time [s], mass [kg], time until learnt [s] or None) of each change of payload."""
     ends = [*(time for time, _ in carried[2:]), math.inf]
     for (_, before), (time, mass), until in zip(carried, carried[1:], ends, strict=False):
         part = (t >= time) & (t < until)

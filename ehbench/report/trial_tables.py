@@ -14,9 +14,7 @@ from ehbench.vocabulary.codes import LIMITS_MEAN, STATUS_MEANS
 
 
 def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
-    """Steps of speed, tracking with energy, limits met, corrections of flow maps, and what an
-    adaptive law guarantees; each only where it has rows.
-    """
+    """Steps, tracking and energy, limits, corrected maps, guarantees; those with rows."""
     page = Template("trial", rig)
     ordered = [case for group in groups_of(cases).values() for case in group]
     runs = page.text("runs", runs=sorted({case.row.get("seeds", 1) for case in cases} - {1}))

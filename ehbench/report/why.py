@@ -1,5 +1,4 @@
-"""Where a number of a run comes from: interval, method, windows, logs with SHA-256, recipe line,
-rig line and source, and whether all of it is unchanged."""
+"""Where a number of a run comes from, by which method and lines, and if that still holds."""
 
 import re
 import tomllib

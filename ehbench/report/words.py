@@ -125,9 +125,7 @@ def with_error(value: float | None, half: float | None) -> str:
 
 
 def estimate(value: float | None, low: float | None, high: float | None) -> str:
-    """``271.3 ± 2.4`` where the value stands about in the middle of its 95 % interval, else the
-    value alone, to the digits that the interval supports.
-    """
+    """``271.3 ± 2.4`` in the middle of its 95 % interval, else the value alone."""
     ends = (value, low, high)
     if any(end is None or not math.isfinite(end) for end in ends):
         return number(value)
@@ -178,9 +176,7 @@ def plus(rig: Rig, name: str, value: float | None, half: float | None) -> str:
 
 
 def as_fitted(rig: Rig, name: str, item: Table) -> str:
-    """What a fit found of a parameter, in the rig's unit: ``value`` with ± half its ``interval``
-    where that lies about the value, else the value alone.
-    """
+    """A fitted parameter in the rig's unit, ± half its interval where that is even."""
     ends = (item.number("value"), *(item.get("interval") or (None, None)))
     return estimate(*(shown(rig, name, v) for v in ends))
 
@@ -273,9 +269,7 @@ def measure(rig: Rig, name: str, value: float | None, digits: int = 3) -> str:
 
 
 def error_of(rig: Rig, row: Table, which: str, key: str) -> str:
-    """An error of a trial's stroke, ``tracking`` or ``tracking_true``, with its range over several
-    runs; none finer than what the machine measured it by.
-    """
+    """An error of a trial's stroke with its range, no finer than it was measured."""
     ends = row.get("range") or {}
     text_of = partial(stroke, rig, row if which == "tracking" else None)
     return ranged(text_of, row[which][key], (ends.get(which) or {}).get(key))

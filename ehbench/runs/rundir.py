@@ -399,9 +399,7 @@ def _remove(before: Path, final: Path) -> list[Message]:
 
 
 def clear_left(folder: Path) -> tuple[str, ...]:
-    """Remove the temporary folders of processes that are gone, and keep the logs in them that have
-    samples, as ``salvaged/<name>_<pid>/…``; a message for each log.
-    """
+    """Remove what dead processes left, keep logs with samples in ``salvaged``; a message each."""
     messages = []
     for left in sorted(folder.glob(".*.part")):
         match = _PART.fullmatch(left.name)
@@ -436,9 +434,7 @@ def _has_samples(path: Path) -> bool:
 
 
 def _abandoned(folder: Path, pid: int) -> bool:
-    """Whether no process works in a temporary folder: neither one of that number nor, where
-    processes of several containers share a disk, one that locks the folder.
-    """
+    """Whether no process of that number, or with the folder's lock, works in it."""
     if os.name != "posix":
         return False
     try:

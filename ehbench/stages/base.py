@@ -141,9 +141,7 @@ class PreparedFromLogs(Prepared):
 
 @dataclass(frozen=True)
 class Work:
-    """What a stage's work leaves in addition to files: facts for ``run.json`` with ``warnings``,
-    reasons why it is not simply done, and the exit code.
-    """
+    """Facts for ``run.json`` with ``warnings``, reasons for a code, and the exit code."""
 
     facts: Mapping[str, Any]
     reasons: Sequence[str] = ()

@@ -168,9 +168,7 @@ class Inputs:
         return replace(state, rig=whole, without_maps=missing)
 
     def _rig_source(self, rig: str, flow_maps: str | None) -> tuple[Path, Path | None, bool]:
-        """(rig file or run folder, maps file or run folder, whether a validation that has not been
-        run yet makes the rig) that a recipe has now.
-        """
+        """(rig's place, maps' place, whether a validation yet to be run makes the rig)."""
         path, promised = self.existing(rig), False
         if path.is_file() and kind_of(path) == "recipe":
             folder = self.run_of(path)

@@ -1,6 +1,4 @@
-"""One sample of a study: its recipe, rig and bench file as the sample has them, run, and the
-measures taken. A sample depends only on the files and on what it sets.
-"""
+"""A sample of a study: its recipe, rig and bench file, run and measured."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ from ehbench.vocabulary.progress import Progress
 
 @dataclass(frozen=True)
 class Plan:
-    """All that makes the samples of a study, wherever: the study, its recipes' files, the run
-    folders of upstream recipes, and what the user allowed.
-    """
+    """All that makes samples: study, recipe files, upstream runs, what is allowed."""
 
     study: StudyRecipe
     recipes: tuple[Path, ...]
@@ -117,9 +113,7 @@ class Late(EhbenchError):
 
 @dataclass(frozen=True)
 class RecipeFile:
-    """A recipe as its file has it: its table and text, and its upstream recipes by their stems. A
-    trial without ``step`` takes an adaptive step size.
-    """
+    """A recipe's table, text and upstream recipes; without ``step`` it is adaptive."""
 
     path: Path
     table: Mapping[str, Any]

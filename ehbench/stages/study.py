@@ -270,9 +270,7 @@ def _refuse_size(recipe: StudyRecipe, design: Design) -> None:
 
 
 def _try_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs) -> None:
-    """Try every key by itself: every listed value, the ends of a grid, the middle of a draw; then
-    its outer draws, where a refusal is no error but worth knowing.
-    """
+    """Try every key by itself, then its outer draws, whose refusal is a remark."""
     first = design.settings(0)
     names = [first[RECIPE]] if RECIPE in first else recipe.recipe
     with TemporaryDirectory() as scratch:

@@ -6,9 +6,7 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """A command of the command line: its name, what its help says, a recipe for the help's example,
-    and the options that it has besides those of all (`ehbench.app.cli`).
-    """
+    """A command: name, help, an example's recipe, options besides those of all."""
 
     name: str
     help: str

@@ -80,8 +80,6 @@ class SimulationError(EhbenchError):
 
 
 class FmuError(SimulationError):
-    """A user's FMU crashes, hangs, reports an error or gives what is no number: whichever command
-    runs it, its file is invalid (exit 2).
-    """
+    """A user's FMU crashes, hangs, reports an error or no number (exit 2)."""
 
     exit_code = 2

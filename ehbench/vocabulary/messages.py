@@ -17,9 +17,7 @@ CATALOGUE = Path(__file__).with_name("messages")
 
 
 class Message(str):
-    """A message as text, with the ``key`` of its template, the ``fields`` that fill it, and a
-    ``hint`` of what would be right, empty where there is none.
-    """
+    """A message with its template's ``key`` and ``fields``, and a ``hint`` of what is right."""
 
     key: str
     fields: Mapping[str, Any]

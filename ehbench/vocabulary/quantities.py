@@ -65,9 +65,7 @@ def quantity(channel: str) -> Quantity:
 
 
 def meant(channel: str, more: Sequence[str] = ()) -> str:
-    """What may be meant by a channel whose last word is none of the vocabulary's, nor of ``more``,
-    as the end of a sentence; '' where nothing is near.
-    """
+    """What an unknown channel may mean, as the end of a sentence; '' if nothing is near."""
     head, _, word = channel.rpartition(".")
     # behind a dot a word that is hardly alike is rather the name of a valve
     near = get_close_matches(word, [*VOCABULARY, *more], 1, _ALIKE if head else 0.6)

@@ -382,9 +382,7 @@ def holds_readings(source: Source) -> bool:
 
 
 def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
-    """A guess for each column of numbers, and for each of words whose name says what it is; by
-    name. What several columns may be is none of them for sure.
-    """
+    """A guess for each column by name; what several may be, none of them is for sure."""
     table, results = source.tables[0], {}
     for name, (_, j) in source.names().items():
         results[name] = _reading_guess(name, table.columns[j], rig)

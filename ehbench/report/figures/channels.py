@@ -63,9 +63,7 @@ def trial(path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequenc
 
 
 def mark_stop(axes: Sequence[Any], record: Record, offset: tuple[int, int], **look: Any) -> None:
-    """Mark in every panel where a trial was stopped, with a word above the first; nothing where
-    the log does not end its reason with a time [s].
-    """
+    """Mark in every panel where a trial was stopped, if its log says when."""
     try:
         t = float(record.meta["stopped"].rsplit("t = ", 1)[1].split()[0])
     except (KeyError, IndexError, ValueError):

@@ -158,9 +158,7 @@ def refined(
 def crossing(
     poles: Sequence[Sequence[float]], top: float, nothing: float = 1e-3
 ) -> list[Sequence[float]]:
-    """Of the poles at the stability limit the pair whose damping ratio is next to ``nothing``; slow
-    ones may lie as near to the imaginary axis.
-    """
+    """Of the poles at the stability limit the pair with next to no damping."""
     near = [pole for pole in poles if abs(pole[0]) < nothing * top]
     return [pole for pole in near if abs(pole[0]) < nothing * abs(pole[1])] or near[-1:]
 

@@ -176,9 +176,7 @@ def _pressures(ax, rig: Rig, case: Case, record: Record) -> None:
 
 
 def estimates(path: Path, rig: Rig, case: Case, record: Record) -> None:
-    """What a controller has learnt over time, each within its bounds, the payload with the true one
-    and the oil with what pressures and flows show of it.
-    """
+    """Estimates over time within their bounds, beside the true payload and measured oil."""
     learnt = [word for word in ESTIMATES if f"{case.cylinder}.{word}" in record]
     bounds = case.row.get("estimate_bounds", {})
     rows = -(-len(learnt) // 2)

@@ -38,9 +38,7 @@ _DESIRED: Look = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "z
 
 
 def wide_panels(cases: Sequence[Named], far_apart: float = 8.0) -> dict[str, float]:
-    """The panels of a comparison over its whole width, and their heights: each controller has a
-    strip for its error where the largest errors are ``far_apart`` by ratio.
-    """
+    """Panels and their heights; errors ``far_apart`` by ratio have a strip each."""
     errors = [case.row["tracking"]["max_error"] for _, case, _ in cases]
     if cases[0][1].steps:
         panels = {"v": 1.7, "x": 1.0}
@@ -55,9 +53,7 @@ def wide_panels(cases: Sequence[Named], far_apart: float = 8.0) -> dict[str, flo
 
 
 def compare_controllers(path: Path, rig: Rig, cases: Sequence[Named], commands_of: int = 3) -> None:
-    """Several controllers on one motion: stroke, speed and tracking error, both pressures,
-    functions, and the commands of so many controllers at most.
-    """
+    """Several controllers on one motion: motion, pressures, functions, few ones' commands."""
     # the first line is the widest, so that those below are seen
     widths = np.linspace(2.6, 1.0, len(cases)) if len(cases) > 1 else [2.6]
     looks = [cycled(i, linewidth=float(width)) for i, width in enumerate(widths)]

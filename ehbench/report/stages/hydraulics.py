@@ -251,9 +251,7 @@ def findings(run: Saved) -> Findings:
 
 
 def estimates_of(fit: Table) -> list[Table]:
-    """The parameters of a fit; those estimated are doubtful that would come out beyond their
-    intervals if a fixed number were as the logs would have it.
-    """
+    """The parameters of a fit; doubtful ones are sensitive to a denied fixed number."""
     moved = [item for fixed in fit.get("leans", []) for item in fixed["moved"]]
     far = {item["name"] for item in moved if item["halves"] > BEYOND}
     return [

@@ -24,9 +24,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
 
 
 def draw_curve(path: Path, rig: Rig, result: Table) -> None:
-    """Rise of −2 log likelihood over the parameter, with the 95 % level of χ² with one degree of
-    freedom; below, the other parameters relative to their values at its best.
-    """
+    """Rise of −2 log likelihood with the 95 % level; below, the other parameters."""
     name, others = result["name"], result["followed"].plain()
     x, rise = shown(rig, name, np.array(result["values"])), np.array(result["rise"])
     rows, level = (2 if others else 1), Z95**2

@@ -1,6 +1,4 @@
-"""Tuning: working functions, equivalent mass and gravity, operating points, gains and what they
-promise, loci, steps, what else was tried, draws.
-"""
+"""Tuning: functions, equivalents, operating points, gains, loci, steps, draws."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

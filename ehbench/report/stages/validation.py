@@ -230,9 +230,7 @@ def held_out(table: Table) -> list[Table]:
 
 
 def left_over(table: Table) -> list[str]:
-    """The likeliest fault that the residuals of a validation show, in a sentence with its remedy;
-    none where they show none, or a reservation gives it.
-    """
+    """The likeliest fault in the residuals with its remedy, if no reservation has it."""
     reservations = " ".join(table.get("reservations", []))
     findings = (table.get("structure") or {}).get("findings", [])
     results = [finding for finding in findings if finding["sentence"] not in reservations]
