@@ -1,9 +1,7 @@
 """What a motion must cost on a constant-pressure supply, and what it did cost."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -212,7 +210,7 @@ class _Load(NamedTuple):
         force: np.ndarray,
         pressure: float,
         areas: tuple[float, float],
-    ) -> _Load:
+    ) -> Self:
         """The load of a motion x [m] under a force of the pressures [N]."""
         head, rod = areas
         steps, middle = np.diff(x), 0.5 * (force[1:] + force[:-1])

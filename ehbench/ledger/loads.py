@@ -1,9 +1,8 @@
 """Payloads that change during a record: what is stored with each, and what goes with them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -21,7 +20,7 @@ class Loads:
     changes: tuple[tuple[float, str | None], ...]
 
     @classmethod
-    def of(cls, record: Record, first: str | None = None) -> Loads:
+    def of(cls, record: Record, first: str | None = None) -> Self:
         """Those of a record; ``first`` instead of the one that it names first."""
         (_, message), *changes = payloads_of(record)
         return cls(first or message, tuple(changes))

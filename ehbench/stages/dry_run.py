@@ -1,9 +1,8 @@
 """A dry run prepares a recipe and all recipes that it needs, each once, and runs none."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
+from typing import Self
 
 from ehbench.config.recipe import Recipe, load_recipe
 from ehbench.runs import rundir
@@ -18,7 +17,7 @@ class CircularRecipes(InputError):
     """A recipe needs itself (exit 2)."""
 
     @classmethod
-    def of(cls, walk: list[Path], path: Path) -> CircularRecipes:
+    def of(cls, walk: list[Path], path: Path) -> Self:
         """The circle that a walk over recipes closes at ``path``."""
         names = " → ".join(item.name for item in [*walk[walk.index(path) :], path])
         return cls(message("stages.circle", names=names), file=path)

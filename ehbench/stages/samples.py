@@ -1,7 +1,5 @@
 """A sample of a study: its recipe, rig and bench file, run and measured."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -10,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any, Self, cast
 from weakref import finalize
 
 from ehbench.config.recipe import (
@@ -122,7 +120,7 @@ class RecipeFile:
     upstream: Mapping[str, Path]
 
     @classmethod
-    def of(cls, path: Path) -> RecipeFile:
+    def of(cls, path: Path) -> Self:
         """The recipe of a file."""
         (table, text), model = read_toml(path), load_recipe(path)
         if isinstance(model, AnyTrial) and "step" not in table:

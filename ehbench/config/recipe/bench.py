@@ -1,8 +1,6 @@
 """The files of a virtual bench: a machine with what no model knows, a dataset of it."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -130,7 +128,7 @@ class DatasetLog(FileModel):
     limits: Limits = Limits()
 
     @model_validator(mode="after")
-    def _below_half_the_rate(self) -> DatasetLog:
+    def _below_half_the_rate(self) -> Self:
         refuse_fast_waves(self)
         return self
 

@@ -2,11 +2,9 @@
 
 A map stands in a recipe under ``[columns]`` or in a file of its own that many recipes name."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -42,7 +40,7 @@ class MappedColumn(FileModel):
     bad_samples: Literal["refuse", "leave out"] | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> MappedColumn:
+    def _whole(self) -> Self:
         word = self.channel.rpartition(".")[2]
         if word not in VOCABULARY and word not in READING_WORDS:
             near = meant(self.channel, READING_WORDS)

@@ -1,8 +1,6 @@
 """The recipe of a study: one recipe over many samples of what is not known, or not chosen yet."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -39,7 +37,7 @@ class Spread(FileModel):
     also: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _whole(self) -> Spread:
+    def _whole(self) -> Self:
         given = {
             name
             for name in ("low", "high", "mean", "std", "median", "spread")
@@ -81,7 +79,7 @@ class Span(FileModel):
     also: tuple[str, ...] = ()
 
     @model_validator(mode="after")
-    def _whole(self) -> Span:
+    def _whole(self) -> Self:
         both = self.low is not None and self.high is not None
         if bool(self.values) == both or (self.values and self.count is not None):
             raise ValueError(message("config.sweep_needs"))
@@ -135,7 +133,7 @@ class Measure(FileModel):
     unit: str | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Measure:
+    def _whole(self) -> Self:
         if (self.result is None) == (self.channel is None):
             raise ValueError(message("config.measure_needs"))
         if self.result is None and not (self.over is None and self.inside is None):
@@ -163,7 +161,7 @@ class Target(FileModel):
     at_least: Number | None = None
 
     @model_validator(mode="after")
-    def _whole(self) -> Target:
+    def _whole(self) -> Self:
         if self.at_most is None and self.at_least is None:
             raise ValueError(message("config.target_needs"))
         return self
@@ -199,7 +197,7 @@ class StudyRecipe(Recipe):
     time_limit: Annotated[Value, Q("duration")] | None = None
 
     @model_validator(mode="after")
-    def _agree(self) -> StudyRecipe:
+    def _agree(self) -> Self:
         labels = [measure.label for measure in self.measures]
         for label in labels:
             if labels.count(label) > 1:

@@ -1,8 +1,6 @@
 """Where the oil comes from, and the oil."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import model_validator
 
@@ -77,7 +75,7 @@ class Supply(FileModel):
         return results
 
     @model_validator(mode="after")
-    def _follows_the_load(self) -> Supply:
+    def _follows_the_load(self) -> Self:
         self.check_following()
         return self
 
@@ -100,7 +98,7 @@ class Supply(FileModel):
             raise Misplaced(message("config.holds_pressure", other=other), other)
 
     @model_validator(mode="after")
-    def _above_tank(self) -> Supply:
+    def _above_tank(self) -> Self:
         if float(self.pressure) > _HIGHEST_PRESSURE:
             sizes = {"given": float(self.pressure), "maximum": _HIGHEST_PRESSURE}
             fields = {key: self.pressure.like("pressure", x) for key, x in sizes.items()}
@@ -123,7 +121,7 @@ class Oil(FileModel):
     cavitation_pressure: Annotated[Value, Q("cavitation_pressure")] = Value(-9.0e4)
 
     @model_validator(mode="after")
-    def _air_is_whole(self) -> Oil:
+    def _air_is_whole(self) -> Self:
         if self.polytropic_exponent is not None and self.air_fraction is None:
             raise Misplaced(message("config.exponent_without_air"), "polytropic_exponent")
         return self

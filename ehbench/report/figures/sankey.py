@@ -1,12 +1,10 @@
 """Where one trial's energy went, as ribbons to scale."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -66,7 +64,7 @@ class _Account:
     small: float  # energy below which a row is drawn together with others
 
     @classmethod
-    def of(cls, ledger: Ledger, share: float = 0.012) -> _Account:
+    def of(cls, ledger: Ledger, share: float = 0.012) -> Self:
         """A ledger with the cylinders and rows above a share of all energy."""
         rows = ledger["rows"]
         named = {row["name"]: row for row in rows}
