@@ -662,9 +662,9 @@ def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says)
     """Print the place of what was written of logs and what they lost, with ``verbose`` each of it,
     and end with the exit code: 3 where an answer has notes already, or data could not be used.
     """
-    from ehbench.data.record import lost, summary
+    from ehbench.data.record import lost, noted_losses
 
-    each = [summary(name, notes) for name, notes in losses.items()]
+    each = [noted_losses(name, notes) for name, notes in losses.items()]
     gone = [*answer.notes, *(note for every in losses.values() for note in lost(every))]
     notes = [*answer.notes, *(note for few, _ in each for note in few)]
     answer = replace(answer, notes=notes, details=[note for _, more in each for note in more])

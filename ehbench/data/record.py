@@ -46,7 +46,7 @@ def recovered(log: str, notes: Iterable[str]) -> list[Message]:
     return [message("data.interpolated", log=log, share=100.0 * max(shares), longest=longest)]
 
 
-def summary(name: str, notes: Iterable[str]) -> tuple[list[str], list[str]]:
+def noted_losses(name: str, notes: Iterable[str]) -> tuple[list[str], list[str]]:
     """(what is missing in a log as it was read, in few notes; the other notes, one for each)."""
     missing = [note for note in notes if getattr(note, "key", "") == "data.samples_missing"]
     others = [note for note in notes if note not in missing]

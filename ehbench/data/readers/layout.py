@@ -37,7 +37,7 @@ _TOGETHER = 20  # lines in a row that are looked at: signals of several rates ta
 
 
 @dataclass(frozen=True)
-class Layout:
+class TextLayout:
     """Where things stand in the lines: the header (None without one), the units, the first row of
     numbers; ``kinds`` says of each column whether it is of numbers, times or words; ``clock`` is
     (start, step) [s] of rows without a time of their own, where the rows above say it.
@@ -100,7 +100,7 @@ def _some(rows: Sequence) -> list:
     return [row for at in range(0, len(half), step) for row in half[at : at + _TOGETHER]]
 
 
-def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) -> Layout:
+def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) -> TextLayout:
     """Where the header, the units and the numbers of a table stand.
 
     Raises:
@@ -145,14 +145,14 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         below = above[1] if len(above) > 1 else None
         if titled is not None and not any(map(_is_unit, split(lines[above[-1]], separator))):
             below = titled
-        return Layout(
+        return TextLayout(
             above[0] if above else None, below if dialect.unit_row else None, first, kinds, clock
         )
     header, units = _heads(lines, range(skip, first), separator, len(kinds))
     units = titled if units is None else units
     if dialect.unit_row is False:
         header, units = (header if units in (None, titled) else units), None
-    return Layout(header, units, first, kinds, clock)
+    return TextLayout(header, units, first, kinds, clock)
 
 
 def _titled(
@@ -274,7 +274,7 @@ def sections_of(
         dialect: of the first table.
     """
 
-    def layout(first: int, end: int, dialect: Dialect) -> Layout | None:
+    def layout(first: int, end: int, dialect: Dialect) -> TextLayout | None:
         """Of a table; None of facts, whose first column are words."""
         try:
             result = layout_of(lines[first:end], marks, dialect)
@@ -316,7 +316,7 @@ def sections_of(
     return [(first, result[first:end]) for first, end in zip(firsts, ends)]
 
 
-def names_of(lines: Sequence[str], layout: Layout, separator: str) -> list[str]:
+def names_of(lines: Sequence[str], layout: TextLayout, separator: str) -> list[str]:
     """The cells of the header; none without one."""
     top = [] if layout.header is None else split(bare(lines[layout.header]), separator)
     if top and _label(top[0]) in _NAME_HEADS:  # the title of a row is the name of no column
@@ -328,7 +328,7 @@ def names_of(lines: Sequence[str], layout: Layout, separator: str) -> list[str]:
     return top
 
 
-def units_of(lines: Sequence[str], layout: Layout, separator: str) -> list[str]:
+def units_of(lines: Sequence[str], layout: TextLayout, separator: str) -> list[str]:
     """The unit that each cell of the row of units says; one that is not known here without the
     brackets about it. None without such a row.
     """

@@ -16,7 +16,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data import read
 from ehbench.data.readers import suffixes
-from ehbench.data.record import summary
+from ehbench.data.record import noted_losses
 from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.report.blocks import digest
 from ehbench.report.provenance import unsupported
@@ -104,7 +104,7 @@ def page(
     if not drawn:
         raise InputError(message("report.nothing_changes"), file=sources[0])
     changes = [message("report.unsupported", change=change) for change in changes]
-    notes = [note for name, every in losses.items() for note in summary(name, every)[0]]
+    notes = [note for name, every in losses.items() for note in noted_losses(name, every)[0]]
     return _render(names, [_data(sheet, len(drawn)) for sheet in drawn], [*changes, *notes])
 
 
