@@ -11,7 +11,7 @@ PIN     = --universal --python-version 3.11 --generate-hashes --no-header --no-e
 # anew takes each process of the tests several seconds
 export PYTHONDONTWRITEBYTECODE =
 
-.PHONY: thesis check test quick coverage fuzz audit format lint types docs reference site wheel bench example study power datasets warm \
+.PHONY: thesis check test quick coverage fuzz mutate audit format lint types docs reference site wheel bench example study power datasets warm \
         setup dev requirements clean
 
 thesis: setup            ## run the whole thesis campaign and print the report's path
@@ -31,6 +31,10 @@ coverage: dev            ## which lines the tests run; bodies of compiled functi
 
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
 	$(BIN)/python tests/fuzz/fuzzer.py
+
+mutate: dev              ## whether tests notice wrong code: 300 single changes at random, 30 minutes at most
+	$(INSTALL) cosmic-ray==8.7.0
+	$(BIN)/python -m tools.mutate
 
 audit:                   ## whether a pinned dependency has a known weakness; asks a list on the network
 	$(PYTHON) -m venv build/audit

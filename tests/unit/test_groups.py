@@ -66,3 +66,31 @@ def test_parameters_that_hang_together_are_one_note():
     ]
     (left,) = together(names, correlation, [{"a", "b", "c"}])
     assert left.startswith("d and e")
+
+
+@pytest.mark.parametrize("powers", [(1, 1), (1, -1), (2, -1), (1, 0.3)])
+@pytest.mark.parametrize("widening", [1.0, 4.0])
+def test_a_product_has_its_standard_error_widened(powers, widening):
+    """Of a combination told to 1 %; that across it is told to a factor alone."""
+    p, q = powers
+    rows = np.array([(p / 0.01, q / 0.01), (-q / 2.0, p / 2.0)])
+    (group,) = groups_of(["a", "b"], [2.0, 3.0], rows.T @ rows, widening)
+    lead = p / group.powers["a"]  # the product may be told by another root of it
+    assert lead * group.powers["b"] == pytest.approx(q, rel=0.02)
+    assert group.std == pytest.approx(0.01 * widening / abs(lead), rel=0.02)
+    assert group.value == pytest.approx((2.0**p * 3.0**q) ** (1.0 / lead), rel=0.02)
+    ends = [group.value * np.exp(sign * 1.96 * group.std) for sign in (-1.0, 1.0)]
+    assert group.interval == pytest.approx(ends, rel=1e-3)
+    size = p * p + q * q
+    assert group.alone["a"] == pytest.approx(widening * np.hypot(0.01 * p, 2.0 * q) / size)
+    told = sentence([group]).fields
+    assert f"± {196.0 * group.std:.2g} %" in told["known"]
+    factor = np.exp(1.96 * group.alone["a"])
+    if 0.6 < group.alone["a"] < 3.0:
+        assert f"a within a factor {factor:.2g}" in told["each"]
+    elif group.alone["a"] > 3.0:
+        assert "a unknown" in told["each"]
+
+
+def test_one_parameter_is_no_product():
+    assert groups_of(["a"], [2.0], np.array([[1.0]]), 1.0) == ()
