@@ -330,13 +330,13 @@ def test_a_dbc_file_that_is_none_or_another_is_named(tmp_path, text, key):
     path.write_text(text, encoding="latin-1")
     with pytest.raises(InputError) as error:
         Address.of(f"can://virtual/x?map={path}").link(LAYOUT)
-    assert error.value.key == key and error.value.file == path
+    assert error.value.key == key and error.value.file == str(path)
 
 
 def test_a_layout_of_a_recipe_is_refused(trial):
     with pytest.raises(InputError) as error:
         wire(trial, ("csv",), 1000.0, None)
-    assert error.value.key == "links.wire_rig" and error.value.file == trial
+    assert error.value.key == "links.wire_rig" and error.value.file == str(trial)
 
 
 def test_every_layout_that_is_asked_for_is_written(tmp_path):
