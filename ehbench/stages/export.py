@@ -267,7 +267,7 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
     if path.exists() and not path.read_text(errors="replace").startswith(HEADER):
         raise InputError(message("stages.exists"), file=path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, HEADER + tomli_w.dumps(table))
+    write_text(path, f"{HEADER}#   ehbench export {path.name}\n\n{tomli_w.dumps(table)}")
     try:
         return load_recipe(path)
     except EhbenchError as error:
