@@ -40,8 +40,7 @@ def pressure_entries(cylinder: int, channels: int) -> list[int]:
 @kernel
 def place_joints(sample, axis, angles):
     """Write the joint coordinates: measured where a cylinder drives the joint, else the design
-    posture's.
-    """
+    posture's."""
     mechanism = axis.mechanism
     for i in range(angles.shape[0]):
         angles[i] = mechanism.posture[i]

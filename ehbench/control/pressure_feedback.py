@@ -231,15 +231,9 @@ def pack_pressure_feedback(
         feedback_gain: K_p [m³/(s·Pa)], one number or one for each working function by name (others
             0); 0 is open loop.
         shaping: of the commanded speed, `ehbench.control.trajectory.pack_shaping`; none by default.
-        gains: ``tick`` between samples [s]; ``off_gain``, inflow of the off-side chamber per
-            pressure below its set-point [m³/(s·Pa)], whose pressure then follows with about
-            off_gain·β_e/V [rad/s]; ``low_pressure``, set-point of the off-side chamber above tank
-            [Pa]; ``washout``, corner ω_w [rad/s], 0 (the default) for none, F(s) = 1;
-            ``ramp_washout``, corner ω_r [rad/s] of a second washout, ``F(s) = s/(s + ω_w)·s/(s +
-            ω_r)``, which forgets a load that ramps along the stroke as well, 0 (the default) for
-            none; ``drop_floor``, least drop at which the inverse of a valve is taken [Pa], 20 kPa;
-            ``load_corner`` of the low-pass through which the load force chooses the function
-            [rad/s], 1 Hz, 0 for none.
+        gains: SCALARS by name [SI]; `VOCABULARY` says what they are. ``off_gain`` makes the
+            off-side's pressure follow with about off_gain·β_e/V [rad/s]; without ``washout``, as by
+            default, F(s) is 1; with ``ramp_washout`` it forgets a load that ramps as well.
 
     Raises:
         InputError: a gain that is missing, unknown, negative or not finite, an unknown function.
@@ -256,7 +250,14 @@ def pack_pressure_feedback(
         raise InputError(message("control.feedback_gain_names", names=names, known=known))
     for name, value in scalars.items():
         packed[name] = value
-    packed.feedback_gain[:] = _by_function(feedback_gain)
+    if isinstance(feedback_gain, Mapping):
+        for name, value in feedback_gain.items():
+            if name not in FUNCTIONS[1:]:
+                known = ", ".join(FUNCTIONS[1:])
+                raise InputError(message("control.unknown_function", name=name, known=known))
+            packed.feedback_gain[FUNCTIONS.index(name)] = value
+    else:
+        packed.feedback_gain[:] = feedback_gain
     packed.shaping = pack_shaping() if shaping is None else shaping
     packed.rules = rules
     every = [*numbers(packed, SCALARS).values(), *packed.feedback_gain.tolist()]
@@ -267,19 +268,6 @@ def pack_pressure_feedback(
     ):
         raise InputError(message("control.feedback_gain_range"))
     return packed
-
-
-def _by_function(gain: float | Mapping[str, float]) -> np.ndarray:
-    """K_p of each working function [m³/(s·Pa)], shape (functions,)."""
-    if not isinstance(gain, Mapping):
-        return np.full(len(FUNCTIONS), gain)
-    result = np.zeros(len(FUNCTIONS))
-    for name, value in gain.items():
-        if name not in FUNCTIONS[1:]:
-            known = ", ".join(FUNCTIONS[1:])
-            raise InputError(message("control.unknown_function", name=name, known=known))
-        result[FUNCTIONS.index(name)] = value
-    return result
 
 
 def pack(

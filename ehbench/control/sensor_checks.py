@@ -138,8 +138,7 @@ def _low_pass(value, which, sensors):
 @kernel
 def _load(sample, v, axis, sensors):
     """(what the load force is beyond all payloads [N], beyond the payload that was carried [N], the
-    variance of both, the demanded force [N]).
-    """
+    variance of both, the demanded force [N])."""
     cylinder, number = axis.cylinder, axis.circuit.cylinder
     place_joints(sample, axis, sensors.angles)
     inertia, tip = inertias(axis, sensors.angles, sensors.work)
@@ -255,8 +254,7 @@ def wrong_sensor(sample, r_head, r_rod, calm, axis, sensors):
 @kernel
 def _blamed(number, cylinders, moved, sensors):
     """The entry of the sample whose score is a fault, −1 for none; ``moved`` where stroke and angle
-    say one speed, so that a wrong load force is a pressure's fault.
-    """
+    say one speed, so that a wrong load force is a pressure's fault."""
     doubts, alarm = sensors.doubts, SCORES.alarm
     if sensors.scores[STROKE] > alarm:
         return entry(number, OF.x)

@@ -53,8 +53,7 @@ class EdgeReadings:
 @dataclass(frozen=True)
 class PreparedReadings:
     """Readings by the edge they belong to, with a message on what was left out of each file, and
-    ``details`` of it.
-    """
+    ``details`` of it."""
 
     rig: Rig
     edges: tuple[EdgeReadings, ...]

@@ -56,7 +56,28 @@ def resting(plant: Plant, row: np.record, force: float) -> tuple[float, float]:
     if fed[1] and rod < plant.supply.pressure:
         rod = plant.supply.pressure
         head = (force + rod * row.area_rod) / row.area_head
-    return _settled(plant, row, force, edges, rod) or (head, rod)
+
+    def head_at(rod: float) -> float:
+        return (force + rod * row.area_rod) / row.area_head
+
+    def gain(rod: float) -> float:
+        flows = [_inflow(plant, edges, row, head_at(rod), rod, node) for node in range(2)]
+        return row.area_rod * flows[0] + row.area_head * flows[1]
+
+    first, tank = gain(rod), plant.tank_pressure
+    if first == 0.0:
+        return head, rod
+    lowest = max(tank, (tank * row.area_head - force) / row.area_rod)
+    near, far, span = rod, rod, max(plant.supply.pressure, 1.0e5)
+    for _ in range(12):
+        far = rod + span if first > 0.0 else max(rod - span, lowest)
+        if gain(far) * first <= 0.0:
+            break
+        span *= 2.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (near + far)
+        near, far = (middle, far) if gain(middle) * first > 0.0 else (near, middle)
+    return head_at(far), far
 
 
 def creep(plant: Plant, row: np.record, head: float, rod: float) -> float:
@@ -78,35 +99,6 @@ def carrying(row: np.record, force: float, low: float) -> tuple[float, float]:
     if force + low * row.area_rod >= low * row.area_head:
         return (force + low * row.area_rod) / row.area_head, low
     return low, (low * row.area_head - force) / row.area_rod
-
-
-def _settled(
-    plant: Plant, row: np.record, force: float, edges: np.ndarray, level: float
-) -> tuple[float, float] | None:
-    """The nearest pressures [Pa] that stay; None where ``level`` in the rod end does."""
-
-    def head_at(rod: float) -> float:
-        return (force + rod * row.area_rod) / row.area_head
-
-    def gain(rod: float) -> float:
-        flows = [_inflow(plant, edges, row, head_at(rod), rod, node) for node in range(2)]
-        return row.area_rod * flows[0] + row.area_head * flows[1]
-
-    first = gain(level)
-    if first == 0.0:
-        return None
-    lowest = max(plant.tank_pressure, (plant.tank_pressure * row.area_head - force) / row.area_rod)
-    far, span = level, max(plant.supply.pressure, 1.0e5)
-    for _ in range(12):
-        far = level + span if first > 0.0 else max(level - span, lowest)
-        if gain(far) * first <= 0.0:
-            break
-        span *= 2.0
-    near = level
-    for _ in range(HALVINGS):
-        middle = 0.5 * (near + far)
-        near, far = (middle, far) if gain(middle) * first > 0.0 else (near, middle)
-    return head_at(far), far
 
 
 @part_kernel

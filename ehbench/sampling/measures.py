@@ -157,8 +157,7 @@ def names_in(kind: Any, prefix: str = "", depth: int = 4) -> Iterator[str]:
 
 def _parts(kind: Any) -> list[tuple[str, Any]]:
     """(name, what it holds) of each part of results of a kind: ANY of a table with any names, ENTRY
-    of a list.
-    """
+    of a list."""
     if isinstance(kind, Mapping):
         return [(str(name), inner) for name, inner in kind.items()]
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):

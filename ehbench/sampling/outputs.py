@@ -19,7 +19,6 @@ from ehbench.config.rig import Rig
 from ehbench.sampling.design import Design
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.measures import row_of
-from ehbench.sampling.sample import Sample
 from ehbench.vocabulary.quantities import Quantity
 from ehbench.vocabulary.text import quoted
 from ehbench.vocabulary.units import from_si
@@ -106,7 +105,12 @@ def write_tables(
         csv.write(",".join(quoted(name) for name, _ in columns) + "\n")
         samples = journal.samples()
         while rows := list(islice(samples, 4096)):
-            lines = [_cells(row, design, measures, key) for row in rows]
+            lines = []
+            for item in rows:
+                digest = hash_of(key, design.settings(item.index))
+                values = [float(c.shown(v)) for c, v in zip(measures, item.measures, strict=True)]
+                cells = [*design.cells(design.inputs(item.index)), *values, item.message]
+                lines.append([item.index, digest, item.code, item.status, *cells])
             add([*zip(*lines, strict=True)])
             csv.writelines(",".join(_cell(cell) for cell in line) + "\n" for line in lines)
             for line in lines:
@@ -136,15 +140,6 @@ def _parquet(
     schema = pyarrow.schema([(name, kinds[kind]) for name, kind in columns])
     with ParquetWriter(path, schema) as writer:
         yield lambda columns: writer.write(pyarrow.table(list(columns), schema=schema))
-
-
-def _cells(item: Sample, design: Design, measures: Sequence[MeasureColumn], key: str) -> list[Any]:
-    point = design.inputs(item.index)
-    values = [
-        float(column.shown(value)) for column, value in zip(measures, item.measures, strict=True)
-    ]
-    digest = hash_of(key, design.settings(item.index))
-    return [item.index, digest, item.code, item.status, *design.cells(point), *values, item.message]
 
 
 def _cell(value: Any) -> str:
