@@ -383,6 +383,65 @@ def stiff_fitting(friction: float = 7e3, mass: float = 20.0) -> Iterator[Row]:
     yield Row(what, took, 60.0, "s")
 
 
+def many_fitting(seconds: float = 25.0, rate: float = 100.0) -> Iterator[Row]:
+    """Time of a fit of 21 parameters of two cylinders of the thesis's arm to four noisy logs."""
+    from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+
+    rig = load_rig(RIG)
+    t, rng, logs = np.arange(round(seconds * rate) + 1) / rate, np.random.default_rng(1), []
+    drives = {"swing.servo": 1.5, "stick.servo": 1.5}
+    for k in range(4):
+        volts = {
+            valve: size * np.repeat(rng.uniform(-1.0, 1.0, t.size // 50 + 1), 50)[: t.size]
+            for valve, size in drives.items()
+        }
+        for u in volts.values():
+            u[: round(rate)] = 0.0
+            u -= np.where(t > 1.0, np.mean(u[t > 1.0]), 0.0)
+        built = simulate(rig, volts, seconds, rate=rate, step=AUTO)
+        channels = {
+            name: y + 1e-3 * np.ptp(y) * rng.standard_normal(y.shape)
+            for name, y in built.channels.items()
+            if "command" not in name
+        }
+        commands = {name: y for name, y in built.channels.items() if "command" in name}
+        logs.append((f"log {k}", type(built)(built.t, channels | commands, built.meta)))
+    known, names = rig.parameters(), ["bulk_modulus", "servo.natural_frequency"]
+    for who in ("swing", "stick"):
+        names += [f"{who}.joint_damping", f"{who}.friction_coulomb", f"{who}.leakage_internal"]
+        names += [f"{who}.volume_head", f"{who}.volume_rod"]
+        names += [name for name in known if re.match(rf"{who}\.servo_\w+\.flow_gain", name)]
+    names.append("stick.mass")
+    start = {name: float(known[name]) * 1.2 ** (-1) ** k for k, name in enumerate(names)}
+    start |= {name: 1e-13 for name in names if name.endswith("leakage_internal")}
+    start |= {name: 50.0 for name in names if name.endswith("friction_coulomb")}
+    upper = {name: 3e3 for name in names if name.endswith("friction_coulomb")}
+    began = time.perf_counter()
+    identify_hydraulics(rig, logs, names, FitOptions(start=start, upper=upper))
+    took = time.perf_counter() - began
+    what = f"fit of {len(names)} parameters, two cylinders, 4 logs of {seconds:g} s at {rate:g} Hz"
+    yield Row(what, took, 30.0, "s")
+
+
+def suggesting() -> Iterator[Row]:
+    """Time of ``identify --suggest`` on the tutorial's first fit, from its logs as they ship."""
+    from ehbench import workflow
+
+    logs = shipped("datasets") / "slide_servo" / "steps"
+    text = f"""stage = "identify"
+what = "hydraulics"
+rig = "{RIG.with_name("slide_servo.toml")}"
+data = ["{logs / "press_no_load.mcap"}", "{logs / "press_100kg.mcap"}"]
+parameters = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+"""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch, "first.toml")
+        path.write_text(text)
+        began = time.perf_counter()
+        workflow.suggest(path, workflow.Session(root=Path(scratch)))
+    yield Row("identify --suggest on the tutorial", time.perf_counter() - began, 30.0, "s")
+
+
 def logging(samples: int = 600_000, channels: int = 40) -> Iterator[Row]:
     """Time to write a long log as MCAP and to read it into pandas, which is imported before."""
     import pandas  # noqa: F401
@@ -632,6 +691,8 @@ def main(arguments: Sequence[str] = ()) -> None:
         long_fitting,
         lambda: long_fitting(10_000.0),
         stiff_fitting,
+        many_fitting,
+        suggesting,
         logging,
         links,
         start_up,
