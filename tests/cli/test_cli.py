@@ -203,8 +203,8 @@ def test_an_out_that_is_no_run_is_left_alone(workspace, inside, tmp_path):
 def test_a_terminated_run_leaves_nothing(workspace, tmp_path):
     words = ["identify", workspace / "recipes" / "identify.toml", "--out", tmp_path / "run"]
     line = [sys.executable, "-m", "ehbench.app.cli", *map(str, words)]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process = subprocess.Popen(line, cwd=tmp_path, **quiet)
+    quiet = subprocess.DEVNULL
+    process = subprocess.Popen(line, cwd=tmp_path, stdout=quiet, stderr=quiet)
     deadline = time.monotonic() + 60
     while not list(tmp_path.rglob(".*.part")) and time.monotonic() < deadline:
         time.sleep(0.02)

@@ -168,7 +168,7 @@ def test_gravity_torque_is_the_slope_of_potential_energy(n):
         h = 1e-4  # central difference: h² truncation 2e-9 of the slope, rounding 1e-12
         step = h * np.eye(n)
         ends = [[energy(q + side * row, rest)[1] for row in step] for side in (1, -1)]
-        slope = np.subtract(*ends) / (2 * h)
+        slope = np.subtract(ends[0], ends[1]) / (2 * h)
         c = weight(q)
         assert c == pytest.approx(slope, rel=0, abs=1e-8 * (1 + np.abs(c).max()))
         assert c == pytest.approx(bias(q, rest), rel=0, abs=1e-13 * (1 + np.abs(c).max()) * n)
