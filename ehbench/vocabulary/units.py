@@ -117,7 +117,7 @@ def _product(text: str, words: dict[str, _Unit]) -> _Unit:
     result, pieces = _ONE, list(_PIECE.finditer(text))
     for piece in pieces:
         part = words[piece["word"]] if piece["word"] else _product(piece["group"], words)
-        power = 0.5 if piece["root"] else float((piece["power"] or "1").strip("*^ "))
+        power = 0.5 if piece["root"] else float(re.sub(r"[*^\s]", "", piece["power"] or "1"))
         power = -power if "/" in (piece["join"] or "") else power
         if len(pieces) == 1 and power == 1.0:
             return part

@@ -37,6 +37,8 @@ from tools import reference
         ("5 mm/s", "v", 0.005),
         ("1e3 mm", "x", 1.0),
         ("3.59e-8 m^3/(s*V*Pa^0.5)", "flow_gain", 3.59e-8),
+        ("2 cm\t^2", "area_head", 2e-4),
+        ("2 cm\r\n^2", "area_head", 2e-4),
         ("50 ksi", "relief_pressure", None),
     ],
 )
