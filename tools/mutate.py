@@ -36,8 +36,8 @@ class Mutant(NamedTuple):
 
     def source(self) -> str | None:
         """The module with the change."""
-        from cosmic_ray.mutating import mutate_code
-        from cosmic_ray.plugins import get_operator
+        from cosmic_ray.mutating import mutate_code  # pyright: ignore[reportMissingImports]
+        from cosmic_ray.plugins import get_operator  # pyright: ignore[reportMissingImports]
 
         text = (ROOT / self.module).read_text(encoding="utf-8")
         return mutate_code(text, get_operator(self.operator)(), self.place)
@@ -45,8 +45,8 @@ class Mutant(NamedTuple):
 
 def places(module: Path) -> list[Mutant]:
     """Every change of a module."""
-    from cosmic_ray.ast import ast_nodes, get_ast
-    from cosmic_ray.plugins import get_operator, operator_names
+    from cosmic_ray.ast import ast_nodes, get_ast  # pyright: ignore[reportMissingImports]
+    from cosmic_ray.plugins import get_operator, operator_names  # pyright: ignore[reportMissingImports]
 
     nodes = list(ast_nodes(get_ast((ROOT / module).read_text(encoding="utf-8"))))
     results = []
