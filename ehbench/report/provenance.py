@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from math import isclose, nan
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,22 @@ class TracedRun:
         value = self._volatile.get(key)
         values = value if isinstance(value, list) else [value]
         return [Path(text) for text in values if isinstance(text, str)]
+
+    def fit_beside(self, rig: Source, name: str, value: float) -> Path | None:
+        """The fit in the same folder of runs that a parameter's value [SI] is from where the rig
+        file may be a copy; before others one that left the same file.
+        """
+        fits = []
+        for path in self.folder.parent.glob("*/parameters.json"):
+            try:
+                run = Saved(path.parent)
+                rows = {row["name"]: row["value"] for row in run.json(path.name)["parameters"]}
+                if run.stage == "identify" and isclose(rows.get(name, nan), value):
+                    same = run.facts["outputs"].get("rig.toml") == rig.sha256
+                    fits.append((not same, path.parent))
+            except (EhbenchError, TypeError):
+                continue  # what is no run of this version has fitted nothing
+        return min(fits)[1] if fits else None
 
     def changes(self) -> list[Message]:
         """What no longer supports the results of this run and of the runs that it read."""

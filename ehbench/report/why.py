@@ -202,17 +202,35 @@ def origin(name: str, folder: Path) -> Origin:
             several = (error for error in errors if error.key == "report.several_numbers")
             none = InputError(message("report.no_runs"), file=report.folder)
             raise next(several, (errors or [none])[0])
-    result = named_result(traced.run, name)
+    try:
+        result = named_result(traced.run, name)
+    except InputError as error:
+        is_known = error.key == "report.no_number" and (traced.folder / "rig.toml").is_file()
+        value = traced.run.rig.parameters().get(name) if is_known else None
+        if value is None:
+            raise
+        about = {"status": value.sure, "source": value.source}
+        result = NamedResult("rig.toml", name, float(value), row_of(name).unit, None, about)
     rig = next((source for source in traced.sources if source.role == "rig"), None)
-    if rig and rig.run and result.file == "parameters.json" and (rig.run / result.file).is_file():
-        fitted = origin(result.path, rig.run)
+    before, files = None, ("rig.toml", "parameters.json")
+    if rig and result.file in (files if traced.run.stage != "identify" else files[:1]):
+        if rig.run and (rig.run / result.file).is_file():
+            before = rig.run
+        elif result.about.get("status") == "identified":
+            before = traced.fit_beside(rig, result.path, result.value)
+    if before is not None:
+        fitted = origin(result.path, before)
         return replace(fitted, changes=tuple(dict.fromkeys([*changes, *traced.changes()])))
+    method, windows = _method(traced.run, result), tuple(_windows(traced.recipe))
+    if result.file == "rig.toml":
+        key = "no_fit" if result.about["status"] == "identified" else "from_rig"
+        method, windows = (message(f"report.{key}", folder=traced.folder.parent),), ()
     return Origin(
         run=str(traced.folder),
         result=result,
         shown=_value_text(traced.run, result),
-        method=_method(traced.run, result),
-        windows=tuple(_windows(traced.recipe)),
+        method=method,
+        windows=windows,
         sources=tuple(traced.sources),
         recipe=_recipe_line(traced.recipe, result),
         rig=None if rig is None else _rig_line(rig, result),

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tomli_w
 
 from ehbench import workflow
+from ehbench.config.recipe import load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.report import compare, terminal
@@ -20,6 +22,7 @@ from ehbench.report.why import origin
 from ehbench.runs import rundir, versions
 from ehbench.runs.versions import METHODS, Versions
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.fields import Value
 from tests.shared import RIGS
 
 RECIPE = """stage = "identify"
@@ -112,6 +115,52 @@ def test_a_parameter_that_a_validation_carries_leads_to_its_fit(shop):
     assert found.changes == ()
     (judged / "rig.toml").write_text("")
     assert [c.key for c in origin("bulk_modulus", judged).changes] == ["report.output_changed"]
+
+
+def test_what_is_fitted_anew_on_the_rig_of_a_fit_is_from_the_new_fit(shop):
+    fit = shop / "reports" / "fit_1"
+    inputs = [("rig", fit), ("log", shop / "two.csv")]
+    files = {"parameters.json": FIT | {"parameters": [ROW | {"value": 7.05e8}]}}
+    again, recipe = shop / "reports" / "fit_2", shop / "fit.toml"
+    write_run(again, "identify", recipe, inputs, files, what="hydraulics")
+    found = origin("bulk_modulus", again)
+    assert found.run == str(again) and found.result.value == 7.05e8
+
+
+@pytest.mark.parametrize("edited", [False, True])
+@pytest.mark.parametrize("stage", ["validate", "trial"])
+def test_a_rig_file_copied_by_hand_leads_to_its_fit(shop, stage, edited):
+    """By the value, where another line of the copy was edited; a copy of no fit is said to be."""
+    fitted = load_rig(shop / "rig.toml").with_values({"bulk_modulus": Value(7.0e8, "identified")})
+    text = tomli_w.dumps(fitted.as_toml())
+    fit = shop / "reports" / "fit_1"
+    (fit / "rig.toml").write_text(text)
+    renew(fit, fit / "rig.toml", "outputs", "rig.toml")
+    same = shop / "reports" / "another_1"  # with the value, and another rig
+    shutil.copytree(fit, same)
+    (same / "rig.toml").write_text(text + "\n")
+    renew(same, same / "rig.toml", "outputs", "rig.toml")
+    copy, recipe = shop / "my_rig.toml", shop / "judge.toml"
+    copy.write_text(text)
+    recipe.write_text(f'stage = "{stage}"\nrig = "my_rig.toml"\n')
+    if edited:
+        shutil.rmtree(same)
+        copy.write_text(text.replace(fitted.title, "Edited"))
+    final = shop / "reports" / "judged_1"
+    inputs = [("rig", copy), ("log", shop / "two.csv")]
+    write_run(final, stage, recipe, inputs, {"result.json": {}}, what="validation")
+    shutil.copy(copy, final / "rig.toml")
+    found = origin("bulk_modulus", final)
+    assert found.run == str(fit) and found.result.interval == (6.9e8, 7.1e8)
+    names = {source.name for source in found.sources}
+    assert any(name.endswith("one.csv") for name in names)
+    datasheet = origin("supply.pressure", final)
+    assert [text.key for text in datasheet.method] == ["report.from_rig"]
+    assert datasheet.rig is not None and datasheet.rig.file.endswith("my_rig.toml")
+    shutil.rmtree(fit)
+    shutil.rmtree(same, ignore_errors=True)
+    lost = origin("bulk_modulus", final)
+    assert lost.result.value == 7.0e8 and [text.key for text in lost.method] == ["report.no_fit"]
 
 
 @pytest.mark.parametrize(
