@@ -310,6 +310,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     shifts = simulator.unshifted() if result.shifts is None else result.shifts
     values = [*(item.value for item in result.fitted), *result.held]
     starts, replays = simulator.replay(values, shifts)
+    warnings += simulator.short_steps(values, shifts)
     moving: dict[str, list[Record]] = {}
     for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ from ehbench.plant.foreign import model_of
 from ehbench.plant.many import map_threads
 from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
+from ehbench.plant.stiffness import stiffness_of
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, initial_state_of
 from ehbench.preprocessing.observations import (
@@ -37,7 +38,7 @@ from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
 from ehbench.signals.series import transients, white_noise
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import like_channel, quantity
 from ehbench.vocabulary.settings import setting
 
@@ -493,6 +494,28 @@ class Simulator:
             log.start.numbers(log.start.at(model, item, shared)) for model, log, item, _ in tasks
         ]
         return starts, map_threads(self._replay, tasks, self.workers)
+
+    def short_steps(self, values: Sequence[float], shifts: Shifts) -> Iterator[Message]:
+        """Of each log that takes very short steps, which state limits them and what makes it fast.
+
+        Raises:
+            SimulationError: the numbers left the finite range.
+        """
+        if self.step != AUTO or self.rig.model is not None:  # an FMU chooses its steps itself
+            return
+        models, shared = self.models(values), self._by_name(values, True)
+        for log, shift in zip(self.logs, shifts, strict=True):
+            model, true = models[log.payload], log.start.true(shift, shared)
+            stiff = stiffness_of(model, true, log.start.at(model, shift, shared))
+            if stiff is None:
+                continue
+            word = stiff.state.rpartition(".")[2]
+            kind = "motion" if word in ("q", "qd") else "pressure"
+            kind = kind if word.startswith(("q", "p_")) else "mount"
+            cause = message(f"identification.stiff_{kind}")
+            yield message(
+                "identification.short_steps", log=log.name, cause=cause, **stiff._asdict()
+            )
 
 
 def columns_of(log: Log, record: Record) -> np.ndarray:

@@ -1,0 +1,72 @@
+"""Which state asks for very short steps where the steps are chosen by the guard."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ehbench.data.record import Record
+from ehbench.plant.derivatives import derivatives
+from ehbench.plant.model import Model, Start
+from ehbench.plant.paced import pace_of
+from ehbench.vocabulary.settings import setting
+
+
+@dataclass(frozen=True)
+class StiffnessSettings:
+    """Numbers of the note on very short steps."""
+
+    steps: float = setting(
+        2.0e4, "1/s", "steps a second above which their cause is told", "shipped rigs take 4 100"
+    )
+    asked: int = setting(100, "", "steps that are asked for their cause", "a share to 10 %")
+
+
+SETTINGS = StiffnessSettings()
+
+
+class Stiffness(NamedTuple):
+    """Steps a second [1/s] of a replay, the state that limits most of them, the share it limits."""
+
+    steps: float
+    state: str
+    share: float
+
+
+def stiffness_of(model: Model, record: Record, start: Start) -> Stiffness | None:
+    """What limits the steps of a recording's replay; None where they are not very short.
+
+    Of steps evenly out of all, the state with the largest error (`ehbench.plant.paced`) of a step
+    twice as long, from the sample that is before it.
+
+    Raises:
+        LogError, SimulationError: as `Model.replay`.
+    """
+    model, commands, y = model.along(record, start)
+    plant, tick = model.plant, record.sample_time
+    log, steps = model.paced(y, commands, tick, flows=False)
+    count = len(steps) / float(np.ptp(record.t))
+    if count <= SETTINGS.steps:
+        return None
+    pace, work = pace_of(plant, model.layout, tick), np.empty(plant.at.work)
+    samples, limited = (np.cumsum(steps) - steps) // pace.units, Counter[str]()
+
+    def slope(state: np.ndarray, command: np.ndarray) -> np.ndarray:
+        rates = np.empty_like(state)
+        derivatives(state, command, plant, rates, work)
+        return rates
+
+    for i in np.linspace(0, len(steps) - 1, SETTINGS.asked).astype(int):
+        y, command, d = log[samples[i]], commands[samples[i]], 2.0 * tick / pace.units * steps[i]
+        first = slope(y, command)
+        second = slope(y + 0.5 * d * first, command)
+        third = slope(y + 0.5 * d * second, command)
+        last = slope(y + d * third, command)
+        end = slope(y + d / 6.0 * (first + 2.0 * (second + third) + last), command)
+        errors = pace.weights * np.abs(last - end)
+        limited[model.layout.state_names[int(np.nanargmax(errors))]] += 1
+    state, times = limited.most_common(1)[0]
+    return Stiffness(count, state, times / SETTINGS.asked)

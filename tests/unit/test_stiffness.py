@@ -1,0 +1,58 @@
+"""Very short steps are reported with the state that asks for them."""
+
+import numpy as np
+import pytest
+
+from ehbench.config.recipe import load_rig
+from ehbench.data.record import Record
+from ehbench.identification.hydraulics import prepare_fit, simulator_of
+from ehbench.plant.model import Model, Start
+from ehbench.plant.stiffness import stiffness_of
+from tests.shared import RIGS
+
+SLIDE = load_rig(RIGS / "slide_servo.toml")
+SMALL = {"press.volume_head": 2.0e-6, "press.volume_rod": 2.0e-6}
+DAMPED = {"carriage.mass": 1.0, "carriage.damping": 2.0e5}
+CASES = {
+    "shipped": ({}, None, None),
+    "small volumes": (SMALL, "press.p_rod", "pressure"),
+    "damping on a light load": (DAMPED, "carriage.qd", "motion"),
+    "a small supply line": ({"supply.volume": 2.0e-7}, "p_supply", "pressure"),
+}
+
+
+def stepped(values, middle="200 mm"):
+    """A model, its state at rest and a step of its valve."""
+    model, t = Model.of(SLIDE.with_values(values)), np.arange(0.0, 1.0, 1e-3)
+    record = Record(t, {"press.servo.command": np.where(t > 0.1, 5.0, 0.0)})
+    return model, Start(model.trim(model.posture({"press": middle}))), record
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_fast_limits_the_steps(case):
+    values, state, _ = CASES[case]
+    model, start, record = stepped(values)
+    stiff = stiffness_of(model, record, start)
+    assert (stiff and stiff.state) == state
+    assert stiff is None or (stiff.steps > 2.0e4 and stiff.share > 0.5)
+
+
+def test_a_light_load_in_its_end_stop_is_named():
+    model, start, record = stepped({"carriage.mass": 0.1}, "380 mm")
+    stiff = stiffness_of(model, record, start)
+    assert stiff is not None and stiff.state == "carriage.qd"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_fit_says_so_of_each_log_with_the_cause(case):
+    values, state, kind = CASES[case]
+    model, start, record = stepped(values)
+    replayed = model.replay(record, start=start)
+    prepared = prepare_fit(model.rig, [("one", replayed)], ["bulk_modulus"])
+    simulator = simulator_of(prepared, prepared.logs)
+    at = [float(model.rig.parameters()["bulk_modulus"])]
+    told = list(simulator.short_steps(at, simulator.unshifted()))
+    assert len(told) == (state is not None)
+    for text in told:
+        assert text.fields["log"] == "one" and text.fields["state"] == state
+        assert text.fields["cause"].key == f"identification.stiff_{kind}"
