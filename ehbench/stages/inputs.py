@@ -201,7 +201,7 @@ class Inputs:
             self.notes.add("undecided", message("stages.maps_not_run", name=rig))
         text = message("stages.checked_against", name=rig, root=self.notes.name_of(root))
         self.notes.add("remarks", text)
-        return root, None if maps_path is None else str(maps_path)
+        return root, None if maps_path is None else str(maps_path.absolute())
 
     def logs(self, data: Sequence[DataFile], driven: bool = False) -> Logs:
         """The logs of some entries, each a file, or the recipe or run folder of a trial; one with

@@ -33,6 +33,15 @@ def test_every_recipe_and_all_it_names_is_sound(folder, dry_run):
         assert found.code == 0 and found.lines[-1] == "ok", path
 
 
+@pytest.mark.slow
+def test_a_check_takes_maps_that_stand_already(undrawn, tmp_path, monkeypatch):
+    """Of a recipe that waits for another one, which has the maps of a finished run."""
+    monkeypatch.chdir(tmp_path)
+    boom = ROOT / "recipes" / "boom_four_valve"
+    workflow.run(boom / "flow_maps.toml", workflow.Session(root=Path("reports")))
+    assert inspection.check(boom / "validation.toml", DryRun(Path("reports"))).errors == ()
+
+
 @pytest.mark.parametrize("path", RECIPES, ids=lambda p: p.relative_to(ROOT / "recipes").as_posix())
 def test_every_recipe_says_what_it_is_for(path):
     assert path.read_text().startswith("# ")

@@ -14,7 +14,7 @@ from ehbench.vocabulary.errors import InputError  # noqa: E402
 
 COUNT = 60
 FEW = {"run folders": 15, "command lines": 30, "foreign files": 30, "MDF formulas": 20, "bombs": 6}
-SOUND = ("odd columns", "file names")  # all of them are taken
+SOUND = ("odd columns", "file names", "stacked tables")  # all of them are taken
 
 
 @pytest.mark.slow

@@ -34,6 +34,9 @@ NEVER = {
     "flow": "of a rated point, which is turned into the gain of its edge",
     "command": "as flow",
     "drop": "as flow",
+    "overlap": "of a whole spool: what the dead bands of its edges say, see test_strangers",
+    "null": "as overlap",
+    "number": "of an FMU, whose equations are not here",
 }
 
 

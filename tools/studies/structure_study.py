@@ -26,7 +26,8 @@ from tests.virtual_logs import DRIVES, commands_of, noisy
 KINDS = ("steps", "chirp")
 LONG = 4.0  # [s] of each log
 # a delay and a lag, a leakage and what else creeps, are told together; either leads to the other
-ALSO = {"delay": {"lag"}, "lag": {"delay"}}
+# an overlap of a spool is a dead band of each of its edges
+ALSO = {"delay": {"lag"}, "lag": {"delay"}, "deadband": {"overlap"}}
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 

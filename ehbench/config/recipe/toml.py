@@ -269,7 +269,7 @@ def _valid_hint(
 ) -> str | None:
     """What to write for an unknown key: the nearest, its table, or the valid keys."""
     valid = _valid_keys(model, within[:-1])
-    near = get_close_matches(str(location[-1]), valid, 1, 0.6)
+    near = get_close_matches(str((location or within)[-1]), valid, 1, 0.6)
     if near:
         return f"did you mean '{near[0]}'?"
     ends = range(len(location) - 2, 0, -1)

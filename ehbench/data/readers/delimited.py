@@ -75,7 +75,8 @@ def _table_of(
     at = [n for n in range(layout.first, len(lines)) if is_row(lines[n], separator)]
     rows = [lines[n] for n in at]
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
-    values, odd = numbers(rows, separator, decimal, of_numbers, max(width, len(top)))
+    widest = 0 if separator == "\t" else max(width, len(top))  # no number holds a tab
+    values, odd = numbers(rows, separator, decimal, of_numbers, widest)
     doubts = {} if dialect.decimal else two_readings(rows, separator, decimal, of_numbers)
     doubts |= long_integers(rows, separator, values, of_numbers)
     # parts of a microsecond since some year

@@ -337,6 +337,8 @@ def units_of(lines: Sequence[str], layout: TextLayout, separator: str) -> list[s
     return [
         ""
         if _label(cell) in _UNIT_HEADS
+        else text
+        if absolute_unit(cell)
         else named_unit(cell) or named_unit(re.sub(r"\s*\(.*\)", "", cell)) or text
         for cell, text in zip(cells, plain)
     ]
