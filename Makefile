@@ -39,7 +39,7 @@ mutate: dev              ## whether tests notice wrong code: 300 single changes 
 audit:                   ## whether a pinned dependency has a known weakness; asks a list on the network
 	$(PYTHON) -m venv build/audit
 	build/audit/bin/python -m pip install --quiet --disable-pip-version-check pip-audit==2.10.1
-	build/audit/bin/pip-audit --strict --disable-pip --require-hashes -r requirements.txt -r requirements-dev.txt
+	build/audit/bin/pip-audit --strict --disable-pip --require-hashes --no-deps -r requirements.txt -r requirements-dev.txt
 
 format: $(VENV)/.dev       ## whether the formatter would change anything
 	$(BIN)/ruff format --check $(CODE)
@@ -85,7 +85,7 @@ setup: $(VENV)/.ready
 
 $(VENV)/.installed: requirements.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) --require-hashes -r requirements.txt
+	$(INSTALL) --require-hashes --no-deps -r requirements.txt
 	$(INSTALL) --no-build-isolation --no-deps -e .
 	touch $@
 
@@ -96,7 +96,7 @@ $(VENV)/.ready: $(VENV)/.installed
 dev: $(VENV)/.ready $(VENV)/.dev  ## what the gates need beside what a run needs
 
 $(VENV)/.dev: $(VENV)/.installed requirements-dev.txt
-	$(INSTALL) --require-hashes -r requirements-dev.txt
+	$(INSTALL) --require-hashes --no-deps -r requirements-dev.txt
 	touch $@
 
 requirements:            ## pin again (needs uv); hashes only, no addresses
