@@ -22,6 +22,7 @@ from ehbench.export.kernels import Kernels
 from ehbench.export.source import template, write_sources
 from ehbench.runtime.disk import replacing, write_text
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.units import exponents
 
 # by target: folder of its binary in version 2 and 3, and ending
 PLACES = {
@@ -115,7 +116,9 @@ def _root(part: Component, version: str, **more: str) -> ElementTree.Element:
 def _units(part: Component, root: ElementTree.Element) -> None:
     units = ElementTree.SubElement(root, "UnitDefinitions")
     for unit in sorted({"s", *(item.unit for item in part.variables if _unit_key(item.unit))}):
-        ElementTree.SubElement(units, "Unit", name=unit)
+        definition = ElementTree.SubElement(units, "Unit", name=unit)
+        if powers := {name: str(power) for name, power in exponents(unit).items()}:
+            ElementTree.SubElement(definition, "BaseUnit", powers)
 
 
 def _unit_key(unit: str) -> dict[str, str]:

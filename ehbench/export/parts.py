@@ -106,9 +106,11 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
 
 
 def _in_metres(rig: Rig, name: str) -> dict[str, str]:
-    """The unit of a joint coordinate where the joint slides."""
-    unit = {"q": "m", "qd": "m/s"}.get(name.rsplit(".", 1)[-1])
-    return {"unit": unit} if unit and rig.mechanism.kind == "slide" else {}
+    """Unit and meaning of a joint coordinate where the joint slides: those of a stroke."""
+    row = {"q": VOCABULARY["x"], "qd": VOCABULARY["v"]}.get(name.rsplit(".", 1)[-1])
+    if row is None or rig.mechanism.kind != "slide":
+        return {}
+    return {"unit": row.unit, "about": row.meaning}
 
 
 def _rig_parameters(
@@ -162,7 +164,12 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
     plant, edges = design.model.plant, design.circuit.edges[design.at_cylinder]
     valves = sorted({int(v) for v in edges["valve"]})
     first = session.rows.samples[0]
-    variables = [Variable.of(channels[i], "input", f"sample[{i}]", first[i]) for i in observed]
+    variables = [
+        Variable.of(
+            channels[i], "input", f"sample[{i}]", first[i], **_in_metres(trial.rig, channels[i])
+        )
+        for i in observed
+    ]
     variables += [
         Variable.of(name, "input", f"reference[{i}]", law.references[0, i])
         for i, name in enumerate(names)

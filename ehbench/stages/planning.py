@@ -58,9 +58,10 @@ class NextTest:
             ]
             for proposal in self.proposals[:8]
         ]
-        step = message("steps.write_test", run=run, parameter=name)
+        options = " --allow-code" if self.rig.model else ""  # an FMU
+        step = message("steps.write_test", run=run, parameter=name, options=options)
         if written is not None:
-            step = message("steps.run_test", recipe=written)
+            step = message("steps.run_test", recipe=written, options=options)
         return Answer(verdict, [Grid(head, rows)], [step], place=written, values=self.as_json())
 
     def _shown(self, value: float) -> float:

@@ -178,6 +178,16 @@ def product(first: str, second: str, si: str) -> float:
     return factor("*".join(f"({item})" if item != "1" else item for item in each), si)
 
 
+def exponents(unit: str) -> dict[str, int]:
+    """Powers of kg, m, s, A, K and rad of an SI unit, without zeros; empty of a unit with roots."""
+    result = _unit(unit)
+    if result is None or result.factor != 1.0 or result.powers[_CYCLE]:
+        return {}
+    if not all(power.is_integer() for power in result.powers):
+        return {}
+    return {name: int(power) for name, power in zip(_DIMENSIONS, result.powers) if power}
+
+
 def is_of(unit: str, row: Quantity) -> bool:
     """Whether a unit is one of a row's quantity."""
     return not isinstance(_conversion(unit, row.unit), Message)

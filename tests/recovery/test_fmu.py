@@ -189,6 +189,8 @@ def test_what_is_suggested_reads_it_right_and_a_test_is_proposed(fitted, off):
     assert sensor.channel == "press.p_head" and sensor.scale.value == pytest.approx(1.06, abs=2e-3)
     assert sensor.offset.value == pytest.approx(3e5, abs=2e4)
     proposed = workflow.next_test(off / "fit", None, workflow.Session(allow_code=True))
+    for written in (None, off / "test.toml"):  # an FMU runs where it is allowed to
+        assert "--allow-code" in proposed.answer(off / "fit", written).steps[0].hint
     assert proposed.known.interval is not None
     low, high = proposed.known.interval
     assert proposed.proposals[0].interval[1] - proposed.proposals[0].interval[0] < high - low

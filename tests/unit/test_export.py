@@ -6,6 +6,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import numpy as np
+import pint
 import pytest
 
 from ehbench import trial, workflow
@@ -21,6 +22,7 @@ from tests.shared import RECIPES, shipped
 CC = shutil.which("gcc") or shutil.which("cc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler is here")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off")
+BASE = ("kg", "m", "s", "A", "K")  # of FMI's base units those that have a dimension
 SANE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 QUICK = {
     "thesis_arm": "arc",
@@ -138,8 +140,14 @@ def test_a_unit_equals_the_run_of_the_model(units, version, changed):
     folder, export = units
     file = str(folder / f"fmu{version}" / "slide_servo_model.fmu")
     assert validate_fmu(file) == []
-    about = {item.name: item for item in read_model_description(file).modelVariables}
+    described = read_model_description(file)
+    about = {item.name: item for item in described.modelVariables}
     assert about["press.p_head"].unit == "Pa" and about["press.x"].causality == "output"
+    assert about["carriage.q"].unit == "m"  # it slides
+    for unit in described.unitDefinitions:
+        base = [f"{name}^{getattr(unit.baseUnit, name)}" for name in BASE if unit.baseUnit]
+        assert base or unit.name.endswith("Pa^0.5)")  # a root has no whole powers
+        assert not base or pint.Unit(unit.name).is_compatible_with("*".join(base))
     assert "assumed" in str(about["bulk_modulus"].description)
     t = np.arange(301) / 1000.0
     volts = np.where(t >= 0.02, 3.0 * np.sin(40.0 * t), 0.0)
