@@ -526,7 +526,9 @@ def wire(
     py: Annotated[bool, typer.Option("--py", help="Python; with --out its responder.")] = False,
     dbc: Annotated[bool, typer.Option("--dbc", help="A DBC file, for CAN.")] = False,
     csv: Annotated[bool, typer.Option("--csv", help="A table, the default.")] = False,
-    rate: Annotated[float, typer.Option("--rate", help="Of the target [Hz].", min=1.0)] = 1000.0,
+    rate: Annotated[
+        float, typer.Option("--rate", help="Of the target [Hz].", min=1.0, max=1e6)
+    ] = 1000.0,
     out: Annotated[
         Path | None, typer.Option("--out", help="Folder to write to.", show_default=False)
     ] = None,
@@ -565,7 +567,7 @@ def serve_machine(
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option("--rate", help="Of the target [Hz].", min=1.0, show_default=False),
+        typer.Option("--rate", help="Of the target [Hz].", min=1.0, max=1e6, show_default=False),
     ] = None,
     watchdog: Annotated[
         float, typer.Option("--watchdog", help="Silence after which it stops, in ms.", min=1.0)

@@ -69,11 +69,11 @@ class Sensors(NamedTuple):
     """The memory of the checks of one cylinder's sensors.
 
     ``angles`` and ``work`` are scratch; ``low``, shape (RESIDUALS,), low-passed residuals,
-    ``scores``, shape (RESIDUALS,), theirs; ``speed``, shape (1,), the low-passed speed [m/s];
-    ``carried``, shape (1,), the payload [kg]; ``doubts``, shape (2,), what the flows say against
-    each chamber's pressure [m²/s²]; ``still``, shape (2, 5), of each chamber the pressure that
-    stays [Pa], with the demanded force and the other chamber's force [N] when it came, for how long
-    [s], and for how long one stayed at most before; ``jumped``, shape (2,), by how much each
+    ``scores``, shape (RESIDUALS,), theirs; ``speed``, shape (2,), the speed [m/s] low-passed once
+    and twice; ``carried``, shape (1,), the payload [kg]; ``doubts``, shape (2,), what the flows say
+    against each chamber's pressure [m²/s²]; ``still``, shape (2, 5), of each chamber the pressure
+    that stays [Pa], with the demanded force and the other chamber's force [N] when it came, for how
+    long [s], and for how long one stayed at most before; ``jumped``, shape (2,), by how much each
     pressure jumped [Pa]. ``lines`` are the pressures [Pa] of supply and tank, nan where they follow
     the load; ``payload`` [kg] at the tip is the heaviest, ``steady`` whether it stays the same;
     ``tick`` [s]."""
@@ -109,7 +109,7 @@ def sensors_of(axis: Axis, tank: float, payload: float, steady: bool, tick: floa
         np.zeros(joints),
         np.zeros(work_size(joints) + joints),
         np.full(RESIDUALS, math.nan),
-        np.full(1, math.nan),
+        np.full(2, math.nan),
         np.full(1, math.nan),
         np.zeros(RESIDUALS),
         np.zeros(2),
@@ -147,7 +147,8 @@ def _load(sample, v, axis, sensors):
     damped = (load.damping + cylinder.friction_viscous) * v
     curved = load.mass * load.curve * v * v
     low, unsteady = _low_pass(measured - load.gravity - damped + curved, LOAD, sensors)
-    a = SCORES.corner * (v - sensors.speed[0])
+    low, _ = _low_pass(low, CHANGED, sensors)  # twice, as the speed for its acceleration
+    a = SCORES.corner * (sensors.speed[0] - sensors.speed[1])
     pushed = load.mass * a
     pressed = SENSORS.force * axis.circuit.supply[0].pressure * cylinder.area_head
     heavy = load.pull * sensors.payload
@@ -160,9 +161,10 @@ def _load(sample, v, axis, sensors):
     if math.isnan(sensors.carried[0]):
         sensors.carried[0], share = 0.0, 1.0
     changed = low - pushed - sensors.carried[0] * each
+    inertial = pushed + sensors.carried[0] * (each - load.pull)
     if math.isfinite(changed):
         sensors.carried[0] += share * changed * each / (each * each + least * least)
-    unsure = SENSORS.unsure**2 * (pushed * pushed + damped * damped)
+    unsure = SENSORS.unsure**2 * (inertial * inertial + damped * damped)
     unsure += pressed**2 + cylinder.friction_coulomb**2 + 0.25 * unsteady * unsteady
     return e, changed, unsure, load.gravity + damped - curved + pushed
 
@@ -223,9 +225,10 @@ def wrong_sensor(sample, r_head, r_rod, calm, axis, sensors):
     x, v = sample[entry(number, OF.x)], sample[entry(number, OF.v)]
     at, lever, _ = linkage_of(cylinder, sample[entry(number, OF.q)])
     if math.isnan(sensors.speed[0]):
-        sensors.speed[0] = v
+        sensors.speed[:] = v
     share = SCORES.corner * sensors.tick / (1.0 + SCORES.corner * sensors.tick)
     sensors.speed[0] += share * (v - sensors.speed[0])
+    sensors.speed[1] += share * (sensors.speed[0] - sensors.speed[1])
     _doubt(r_head, r_rod, axis, sensors)
     ends = SENSORS.ends * cylinder.stroke  # where a stop carries load
     alone = ends < x < cylinder.stroke - ends
