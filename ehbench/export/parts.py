@@ -72,13 +72,10 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
         for i, name in enumerate(model.layout.valves)
     ]
     variables += [
-        Variable.of(name, "output", f"sample[{i}]", sample[i], **_in_metres(trial.rig, name))
+        _measured(trial.rig, name, "output", f"sample[{i}]", sample[i])
         for i, name in enumerate(channels)
     ]
-    variables += [
-        Variable.of(states[i], "output", f"y[{i}]", y[i], **_in_metres(trial.rig, states[i]))
-        for i in hidden
-    ]
+    variables += [_measured(trial.rig, states[i], "output", f"y[{i}]", y[i]) for i in hidden]
     last = min(session.end, EXPORT.rows + 1)
     rows = session.rows
     part = Component(
@@ -105,12 +102,12 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
     return replace(part, variables=(*part.variables, *more))
 
 
-def _in_metres(rig: Rig, name: str) -> dict[str, str]:
-    """Unit and meaning of a joint coordinate where the joint slides: those of a stroke."""
+def _measured(rig: Rig, name: str, role: str, place: str, start: float) -> Variable:
+    """A channel or state; a joint coordinate of a slide has unit and meaning of a stroke."""
     row = {"q": VOCABULARY["x"], "qd": VOCABULARY["v"]}.get(name.rsplit(".", 1)[-1])
     if row is None or rig.mechanism.kind != "slide":
-        return {}
-    return {"unit": row.unit, "about": row.meaning}
+        return Variable.of(name, role, place, start)
+    return Variable.of(name, role, place, start, unit=row.unit, about=row.meaning)
 
 
 def _rig_parameters(
@@ -163,12 +160,9 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
     observed = np.flatnonzero(law.controller.observed)
     plant, edges = design.model.plant, design.circuit.edges[design.at_cylinder]
     valves = sorted({int(v) for v in edges["valve"]})
-    first = session.rows.samples[0]
+    samples, t = session.rows.samples, session.rows.t
     variables = [
-        Variable.of(
-            channels[i], "input", f"sample[{i}]", first[i], **_in_metres(trial.rig, channels[i])
-        )
-        for i in observed
+        _measured(trial.rig, channels[i], "input", f"sample[{i}]", samples[0, i]) for i in observed
     ]
     variables += [
         Variable.of(name, "input", f"reference[{i}]", law.references[0, i])
@@ -185,7 +179,7 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
     ]
     arguments = {
         "t": 0.0,
-        "sample": first.copy(),
+        "sample": samples[0].copy(),
         "reference": law.references[0].copy(),
         "controller": law.controller,
         "command": np.zeros(len(design.valves)),
@@ -203,7 +197,6 @@ def controller_part(trial: Prepared, session: Session, law: Compiled, design: De
     count = min(session.end, EXPORT.rows)
     command, telemetry = np.zeros((count, len(design.valves))), np.zeros((count, columns))
     run = law.afresh().controller
-    samples, t = session.rows.samples, session.rows.t
     for i in range(count):
         tick(float(t[i]), samples[i], law.references[i], run, command[i], telemetry[i])
     outputs = [law.references[:count], command[:, valves], telemetry]
