@@ -63,7 +63,7 @@ wheel: $(VENV)/.installed  ## what others install, in dist/
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation -w dist .
 
 example: setup           ## the one report that is in git, made again
-	rm -rf build/example && $(BIN)/ehbench reproduce slide_servo -q --out build/example
+	rm -rf build/example && $(BIN)/ehbench reproduce press -q --out build/example
 	cp build/example/campaign_*/report.html reports/example/report.html
 
 bench: setup             ## measure speed and accuracy, print the table
