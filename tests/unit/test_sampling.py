@@ -1,18 +1,20 @@
 """Which samples a study has, what its keys mean, and what its samples say together."""
 
+import csv
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import StudyRecipe
+from ehbench.config.recipe import Measure, StudyRecipe
 from ehbench.sampling import statistics
 from ehbench.sampling.design import Design, Factor, Fitted
 from ehbench.sampling.journal import Journal
 from ehbench.sampling.keys import Key, changed_rig, changed_table
-from ehbench.sampling.outputs import _parquet
+from ehbench.sampling.outputs import MeasureColumn, Rows, _parquet, hash_of, write_tables
 from ehbench.sampling.sample import Sample
+from ehbench.sampling.summary import Summary
 from ehbench.vocabulary.errors import InputError
 from tests.shared import refused, shipped
 
@@ -194,7 +196,118 @@ def test_rank_regression_sees_kinds_and_through_a_bend():
     assert explained > 0.9
 
 
+SPEED = [1.0, 2.0, 3.0, math.nan, 5.0, 6.0, 7.0, 100.0, 8.0]
+CODES = [0, 0, 0, 3, 4, 0, 2, 5, 1]  # the fourth is incomplete: it has no speed, and counts
+
+
+def summary(targets=(), speed=SPEED, **given) -> Summary:
+    """Three payloads of three samples each, with a speed and a time since the stop."""
+    draw = {"rig.a": {"low": 1, "high": 2}}
+    sweep = {"recipe.payload": ["none", "50 lb", "70 lb"]}
+    recipe = study(draw=draw, sweep=sweep, samples=len(speed) // 3, **given)
+    columns = (MeasureColumn("speed", "mm/s", None, False), MeasureColumn("stop", "s", None, True))
+    names = ("done", "failed", "refused", "incomplete", "rejected", "stopped")
+    codes = np.array([*CODES, *[0] * len(speed)][: len(speed)])
+    rising = np.arange(1.0, len(speed) + 1.0)
+    inputs = np.stack([np.repeat([0.0, 1.0, 2.0], len(speed) // 3), rising], axis=1)
+    table = np.stack([speed, 0.1 * rising], axis=1)
+    rows = Rows(inputs, (), table, codes, tuple(names[code] for code in codes))
+    return Summary(recipe, Design(recipe), columns, targets, rows)
+
+
+@pytest.mark.parametrize(
+    ("targets", "given", "worst"),
+    [
+        ([{"measure": "speed", "at_most": 5.0}], {}, [5, 4, 7, 6, 8]),
+        ([{"measure": "speed", "at_most": 5.0, "at_least": 2.0}], {}, [5, 4, 7, 6, 8]),
+        ([{"measure": "speed", "at_least": 2.0}], {}, [0, 1, 7, 6, 8]),
+        ([{"measure": "speed", "at_least": 2.0}], {"worst": "stop"}, [8, 7, 6]),
+        ([], {}, [5, 4, 7, 6, 8]),
+        ([], {"keep": 0}, []),
+    ],
+)
+def test_the_worst_samples_are_those_by_the_measure_that_decides(targets, given, worst):
+    """Then the first that a limit stopped, that was refused, that failed."""
+    assert summary(targets, **{"keep": 2} | given).worst() == worst
+
+
+def test_a_worst_measure_that_is_not_there_is_refused():
+    with refused("sampling.no_measure"):
+        summary(worst="sped").worst()
+
+
+def test_a_summary_counts_what_came_to_its_end():
+    targets = [{"measure": "speed", "at_most": 5.0, "at_least": 2.0}]
+    result = summary([*targets, {"measure": "stop", "at_most": 0.25}]).as_json()
+    speed, stop = result["measures"]
+    assert (speed["samples"], stop["samples"]) == (5, 9)  # a stopped trial has a time of its stop
+    assert [speed[k] for k in ("mean", "minimum", "maximum")] == [3.4, 1.0, 6.0]
+    assert speed["std"] == pytest.approx(math.sqrt(17.2 / 4.0))
+    assert [q["value"] for q in speed["quantiles"][:2]] == pytest.approx([1.2, 3.0])
+    assert [(t["count"], t["of"]) for t in result["targets"]] == [(3, 9), (2, 9)]
+    groups = [(g["values"]["recipe.payload"], g["samples"], g["whole"]) for g in result["groups"]]
+    assert groups == [("none", 3, 3), ("50 lb", 3, 3), ("70 lb", 3, 0)]
+    assert [g["targets"][0]["count"] for g in result["groups"]] == [2, 1, 0]
+    assert result["groups"][1]["measures"][0] == {
+        **{"samples": 2, "mean": 5.5, "median": 5.5, "maximum": 6.0},
+        "q95": pytest.approx(5.95),
+    }
+    assert result["groups"][2]["measures"][0]["mean"] is None
+    assert [(i["key"], i["values"]) for i in result["inputs"]][0][1] == ["none", "50 lb", "70 lb"]
+
+
+@pytest.mark.parametrize(("count", "rows"), [(9, []), (10, ["speed"])])
+def test_inputs_matter_by_ten_samples_or_more(count, rows):
+    """Four payloads' worth of samples, of which ``count`` have a speed: it rises with a alone."""
+    speed = np.where(np.isin(np.arange(24), np.arange(9, 9 + count)), np.arange(24.0) ** 3, np.nan)
+    result = summary(speed=speed).as_json()["sensitivity"]
+    assert [row["measure"] for row in result if row["measure"] == "speed"] == rows
+    for row in result[: len(rows)]:
+        ranks = {item["key"]: item["rank"] for item in row["inputs"]}
+        assert row["method"] == "rank" and row["explained"] == pytest.approx(1.0)
+        assert ranks["rig.a"] == pytest.approx(1.0) and abs(ranks["recipe.payload"]) < 1e-9
+
+
 # --- on disk
+
+
+@pytest.mark.parametrize(
+    ("measure", "unit", "of_stops", "shown"),
+    [
+        ({"channel": "boom.v", "unit": "mm/s"}, "mm/s", False, 1500.0),
+        ({"channel": "boom.v", "since": "stop"}, "mm/s", True, 1500.0),
+        ({"result": "stop.boom.x"}, "mm", True, 1500.0),
+        ({"result": "tracking.gain_margin"}, "", False, 1.5),
+        ({"result": "what.nobody.knows"}, "", False, 1.5),
+    ],
+)
+def test_a_column_of_measures_has_its_unit(rig, measure, unit, of_stops, shown):
+    column = MeasureColumn.of(Measure(**measure), rig)
+    assert (column.unit, column.of_stops) == (unit, of_stops)
+    assert column.shown(1.5) == pytest.approx(shown)
+    assert column.head.endswith(f" [{unit}]" if unit else column.name)
+
+
+def test_the_table_of_a_study_is_in_the_columns_units(tmp_path):
+    sweep = {"recipe.payload": ["none", "50 lb"], "rig.a": ["1 mm", "2 mm", "3 mm"]}
+    design = Design(study(sweep=sweep, samples=1))
+    measures = [MeasureColumn.of(Measure(channel="boom.v", unit="mm/s"), None)]
+    journal = Journal(tmp_path / "s.jsonl", "k", 6, resume=False)
+    late = Sample(4, 5, "stopped", 'a "limit", met', (math.nan,))
+    journal.add([late, *(Sample(i, 0, "done", "", (0.1 * i,)) for i in (5, 3, 2, 1, 0))])
+    rows = write_tables(tmp_path, design, measures, journal, "k")
+    journal.close()
+    assert rows.texts[0] == ("none", "50 lb") and rows.inputs[:, 0].tolist() == [0, 0, 0, 1, 1, 1]
+    assert rows.inputs[:, 1].tolist() == [1.0, 2.0, 3.0] * 2
+    assert rows.codes.tolist() == [0, 0, 0, 0, 5, 0] and rows.status[4] == "stopped"
+    speeds = [0.0, 100.0, 200.0, 300.0, math.nan, 500.0]
+    assert rows.measures[:, 0] == pytest.approx(speeds, nan_ok=True)
+    with (tmp_path / "samples.csv").open(newline="", encoding="utf-8") as file:
+        head, *lines = csv.reader(file)
+    assert head[:4] == ["sample", "hash", "code", "status"] and "[mm/s]" in head[6]
+    assert lines[4][2:] == ["5", "stopped", "50 lb", "2.0", "", 'a "limit", met']
+    assert [line[1] for line in lines] == [hash_of("k", design.settings(i)) for i in range(6)]
+    assert len({line[1] for line in lines}) == 6 and float(lines[5][6]) == pytest.approx(500.0)
 
 
 def test_parquet_is_read_by_others(tmp_path):
