@@ -30,7 +30,7 @@ coverage: dev            ## which lines the tests run; bodies of compiled functi
 	$(BIN)/python -m pytest -n $(CORES) --dist worksteal --cov=ehbench --cov-report=term:skip-covered
 
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
-	$(BIN)/python tests/fuzz/fuzzer.py
+	$(BIN)/python -m tools.fuzz.fuzzer
 
 mutate: dev              ## whether tests notice wrong code: 300 single changes at random, 30 minutes at most
 	$(INSTALL) cosmic-ray==8.7.0

@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import foreign  # noqa: E402
-
-from ehbench.app import cli, converting, inspection, mapping  # noqa: E402
-from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_rig  # noqa: E402
-from ehbench.data import read, read_log  # noqa: E402
-from ehbench.data.flowmeter import read_flowmeter  # noqa: E402
-from ehbench.data.readers import open_source  # noqa: E402
-from ehbench.report import terminal  # noqa: E402
-from ehbench.signals.series import lowpass  # noqa: E402
-from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
+from ehbench.app import cli, converting, inspection, mapping
+from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_rig
+from ehbench.data import read, read_log
+from ehbench.data.flowmeter import read_flowmeter
+from ehbench.data.readers import open_source
+from ehbench.report import terminal
+from ehbench.signals.series import lowpass
+from ehbench.vocabulary.errors import InputError, LogError
+from tests import foreign
 from tests.shared import ROOT
 
 RIG = ROOT / "recipes/rigs/slide_servo.toml"

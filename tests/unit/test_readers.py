@@ -12,15 +12,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-import foreign  # noqa: E402
-
-from ehbench.app.converting import convert  # noqa: E402
-from ehbench.app.inspection import check  # noqa: E402
-from ehbench.app.mapping import draft  # noqa: E402
-from ehbench.data import read, readers  # noqa: E402
-from ehbench.data.flowmeter import is_flowmeter  # noqa: E402
-from ehbench.data.readers import (  # noqa: E402
+from ehbench.app.converting import convert
+from ehbench.app.inspection import check
+from ehbench.app.mapping import draft
+from ehbench.data import read, readers
+from ehbench.data.flowmeter import is_flowmeter
+from ehbench.data.readers import (
     READERS,
     Dialect,
     Reader,
@@ -31,10 +28,11 @@ from ehbench.data.readers import (  # noqa: E402
     reader_of,
     suffixes,
 )
-from ehbench.data.readers.clock import clock  # noqa: E402
-from ehbench.data.record import lost  # noqa: E402
-from ehbench.data.text import split  # noqa: E402
-from ehbench.vocabulary.errors import InputError, LogError  # noqa: E402
+from ehbench.data.readers.clock import clock
+from ehbench.data.record import lost
+from ehbench.data.text import split
+from ehbench.vocabulary.errors import InputError, LogError
+from tests import foreign
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data"
 DIGITS = {"a.csv": 1e-3}  # [bar] of what the text holds

@@ -1,19 +1,14 @@
 """Drafts of files in the style of real recorders: no wrong column is certain, nothing vanishes."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from recorder_files import RECORDINGS  # noqa: E402
-
-from ehbench.app import inspection, mapping  # noqa: E402
-from ehbench.config.recipe import load_columns  # noqa: E402
-from ehbench.config.rig import Rig  # noqa: E402
-from ehbench.data.readers import open_source  # noqa: E402
-from ehbench.signals.oddities import oddities  # noqa: E402
+from ehbench.app import inspection, mapping
+from ehbench.config.recipe import load_columns
+from ehbench.config.rig import Rig
+from ehbench.data.readers import open_source
+from ehbench.signals.oddities import oddities
+from tests.recorder_files import RECORDINGS
 from tests.shared import shipped
 
 

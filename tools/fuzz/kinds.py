@@ -3,7 +3,6 @@
 import io
 import json
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -13,9 +12,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import mutants
 import numpy as np
-import recorders
 
 from ehbench import workflow
 from ehbench.app import cli, inspection, mapping
@@ -30,11 +27,9 @@ from ehbench.runs import rundir
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import parse
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-import foreign  # noqa: E402
-
+from tests import foreign
 from tests.shared import RIGS, ROOT
+from tools.fuzz import mutants, recorders
 
 SMALL = 40  # rows of a table in the corpus
 

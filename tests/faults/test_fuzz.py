@@ -1,16 +1,12 @@
 """A small fuzz of each kind; `make fuzz` is the large one."""
 
-import sys
-from pathlib import Path
 from random import Random
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from fuzzer import KINDS, pieces, several, table  # noqa: E402
-from kinds import Kind  # noqa: E402
-
-from ehbench.vocabulary.errors import InputError  # noqa: E402
+from ehbench.vocabulary.errors import InputError
+from tools.fuzz.fuzzer import KINDS, pieces, several, table
+from tools.fuzz.kinds import Kind
 
 COUNT = 60
 FEW = {"run folders": 15, "command lines": 30, "foreign files": 30, "MDF formulas": 20, "bombs": 6}
@@ -48,7 +44,7 @@ def test_what_goes_wrong_is_found_and_counted(monkeypatch):
         if given < 6:
             raise InputError("a sentence")
 
-    monkeypatch.setattr("fuzzer.LONGEST", 0.2)
+    monkeypatch.setattr("tools.fuzz.fuzzer.LONGEST", 0.2)
     numbers = iter(range(10))
     monkeypatch.setitem(KINDS, "own", Kind(lambda rng: next(numbers), take, 1.0))
     tally = several("own", range(10), seed=0)

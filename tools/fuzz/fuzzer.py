@@ -1,7 +1,7 @@
 """Hand the program inputs that are wrong, thousands of each kind, and count what it makes of them.
 
-    python tests/fuzz/fuzzer.py                        100 000 inputs, a table, exit 1 on a finding
-    python tests/fuzz/fuzzer.py --again "rig TOML:17"  one of them, with its traceback
+    python -m tools.fuzz.fuzzer                        100 000 inputs, a table, exit 1 on a finding
+    python -m tools.fuzz.fuzzer --again "rig TOML:17"  one of them, with its traceback
 
 An input is known by its kind, its number and the seed. A finding is anything but a result or one
 sentence: a traceback, an input that takes longer than LONGEST, a user's file that is gone."""
@@ -22,9 +22,8 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
-from kinds import KINDS
-
 from ehbench.vocabulary.errors import EhbenchError
+from tools.fuzz.kinds import KINDS
 
 LONGEST = 20.0  # [s] of computing that one input may take
 PATIENCE = 20  # times as long that it may wait, for a child or the machine
