@@ -9,7 +9,7 @@ from types import SimpleNamespace as Stub
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import TrialRecipe
+from ehbench.config.recipe import Thresholds, TrialRecipe
 from ehbench.data.record import Record
 from ehbench.flow_maps import tables
 from ehbench.flow_maps.readings import SETTINGS as READING
@@ -23,17 +23,20 @@ from ehbench.identification.groups import groups_of
 from ehbench.identification.means import SETTINGS as MEANS
 from ehbench.identification.means import means_of
 from ehbench.identification.results import SETTINGS as RESULTS
-from ehbench.identification.results import _late, _turned
+from ehbench.identification.results import _late, _left_over, _turned
 from ehbench.ledger.bounds import SETTINGS as BOUNDS
 from ehbench.ledger.bounds import bounds
 from ehbench.plant.model import Model
 from ehbench.signals.oddities import SETTINGS as ODD
 from ehbench.signals.oddities import oddities
+from ehbench.signals.series import Ringing
 from ehbench.stages.flow_map import ERRORS, FlowMapStage
 from ehbench.trial.coordination import COORDINATION, _direction, pace_of
 from ehbench.trial.limit_cycle import LIMIT_CYCLE, limit_cycle
 from ehbench.trial.measures import MEASURES, short_measures, step_measures, tracking_measures
 from ehbench.trial.motion import MOTION, limits_of
+from ehbench.validation import baseline, checks, held_out, judge, residuals, sweeps, transients
+from ehbench.validation.results import ChannelResult, LogResult
 from ehbench.vocabulary.errors import EhbenchError
 from tests.shared import shipped
 
@@ -316,6 +319,158 @@ def errors_of_steps():
     return seen[0]
 
 
+# --- what is left of a fit
+
+
+def left_over(share, times):
+    """Whether a sine, is told of which so much is left, and how many noises that is."""
+    y = np.sin(np.arange(2000) * 2e-3 * np.pi)
+    log, name = log_of(y), "press.v"
+    log.channels, log.band = (name,), None
+    log.seen = Record(np.arange(2000) * 1e-3, {name: y})
+    left = times * 0.005 * np.std(y)
+    fit = Stub(fit_percent={name: 100.0 * (1.0 - share)}, residual_rms={name: left})
+    return bool(_left_over([log], [fit]))
+
+
+# --- verdicts
+
+
+def channel(name="press.v", fit=50.0, error=1.0, bias=0.0, **more):
+    return ChannelResult(name, "m/s", fit, error, bias, error, **more)
+
+
+def keys(messages):
+    return [item.key.partition(".")[2] for item in messages]
+
+
+def poor(fit):
+    asked = Thresholds(fit_percent={})
+    return keys(
+        checks.unrequested([channel("press.x", fit)], asked, SLIDE, Record(np.zeros(1), {}))
+    )
+
+
+def level(fit, share=1.0):
+    """Whether a channel is off by its level, which makes up a share of the error's square."""
+    return keys(checks._level_note(channel(fit=fit, bias=math.sqrt(share)), SLIDE))
+
+
+def allowed(noise):
+    """The threshold of a fit of 70 % for a channel of which so much is noise."""
+    asked = Thresholds(fit_percent={"v": 70.0})
+    (check,) = checks._fit_check(channel(noise_share=noise), asked)
+    return round(check.asked, 1)
+
+
+def only_noise(share):
+    t = np.arange(20_000) * 1e-3
+    y = math.sqrt(2.0 * (1.0 - share)) * np.sin(t)
+    y = y + math.sqrt(share) * np.random.default_rng(1).standard_normal(t.size)
+    pair = residuals.Pair(y, y + 0.1, False)
+    return residuals.compare_channel(Record(t, {"press.v": y}), Model.of(SLIDE), "press.v", pair)
+
+
+def lags():
+    """(first, last) lag of a residual at 1 kHz."""
+    t = np.arange(20_000) * 1e-3
+    y = np.sin(t)
+    pair = residuals.Pair(y, y + np.cos(3.0 * t), False)
+    model, log = Model.of(SLIDE), Record(t, {"press.v": y})
+    seen = residuals.compare_channel(log, model, "press.v", pair).autocorrelation
+    assert seen is not None
+    return seen.lag[0], seen.lag[-1]
+
+
+def drifts(share):
+    """Whether a command stands that drifts by a share of its step."""
+    drift = np.clip(np.arange(1000) - 100, 0, None) * 3.0 * share / 900.0
+    return transients.stands(np.where(np.arange(1000) < 100, 0.0, 2.0 + drift)[:, None], 100)
+
+
+def judged(periods=9.0, off=0.0, error=0.0, still=True):
+    """Why a ringing of 6 Hz over so many periods is not judged, its frequency said ``off``."""
+    omega = 12.0 * np.pi / (1.0 - off)
+    t = np.linspace(0.0, 2.0 * np.pi * periods / omega / math.sqrt(0.9999), 800)
+    y = np.exp(-0.6 * t) * np.sin(12.0 * np.pi * t) * (not still)
+    seen = Ringing(omega, 0.01, 0.0, 0.01 * error, stop=float(t[-1]), ok=True)
+    note = transients.why_not_judged(t, y[:, None], seen)
+    return "" if not note else note.key.partition(".")[2]
+
+
+def sweeps_of(top=20.0, share=1.0):
+    """How many sweeps count whose coherent frequencies go from 1 Hz to ``top``, a share of them."""
+    f = np.linspace(1.0, top, 200)
+    seen = Stub(frequency=f, coherent=np.append(np.arange(199) % 20 < 20 * share, True))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sweeps, "_sweeping", lambda *_: ("u", slice(None)))
+        patch.setattr(sweeps, "_response", lambda *_: seen)
+        patch.setattr(sweeps, "_sweep_of", lambda *_: 1)
+        pairs = {"press.v": Stub(recorded=f, simulated=f)}
+        return len(sweeps.sweeps_of(Record(f, {}), Model.of(SLIDE), "press", pairs, 0.5))
+
+
+def sweeping(changes=100, stands=0.0):
+    """Whether a command sweeps that changes so often, and stands a share of the time."""
+    wait = np.zeros(round(10 * changes * stands / (1.0 - stands)))
+    u = np.concatenate([np.repeat(np.arange(changes) % 2, 10), wait, np.repeat([1.0, 0.0], 10)])
+    log = Record(np.arange(u.size) * 1e-3, {"press.servo.command": 5.0 * u})
+    return sweeps._sweeping(log, Model.of(SLIDE), "press") is not None
+
+
+def unexplained(fit, noise=0.0):
+    items = (channel(fit=fit, noise_share=noise), channel(fit=None))
+    log = LogResult("a", "none", "held_out", 1.0, 1e-3, channels=items)
+    return len(list(judge._unexplained([log])))
+
+
+def black_box(share):
+    """Whether it is better whose squared error is a share of the model's."""
+    items = (channel(fit=0.0, baseline_percent=100.0 * (1.0 - math.sqrt(share))),)
+    return len(list(baseline._better(LogResult("a", "", "held_out", 1.0, 1e-3, channels=items))))
+
+
+def arx_of(rows):
+    """Whether a first-order ARX, six coefficients, is fitted to so many rows."""
+    y, u = np.random.default_rng(1).standard_normal((2, rows + 1))
+    log = Record(np.arange(rows + 1) * 1e-3, {"ram.p_head": y, "ram.spool.command": u})
+    return baseline._least_squares("ram.p_head", ("ram.spool.command",), 1e-3, 1, [log]) is not None
+
+
+# --- samples that a model was fitted to
+
+
+def white(count, columns=1, seed=1):
+    return np.random.default_rng(seed).standard_normal((count, columns))
+
+
+def copies(off=0.0, late=0.0):
+    """How many stretches of a log are those of one off by a share of its size, or late in ticks;
+    it repeats, so that no shift of its time is found."""
+    t, y = np.arange(100) * 1e-3, np.tile(white(50)[:, 0], 2)
+    rows = held_out.FittedSamples("a", t, {"v": y + off * np.abs(y).max()}, "")
+    return len(held_out._overlaps(Record(t + 1e-3 * late, {"v": y}), rows))
+
+
+def run_of(count):
+    t = np.arange(20) * 1e-3
+    return len(held_out._runs(t, np.arange(20) < count, Stub(log="a", t=t)))
+
+
+def same_blocks(off=0.0, count=64, near=5):
+    """Whether noise is the same that is off by so many noises in all but ``near`` of 5 channels."""
+    y, sign = white(count, 5), np.where(np.arange(count) % 2, 1.0, -1.0)
+    shift = np.where(np.arange(5) < near, off, 9.0) * sign[:, None]
+    t = np.arange(count) * 1e-3
+    return bool(held_out._same_blocks(t, y + shift, t, y).any())
+
+
+def tells(step, coarse=0):
+    """Whether a channel whose readings are so many noises apart, some far more, has its own."""
+    steps = np.where(np.arange(100) < 100 - coarse, step, 9.0)
+    return held_out._tells(np.concatenate([[0.0], np.cumsum(steps)]), 1.0)
+
+
 ROWS = [
     (ODD, "share", lambda: [sentinels(n) for n in (20, 30)], [["sentinel"], []]),
     (ODD, "jump", lambda: [spike(h) for h in (7.0, 9.0)], [[], ["jump"]]),
@@ -364,6 +519,42 @@ ROWS = [
     (RESULTS, "opposite", lambda: [goes_other_way(a) for a in (1.98, 2.2)], [False, True]),
     (RESULTS, "late", lambda: [behind(n) for n in (0.2, 0.3)], [False, True]),
     (RESULTS, "latest", lambda: [behind(n) for n in (4.5, 6.0)], [True, False]),
+    (RESULTS, "explains", lambda: [behind(1, n) for n in (0.026, 0.031)], [True, False]),
+    (RESULTS, "little", lambda: [left_over(s, 9.0) for s in (0.09, 0.11)], [False, True]),
+    (RESULTS, "structure", lambda: [left_over(0.5, n) for n in (2.7, 3.3)], [False, True]),
+    (RESULTS, "fine", lambda: [left_over(0.5, n) for n in (2.7, 3.3)], [False, True]),
+    (checks.SETTINGS, "poor", lambda: [poor(f) for f in (79.0, 81.0)], [["poor_fit"], []]),
+    (checks.SETTINGS, "level", lambda: [level(f) for f in (76.0, 74.0)], [[], ["level"]]),
+    (checks.SETTINGS, "mostly", lambda: [level(50.0, s) for s in (0.47, 0.53)], [[], ["level"]]),
+    (checks.SETTINGS, "shape", lambda: [level(f, 0.6) for f in (17.8, 24.1)], [[], ["level"]]),
+    (checks.SETTINGS, "noisy", lambda: [allowed(n) for n in (0.24, 0.26)], [70.0, 61.1]),
+    (residuals.SETTINGS, "noise", lambda: [only_noise(s).fit_percent is None for s in (0.47, 0.53)],
+     [False, True]),
+    (residuals.SETTINGS, "lag_step", lags, (0.01, 0.5)),
+    (residuals.SETTINGS, "lag_span", lags, (0.01, 0.5)),
+    (transients.SETTINGS, "creep", lambda: [drifts(s) for s in (0.09, 0.11)], [True, False]),
+    (transients.SETTINGS, "periods", lambda: [judged(n) for n in (2.3, 2.7)],
+     ["short_stand", "no_half"]),
+    (transients.SETTINGS, "halves", lambda: [judged(off=s, still=False) for s in (0.13, 0.17)],
+     ["", "halves_differ"]),
+    (transients.SETTINGS, "sigmas", lambda: [judged(error=s) for s in (1 / 3.3, 1 / 2.7)],
+     ["no_half", "grows"]),
+    (sweeps.SETTINGS, "band", lambda: [sweeps_of(r) for r in (1.9, 2.1)], [0, 1]),
+    (sweeps.SETTINGS, "share", lambda: [sweeps_of(share=s) for s in (0.45, 0.55)], [0, 1]),
+    (sweeps.SETTINGS, "changes", lambda: [sweeping(n) for n in (38, 42)], [False, True]),
+    (sweeps.SETTINGS, "stand", lambda: [sweeping(stands=s) for s in (0.08, 0.12)], [True, False]),
+    (judge.SETTINGS, "unexplained", lambda: [unexplained(f) for f in (71.0, 69.0)], [0, 1]),
+    (judge.SETTINGS, "above_noise", lambda: [unexplained(40.0, n) for n in (0.21, 0.19)], [0, 1]),
+    (baseline.SETTINGS, "better", lambda: [black_box(s) for s in (0.47, 0.53)], [1, 0]),
+    (baseline.SETTINGS, "rows", lambda: [arx_of(n) for n in (29, 31)], [False, True]),
+    (held_out.SETTINGS, "same", lambda: [copies(s) for s in (0.8e-6, 1.2e-6)], [1, 0]),
+    (held_out.SETTINGS, "on_time", lambda: [copies(late=s) for s in (0.27, 0.33)], [1, 0]),
+    (held_out.SETTINGS, "rows", lambda: [run_of(n) for n in (7, 8)], [0, 1]),
+    (held_out.SETTINGS, "noise", lambda: [same_blocks(s) for s in (0.55, 0.65)], [True, False]),
+    (held_out.SETTINGS, "block", lambda: [same_blocks(0.0, n) for n in (63, 64)], [False, True]),
+    (held_out.SETTINGS, "agree", lambda: [same_blocks(0.0, 64, n) for n in (2, 3)], [False, True]),
+    (held_out.SETTINGS, "fine", lambda: [tells(s) for s in (0.45, 0.55)], [True, False]),
+    (held_out.SETTINGS, "finest", lambda: [tells(0.1, n) for n in (92, 88)], [False, True]),
     (ERRORS, "pressure", lambda: round(
         errors_of_steps().drop_std / float(RIG.supply.pressure), 6), 0.001414),
     (ERRORS, "command", lambda: errors_of_steps().command_std, 0.005),
