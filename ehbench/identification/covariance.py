@@ -14,6 +14,8 @@ import numpy as np
 from ehbench.identification.search import LEVEL
 from ehbench.signals.series import correlation_time
 
+FAINT = 1e-12  # share of the largest eigenvalue of a normal matrix that is rounding
+
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -166,6 +168,8 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
         for score, reach, known in zip(scores, reaches, prior_parts, strict=True)
     ]
     known = prior.weight**2 * np.diag(prior.sharpness**2)
+    # where nothing is known rounding would, and a variance could come out below zero
+    known += FAINT * np.diag(np.diag(total))
     hac = np.sum(meats, axis=0) + known
     acf = _by_autocovariance(free, blocks) + np.sum(prior_parts, axis=0) + known
     b = float(np.mean([r / len(s) for r, s in zip(reaches, scores, strict=True)]))
@@ -192,7 +196,7 @@ def _inverse_root(normal: np.ndarray) -> np.ndarray:
     diagonal = np.diag(normal)
     size = np.sqrt(np.maximum(diagonal, 1e-30 * np.max(diagonal, initial=1e-270)))
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    minimum = 1e-12 * np.max(values, initial=0.0) or 1.0  # 1: nothing counts, or there is nothing
+    minimum = FAINT * np.max(values, initial=0.0) or 1.0  # 1: nothing counts, or there is nothing
     return vectors / np.sqrt(np.maximum(values, minimum)) / size[:, None]
 
 

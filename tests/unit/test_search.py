@@ -1,0 +1,172 @@
+"""The search for the best fit and its errors, on simulations in closed form, against scipy's joint
+least squares."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from ehbench.identification import estimate as estimating
+from ehbench.identification.basins import descend, foreseen, level, nearest_basin
+from ehbench.identification.descent import bounded_step, constrained, settle, solve
+from ehbench.identification.problem import State, cost, evaluate, initial
+from ehbench.identification.uncertainty import errors_of
+from ehbench.vocabulary.errors import InsufficientData
+from tests.analytic_fit import LAG, NAMES, OFFSET, TRUTH, TWIN, log_of, problem, stroke
+
+
+@pytest.fixture(autouse=True)
+def bare(monkeypatch):
+    """An estimate is its errors and its state: nothing is asked about a rig."""
+    monkeypatch.setattr(estimating, "doubts_of", lambda *_: None)
+    monkeypatch.setattr(estimating, "result_of", lambda *given: given)
+
+
+def joint(state: State, fixed: dict[int, float] | None = None, more: str = ""):
+    """scipy's least squares of all parameters that are not ``fixed`` and both starts at once, with
+    the scales and the weight of the starts' priors of a state.
+    """
+    size = np.array([state.scales["press.x"], state.scales["press.v"]])
+    free = [i for i in range(len(state.theta)) if i not in (fixed or {})]
+
+    def residuals(z):
+        theta = state.theta.copy()
+        theta[list(fixed or {})] = list((fixed or {}).values())
+        theta[free] = z[:-2]
+        parts = [
+            (stroke(np.exp(theta), z[k - 2], 1.0 - 2.0 * k, more) - log_of(k, 0.02, 1).recorded)
+            / size
+            for k in (0, 1)
+        ]
+        return np.concatenate([*map(np.ravel, parts), math.sqrt(state.prior_weight) * z[-2:]])
+
+    z = np.append(state.theta[free], [0.0, 0.0])
+    return least_squares(residuals, z, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("factors", "most"),
+    [((1, 1, 1), 152), ((0.3, 3, 1), 212), ((8, 0.2, 3), 204), ((20, 1, 0.1), 224)],
+)
+def test_a_search_from_afar_finds_the_truth_and_how_sure_it_is(factors, most):
+    """In no more simulations than it takes now: the look over the ranges takes 130 of them."""
+    asked = problem(factors)
+    state = nearest_basin(asked, initial(asked))
+    assert asked.simulator.effort.evaluations <= most
+    state, converged = settle(asked, state, 1e-6)
+    assert converged and asked.simulator.effort.evaluations <= most + 10
+    truth = joint(state)
+    normal = truth.jac.T @ truth.jac
+    std = np.sqrt(np.diag(np.linalg.inv(normal)))
+    assert np.all(np.abs(state.theta - truth.x[:3]) < 0.01 * std[:3])
+    assert [float(s[0]) for s in state.shifts] == pytest.approx(truth.x[3:].tolist(), abs=0.01)
+    assert cost(asked, evaluate(asked, state)) == pytest.approx(2.0 * truth.cost, rel=1e-6)
+    errors = errors_of(asked, evaluate(asked, state))
+    # scaled residuals are unit noise; they are white, which is known to a few percent
+    assert [errors.by_index[i].std for i in range(3)] == pytest.approx(std[:3], rel=0.15)
+    assert all(item.kind == "estimated" for item in errors.by_index.values())
+    known = np.diag(np.linalg.inv(normal[:3, :3]))
+    shares = [errors.by_index[i].from_starts for i in range(3)]
+    assert shares == pytest.approx(1.0 - known / std[:3] ** 2, abs=0.01)
+    assert [item.from_data for item in errors.by_index.values()] == [1.0] * 3
+    size = np.sqrt(np.diag(np.linalg.inv(normal)))
+    shape = np.linalg.inv(normal) / np.outer(size, size)
+    assert errors.correlation == pytest.approx(shape[:3, :3], abs=0.15)
+    off = np.abs(state.theta - np.log(TRUTH)) / std[:3]
+    assert np.all(off < 3.0) and abs(float(state.shifts[0][0]) - OFFSET) < 3.0 * std[3]
+
+
+@pytest.mark.parametrize(
+    ("i", "upper", "fixed"),
+    [
+        (0, (0.98, 1e3, 1e3), ()),
+        (1, (1e3, 0.9, 1e3), ()),
+        (0, (1.00005, 1e3, 1e3), (0,)),  # less than its interval from it
+        (2, (1e3, 1e3, 1.0), (2,)),
+    ],
+)
+def test_a_parameter_that_runs_into_its_bound_or_near_stands_there(i, upper, fixed):
+    asked = problem(tuple(0.5 * min(x, 1.0) for x in upper), upper=upper)
+    (_, state, errors, *_), _ = estimating.estimate(asked)
+    assert state.at_bound == fixed and state.theta[i] == asked.search[i].bounds[1]
+    assert errors.by_index[i].kind == "at_bound" and NAMES[i] not in errors.names
+    there = joint(state, {i: float(state.theta[i])})
+    others = [k for k in range(3) if k != i]
+    assert state.theta[others] == pytest.approx(there.x[:2], abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("prior", "kind", "share"), [(math.inf, "correlated", 1.0), (0.02, "correlated", 0.0)]
+)
+def test_two_gains_that_the_logs_know_as_a_product_hang_together(prior, kind, share):
+    """A prior of 2 % of the one is all that is known of it, and of the other."""
+    asked = problem(more=(TWIN, 1.0, 0.05, 20.0, prior, 1.0))
+    state, _ = settle(asked, initial(asked), 1e-6)
+    errors = errors_of(asked, evaluate(asked, state))
+    assert [errors.by_index[i].kind for i in range(4)] == ["estimated"] * 2 + [kind] * 2
+    assert errors.correlation[2, 3] == pytest.approx(-1.0, abs=1e-3)
+    assert errors.by_index[3].from_data == pytest.approx(share, abs=1e-3)
+    if prior < math.inf:
+        stds = [errors.by_index[i].std for i in (0, 2, 3)]
+        assert stds[1:] == pytest.approx([prior, prior], rel=0.1)
+        assert errors.by_index[0].kind == "estimated" and stds[0] < 1e-4
+
+
+def test_a_lag_too_fast_to_see_is_known_by_its_range():
+    """From below: there 95 % of the likelihood ends, all others following."""
+    asked = problem(more=(LAG, 3e3, 10.0, 1e5))
+    (_, state, errors, *_), _ = estimating.estimate(asked)
+    low, high = state.ranges[3]
+    assert high == asked.search[3].bounds[1] and 3 not in errors.by_index
+    best = joint(state, {3: float(state.theta[3])}, LAG).cost
+    rise = 2.0 * (joint(state, {3: low}, LAG).cost - best)
+    # halvings leave 3 % of a twelfth of the range, in which the rise changes by a third
+    assert rise == pytest.approx(3.84 * state.prior_weight, rel=0.35)
+
+
+def test_a_lag_that_no_log_tells_is_dropped_and_alone_refused():
+    asked = problem(more=(LAG, 2e4, 1e4, 1e5))
+    (_, state, errors, *_), _ = estimating.estimate(asked)
+    assert state.free == (0, 1, 2) and not state.ranges and 3 not in errors.by_index
+    assert math.exp(state.theta[3]) == pytest.approx(2e4)
+    with pytest.raises(InsufficientData):
+        estimating._over_ranges(asked, replace(state, free=(3,)), [3])
+
+
+def test_a_descent_ends_where_it_may_not_go_on(monkeypatch):
+    asked = problem((1.02, 1.0, 1.0))
+    state, _ = settle(asked, initial(asked), 1e-6)
+    fixed, price = constrained(asked, state, 0, float(state.theta[0]) + 1e-3)
+    there = joint(state, {0: float(state.theta[0]) + 1e-3})
+    assert fixed.theta[1:] == pytest.approx(there.x[:2], abs=1e-4) and fixed.free == (0, 1, 2)
+    assert price == pytest.approx(2.0 * there.cost, rel=1e-6)
+    short = replace(problem((1.2, 2.0, 0.5)), max_iterations=2)
+    _, converged = solve(short, initial(short), 1e-9)
+    assert not converged and short.simulator.effort.iterations == 2
+
+
+def test_what_a_descent_comes_to_is_foreseen_where_it_is_linear():
+    asked = problem()
+    state, reached = descend(asked, {NAMES[0]: 1.002e9, NAMES[2]: 0.0501})
+    assert reached == pytest.approx(level(asked, state.here.residuals))
+    noise = sum(2.0 * math.log(0.02 * asked.spread[c]) for c in ("press.x", "press.v"))
+    assert reached == pytest.approx(noise, abs=0.2)
+    assert foreseen(asked, {NAMES[0]: 1.002e9, NAMES[2]: 0.0501}) == pytest.approx(reached, abs=0.1)
+
+
+def test_a_bounded_step_is_the_least_of_its_quadratic():
+    """Against a grid over the box."""
+    normal, gradient = np.array([[2.0, 0.9], [0.9, 1.0]]), np.array([-2.0, 1.0])
+    free = bounded_step(normal, gradient, 0.0, np.full(2, -9.0), np.full(2, 9.0))
+    assert free == pytest.approx(-np.linalg.solve(normal, gradient), rel=1e-6)
+    damped = bounded_step(normal, gradient, 0.5, np.full(2, -9.0), np.full(2, 9.0))
+    held = normal + 0.5 * np.diag(np.diag(normal))
+    assert damped == pytest.approx(-np.linalg.solve(held, gradient), rel=1e-6)
+    low, high = np.array([-0.5, -1.0]), np.array([0.7, 2.0])
+    x, y = np.meshgrid(np.linspace(-0.5, 0.7, 601), np.linspace(-1.0, 2.0, 601), indexing="ij")
+    value = 0.5 * (2.0 * x**2 + 1.8 * x * y + y**2) - 2.0 * x + y
+    k = np.unravel_index(np.argmin(value), value.shape)
+    step = bounded_step(normal, gradient, 0.0, low, high)
+    assert step == pytest.approx([x[k], y[k]], abs=6e-3)
