@@ -180,6 +180,24 @@ def test_few_readings_give_wide_intervals_that_hold():
     assert found.deadband_std > 2 * rich.deadband_std
 
 
+def test_standard_errors_are_those_of_the_scatter():
+    """Of eight sets of readings: neither too small nor, as intervals that hold may be, too wide."""
+    volts = np.array([0, 1, 1.5, 2, 3, 4, 5.5, 7, 8.5, 10.0])
+    command, drop = np.meshgrid([2.4, 3.2, 4.6, 6.2, 9.0], [4e5, 1.2e6, 3e6, 5.5e6])
+    off, deadbands = [], []
+    for seed in range(8):
+        few = {"drops": np.geomspace(2e5, 6.5e6, 5), "commands": volts, "trials": 2}
+        found = fit(readings(poppet, 100 + seed, **few))
+        error = found.map.flow(drop, command) - poppet(drop, command)
+        off.append(error / found.map.flow_std(drop, command))
+        width = np.diff(found.deadband_interval)[0] / found.deadband_std
+        deadbands.append(((found.deadband - 1.6) / found.deadband_std, width))
+    # 160 values of some 60 independent ones: their rms is known to a tenth
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.1
+    size, width = np.sqrt(np.mean(np.square(deadbands), axis=0))
+    assert 0.4 < size < 1.5 and 3.2 < width < 4.3  # 2·1.96 if it were normal
+
+
 def test_drops_off_any_grid_and_a_supply_that_limits_them():
     rng = np.random.default_rng(8)
     command, drop = rng.uniform(0, 10, 500), rng.uniform(1e5, 6.5e6, 500)

@@ -11,9 +11,16 @@ import pytest
 
 from ehbench.config.recipe import Thresholds, TrialRecipe
 from ehbench.data.record import Record
-from ehbench.flow_maps import tables
+from ehbench.flow_maps import step_readings, tables
 from ehbench.flow_maps.readings import SETTINGS as READING
-from ehbench.flow_maps.readings import FlowMapOptions, Noise, few, readings_table, sort_readings
+from ehbench.flow_maps.readings import (
+    FlowMapOptions,
+    Noise,
+    Units,
+    few,
+    readings_table,
+    sort_readings,
+)
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline
 from ehbench.frequency_response.response import SETTINGS as RESPONSE
@@ -218,6 +225,69 @@ def spline(**more):
 def narrow():
     one = spline(kinks=(5.0,)).volts
     return round(1e5 * float(np.diff(one).min()))
+
+
+UNITS = Units("L/min", "bar")
+
+
+def unlike(x, share):
+    """A series whose correlation with another is ``share``, of unit size."""
+    x = (x - x.mean()) / x.std()
+    y = np.cos(7.0 * np.arange(x.size))
+    y = y - y.mean() - np.mean(y * x) * x
+    return share * x + math.sqrt(1.0 - share**2) * y / y.std()
+
+
+def warms(kelvin=30.0, share=1.0, count=40):
+    """Whether oil that warms by so much with the command is told."""
+    u = np.linspace(1.0, 9.0, count)
+    warm = unlike(u, share)
+    warm = 300.0 + kelvin * warm / (share * np.ptp((u - u.mean()) / u.std()))
+    rows = Stub(temperature=warm, pressure_drop=np.full(count, 1e6), command=u)
+    return keys(tables._warming(rows, UNITS, "degC"))
+
+
+def warm_flow(change=0.05, sigmas=100.0, flow=0.5):
+    """Whether flows are told that change by a share over 10 K, known to so many errors."""
+    warm = np.linspace(-5.0, 5.0, 40)
+    rest = unlike(warm, 0.0) * 0.1 * change / sigmas * math.sqrt(38.0 / 40.0 * np.sum(warm**2))
+    share = 0.1 * change * warm + rest
+    rows = Stub(temperature=300.0 + warm, flow=flow * (1.0 + share))
+    fit = Stub(residuals=flow * share, sigmas=np.zeros(40), map=Stub(rated_flow=1.0))
+    return keys(tables._warm_flow(fit, rows))
+
+
+def driven(volts):
+    """The refusal of a command of a driver of 0 to 10 V."""
+    rows = readings_table(np.array([volts]), np.array([1e6]), np.array([1e-4]))
+    driver, edge, left = (
+        Stub(command_min=0.0, command_max=10.0),
+        Stub(sign=1),
+        tables.LeftOut(False),
+    )
+    return refusal(lambda: tables._commanded("a", rows, driver, edge, left))
+
+
+def of_supply(share):
+    """Notes on flows of which the largest is a share of what the supply can give."""
+    limit = float(RIG.supply.flow_limit)
+    flow = share * limit * np.linspace(0.1, 1.0, 5)
+    rows = readings_table(np.linspace(1.0, 9.0, 5), np.full(5, 1e6), flow, valve="sh")
+    (edge,) = tables.prepare_readings(RIG, [rows]).edges
+    return len(edge.notes)
+
+
+def step_reading(size=0.1, scatter=0.0):
+    """How many readings a block of a drop gives, a share of the supply's, that scatters by one."""
+    model = Model.of(SLIDE)
+    head, rod = (int(getattr(model.plant.cylinders[0], f"node_{s}")) for s in ("head", "rod"))
+    supply = float(SLIDE.supply.pressure)
+    drop = size * supply * (1.0 + scatter * np.where(np.arange(80) % 2, 1.0, -1.0))
+    pressure = {0: np.full(80, supply), 1: np.zeros(80)}
+    pressure |= {head: supply - drop, rod: np.full(80, 0.5 * supply)}
+    log = Record(np.arange(80) * 1e-3, {"press.servo.command": np.full(80, 5.0)})
+    block = step_readings._Block(0, pressure, {head: 1e-4})
+    return len(list(step_readings._readings(model, log, block)))
 
 
 # --- energies and fits
@@ -500,6 +570,25 @@ ROWS = [
      [False, True]),
     (READING, "outliers", left_out, 10),
     (READING, "noise", smallest_noise, 100),
+    (tables.SETTINGS, "correlation", lambda: [warms(share=s) for s in (0.57, 0.63)],
+     [[], ["warm_with_command"]]),
+    (tables.SETTINGS, "warming", lambda: [warms(k) for k in (2.8, 3.2)],
+     [[], ["warm_with_command"]]),
+    (tables.SETTINGS, "warm_readings", lambda: [warms(count=n) for n in (7, 8)],
+     [[], ["warm_with_command"]]),
+    (tables.SETTINGS, "warm_change", lambda: [warm_flow(c) for c in (0.009, 0.011)],
+     [[], ["warm_flow"]]),
+    (tables.SETTINGS, "warm_sigmas", lambda: [warm_flow(sigmas=n) for n in (3.8, 4.2)],
+     [[], ["warm_flow"]]),
+    (tables.SETTINGS, "warm_flow", lambda: [warm_flow(flow=s) for s in (0.09, 0.12)],
+     [[], ["warm_flow"]]),
+    (tables.SETTINGS, "overshoot", lambda: [driven(u) for u in (10.09, 10.11)],
+     ["", "flow_maps.outside_driver"]),
+    (tables.SETTINGS, "small_flow", lambda: [of_supply(s) for s in (0.9e-3, 1.1e-3)], [1, 0]),
+    (tables.SETTINGS, "large_flow", lambda: [of_supply(s) for s in (20.0, 23.0)], [0, 1]),
+    (step_readings.SETTINGS, "drop", lambda: [step_reading(s) for s in (1.8e-3, 2.2e-3)], [0, 1]),
+    (step_readings.SETTINGS, "steady", lambda: [step_reading(0.1, s) for s in (0.23, 0.27)],
+     [1, 0]),
     (SPLINE, "spans", lambda: spline().volts.size - 1, 12),
     (SPLINE, "slope", lambda: round(1e9 * float(spline().floor.max())), 100000),
     (SPLINE, "narrow", narrow, 436),
