@@ -280,10 +280,11 @@ def test_a_leak_is_reported_and_the_map_shut():
 def test_calibration_is_judged_and_no_flow_shown_as_zero():
     true = poppet(5e6, 4.0)
     targets = ((4.0, true), (4.0, 1.3 * true), (4.0, true / 0.95), (12.0, true))
+    targets += ((4.0, 0.7 * true), (4.0, true / 1.05))
     points = [(*target, 0.05) for target in targets]
     found = fit(readings(poppet, 15), calibration=points, reference_drop=5e6)
     verdicts = [one.verdict for one in found.calibration]
-    assert verdicts == ["met", "missed", "undecided", "not_measured"]
+    assert verdicts == ["met", "missed", "undecided", "not_measured", "missed", "undecided"]
     one = found.calibration[0]
     assert one.low <= true <= one.high and one.least == one.most == pytest.approx(one.flow)
     text = one.sentence(Units("L/min", "bar"))

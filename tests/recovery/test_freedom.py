@@ -62,6 +62,7 @@ def test_a_compensators_drop_is_told_by_its_range(truth, start):
     assert found.status == "estimated" and low <= truth <= high < 1.0e7
     if truth < 1e6:
         assert found.error_from == "range" and low == 2e4
+        assert found.std == pytest.approx((high - low) / (2.0 * 1.96), rel=1e-3)
         assert any(DROP in text and "deny the rest" in text for text in fit.warnings)
     else:
         assert found.value == pytest.approx(truth, rel=0.02)

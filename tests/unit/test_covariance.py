@@ -1,12 +1,22 @@
 """Standard errors against closed forms and brute force: every interval rests on them."""
 
 from dataclasses import replace
+from types import SimpleNamespace as Stub
 
 import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from ehbench.identification.covariance import Block, Covariance, Prior, covariance_of, eliminate
+from ehbench.identification.covariance import (
+    Block,
+    Covariance,
+    Prior,
+    covariance_of,
+    eliminate,
+    gains_of,
+    release_of,
+)
+from ehbench.identification.matching import Matching
 from ehbench.preprocessing.observations import count_error
 
 NONE = Prior(np.zeros(2), np.zeros(2), 1.0)
@@ -189,3 +199,69 @@ def test_the_widest_interval_is_taken(variances, jackknife, source, std):
     hac, acf, counts = (np.array([[value]]) for value in variances)
     result = Covariance(hac, acf, counts, wide, 3, one, 1.96, one, one)
     assert result.error(0)[::2] == (std, source)
+
+
+def test_freeing_a_number_does_what_the_joint_least_squares_say():
+    """Two logs with a start each, a prior on the first of two parameters, two numbers behind."""
+    rng, weight, sharpness = np.random.default_rng(29), 1.7, 11.0
+    prior = Prior(np.array([sharpness, 0.0]), np.array([0.4, 0.0]), weight)
+    logs = [rng.standard_normal((300, 5)) + 0.3 for _ in range(2)]  # four columns and a start
+    noise = [part @ [0.02, 0.1, 0.3, -0.05, 0.2] + rng.standard_normal(300) for part in logs]
+    shifts = [0.6, -0.8]
+
+    def joint(which):
+        """(moves of those columns and both starts, the cost there)."""
+        rows, right = [], []
+        for k, (part, y, shift) in enumerate(zip(logs, noise, shifts, strict=True)):
+            start = np.zeros((300, 2))
+            start[:, k] = part[:, 4]
+            rows += [np.hstack([part[:, which], start])]
+            rows += [np.sqrt(weight) * np.eye(len(which) + 2)[[len(which) + k]]]
+            right += [y, [np.sqrt(weight) * shift]]
+        rows += [np.sqrt(weight) * sharpness * np.eye(len(which) + 2)[[0]]]
+        right += [[np.sqrt(weight) * sharpness * 0.4]]
+        a, b = np.vstack(rows), np.concatenate(right)
+        move = np.linalg.lstsq(a, -b, rcond=None)[0]
+        return move, float(np.sum((a @ move + b) ** 2)), a
+
+    def blocks(which):
+        return [
+            Block(("a",), part[:, None, which], part[:, None, 4:], y[:, None], np.array([shift]))
+            for part, y, shift in zip(logs, noise, shifts, strict=True)
+        ]
+
+    fixed, before, _ = joint([0, 1])
+    behind = gains_of(blocks([0, 1, 2, 3]), prior)
+    for k in (2, 3):
+        free, after, a = joint([0, 1, k])
+        assert behind[k - 2] == pytest.approx(before - after, rel=1e-9)
+        given = Prior(np.append(prior.sharpness, 0.0), np.append(prior.off, 0.0), weight)
+        result = release_of(blocks([0, 1, k]), given, 0.5 * (before - after))
+        assert (result.move, result.gain) == pytest.approx((free[2], before - after), rel=1e-9)
+        assert result.follow == pytest.approx(free[:2] - fixed[:2], rel=1e-6, abs=1e-9)
+        if k == 2:  # where the other is fixed, what is left is not noise alone
+            std = np.sqrt(np.linalg.inv(a.T @ a)[2, 2])
+            assert result.std == pytest.approx(std, rel=0.2)
+        assert release_of(blocks([0, 1, k]), given, 1.01 * (before - after)).std == np.inf
+
+
+@pytest.mark.parametrize(
+    ("errors", "each", "std"),
+    [
+        ([0.1, -0.1, 0.3, -0.3, np.nan], 0.01, np.sqrt(np.pi / 2.0 * 0.2 / 3.0 / 4.0)),
+        ([0.1, -0.1], 0.01, np.sqrt(0.02 / 2.0)),  # a median of two is a mean
+        ([0.1], 0.05, 0.05),
+        ([0.01, -0.01, 0.0], 0.2, np.sqrt(np.pi / 2.0) * 0.2 / np.sqrt(3.0)),
+    ],
+)
+@pytest.mark.parametrize("role", ["frequency", "decay"])
+def test_windows_give_the_error_of_their_median(errors, each, std, role):
+    """By their scatter, or by the error of each ring where that is more; Student's quantile."""
+    ring = Stub(natural_frequency=20.0, natural_frequency_std=20.0 * each, damping_ratio_std=each)
+    windows = [Stub(recorded=ring)] * len(errors)
+    asked = Stub(windows=windows, search=[Stub(row=Stub(mode_role=role))])
+    found, quantile, count = Matching._scatter(asked, 0, np.array(errors), -2.0)  # pyright: ignore[reportArgumentType]
+    assert found == pytest.approx(std / 2.0) and count == np.isfinite(errors).sum()
+    assert quantile == pytest.approx(
+        1.96 if count == 1 else student.ppf(0.975, count - 1), rel=1e-6
+    )

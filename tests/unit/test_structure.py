@@ -6,9 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ehbench import diagnosis
 from ehbench.config.rig import Rig
 from ehbench.diagnosis import Case, ask
 from ehbench.diagnosis.faults import hypotheses
+from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
+from ehbench.diagnosis.faults.scales import Scales
+from ehbench.identification.fixed_numbers import counts_on
+from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
 from ehbench.validation import validate_rig
@@ -170,3 +175,115 @@ def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
     assert commanded(model, rest) == ()
     assert ask([Case("rest", rest, model, ())]).findings == ()
     assert ask([]).findings == ()
+
+
+# --- the search for faults, in closed form
+
+U, V, W = np.eye(3, 40)
+WEAK, BOTH, FAR = (Hypothesis(Row(k, low=-9.0, high=9.0), k) for k in ("weak", "both", "far"))
+BOUND = Hypothesis(Row("bound", low=-0.5, high=0.25), "bound")
+
+
+def search_of(left, noise=0.0, count=1000.0):
+    """A search whose residuals are one vector; a finding is its fault, size and gain."""
+    search = object.__new__(diagnosis._Search)
+    search.left, search.now = [left], float(left @ left)
+    search.noise, search.count = noise, count
+    search._finding = lambda *given: given  # pyright: ignore[reportAttributeAccessIssue]
+    return search
+
+
+def test_a_fault_has_the_size_of_its_projection_within_its_bounds():
+    search = search_of(3.0 * U + 2.0 * V)
+    for fault, slope, size, promise in (
+        (WEAK, [2.0 * U], -1.5, 9.0),
+        (BOUND, [2.0 * U], -0.5, 13.0 - (4.0 + 4.0)),
+        (BOUND, [-2.0 * U], 0.25, 13.0 - (6.25 + 4.0)),
+        (WEAK, [W], 0.0, 0.0),
+        (WEAK, [0.0 * U], 0.0, 0.0),
+        (WEAK, None, 0.0, 0.0),
+    ):
+        assert search._size(fault, slope, search.left) == pytest.approx(size)
+        assert search._promise(fault, slope) == pytest.approx(promise)
+
+
+@pytest.mark.parametrize(
+    ("gain", "of", "noise", "count", "counts"),
+    [
+        (70.0, 500.0, 0.0, 1e4, True),
+        (49.0, 500.0, 0.0, 1e6, False),  # a trifle: a tenth of what exceeds the noise
+        (51.0, 1000.0, 500.0, 1e4, False),  # half of it is less than 30
+        (61.0, 1000.0, 500.0, 1e4, True),
+        (61.0, 1000.0, 500.0, 470.0, False),  # 470 · log(1000/939) = 29.6
+        (61.0, 1000.0, 500.0, 490.0, True),  # 30.8
+        (1000.0, 1000.0, 500.0, 2.0, True),
+    ],
+)
+def test_a_gain_counts_beyond_chance(gain, of, noise, count, counts):
+    assert search_of(U, noise, count)._counts(gain, of) == counts
+
+
+def test_beside_the_best_fault_stands_what_explains_most_of_the_rest():
+    left = 10.0 * U + 9.0 * V + 12.0 * W
+    search = search_of(left)
+    slopes = {WEAK: [U], FAR: [W], BOTH: [V + W], BOUND: None}
+    ((fault, size, gain),) = search._beside([], [left], slopes)
+    assert fault is BOTH and size == -9.0  # its bound
+    assert gain == pytest.approx(225.0 - (0.0 + 9.0))
+    ((fault, _, gain),) = search._beside([BOTH], [left], slopes)
+    assert fault is FAR and gain == pytest.approx(144.0 - 9.0)
+    assert search._beside([BOTH, FAR], [8.0 * U + 20.0 * V], slopes) == []  # a seventh
+    assert search._beside([BOTH, FAR, WEAK], [left], slopes) == []
+
+
+def test_sizes_are_refined_to_both_sides(monkeypatch):
+    """What is left bends: δ is best at 0.37, a little aside from where slopes say."""
+    search = search_of(U)
+    misses = lambda points: [[U * (0.1 + (delta - 0.37) ** 2)] for _, delta in points]
+    monkeypatch.setattr(search, "_at", misses)
+    for first in (0.5, 0.25):
+        best = search._best({WEAK: [-U / first]})[WEAK]
+        assert best[0] in (first, 0.5 * first)
+        found = search._refined({WEAK: best})[WEAK]
+        assert abs(found[0] - 0.37) < 0.51 * best[0] * 0.5**5 * 2.0
+        assert found[1] == pytest.approx((0.1 + (found[0] - 0.37) ** 2) ** 2)
+
+
+def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_identified():
+    known = {"name": "bulk_modulus", "starts": (1.0,), "upper": 20.0}
+    assumed = Number(here=10.0, unit=5.0, sure="assumed", **known)
+    sure = Number(here=4.0, unit=2.0, sure="identified", std=0.5, **known)
+    fixed = Number(here=0.0, unit=0.0, sure="assumed", **known)
+    row = Row("gain", low=-3.0, high=4.0, step=0.02, rank=3)
+    both, one = Hypothesis(row, "a", (assumed, sure)), Hypothesis(row, "a", (sure, fixed))
+    assert both.bounds == (-2.0, 4.0) and both.rank == 2
+    assert Hypothesis(row, "a", (sure,)).rank == 3
+    assert (both.certainty, Hypothesis(row, "a", (sure, fixed)).certainty) == (0, 5)
+    assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.6 / (1.96 * 0.5), rel=1e-4)
+    assert Hypothesis(row, "a", (assumed,)).beyond(1.0) == 0.0
+    assert both.inside == 0.02
+    assert Hypothesis(replace(row, high=0.01), "a").inside == -0.02
+    assert sure.at(-3.0) == 0.0 and assumed.begin(4.0) == 18.0  # 0.9 of where a search ends
+
+
+def test_the_oils_spring_and_what_a_bulk_modulus_counts_on():
+    """K = Σ β A²/V, by hand; a bulk modulus that keeps K while the dead volumes grow by 1 %."""
+    rig = shipped("slide_servo")
+    (item,) = rig.cylinder
+    (head, rod), half = item.areas(), 0.5 * float(item.stroke)
+    volumes = np.array([float(item.volume_head), float(item.volume_rod)])
+    areas, signs = np.array([head, rod]), np.array([1.0, -1.0])
+
+    def stiffness(x, factor=1.0):
+        return float(np.sum(areas**2 / (factor * volumes + signs * areas * x)))
+
+    log = clean_log("slide_servo", rig, "steps", duration=0.5)
+    spring = Scales(rig, item, None, [log]).spring
+    assert spring == pytest.approx(float(rig.oil.bulk_modulus) * stiffness(half), rel=1e-9)
+    (note,) = counts_on(rig, ["bulk_modulus"], {"press": [log]})
+    x = float(np.mean(log["press.x"]))
+    slope = (stiffness(x, 0.999) - stiffness(x, 1.001)) / 0.002 / stiffness(x)
+    assert note.fields["share"] == pytest.approx(note.fields["more"] * slope, rel=1e-4)
+    (note,) = counts_on(rig, ["bulk_modulus", "press.volume_rod"], {"press": [log]})
+    part = areas[0] ** 2 * volumes[0] / (volumes[0] + head * x) ** 2 / stiffness(x)
+    assert note.fields["share"] == pytest.approx(note.fields["more"] * part, rel=1e-6)
