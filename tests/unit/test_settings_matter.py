@@ -9,7 +9,7 @@ from types import SimpleNamespace as Stub
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import Thresholds, TrialRecipe
+from ehbench.config.recipe import Thresholds, TrialRecipe, TuneRecipe
 from ehbench.data.record import Record
 from ehbench.flow_maps import step_readings, tables
 from ehbench.flow_maps.readings import SETTINGS as READING
@@ -42,6 +42,7 @@ from ehbench.trial.coordination import COORDINATION, _direction, pace_of
 from ehbench.trial.limit_cycle import LIMIT_CYCLE, limit_cycle
 from ehbench.trial.measures import MEASURES, short_measures, step_measures, tracking_measures
 from ehbench.trial.motion import MOTION, limits_of
+from ehbench.tune import search as tune_search
 from ehbench.validation import baseline, checks, held_out, judge, residuals, sweeps, transients
 from ehbench.validation.results import ChannelResult, LogResult
 from ehbench.vocabulary.errors import EhbenchError
@@ -541,6 +542,35 @@ def tells(step, coarse=0):
     return held_out._tells(np.concatenate([[0.0], np.cumsum(steps)]), 1.0)
 
 
+# --- a law of pressure feedback
+
+
+def law_of(top=1.2, twice=2.0):
+    """The washouts that are chosen where the damping is ``top`` at best, at one gain and off-side
+    gain, and less by them: by a second one ``twice − 1`` times as much as by the first."""
+
+    def loop(law):
+        slow = 1.0 + (law.washout + (twice - 1.0) * law.ramp_washout) / 5.0
+        beside = 1e9 * law.off_gain - 0.1
+
+        def damping(gain):
+            return top / slow * np.exp(-(np.log(np.maximum(gain, 1e-30) / 1e-10) ** 2) - beside**2)
+
+        return Stub(damping_ratio=damping, off=np.ones(1))
+
+    point = Stub(function="extend_resistive", volume_head=1e-3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tune_search, "swing", lambda motion: 10.0)
+        patch.setattr(tune_search, "_stiffness", lambda motion: (1e8, 1e8))
+        recipe = TuneRecipe(stage="tune", rig="x", damping_ratio="0.5")
+        search = tune_search.LawSearch([Stub(point=point, loop=loop)], recipe)  # pyright: ignore[reportArgumentType]
+    try:
+        law = search.law()
+    except ValueError:  # no washout is good enough
+        return 0.0, 0.0, search
+    return round(law.washout, 3), round(law.ramp_washout, 3), search
+
+
 ROWS = [
     (ODD, "share", lambda: [sentinels(n) for n in (20, 30)], [["sentinel"], []]),
     (ODD, "jump", lambda: [spike(h) for h in (7.0, 9.0)], [[], ["jump"]]),
@@ -644,6 +674,13 @@ ROWS = [
     (held_out.SETTINGS, "agree", lambda: [same_blocks(0.0, 64, n) for n in (2, 3)], [False, True]),
     (held_out.SETTINGS, "fine", lambda: [tells(s) for s in (0.45, 0.55)], [True, False]),
     (held_out.SETTINGS, "finest", lambda: [tells(0.1, n) for n in (92, 88)], [False, True]),
+    (tune_search.SEARCH, "margin", lambda: law_of()[:2], (2.855, 2.855)),
+    (tune_search.SEARCH, "bisections", lambda: law_of()[:2], (2.855, 2.855)),
+    (tune_search.SEARCH, "pair", lambda: [law_of(twice=k)[1] > 0.0 for k in (3.6, 3.9)],
+     [True, False]),
+    (tune_search.SEARCH, "nearly", lambda: law_of(0.5)[:2], (0.399, 0.0)),
+    (tune_search.SEARCH, "gain_span", lambda: round(1e14 * law_of()[2].grid[1], 6), 100.0),
+    (tune_search.SEARCH, "gain_points", lambda: law_of()[2].grid.size, 82),
     (ERRORS, "pressure", lambda: round(
         errors_of_steps().drop_std / float(RIG.supply.pressure), 6), 0.001414),
     (ERRORS, "command", lambda: errors_of_steps().command_std, 0.005),

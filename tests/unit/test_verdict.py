@@ -14,9 +14,11 @@ from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import noise_of
 from ehbench.signals import series
 from ehbench.validation import validate_rig
-from ehbench.validation.checks import beyond_noise
+from ehbench.validation.checks import _ringing_check, beyond_noise
 from ehbench.validation.residuals import pair_of
-from ehbench.validation.transients import stands, why_not_judged
+from ehbench.validation.results import Ring, Transient
+from ehbench.validation.sweeps import _beyond
+from ehbench.validation.transients import stands, unjudged, why_not_judged
 from tests.shared import shipped
 from tests.virtual_logs import DRIVES, clean_log, commands_of, noisy, virtual_log
 
@@ -260,3 +262,49 @@ def test_ringing_judges_a_model_that_leaves_more_than_noise(damping, judges):
     windows = judged(name, wrong, log).logs[0].transients
     assert any(w.recorded.clear for w in windows)
     assert any(w.judged for w in windows) == judges
+
+
+def test_differences_within_their_errors_are_none_in_19_of_20_cases():
+    """Of neighbours that share their windows: ρ = 2/3 and 1/6 behind a Hann window."""
+    rng, errors, none = np.random.default_rng(5), np.full(60, 0.2), 0
+    weights = np.array([0.5, 1.0, 0.5]) / np.sqrt(1.5)
+    for _ in range(2000):
+        noise = 0.2 * np.convolve(rng.standard_normal(62), weights, "valid")
+        none += _beyond(noise, errors) == 0.0
+    assert 0.92 < none / 2000 < 0.97
+    scatter = math.sqrt(2.0 * 2.0 * 60.0 * 0.2**4) / 60.0
+    expected = math.sqrt(0.25 - 0.04 - 1.645 * scatter)
+    assert _beyond(np.full(60, 0.5), errors) == pytest.approx(expected, rel=1e-6)
+
+
+def window(cylinder="a", start=1.0, simulated=10.0, std=0.1, note="", reason=""):
+    """A ringing of 10 rad/s as it was recorded, and another one."""
+    recorded = Ring(10.0, 0.1, 0.1, 0.01, 5.0, True) if not reason else Ring(reason=reason)
+    return Transient(cylinder, start, 2.0, recorded, Ring(simulated, std, 0.1, 0.01), note=note)
+
+
+@pytest.mark.parametrize(
+    ("others", "reached", "passed"),
+    [
+        ([(10.9, 0.1)], 0.09, True),
+        ([(11.2, 0.1)], 0.12, True),  # 0.092 less two standard errors of 0.014
+        ([(11.4, 0.1)], 0.14, False),
+        ([(8.6, 0.1)], 0.14, False),
+        ([(14.0, 3.0), (11.4, 0.1)], 0.14, False),  # the other may be chance
+        ([(10.2, 0.1), (11.2, 0.1)], 0.12, True),
+    ],
+)
+def test_the_worst_window_is_the_one_most_surely_off(others, reached, passed):
+    windows = [window(simulated=omega, std=std) for omega, std in others]
+    check = _ringing_check("a", "natural_frequency", windows, 0.1)
+    assert (check.reached, check.passed) == (pytest.approx(reached), passed)
+
+
+def test_cylinders_whose_ringing_is_not_judged_are_named_with_the_commonest_reason():
+    windows = [window("a"), window("b", note="n"), *[window("b", reason="r")] * 2]
+    notes = {note.fields["cylinder"]: note for note in unjudged(["a", "b", "c"], windows)}
+    assert {name: note.key for name, note in notes.items()} == {
+        "b": "validation.not_clear",
+        "c": "validation.no_steps",
+    }
+    assert (notes["b"].fields["reason"], notes["b"].fields["count"]) == ("r", 3)
