@@ -32,7 +32,7 @@ coverage: dev            ## which lines the tests run; bodies of compiled functi
 fuzz: dev                ## 100 000 inputs made wrong on purpose, and what became of them
 	$(BIN)/python -m tools.fuzz.fuzzer
 
-mutate: dev              ## whether tests notice wrong code: 300 single changes at random, 30 minutes at most
+mutate: dev              ## whether tests notice wrong code: 300 single changes at random, 30 minutes after a look at which test runs what
 	$(INSTALL) cosmic-ray==8.7.0
 	$(BIN)/python -m tools.mutate
 

@@ -1,22 +1,26 @@
 """Whether tests notice wrong code: one change each of cosmic-ray's, drawn at random, in a copy of
-the tree, and the share that the tests nearest to the module kill.
+the tree, and the share that the quick tests kill of those that run the changed line.
 
 python -m tools.mutate [MUTANTS] [MINUTES] [SEED]
 """
 
+import ast
+import difflib
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[1]
+SEEN = ROOT / "build" / "mutate"  # which tests run which line, until a source is newer
 PACKAGES = ("identification", "diagnosis", "validation", "flow_maps", "tune")
 # of cosmic-ray's operators those that people could write: another sign, order, bound or constant
 CHANGES = (
@@ -24,7 +28,35 @@ CHANGES = (
     *("Lt_GtE", "Gt_LtE", "LtE_Lt", "GtE_Gt", "Eq_NotEq", "NotEq_Eq"),
     *("AndWithOr", "OrWithAnd", "TrueWithFalse", "FalseWithTrue", "Delete_Not", "NumberReplacer"),
 )
-LONGEST = 300.0  # [s] of the tests of a mutant: one that hangs is killed
+# words that only refuse what no caller does, what is shown of progress, how many threads work
+NO_CHANGE = re.compile(
+    r"\b(strict|frozen|eq) ?= ?(True|False)|\breport\([^\n]*|\bworkers: int = .*"
+)
+_NUMBER = re.compile(r"(?<![\w.])-? ?\d+\.?\d*(?:e[-+]?\d+)?")
+LEAST = 1.0 / 3.0  # change of a number, of itself: tests hold thresholds to a third (CONTRIBUTING)
+LONGEST = 120.0  # [s] of the tests of a mutant: one that hangs is killed
+ENOUGH = 20.0  # [s] of tests, the quickest first
+
+
+class Change(NamedTuple):
+    """A mutant's module as text, the number of the line that it changes, and that line, before and
+    after.
+    """
+
+    source: str
+    line: int
+    before: str
+    after: str
+
+
+def is_small(before: str, after: str) -> bool:
+    """Whether a number changes by less than `LEAST` of itself."""
+    pairs = zip(_NUMBER.findall(before), _NUMBER.findall(after), strict=False)
+    changed = next(((a, b) for a, b in pairs if a.strip() != b.strip()), None)
+    if changed is None:
+        return False
+    old, new = (float(text.replace(" ", "")) for text in changed)
+    return abs(new - old) < LEAST * abs(old)
 
 
 class Mutant(NamedTuple):
@@ -34,13 +66,24 @@ class Mutant(NamedTuple):
     operator: str
     place: int
 
-    def source(self) -> str | None:
-        """The module with the change."""
+    def change(self) -> Change | None:
+        """What it does; None where that means nothing."""
         from cosmic_ray.mutating import mutate_code  # pyright: ignore[reportMissingImports]
         from cosmic_ray.plugins import get_operator  # pyright: ignore[reportMissingImports]
 
         text = (ROOT / self.module).read_text(encoding="utf-8")
-        return mutate_code(text, get_operator(self.operator)(), self.place)
+        source = mutate_code(text, get_operator(self.operator)(), self.place)
+        assert source is not None  # `places` counts only such
+        number = self.operator.endswith("NumberReplacer")
+        if (
+            NO_CHANGE.sub("", source) == NO_CHANGE.sub("", text)
+            or number
+            and is_small(text, source)
+        ):
+            return None
+        a, b = text.splitlines(), source.splitlines()
+        tag = next(x for x in difflib.SequenceMatcher(None, a, b).get_opcodes() if x[0] != "equal")
+        return Change(source, tag[1] + 1, a[tag[1]].strip(), b[tag[3]].strip())
 
 
 def places(module: Path) -> list[Mutant]:
@@ -76,17 +119,6 @@ def mutants(seed: int) -> Iterator[Mutant]:
             yield left[module].pop()
 
 
-def nearest(module: Path) -> list[str]:
-    """Tests that name a module, else those that name its package, the quickest folder first."""
-    dotted = ".".join(module.with_suffix("").parts).removesuffix(".__init__")
-    tests = sorted((ROOT / "tests").rglob("test_*.py"), key=lambda path: path.parent.name[::-1])
-    for name in (dotted, dotted.rpartition(".")[0]):
-        named = [p for p in tests if name in p.read_text(encoding="utf-8")]
-        if named:
-            return [str(path.relative_to(ROOT)) for path in named]
-    return ["tests/unit"]
-
-
 def copied(folder: Path) -> None:
     """The tree, its package and tests as files of their own, with the kernels' machine code."""
     for path in ROOT.iterdir():
@@ -96,31 +128,100 @@ def copied(folder: Path) -> None:
             (folder / path.name).symlink_to(path)
 
 
-def fails(tests: Sequence[str], folder: Path) -> bool:
-    """Whether a test fails in the copy, or hangs."""
-    words = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not slow", *tests]
-    given = {"cwd": folder, "env": os.environ | {"PYTHONPATH": str(folder)}}
-    try:
-        done = subprocess.run(
-            [sys.executable, *words], **given, capture_output=True, timeout=LONGEST
+def pytest(folder: Path, words: Sequence[str], timeout: float | None) -> tuple[int, str]:
+    """Exit code and output of the quick tests in the copy."""
+    words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow", *words]
+    environment = os.environ | {"PYTHONPATH": str(folder)}
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        timeout=timeout,
+        encoding="utf-8",
+    )
+    return done.returncode, done.stdout
+
+
+def statement(text: str, line: int) -> range | None:
+    """The lines of the innermost statement around one, without its body; None where it runs as the
+    module is imported.
+    """
+    nodes = [
+        node
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or line)
+    ]
+    if not any(isinstance(n, ast.FunctionDef) and n.body[0].lineno <= line for n in nodes):
+        return None
+    inner: Any = max(nodes, key=lambda node: node.lineno)
+    end = inner.body[0].lineno if hasattr(inner, "body") else inner.end_lineno + 1
+    return range(inner.lineno, max(end, inner.lineno + 1))
+
+
+class Runs:
+    """Which quick tests run a line, and how long each takes [s]."""
+
+    def __init__(self, folder: Path) -> None:
+        from coverage import CoverageData
+
+        data, said = SEEN / "coverage", SEEN / "durations.txt"
+        newest = max(
+            path.stat().st_mtime
+            for part in ("ehbench", "tests")
+            for path in (ROOT / part).rglob("*.py")
         )
+        if not said.exists() or said.stat().st_mtime < newest:
+            SEEN.mkdir(parents=True, exist_ok=True)
+            given = [f"    ehbench.{package}" for package in PACKAGES]
+            settings = ["[run]", f"data_file = {data}", "source =", *given]
+            (SEEN / "settings").write_text("\n".join(settings), encoding="utf-8")
+            words = ["--cov", f"--cov-config={SEEN / 'settings'}", "--cov-context=test"]
+            words += ["--cov-report=", "--durations=0", "--durations-min=0.001", "-rfE"]
+            folders = [f"tests/{name}" for name in ("unit", "physics", "recovery", "faults")]
+            cores = ["-n", str(os.cpu_count()), "--dist", "worksteal"]
+            said.write_text(pytest(folder, [*words, *cores, *folders], None)[1], encoding="utf-8")
+        text = said.read_text(encoding="utf-8")
+        self.broken = set(re.findall(r"^(?:FAILED|ERROR) (\S+)", text, re.MULTILINE))
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        for number, test in re.findall(r"^([\d.]+)s (?:setup|call) +(\S.*)$", text, re.MULTILINE):
+            self.seconds[test.strip()] += float(number)
+        self.data = CoverageData(str(data))
+        self.data.read()
+        self.files = {
+            Path(*Path(name).parts[Path(name).parts.index("ehbench") :]): name
+            for name in self.data.measured_files()
+        }
+
+    def of(self, module: Path, line: int) -> list[str]:
+        """The tests that run a line, the quickest first; of a line that runs as the module is
+        imported those of the whole module.
+        """
+        lines = self.data.contexts_by_lineno(self.files.get(module, ""))
+        those = statement((ROOT / module).read_text(encoding="utf-8"), line) or lines
+        names = {name for each in those for name in lines.get(each, ())}
+        tests = {name.rpartition("|")[0] for name in names} - {"", *self.broken}
+        some, total = [], 0.0
+        for test in sorted(tests, key=lambda test: (self.seconds[test], test)):
+            total += self.seconds[test]
+            if some and total > ENOUGH:
+                break
+            some.append(test)
+        return some
+
+
+def kills(mutant: Mutant, change: Change, folder: Path, runs: Runs) -> bool:
+    """Whether a test fails with the change, or hangs."""
+    tests = runs.of(mutant.module, change.line)
+    if not tests:
+        return False
+    place = folder / mutant.module
+    whole = place.read_text(encoding="utf-8")
+    place.write_text(change.source, encoding="utf-8")
+    try:
+        return pytest(folder, ["-x", *tests], LONGEST)[0] not in (0, 5)
     except subprocess.TimeoutExpired:
         return True
-    return done.returncode not in (0, 5)  # 5: all of them are slow
-
-
-def killed(mutant: Mutant, folder: Path, sound: dict[str, bool]) -> bool:
-    """Whether a test fails with the change, of those that do not fail without it (``sound``)."""
-    tests = nearest(mutant.module)
-    for test in tests:
-        if test not in sound:
-            sound[test] = not fails([test], folder)
-    place, source = folder / mutant.module, mutant.source()
-    assert source is not None  # `places` counts only such
-    whole = place.read_text(encoding="utf-8")
-    place.write_text(source, encoding="utf-8")
-    try:
-        return fails([test for test in tests if sound[test]], folder)
     finally:
         place.write_text(whole, encoding="utf-8")
 
@@ -130,22 +231,26 @@ def main(arguments: Sequence[str]) -> None:
     that is killed by package.
     """
     count, minutes, seed = (*map(int, arguments), *(300, 30, 1)[len(arguments) :])
-    ends, all_of, dead = time.monotonic() + 60.0 * minutes, Counter[str](), Counter[str]()
-    sound: dict[str, bool] = {}
+    all_of, dead = Counter[str](), Counter[str]()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         copied(folder)
+        runs = Runs(folder)
+        ends = time.monotonic() + 60.0 * minutes
         for mutant in mutants(seed):
             if all_of.total() == count or time.monotonic() > ends:
                 break
+            change = mutant.change()
+            if change is None:
+                continue
             package = mutant.module.parts[1]
-            gone = killed(mutant, folder, sound)
+            gone = kills(mutant, change, folder, runs)
             all_of[package] += 1
             dead[package] += gone
             if not gone:
-                print(f"survives: {mutant.module} {mutant.operator} {mutant.place}", flush=True)
-    broken = [test for test, passes in sound.items() if not passes]
-    print(f"not asked, as they fail without a change: {', '.join(broken) or 'none'}")
+                print(f"survives: {mutant.module}:{change.line}", flush=True)
+                print(f"    {change.before}\n    {change.after}", flush=True)
+    print(f"not asked, as they fail without a change: {', '.join(runs.broken) or 'none'}")
     for package in (*all_of, "all"):
         some, of = (n[package] if package != "all" else n.total() for n in (dead, all_of))
         print(f"{package}: {some} of {of} killed, {100.0 * some / max(of, 1):.0f} %")
