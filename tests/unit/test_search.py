@@ -3,6 +3,7 @@ least squares."""
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from scipy.optimize import least_squares
 from ehbench.identification import estimate as estimating
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
-from ehbench.identification.problem import State, cost, evaluate, initial
-from ehbench.identification.uncertainty import errors_of
+from ehbench.identification.problem import Problem, State, cost, evaluate, initial
+from ehbench.identification.uncertainty import Errors, errors_of
 from ehbench.vocabulary.errors import InsufficientData
 from tests.analytic_fit import LAG, NAMES, OFFSET, TRUTH, TWIN, log_of, problem, stroke
 
@@ -22,6 +23,12 @@ def bare(monkeypatch):
     """An estimate is its errors and its state: nothing is asked about a rig."""
     monkeypatch.setattr(estimating, "doubts_of", lambda *_: None)
     monkeypatch.setattr(estimating, "result_of", lambda *given: given)
+
+
+def estimated(asked: Problem) -> tuple[State, Errors]:
+    """Where an estimate of a problem ends, and its errors."""
+    result: Any = estimating.estimate(asked)[0]
+    return result[1], result[2]
 
 
 def joint(state: State, fixed: dict[int, float] | None = None, more: str = ""):
@@ -89,7 +96,7 @@ def test_a_search_from_afar_finds_the_truth_and_how_sure_it_is(factors, most):
 )
 def test_a_parameter_that_runs_into_its_bound_or_near_stands_there(i, upper, fixed):
     asked = problem(tuple(0.5 * min(x, 1.0) for x in upper), upper=upper)
-    (_, state, errors, *_), _ = estimating.estimate(asked)
+    state, errors = estimated(asked)
     assert state.at_bound == fixed and state.theta[i] == asked.search[i].bounds[1]
     assert errors.by_index[i].kind == "at_bound" and NAMES[i] not in errors.names
     there = joint(state, {i: float(state.theta[i])})
@@ -117,7 +124,7 @@ def test_two_gains_that_the_logs_know_as_a_product_hang_together(prior, kind, sh
 def test_a_lag_too_fast_to_see_is_known_by_its_range():
     """From below: there 95 % of the likelihood ends, all others following."""
     asked = problem(more=(LAG, 3e3, 10.0, 1e5))
-    (_, state, errors, *_), _ = estimating.estimate(asked)
+    state, errors = estimated(asked)
     low, high = state.ranges[3]
     assert high == asked.search[3].bounds[1] and 3 not in errors.by_index
     best = joint(state, {3: float(state.theta[3])}, LAG).cost
@@ -128,7 +135,7 @@ def test_a_lag_too_fast_to_see_is_known_by_its_range():
 
 def test_a_lag_that_no_log_tells_is_dropped_and_alone_refused():
     asked = problem(more=(LAG, 2e4, 1e4, 1e5))
-    (_, state, errors, *_), _ = estimating.estimate(asked)
+    state, errors = estimated(asked)
     assert state.free == (0, 1, 2) and not state.ranges and 3 not in errors.by_index
     assert math.exp(state.theta[3]) == pytest.approx(2e4)
     with pytest.raises(InsufficientData):

@@ -2,6 +2,7 @@
 nothing. `tools/studies/structure_study.py` has the long tables."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,12 +185,12 @@ WEAK, BOTH, FAR = (Hypothesis(Row(k, low=-9.0, high=9.0), k) for k in ("weak", "
 BOUND = Hypothesis(Row("bound", low=-0.5, high=0.25), "bound")
 
 
-def search_of(left, noise=0.0, count=1000.0):
+def search_of(left, noise=0.0, count=1000.0) -> Any:
     """A search whose residuals are one vector; a finding is its fault, size and gain."""
-    search = object.__new__(diagnosis._Search)
+    search: Any = object.__new__(diagnosis._Search)
     search.left, search.now = [left], float(left @ left)
     search.noise, search.count = noise, count
-    search._finding = lambda *given: given  # pyright: ignore[reportAttributeAccessIssue]
+    search._finding = lambda *given: given
     return search
 
 

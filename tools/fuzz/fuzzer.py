@@ -122,7 +122,7 @@ def fuzz(count: int, seed: int, workers: int) -> dict[str, Tally]:
     with ProcessPoolExecutor(workers) as pool:
         work = [(kind, pool.submit(several, kind, part, seed)) for kind, part in pieces(count)]
         for kind, future in work:
-            whole[kind] = Tally(*(a + b for a, b in zip(whole[kind], future.result(), strict=True)))  # pyright: ignore[reportOperatorIssue]
+            whole[kind] = Tally(*(a + b for a, b in zip(whole[kind], future.result(), strict=True)))  # pyright: ignore[reportOperatorIssue, reportArgumentType]
     return whole
 
 
@@ -151,7 +151,7 @@ def table(found: dict[str, Tally]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the fuzz that the command line asks for; 1 on a finding."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--count", type=int, default=100_000, help="inputs in all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
