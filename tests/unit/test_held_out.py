@@ -10,7 +10,7 @@ from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.validation import PreparedValidation, prepare_log, read_validation, run_validation
-from ehbench.validation.held_out import FittedSamples, overlaps
+from ehbench.validation.held_out import FittedSamples, _aligned, _sample_means, overlaps
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
 from tests.shared import RIGS, ROOT, shipped
@@ -90,6 +90,18 @@ def test_a_log_is_seen_in_the_means_of_its_samples(log):
     means = rows_of(Record(log.t[:whole].reshape(-1, 10).mean(axis=1), tens, log.meta))
     (found,) = overlaps(log, [means])
     assert found.stop - found.start > 3.5
+
+
+def test_means_and_shifts_of_samples_in_closed_form():
+    """The mean of t² over a sample of the slower series is t² + (h² + 2k²)/12 by trapezia of k."""
+    t, at = np.arange(0.0, 1.0, 1e-3), np.arange(0.1, 0.9, 1e-2)
+    found = _sample_means(at, t, np.column_stack([t, t**2]))
+    assert found[:, 0] == pytest.approx(at, abs=1e-9)
+    assert found[:, 1] == pytest.approx(at**2 + (1e-4 + 2e-6) / 12.0, abs=1e-9)
+    y = np.column_stack([np.sin(20.0 * t) + np.sin(47.0 * t), 0.1 * t])
+    for late in (0.0, 0.2034, -0.1507):
+        mine = np.column_stack([np.interp(t - late, t, column) for column in y.T])
+        assert _aligned(t, mine, t, y) == pytest.approx(late, abs=2e-4)
 
 
 @pytest.mark.parametrize("kind", ["steps", "sine"])

@@ -3,6 +3,7 @@ least squares."""
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,14 @@ from ehbench.identification import estimate as estimating
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
 from ehbench.identification.problem import Problem, State, cost, evaluate, initial
-from ehbench.identification.uncertainty import Errors, errors_of
+from ehbench.identification.results import FittedParameter, Lean, _statuses
+from ehbench.identification.search import Coordinate
+from ehbench.identification.sensitivity import _moved, _sentence
+from ehbench.identification.uncertainty import Errors, _sensors, errors_of
+from ehbench.preprocessing.sensors import Term
 from ehbench.vocabulary.errors import InsufficientData
 from tests.analytic_fit import LAG, NAMES, OFFSET, TRUTH, TWIN, log_of, problem, stroke
+from tests.shared import shipped
 
 
 @pytest.fixture(autouse=True)
@@ -177,3 +183,73 @@ def test_a_bounded_step_is_the_least_of_its_quadratic():
     k = np.unravel_index(np.argmin(value), value.shape)
     step = bounded_step(normal, gradient, 0.0, low, high)
     assert step == pytest.approx([x[k], y[k]], abs=6e-3)
+
+
+def test_sensors_of_each_log_have_the_errors_of_the_joint_problem():
+    """Here the start of each log is what its offset is 1e-3 of."""
+    asked = problem()
+    term = Term("press.x", "offset", 2e-3, 1.0, 1e-3, True)
+    for log in asked.logs:
+        log.start.terms = (term,)  # pyright: ignore[reportAttributeAccessIssue]
+        log.start.uncertain[0].name = term.name
+    state, _ = settle(asked, initial(asked), 1e-6)
+    truth = joint(state)
+    std = np.sqrt(np.diag(np.linalg.inv(truth.jac.T @ truth.jac)))[3:]
+    found = _sensors(asked, errors_of(asked, evaluate(asked, state)))
+    assert [item.log for item in found] == ["log 0", "log 1"]
+    assert [item.value for item in found] == pytest.approx(2e-3 + 1e-3 * truth.x[3:], abs=1e-6)
+    assert [item.std for item in found] == pytest.approx(1e-3 * std, rel=0.15)
+    for item in found:
+        ends = (item.value - 1.96 * item.std, item.value + 1.96 * item.std)
+        assert item.interval == pytest.approx(ends, rel=1e-4)
+        assert (item.known, item.prior, item.unit) == (2e-3, 1e-3, "m")
+
+
+def test_how_far_estimates_would_be_off_by_their_intervals():
+    search = [Coordinate(n, True, 1.0, 2.0, 0.5, 4.0) for n in (*NAMES, "shared")]
+    errors = {i: Stub(kind="estimated", std=0.1 * (i + 1), quantile=2.0) for i in range(4)}
+    errors[1].kind = "not_excited"
+    live = Stub(live=(0, 1, 2, 3), theta=np.zeros(4))
+    fit: Any = Stub(search=search, requested=3)
+    result: Any = Stub(state=live, by_index=errors)
+    first, second = _moved(fit, result, np.array([-0.3, 9.0, 9.0, 9.0]))
+    assert (first.name, first.here, first.there) == (NAMES[2], 1.0, 4.0)  # at its bound
+    assert first.halves == pytest.approx(math.log(4.0) / 0.6)
+    assert (second.name, second.there) == (NAMES[0], pytest.approx(math.exp(-0.3)))
+    assert second.halves == pytest.approx(1.5)
+
+
+def test_a_denied_number_is_told_with_its_interval():
+    moved = (Stub(name="bulk_modulus", there=9e8, here=8e8, halves=2.5),)
+    fit: Any = Stub(simulator=Stub(rig=shipped("slide_servo")))
+    row: Any = Stub(parameters=("carriage.mass",), name="load of press")
+    for name, key, value, half in (
+        ("carriage.mass", "number_fixed", "27", 100.0 * 1.96 * 0.02 / 0.27),
+        ("press.v.lag", "time_fixed", 270.0, 1.96e3 * 0.02),
+        ("press.v.scale", "sensor_fixed", 0.27, 1.96 * 0.02),
+    ):
+        there = 270.0 if key == "number_fixed" else 0.27
+        std = 20.0 if key == "number_fixed" else 0.02
+        given = Lean(name, 0.25, there, std, 0.3, moved, "free it")  # pyright: ignore[reportArgumentType]
+        text = _sentence(fit, row, given)
+        assert text.key == f"identification.{key}" and text.fields["halves"] == 2.5
+        assert text.fields["half"] == pytest.approx(half, rel=1e-4)
+        shown = text.fields["value"]
+        assert shown.startswith(value) if isinstance(value, str) else shown == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "key", "side"),
+    [
+        ("bulk_modulus", 1e8, "at_bound", "lower"),
+        ("bulk_modulus", 0.99e9, "at_bound", "upper"),
+        ("press.servo_rod_tank.deadband", 0.0, "closed_deadband", "lower"),
+        ("press.servo_rod_tank.deadband", 5.0, "at_bound", "upper"),
+    ],
+)
+def test_a_bound_is_told_with_its_side(name, value, key, side):
+    ends = (1e8, 1e9) if name == "bulk_modulus" else (0.0, 5.0)
+    item = FittedParameter(name, "", value, None, None, *ends, value, "at_bound", 9)
+    (note,) = _statuses([item], Stub(rig=shipped("slide_servo"), logs=()))  # pyright: ignore[reportArgumentType]
+    assert getattr(note, "key", "") == f"identification.{key}"
+    assert getattr(note, "fields", {})["side"] == side

@@ -462,9 +462,10 @@ def drifts(share):
 def judged(periods=9.0, off=0.0, error=0.0, still=True):
     """Why a ringing of 6 Hz over so many periods is not judged, its frequency said ``off``."""
     omega = 12.0 * np.pi / (1.0 - off)
-    t = np.linspace(0.0, 2.0 * np.pi * periods / omega / math.sqrt(0.9999), 800)
+    damping = 0.3 if still else 0.01
+    t = np.linspace(0.0, 2.0 * np.pi * periods / omega / math.sqrt(1.0 - damping**2), 800)
     y = np.exp(-0.6 * t) * np.sin(12.0 * np.pi * t) * (not still)
-    seen = Ringing(omega, 0.01, 0.0, 0.01 * error, stop=float(t[-1]), ok=True)
+    seen = Ringing(omega, damping, 0.0, damping * error, stop=float(t[-1]), ok=True)
     note = transients.why_not_judged(t, y[:, None], seen)
     return "" if not note else note.key.partition(".")[2]
 

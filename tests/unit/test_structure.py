@@ -1,6 +1,7 @@
 """What residuals say of a model: built faults are named first or second, sound models cry at
 nothing. `tools/studies/structure_study.py` has the long tables."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -279,8 +280,10 @@ def test_the_oils_spring_and_what_a_bulk_modulus_counts_on():
         return float(np.sum(areas**2 / (factor * volumes + signs * areas * x)))
 
     log = clean_log("slide_servo", rig, "steps", duration=0.5)
-    spring = Scales(rig, item, None, [log]).spring
-    assert spring == pytest.approx(float(rig.oil.bulk_modulus) * stiffness(half), rel=1e-9)
+    scales = Scales(rig, item, None, [log])
+    assert scales["unit"] == scales["second"] == 1.0
+    assert scales.damper == pytest.approx(math.sqrt(scales.spring * scales.load))
+    assert scales.spring == pytest.approx(float(rig.oil.bulk_modulus) * stiffness(half), rel=1e-9)
     (note,) = counts_on(rig, ["bulk_modulus"], {"press": [log]})
     x = float(np.mean(log["press.x"]))
     slope = (stiffness(x, 0.999) - stiffness(x, 1.001)) / 0.002 / stiffness(x)
