@@ -22,8 +22,8 @@ from ehbench.plant.model import Model
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.fields import Value
 from tests.shared import RIGS
-from tests.virtual_logs import noisy
 from tools.studies.recovery_study import BEDS, Trial, bed, logs_of, offered, tried
+from tools.virtual_logs import noisy
 
 # numbers of a rig file that no fit offers, and why
 NEVER = {

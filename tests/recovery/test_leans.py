@@ -14,8 +14,8 @@ from ehbench.identification.descent import carried
 from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.identification.problem import Mesh, Point, State
 from ehbench.identification.simulator import Effort
-from tests.virtual_logs import clean_log, noisy, virtual_log
 from tools.studies.held_study import FATIGUE, fitted, held_wrong, log_of, off_by, rig_of
+from tools.virtual_logs import clean_log, noisy, virtual_log
 
 
 def machine_of(name, words):

@@ -9,7 +9,7 @@ from ehbench.config.rig import Rig
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
 from tests.shared import shipped
-from tests.virtual_logs import noisy
+from tools.virtual_logs import noisy
 
 NOISE = {"qd": 5e-4, "v": 5e-4, "p_head": 3e3, "p_rod": 3e3, "q": 1e-5, "x": 1e-5}
 NOISE |= dict.fromkeys(("command", "p_supply", "p_tank"), 0.0)

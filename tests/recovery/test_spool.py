@@ -8,7 +8,7 @@ from ehbench.guidance.suggestions import suggest
 from ehbench.identification.hydraulics import identify_hydraulics, prepare_fit
 from ehbench.plant.model import Model
 from tests.shared import shipped
-from tests.virtual_logs import virtual_log
+from tools.virtual_logs import virtual_log
 
 
 def slide(**spool) -> Rig:

@@ -14,8 +14,8 @@ from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model, simulate
 from ehbench.vocabulary.errors import InputError, InsufficientData
 from tests.shared import RIGS, shipped
-from tests.virtual_logs import noisy
 from tools import datasets
+from tools.virtual_logs import noisy
 
 LEVELS = [1.5, 2.0, 2.5, 3.0, 4.0, 5.0]
 LEAKS = {"boom.leakage_internal": 2e-12, "boom.leakage_head": 1e-12}

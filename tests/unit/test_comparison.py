@@ -8,7 +8,7 @@ import pytest
 from ehbench.guidance.comparison import comparison_of
 from ehbench.identification.hydraulics import prepare_fit
 from tests.shared import shipped
-from tests.virtual_logs import virtual_log
+from tools.virtual_logs import virtual_log
 
 
 def compared(log):

@@ -14,7 +14,7 @@ from ehbench.validation.held_out import FittedSamples, _aligned, _sample_means, 
 from ehbench.vocabulary.errors import InputError
 from ehbench.workflow import Session, run
 from tests.shared import RIGS, ROOT, shipped
-from tests.virtual_logs import virtual_log
+from tools.virtual_logs import virtual_log
 
 LOG = ROOT / "datasets" / "slide_servo" / "steps" / "press_no_load.mcap"
 FILES = {"rig": RIGS / "slide_servo.toml"}

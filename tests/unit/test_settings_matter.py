@@ -5,6 +5,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Stub
+from typing import Any
 
 import numpy as np
 import pytest
@@ -351,7 +352,9 @@ def goes_other_way(angle):
 def behind(ticks, noise=0.0):
     t = np.arange(2000) * 1e-3
     y = np.sin(20.0 * (t - 1e-3 * ticks)) + noise * np.random.default_rng(1).standard_normal(2000)
-    return bool(_late(log_of(y), np.sin(20.0 * t)[:, None]))
+    notes: Any = _late(log_of(y), np.sin(20.0 * t)[:, None])
+    assert [note.fields["word"] for note in notes] in ([], ["behind" if ticks > 0 else "ahead of"])
+    return bool(notes)
 
 
 def drive():
@@ -637,7 +640,7 @@ ROWS = [
     (MEANS, "fewest", lambda: means(10_000.0, 900), 4),
     (MEANS, "worth", lambda: [means(10_000.0, n) for n in (410, 610)], [0, 3]),
     (RESULTS, "opposite", lambda: [goes_other_way(a) for a in (1.98, 2.2)], [False, True]),
-    (RESULTS, "late", lambda: [behind(n) for n in (0.2, 0.3)], [False, True]),
+    (RESULTS, "late", lambda: [behind(n) for n in (0.2, 0.3, -0.3)], [False, True, True]),
     (RESULTS, "latest", lambda: [behind(n) for n in (4.5, 6.0)], [True, False]),
     (RESULTS, "explains", lambda: [behind(1, n) for n in (0.026, 0.031)], [True, False]),
     (RESULTS, "little", lambda: [left_over(s, 9.0) for s in (0.09, 0.11)], [False, True]),

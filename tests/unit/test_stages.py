@@ -14,7 +14,7 @@ from ehbench.stages import REGISTRY, Stage
 from ehbench.stages.hydraulics import HydraulicsStage
 from ehbench.vocabulary.commands import COMMANDS
 from tests.shared import RIGS, shipped
-from tests.virtual_logs import virtual_log
+from tools.virtual_logs import virtual_log
 
 STAGES = [stage for stage in REGISTRY.values() if isinstance(stage, Stage)]
 KNOWN = {one.name or one.callback.__name__ for one in app.registered_commands}

@@ -3,6 +3,7 @@ nothing. `tools/studies/structure_study.py` has the long tables."""
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
@@ -10,18 +11,20 @@ import pytest
 
 from ehbench import diagnosis
 from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.diagnosis import Case, ask
 from ehbench.diagnosis.faults import hypotheses
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
+from ehbench.diagnosis.follows import followed
 from ehbench.identification.fixed_numbers import counts_on
 from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
 from ehbench.validation import validate_rig
 from tests.shared import shipped
-from tests.virtual_logs import clean_log, noisy, virtual_log
 from tools.studies.structure_study import Fault, asked, faults, log_of
+from tools.virtual_logs import clean_log, noisy, virtual_log
 
 # a step out and a step back, and a sweep, of so many seconds each
 QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}
@@ -238,6 +241,15 @@ def test_beside_the_best_fault_stands_what_explains_most_of_the_rest():
     assert search._beside([BOTH, FAR, WEAK], [left], slopes) == []
 
 
+def test_a_slope_is_a_difference_to_the_side_that_the_bounds_allow(monkeypatch):
+    search = search_of(U)
+    monkeypatch.setattr(search, "_at", lambda points: [[U + 3.0 * d * V] for _, d in points])
+    below = Hypothesis(replace(BOUND.row, high=0.0), "below")
+    slopes = search._slopes([WEAK, below, Hypothesis(replace(WEAK.row, step=0.0), "none")])
+    assert slopes[WEAK][0] == pytest.approx(3.0 * V) and slopes[below][0] == pytest.approx(3.0 * V)
+    assert list(slopes.values())[2] is None
+
+
 def test_sizes_are_refined_to_both_sides(monkeypatch):
     """What is left bends: δ is best at 0.37, a little aside from where slopes say."""
     search = search_of(U)
@@ -291,3 +303,37 @@ def test_the_oils_spring_and_what_a_bulk_modulus_counts_on():
     (note,) = counts_on(rig, ["bulk_modulus", "press.volume_rod"], {"press": [log]})
     part = areas[0] ** 2 * volumes[0] / (volumes[0] + head * x) ** 2 / stiffness(x)
     assert note.fields["share"] == pytest.approx(note.fields["more"] * part, rel=1e-6)
+
+
+def test_residuals_follow_what_goes_along_with_them():
+    """An error by the direction of motion, none below a twentieth of the largest speed."""
+    t = np.arange(4000) * 5e-3
+    v = np.where(t < 12.0, 0.2 * np.sign(np.sin(1.3 * t)), 0.009 * np.sign(np.sin(7.0 * t)))
+    noise = np.random.default_rng(3).standard_normal(t.size)
+    command = np.random.default_rng(4).standard_normal(t.size)
+    channels = {"press.v": v, "press.x": np.full(t.size, 0.1), "press.servo.command": command}
+    channels["press.p_head"] = np.zeros(t.size)
+    error = 0.3 * noise + np.where(t < 12.0, np.sign(v), 0.0)
+    case: Any = Stub(name="log", channels=("press.p_head",), blocks=lambda y: y)
+    case.record, case.recorded = Record(t, channels), {"press.p_head": np.zeros(t.size)}
+    found = {item.what: item for item in followed(case, Record(t, {"press.p_head": error}))}
+    best = max(found.values(), key=lambda item: abs(item.correlation))
+    assert best.what == "direction" and best.channel == "press.p_head"
+    assert best.correlation == pytest.approx(1.0 / math.sqrt(1.0 + 0.09 / 0.6), abs=0.01)
+    assert "speed" in found and not {"position", "time", "command of press.servo"} & set(found)
+    assert 0.0 < best.band < 0.7
+
+
+def test_alike_faults_are_asked_of_each_part_of_each_valve_and_of_all_valves():
+    """Of a spool's edges and of two cartridges; a driver without minus has no neutral."""
+    spool = rows_of(shipped("slide_servo"), "gain")
+    assert [(row.level, len(row.numbers)) for row in spool] == [(0, 1)] * 4 + [(1, 4)]
+    assert spool[-1].about == "press.servo"
+    rig = shipped("boom_four_valve")
+    log = clean_log("boom_four_valve", rig, "steps", duration=1.0)
+    rows = hypotheses(rig, ["boom"], ["boom.qd", "boom.p_head"], [log])
+    gains = [row for row in rows if row.kind == "gain"]
+    assert [(row.level, len(row.numbers)) for row in gains] == [(1, 1)] * 2 + [(2, 2)]
+    kinds = {row.kind for row in rows}
+    assert "neutral" not in kinds and {"drift", "sensor lag", "sensor scale"} <= kinds
+    assert len(rows_of(shipped("slide_servo"), "neutral")) == 1

@@ -20,7 +20,7 @@ from ehbench.validation import (
 )
 from ehbench.vocabulary.errors import InputError
 from tests.shared import shipped
-from tests.virtual_logs import noisy
+from tools.virtual_logs import noisy
 
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}
 T = np.arange(2401) * 1e-3

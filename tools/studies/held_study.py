@@ -22,7 +22,7 @@ from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, HydraulicsFit, identify_hydraulics
 from ehbench.validation import Validation, validate_rig
 from tests.shared import RIGS
-from tests.virtual_logs import DRIVES, virtual_log
+from tools.virtual_logs import DRIVES, virtual_log
 
 FITTED, JUDGED = ("quick steps", "chirp"), "steps"
 CHANNELS = ("v", "p_head", "p_rod")

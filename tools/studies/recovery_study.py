@@ -35,7 +35,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.signals.series import rms
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
 from tests.shared import RIGS
-from tests.virtual_logs import DRIVES, NOISE, commands_of, noisy, shape
+from tools.virtual_logs import DRIVES, NOISE, commands_of, noisy, shape
 
 SHIPPED = (
     "slide_servo",

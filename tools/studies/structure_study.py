@@ -21,7 +21,7 @@ from ehbench.diagnosis import Case, Structure, ask
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.observations import commanded
 from tests.shared import RIGS
-from tests.virtual_logs import DRIVES, commands_of, noisy
+from tools.virtual_logs import DRIVES, commands_of, noisy
 
 KINDS = ("steps", "chirp")
 LONG = 4.0  # [s] of each log

@@ -25,8 +25,8 @@ from ehbench.guidance.suggestions import ROUNDS, Suggestions, suggest
 from ehbench.identification.hydraulics import PreparedFit, prepare_fit
 from ehbench.vocabulary.fields import Value
 from tests.shared import RIGS
-from tests.virtual_logs import DRIVES
 from tools.studies.structure_study import ALSO, KINDS, LONG, Fault, faults, log_of
+from tools.virtual_logs import DRIVES
 
 # parameters of the recipe itself
 OWN = ("bulk modulus", "damping")

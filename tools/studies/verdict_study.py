@@ -27,7 +27,7 @@ from ehbench.plant.model import simulate
 from ehbench.validation import LogResult, validate_rig
 from ehbench.vocabulary.errors import EhbenchError
 from tests.shared import RIGS
-from tests.virtual_logs import DRIVES, commands_of, noisy
+from tools.virtual_logs import DRIVES, commands_of, noisy
 
 CHANNELS = {"slide_servo": ("x", "v", "p_head", "p_rod"), "pump_cylinder": ("x", "v", "p_head")}
 ASKED = Thresholds(natural_frequency_error=0.15, damping_ratio_error=0.5)
