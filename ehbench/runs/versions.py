@@ -12,8 +12,8 @@ from typing import Any
 
 METHODS: Mapping[str, int] = {
     "logs": 2,  # reading of logs and files, gaps, sensor terms, initial states
-    "plant": 1,  # equations of the plant, its parts and their integration
-    "bench": 1,  # virtual bench: delays, noise, quantisation
+    "plant": 2,  # equations of the plant, its parts and their integration
+    "bench": 2,  # virtual bench: delays, noise, quantisation
     "flow_maps": 2,
     "output_error": 4,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay

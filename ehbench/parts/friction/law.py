@@ -11,7 +11,7 @@ from ehbench.vocabulary.fields import FileModel
 
 # [s]: a piston so light that its friction stops it sooner settles in this time: it gets as much
 # inertia as that takes, in place of steps of microseconds for as long as it creeps
-SETTLING = 5.0e-4
+SETTLING = 2.0e-4
 
 
 class FrictionTable(FileModel):
