@@ -1,6 +1,7 @@
 """More freedom never ends worse than less, and a parameter is told by its whole range."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,19 +11,10 @@ from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
 from tests.shared import shipped
+from tools import virtual_logs
 
-NOISE = {"v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5}
-
-
-def noisy(made: Record, seed: int) -> Record:
-    rng = np.random.default_rng(seed)
-    words = {name: name.rsplit(".", 1)[-1] for name in made.channels}
-    kept = {
-        name: y + NOISE.get(words[name], 0.0) * rng.standard_normal(y.size)
-        for name, y in made.channels.items()
-        if words[name] in NOISE or words[name] in ("command", "p_supply")
-    }
-    return Record(made.t, kept, made.meta)
+NOISE = {"v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "command": 0.0, "p_supply": 0.0}
+noisy = partial(virtual_logs.noisy, noise=NOISE)
 
 
 def pulses(samples: int, size: float) -> np.ndarray:

@@ -26,6 +26,8 @@ from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline
 from ehbench.frequency_response.response import SETTINGS as RESPONSE
 from ehbench.frequency_response.response import Averaging, Curve, estimate, signals_of
+from ehbench.identification import basins, descent, problem
+from ehbench.identification import estimate as estimates
 from ehbench.identification.groups import SETTINGS as GROUPS
 from ehbench.identification.groups import groups_of
 from ehbench.identification.means import SETTINGS as MEANS
@@ -47,6 +49,7 @@ from ehbench.tune import search as tune_search
 from ehbench.validation import baseline, checks, held_out, judge, residuals, sweeps, transients
 from ehbench.validation.results import ChannelResult, LogResult
 from ehbench.vocabulary.errors import EhbenchError
+from tests import analytic_fit
 from tests.shared import shipped
 
 RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
@@ -393,6 +396,65 @@ def errors_of_steps():
     return seen[0]
 
 
+# --- searches
+
+
+def effort():
+    """Simulations until the basin is known, and to the end, of two searches from afar."""
+    counts = []
+    for factors in ((0.3, 3.0, 1.0), (20.0, 1.0, 0.1)):
+        asked = analytic_fit.problem(factors)
+        state = basins.nearest_basin(asked, problem.initial(asked))
+        counts.append(asked.simulator.effort.evaluations)
+        descent.settle(asked, state, 1e-6)
+        counts.append(asked.simulator.effort.evaluations)
+    return counts
+
+
+def denied():
+    """From where on a lag [1/s] is fast enough for the logs, by its range on a grid."""
+    asked = analytic_fit.problem(more=(analytic_fit.LAG, 3e3, 10.0, 1e5))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimates, "doubts_of", lambda *_: None)
+        patch.setattr(estimates, "result_of", lambda *_: None)
+        state = estimates.estimate(asked)[1]
+    return round(math.exp(state.ranges[3][0]), 1)
+
+
+def residual(size):
+    """A residual in spreads where a simulation is so large in SI, or failed."""
+    asked = analytic_fit.problem()
+    log = asked.logs[0]
+    simulated = None if size is None else np.full(log.recorded.shape, size)
+    return round(float(asked.residual(log, simulated)[0, 0] / asked.spread["press.x"]), 6)
+
+
+def first_point(noise=0.02):
+    asked = analytic_fit.problem(noise=noise)
+    return asked, problem.evaluate(asked, problem.initial(asked))
+
+
+def difference():
+    """The step of the bulk modulus that derivatives are taken by, of itself."""
+    asked, state = first_point()
+    seen, each = [], asked.simulator.each
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asked.simulator, "each", lambda *given: seen.extend(given[0]) or each(*given))
+        problem.jacobian(asked, state, [0])
+    return round(math.log(seen[0][0][0] / asked.values(state.theta)[0]), 9)
+
+
+def smallest_scale():
+    asked, state = first_point(1e-3)
+    return round(problem.weighed(asked, state).scales["press.x"] / asked.spread["press.x"], 6)
+
+
+def same_mesh(move=0.0, shift=0.0):
+    _, state = first_point()
+    there = [item + shift for item in state.shifts]
+    return state.here.mesh.serves(state.theta + move, there, state.slack)
+
+
 # --- what is left of a fit
 
 
@@ -685,6 +747,24 @@ ROWS = [
     (tune_search.SEARCH, "nearly", lambda: law_of(0.5)[:2], (0.399, 0.0)),
     (tune_search.SEARCH, "gain_span", lambda: round(1e14 * law_of()[2].grid[1], 6), 100.0),
     (tune_search.SEARCH, "gain_points", lambda: law_of()[2].grid.size, 82),
+    (basins.SETTINGS, "reach", effort, [212, 222, 224, 234]),
+    (basins.SETTINGS, "coarse", effort, [212, 222, 224, 234]),
+    (basins.SETTINGS, "fine", effort, [212, 222, 224, 234]),
+    (basins.SETTINGS, "damping", effort, [212, 222, 224, 234]),
+    (descent.SETTINGS, "easier", effort, [212, 222, 224, 234]),
+    (descent.SETTINGS, "harder", effort, [212, 222, 224, 234]),
+    (descent.SETTINGS, "good", effort, [212, 222, 224, 234]),
+    (estimates.SETTINGS, "denied", denied, 392.4),
+    (estimates.SETTINGS, "points", denied, 392.4),
+    (estimates.SETTINGS, "halvings", denied, 392.4),
+    (problem.SETTINGS, "limit", lambda: residual(1e12), 1e6),
+    (problem.SETTINGS, "failed", lambda: residual(None), 10.0),
+    (problem.SETTINGS, "difference", difference, 1e-5),
+    (problem.SETTINGS, "scale_floor", smallest_scale, 5e-3),
+    (problem.SETTINGS, "coarse_slack", lambda: first_point()[1].slack, 100.0),
+    (problem.SETTINGS, "near_theta", lambda: [same_mesh(m) for m in (0.018, 0.022)], [True, False]),
+    (problem.SETTINGS, "near_shift", lambda: [same_mesh(0.0, s) for s in (0.9, 1.1)],
+     [True, False]),
     (ERRORS, "pressure", lambda: round(
         errors_of_steps().drop_std / float(RIG.supply.pressure), 6), 0.001414),
     (ERRORS, "command", lambda: errors_of_steps().command_std, 0.005),
