@@ -15,8 +15,8 @@ from ehbench.data.readers import open_source
 from ehbench.report import terminal
 from ehbench.signals.series import lowpass
 from ehbench.vocabulary.errors import InputError, LogError
-from tests import foreign
 from tests.shared import ROOT
+from tools.fuzz import foreign
 
 RIG = ROOT / "recipes/rigs/slide_servo.toml"
 LOG = ROOT / "datasets/slide_servo/steps/press_no_load.mcap"

@@ -32,9 +32,10 @@ from ehbench.data.readers.clock import clock
 from ehbench.data.record import lost
 from ehbench.data.text import split
 from ehbench.vocabulary.errors import InputError, LogError
-from tests import foreign
+from tests.shared import ROOT
+from tools.fuzz import foreign
 
-SHARED = Path(__file__).parents[2].parent / "shared" / "data"
+SHARED = ROOT.parent / "shared" / "data"
 DIGITS = {"a.csv": 1e-3}  # [bar] of what the text holds
 CLOCKED = {"a.mf4", "a.tdms", "a.parquet", "a_bag", "a_db3"}
 
@@ -199,9 +200,7 @@ def test_a_gap_is_named_and_not_bridged(tmp_path):
 
 def test_every_reader_has_a_file_of_its_own_and_knows_its_endings():
     for reader in READERS:
-        assert (
-            Path(foreign.__file__).parents[1] / f"ehbench/data/readers/{reader.module}.py"
-        ).is_file()
+        assert (ROOT / f"ehbench/data/readers/{reader.module}.py").is_file()
         assert set(reader.suffixes) <= set(suffixes())
 
 

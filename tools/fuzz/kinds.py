@@ -27,9 +27,8 @@ from ehbench.runs import rundir
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import parse
-from tests import foreign
 from tests.shared import RIGS, ROOT
-from tools.fuzz import mutants, recorders
+from tools.fuzz import foreign, mutants, recorders
 
 SMALL = 40  # rows of a table in the corpus
 

@@ -4,6 +4,7 @@ import gzip
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def write_excel(path: Path) -> None:
     import openpyxl
 
     book = openpyxl.Workbook()
-    sheet = book.active
+    sheet: Any = book.active
     sheet.title = "Log"
     for row in (["Operator", "me"], [], ["Time", "PT-101 cyl A", "AO0 valve"], ["s", "bar", "mA"]):
         sheet.append(row)
@@ -132,7 +133,7 @@ def write_excel(path: Path) -> None:
 def write_npz(path: Path) -> None:
     fast = {"time": T, "PT-101 cyl A [bar]": HEAD, "AO0 valve [mA]": CURRENT}
     slow = {"slow/time": SLOW, "slow/Supply [bar]": SUPPLY}
-    np.savez_compressed(path, **fast, **slow)
+    np.savez_compressed(path, **fast, **slow)  # pyright: ignore[reportArgumentType]
 
 
 def write_bag(path: Path, plugin: str = "MCAP") -> None:
