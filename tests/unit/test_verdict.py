@@ -10,12 +10,13 @@ import pytest
 from ehbench.config.recipe import Thresholds
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
+from ehbench.diagnosis import Finding, Structure
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import noise_of
 from ehbench.validation import validate_rig
 from ehbench.validation.checks import _ringing_check, beyond_noise
 from ehbench.validation.residuals import pair_of
-from ehbench.validation.results import Ring, Transient
+from ehbench.validation.results import Ring, Transient, Validation
 from ehbench.validation.sweeps import _beyond
 from ehbench.validation.transients import stands, unjudged
 from tests.shared import shipped
@@ -290,3 +291,29 @@ def test_cylinders_whose_ringing_is_not_judged_are_named_with_the_commonest_reas
         "c": "validation.no_steps",
     }
     assert (notes["b"].fields["reason"], notes["b"].fields["count"]) == ("r", 3)
+
+
+@pytest.mark.parametrize(
+    ("findings", "leans", "verdict", "texts"),
+    [
+        ([], [], "accepted", (0, 0)),
+        ([(0.49, 9.0)], [], "accepted", (0, 0)),  # not most of the residual
+        ([(0.51, 0.9)], [], "accepted with reservation", (0, 1)),
+        ([(0.51, 1.1)], [], "rejected", (1, 0)),  # beyond the interval of what was identified
+        ([(0.3, 9.0), (0.51, 0.9)], [], "accepted with reservation", (0, 1)),
+        ([(0.6, 0.9), (0.51, 1.1)], [], "accepted with reservation", (0, 1)),  # the likeliest
+        ([], [0.49], "accepted with reservation", (0, 1)),
+        ([], [0.3, 0.51], "rejected", (1, 1)),
+        ([(0.51, 0.9)], [0.49], "accepted with reservation", (0, 2)),
+    ],
+)
+def test_causes_and_fixed_numbers_weigh_on_the_verdict(findings, leans, verdict, texts):
+    """A cause by its share of the residual and by intervals, a fixed number by its share."""
+    plain = Validation("a", True, (), (), {}, ())
+    causes = tuple(Finding("gain", "a", "s", "r", share, 0.1, far) for share, far in findings)
+    rows = [{"explains": share, "sentence": "s"} for share in leans]
+    result = plain.with_fit(rows).with_structure(Structure(causes))
+    assert result.verdict == verdict and result.structure.findings == causes
+    assert (len(result.reasons), len(result.reservations)) == texts
+    failed = replace(plain, accepted=False, reasons=("a fit",))
+    assert failed.with_fit(rows).with_structure(Structure(causes)).verdict == "rejected"
