@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -55,17 +56,34 @@ class Packed(NamedTuple):
     used: dict[str, Any]
 
 
+class Late(NamedTuple):
+    """What a controller knows of the delay of its samples: ``desired``, shape (ticks + 1, 2),
+    stroke [m] and speed [m/s] of the reference, the newest first; ``share`` of a tick by which the
+    delay is less than the whole ticks."""
+
+    desired: np.ndarray
+    share: float
+
+
+def late_of(delay: float = 0.0, tick: float = 1.0) -> Late:
+    """Before the first tick, for samples that come ``delay`` [s] late, one each ``tick`` [s]."""
+    ticks = math.ceil(delay / tick)
+    return Late(np.full((ticks + 1, 2), math.nan), ticks - delay / tick)
+
+
 class Controller(NamedTuple):
     """A built-in controller at work on one cylinder, as compiled loops take it.
 
     ``observed`` marks the channels of the sample that it is given, ``given`` holds them, the others
-    NaN. ``gains`` and ``memory`` are of its law; ``monitor`` may watch its valves."""
+    NaN. ``gains`` and ``memory`` are of its law; ``late`` is of `late_of`; ``monitor`` may watch
+    its valves."""
 
     axis: Axis
     gains: np.record
     memory: Any
     observed: np.ndarray
     given: np.ndarray
+    late: Late
     monitor: Monitor | None = None
 
 

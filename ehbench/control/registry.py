@@ -15,6 +15,7 @@ from numba.extending import overload
 from ehbench.control import LAW_NAMES
 from ehbench.control.law import Law
 from ehbench.control.monitor import watch
+from ehbench.parts.sample import OF, entry
 from ehbench.runtime.compiled import WITHIN, kernel
 
 LAWS: dict[str, Law] = {name: import_module(f"{__package__}.{name}").LAW for name in LAW_NAMES}
@@ -39,6 +40,26 @@ def _step(t, sample, reference, axis, gains, memory, command, telemetry):
 
 
 @kernel
+def _lead(reference, controller):
+    """Add to stroke and speed as given what the reference has moved by while they were on their
+    way, ``x + x_d(t) − x_d(t − T)``: their errors are those of the time of the sample.
+    """
+    desired, share = controller.late.desired, controller.late.share
+    last = desired.shape[0] - 1
+    for order in range(2):
+        for i in range(last, 0, -1):
+            desired[i, order] = desired[i - 1, order]
+        desired[0, order] = reference[order]
+        for i in range(last, -1, -1):  # it has always stood where it begins
+            if math.isnan(desired[i, order]):
+                desired[i, order] = reference[order]
+        newer = desired[max(last - 1, 0), order]
+        then = desired[last, order] + share * (newer - desired[last, order])
+        place = entry(controller.axis.circuit.cylinder, OF.x if order == 0 else OF.v)
+        controller.given[place] += reference[order] - then
+
+
+@kernel
 def _watch(monitor, sample, command, axis, telemetry):
     """One tick of the monitor, if there is one."""
     if monitor is not None:
@@ -59,6 +80,7 @@ def tick(t, sample, reference, controller, command, telemetry):
     """
     for i in range(sample.shape[0]):
         controller.given[i] = sample[i] if controller.observed[i] else math.nan
+    _lead(reference, controller)
     step(
         t,
         controller.given,

@@ -27,7 +27,7 @@ from ehbench.control.functions import (
     default_pressure,
     pack_rules,
 )
-from ehbench.control.law import Controller, Law
+from ehbench.control.law import Controller, Law, late_of
 from ehbench.control.monitor import monitor_of
 from ehbench.control.records import numbers
 from ehbench.control.registry import LAWS
@@ -123,7 +123,8 @@ class Compiled:
             load = float(known.lines[1]), known.payload, known.steady
             monitor = monitor_of(axis, old.tick, old.lag, *load)
             law = law._replace(monitor=monitor)
-        law = law._replace(axis=axis, memory=self.law.memory(axis), given=given)
+        late = law.late._replace(desired=np.full_like(law.late.desired, np.nan))
+        law = law._replace(axis=axis, memory=self.law.memory(axis), given=given, late=late)
         return replace(self, controller=law, telemetry=telemetry)
 
 
@@ -294,6 +295,7 @@ def compiled(
         law.memory(point.axis),
         law.observed(point.axis, channels),
         np.zeros(channels),
+        late_of(float(chosen.delay), point.tick),
         monitor,
     )
     names = law.channels(design.cylinder, design.edges)

@@ -16,7 +16,7 @@ from ehbench.config.rig import Rig
 from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
 from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
-from ehbench.trial.controllers import Compiled, Laws, valve_fault
+from ehbench.trial.controllers import Compiled, Laws, controller_of, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import (
@@ -359,7 +359,8 @@ def _trial_warnings(measures: Mapping[str, Any], rig: Rig, cylinder: str) -> lis
 
 def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) -> dict[str, Any]:
     """Steps and tracking of a controlled cylinder, up to the row at which a limit stopped the
-    trial; tracking by its sensor and, where the machine knows it, of the ``true`` strokes [m].
+    trial; tracking by its sensor, as late as its samples are known to be, and, where the machine
+    knows it, of the ``true`` strokes [m].
     Without a sensor the speed is the stroke's slope, and pressures are not a number.
     """
     prefix = f"{loop.cylinder}."
@@ -382,7 +383,10 @@ def _measures(record: Record, loop: Driven, rows: int, true: np.ndarray | None) 
             others = p_head[part], p_rod[part]
             step = step_measures(t[part], v[part], level.speed, before, others, level.share, shaped)
             measures["steps"].append(asdict(step))
-    measures["tracking"] = tracking_measures(t, x, desired)
+    late = float(
+        controller_of(loop.recipe).delay
+    )  # a sample is compared with what was desired then
+    measures["tracking"] = tracking_measures(t, x, np.interp(t - late, t, desired))
     if true is not None:
         measures["tracking_true"] = tracking_measures(t, true[:rows, loop.design.index], desired)
     if loop.references.last_cycle and rows == len(loop.references.table):

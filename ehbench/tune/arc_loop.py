@@ -18,7 +18,7 @@ import numpy as np
 from ehbench.control import arc
 from ehbench.control.axis import inertias, load_at
 from ehbench.control.functions import METERED, SUPPLY_HEAD, SUPPLY_ROD
-from ehbench.control.law import Controller, DesignPoint
+from ehbench.control.law import Controller, DesignPoint, late_of
 from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import perfect_sample, sample_channels, sample_size
@@ -325,7 +325,8 @@ class _LawTick:
             state[name] += off
         state.estimates[:] += push[len(MEMORY_STEPS) :]
         given[self.reads] += seen
-        law = Controller(axis, self.gains, memory, self.observed, np.zeros(at.sample.size))
+        size = at.sample.size
+        law = Controller(axis, self.gains, memory, self.observed, np.zeros(size), late_of())
         law_tick(0.0, given, self.reference, law, command, self.telemetry)
         moved = [float(state[name]) for name in MEMORY_STEPS]
         return np.array([*moved, *state.estimates, *command[list(at.valves)]])

@@ -9,7 +9,7 @@ from ehbench.config.recipe import TuneRecipe
 from ehbench.control import arc
 from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.functions import pack_rules
-from ehbench.control.law import Controller
+from ehbench.control.law import Controller, late_of
 from ehbench.control.registry import tick as law_tick
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.sample import OF, entry, perfect_sample, sample_channels
@@ -109,7 +109,7 @@ class Bench:
         sample = np.empty(len(sample_channels(layout.cylinders)))
         perfect_sample(y, plant, sample)
         observed = arc.observed(site.axis, sample.size)
-        law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size))
+        law = Controller(site.axis, gains, memory, observed, np.zeros(sample.size), late_of())
         whole = int(delay / TICK)
         # before the start it moved steadily as well
         past = np.tile(sample, (whole + 2, 1))

@@ -314,7 +314,9 @@ class Controller(FileModel):
     ``shaping`` of speed steps (pressure feedback), ``unused`` valves that stay at rest. Where
     several cylinders move, all have this law but for those named under ``cylinders``, and
     ``coupling`` says whether a law with a model of the mechanism counts on the others' motion.
-    ``monitor`` watches for valves that do not follow, and moves the load by the others."""
+    ``monitor`` watches for valves that do not follow, and moves the load by the others. ``delay``
+    is how late the samples come as far as it is known: the law compares them with the reference of
+    their time."""
 
     name: str = ""
     kind: LawName | None = None
@@ -325,6 +327,7 @@ class Controller(FileModel):
     unused: tuple[str, ...] = ()
     coupling: bool = True
     monitor: bool = False
+    delay: Annotated[Value, Q("delay")] = Value(0.0)
     cylinders: dict[str, CylinderController] = {}
     where: Annotated[tuple[str | int, ...], Internal] = Field(default=("controller",), exclude=True)
 
@@ -362,7 +365,7 @@ class Controller(FileModel):
     def _single_law(self) -> Controller:
         if (self.kind is None) == (self.code is None):
             raise ValueError(message("config.kind_or_class"))
-        if self.monitor and self.code is not None:
+        if self.code is not None and (self.monitor or float(self.delay)):
             raise ValueError(message("config.monitor_of_class"))
         if self.shaping:
             _refuse_shaping(self.kind)
