@@ -485,6 +485,16 @@ def test_a_current_of_either_sign_rests_at_none(tmp_path):
     assert guess["Solenoid current [mA]"].ends == ("-300 mA", "300 mA", "-10 V", "10 V")
 
 
+@pytest.mark.parametrize(("name", "unit"), [("micros", "us"), ("millis", "ms"), ("Seconds", "s")])
+def test_the_name_of_a_clock_says_its_unit(name, unit, tmp_path):
+    """Whatever its steps look like."""
+    (tmp_path / "a.csv").write_text(
+        f"{name},x [mm]\n" + "".join(f"{10 * n},{n}\n" for n in range(99))
+    )
+    guess = mapping.guessed(open_source(tmp_path / "a.csv"), load_rig(RIG))[name]
+    assert (guess.channel, guess.unit, guess.certainty) == ("t", unit, "certain")
+
+
 def test_what_a_name_says_is_guessed(tmp_path):
     rng = np.random.default_rng(1)
     names = {

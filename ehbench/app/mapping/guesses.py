@@ -22,7 +22,7 @@ from ehbench.signals.timestamps import resolution, unrounded
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.units import from_si, is_of, is_share, to_si
+from ehbench.vocabulary.units import from_si, is_of, is_share, named_unit, to_si
 
 CYLINDER, VALVE = "cylinder", "valve"  # where no rig says how they are called
 CERTAIN, LIKELY, UNDECIDED = "certain", "likely", "undecided"
@@ -213,6 +213,9 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
     steps = np.diff(values)
     if not steps.size or values[0] == values[-1]:
         return None
+    if not unit:  # micros, millis, seconds
+        units = map(named_unit, sorted(words & WORDS["time"]))
+        unit = next((item for item in units if item and is_of(item, VOCABULARY["t"])), "")
     is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
     if steps.min() < 0.0:
         if not (is_time and words & WORDS["time"] and np.mean(steps < 0.0) < LIMITS.again):
