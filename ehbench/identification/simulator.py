@@ -20,7 +20,7 @@ from ehbench.plant.foreign import model_of
 from ehbench.plant.many import map_threads
 from ehbench.plant.model import FREE, Model
 from ehbench.plant.paced import AUTO, Step
-from ehbench.plant.stiffness import stiffness_of
+from ehbench.plant.stiffness import short_steps
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, initial_state_of
 from ehbench.preprocessing.observations import (
@@ -501,21 +501,14 @@ class Simulator:
         Raises:
             SimulationError: the numbers left the finite range.
         """
-        if self.step != AUTO or self.rig.model is not None:  # an FMU chooses its steps itself
+        if self.step != AUTO:
             return
         models, shared = self.models(values), self._by_name(values, True)
         for log, shift in zip(self.logs, shifts, strict=True):
             model, true = models[log.payload], log.start.true(shift, shared)
-            stiff = stiffness_of(model, true, log.start.at(model, shift, shared))
-            if stiff is None:
-                continue
-            word = stiff.state.rpartition(".")[2]
-            kind = "motion" if word in ("q", "qd") else "pressure"
-            kind = kind if word.startswith(("q", "p_")) else "mount"
-            cause = message(f"identification.stiff_{kind}")
-            yield message(
-                "identification.short_steps", log=log.name, cause=cause, **stiff._asdict()
-            )
+            start = log.start.at(model, shift, shared)
+            for note in short_steps(model, true, start):
+                yield message("identification.short_steps", log=log.name, note=note)
 
 
 def columns_of(log: Log, record: Record) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from ehbench.data.record import Record
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, Start
 from ehbench.plant.paced import pace_of
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.settings import setting
 
 
@@ -70,3 +72,19 @@ def stiffness_of(model: Model, record: Record, start: Start) -> Stiffness | None
         limited[model.layout.state_names[int(np.nanargmax(errors))]] += 1
     state, times = limited.most_common(1)[0]
     return Stiffness(count, state, times / SETTINGS.asked)
+
+
+def short_steps(model: Model, record: Record, start: Start) -> Iterator[Message]:
+    """Where a recording's replay asks for very short steps, which state limits them and what makes
+    it fast; nothing of an FMU, which chooses its steps itself.
+
+    Raises:
+        LogError, SimulationError: as `stiffness_of`.
+    """
+    stiff = None if model.rig.model is not None else stiffness_of(model, record, start)
+    if stiff is not None:
+        word = stiff.state.rpartition(".")[2]
+        kind = "motion" if word in ("q", "qd") else "pressure"
+        kind = kind if word.startswith(("q", "p_")) else "mount"
+        cause = message(f"plant.stiff_{kind}")
+        yield message("plant.short_steps", cause=cause, **stiff._asdict())

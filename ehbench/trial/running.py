@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -16,6 +16,9 @@ from ehbench.config.rig import Rig
 from ehbench.data.logs import check_record
 from ehbench.data.record import Record, payloads_of, payloads_text
 from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
+from ehbench.plant.build import links_of
+from ehbench.plant.model import Start
+from ehbench.plant.stiffness import short_steps
 from ehbench.trial.controllers import Compiled, Laws, controller_of, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
@@ -189,7 +192,17 @@ def run(
                 record = _record(session, meta)
                 live.finish(record)
         truth, facts = truth_of(at_work), _run_facts(prepared, session, record)
-    return Result(record, facts, None if truth is None else truth.model)
+    if truth is None:
+        return Result(record, facts, None)
+    notes = _short_steps(prepared, truth.model, record)
+    return Result(record, replace(facts, warnings=(*facts.warnings, *notes)), truth.model)
+
+
+def _short_steps(prepared: Prepared, model: Model, record: Record) -> Iterator[Message]:
+    """What makes a trial's simulation slow, by its commands and its first payload."""
+    model = replace(model, plant=model.plant._replace(links=links_of(model.rig)))
+    start = Start(model.trim(model.posture(prepared.posture), prepared.low_side))
+    return short_steps(model, record, start)
 
 
 def log_channels(prepared: Prepared) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from ehbench.diagnosis import Case, ask
 from ehbench.plant.build import Maps
 from ehbench.plant.foreign import model_of
 from ehbench.plant.model import Model
+from ehbench.plant.stiffness import short_steps
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import Followed, follow_recording
 from ehbench.preprocessing.observations import (
@@ -356,6 +357,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
             raise LogError(str(judged.failure).removeprefix(f"{log.name}: "))
         result = _followed(log, moved, free)
         simulated = result.replay(model)
+        warnings += short_steps(model, result.true, result.start)
     except FmuError:  # says nothing of the log
         raise
     except EhbenchError as error:

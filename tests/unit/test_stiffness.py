@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
+from ehbench.config.recipe import TrialRecipe, load_recipe, load_rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import prepare_fit, simulator_of
 from ehbench.plant.model import Model, Start
 from ehbench.plant.stiffness import stiffness_of
-from tests.shared import RIGS
+from ehbench.trial import prepare, run
+from ehbench.validation.judge import validate_rig
+from ehbench.vocabulary.fields import Value
+from tests.shared import RIGS, ROOT
 
 SLIDE = load_rig(RIGS / "slide_servo.toml")
 SMALL = {"press.volume_head": 2.0e-6, "press.volume_rod": 2.0e-6}
@@ -54,5 +57,32 @@ def test_a_fit_says_so_of_each_log_with_the_cause(case):
     told = list(simulator.short_steps(at, simulator.unshifted()))
     assert len(told) == (state is not None)
     for text in told:
-        assert text.fields["log"] == "one" and text.fields["state"] == state
-        assert text.fields["cause"].key == f"identification.stiff_{kind}"
+        note = text.fields["note"]
+        assert text.fields["log"] == "one" and note.fields["state"] == state
+        assert note.fields["cause"].key == f"plant.stiff_{kind}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["shipped", "a small supply line"])
+def test_a_validation_says_so_of_its_log(case):
+    values, state, kind = CASES[case]
+    model, start, record = stepped(values)
+    replayed = model.replay(record, start=start)
+    [log] = validate_rig(model.rig, [("one", replayed)]).logs
+    notes = [text for text in log.warnings if getattr(text, "key", "") == "plant.short_steps"]
+    assert [note.fields["state"] for note in notes] == [state] * (state is not None)
+    assert [note.fields["cause"].key for note in notes] == [f"plant.stiff_{kind}"] * len(notes)
+
+
+@pytest.mark.parametrize(
+    ("case", "on"), [("shipped", "model"), ("shipped", "bench"), ("small volumes", "model")]
+)
+def test_a_trial_says_so(case, on):
+    values, state, kind = CASES[case]
+    recipe = load_recipe(ROOT / "recipes/trials/multisine.toml")
+    assert isinstance(recipe, TrialRecipe)
+    changes = {"on": on, "bench": None, "duration": Value(2.0)}
+    trial = prepare(recipe.model_copy(update=changes), SLIDE.with_values(values))
+    notes = [text for text in run(trial).facts.warnings if text.key == "plant.short_steps"]
+    assert [note.fields["state"] for note in notes] == [state] * (state is not None)
+    assert [note.fields["cause"].key for note in notes] == [f"plant.stiff_{kind}"] * len(notes)
