@@ -191,10 +191,11 @@ def origin(name: str, folder: Path) -> Origin:
     if traced.run.stage == "report":
         changes, report = traced.changes(), traced
         errors: list[EhbenchError] = []
-        for source in report.sources:
+        places = [item.place or report.folder.parent / item.name for item in report.sources]
+        for place, carried in [(p, False) for p in places] + [(p, True) for p in places]:
             try:
-                traced = TracedRun(source.place or report.folder.parent / source.name)
-                named_result(traced.run, name)
+                traced = TracedRun(place)
+                result = _result(traced, name, carried)
                 break
             except EhbenchError as error:
                 errors.append(error)
@@ -202,15 +203,8 @@ def origin(name: str, folder: Path) -> Origin:
             several = (error for error in errors if error.key == "report.several_numbers")
             none = InputError(message("report.no_runs"), file=report.folder)
             raise next(several, (errors or [none])[0])
-    try:
-        result = named_result(traced.run, name)
-    except InputError as error:
-        is_known = error.key == "report.no_number" and (traced.folder / "rig.toml").is_file()
-        value = traced.run.rig.parameters().get(name) if is_known else None
-        if value is None:
-            raise
-        about = {"status": value.sure, "source": value.source}
-        result = NamedResult("rig.toml", name, float(value), row_of(name).unit, None, about)
+    else:
+        result = _result(traced, name, True)
     rig = next((source for source in traced.sources if source.role == "rig"), None)
     before, files = None, ("rig.toml", "parameters.json")
     if rig and result.file in (files if traced.run.stage != "identify" else files[:1]):
@@ -236,6 +230,23 @@ def origin(name: str, folder: Path) -> Origin:
         rig=None if rig is None else _rig_line(rig, result),
         changes=tuple(dict.fromkeys([*changes, *traced.changes()])),
     )
+
+
+def _result(traced: TracedRun, name: str, carried: bool) -> NamedResult:
+    """The number of a run; if ``carried``, else that parameter of the rig that the run was made on.
+
+    Raises:
+        InputError: as `named_result`.
+    """
+    try:
+        return named_result(traced.run, name)
+    except InputError as error:
+        is_known = error.key == "report.no_number" and (traced.folder / "rig.toml").is_file()
+        value = traced.run.rig.parameters().get(name) if is_known and carried else None
+        if value is None:
+            raise
+        about = {"status": value.sure, "source": value.source}
+        return NamedResult("rig.toml", name, float(value), row_of(name).unit, None, about)
 
 
 def _value_text(run: Saved, result: NamedResult) -> str:

@@ -152,6 +152,10 @@ def test_a_rig_file_copied_by_hand_leads_to_its_fit(shop, stage, edited):
     shutil.copy(copy, final / "rig.toml")
     found = origin("bulk_modulus", final)
     assert found.run == str(fit) and found.result.interval == (6.9e8, 7.1e8)
+    report = final.parent / "report_2"
+    with rundir.open_run(report, "report", final / "run.json", [("run", final)]) as run:
+        (run.path / "report.html").write_text("<p>judged</p>", encoding="utf-8")
+    assert origin("bulk_modulus", report).run == str(fit)
     names = {source.name for source in found.sources}
     assert any(name.endswith("one.csv") for name in names)
     datasheet = origin("supply.pressure", final)
