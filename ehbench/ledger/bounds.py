@@ -64,19 +64,19 @@ class Bounds:
     the rod end. ``work``: lifting itself, ``∫ P_L v dt`` where positive. ``used`` is Ps·Q drawn,
     None where nothing says it; ``saving`` its share below ``standard``. ``carries`` is the chamber
     that holds the load, or none; ``closed`` says whether the motion ended where it began, its oil
-    in the same state: only then do the bounds mean a cycle. ``kept`` is what the oil cost that is
-    more pressed together at the end than at the beginning, Ps Σ V Δp/β of both chambers, negative
-    for less. ``against`` names the least bound that the working functions at work
-    can reach, ``beyond`` what was drawn on top of it by each; empty and () where no controller
-    logged its functions. A supply of constant pressure is paid for volume: load, friction and a low
-    pressure on the off-side say where energy is lost, compression and oil let to tank say how much
-    is drawn."""
+    in the same state: only then do the bounds mean a cycle. ``retained`` is what the oil cost
+    that is more pressed together at the end than at the beginning, Ps Σ V Δp/β of both
+    chambers, negative for less. ``against`` names the least bound that the working functions at
+    work can reach, ``beyond`` what was drawn on top of it by each; empty and () where no
+    controller logged its functions. A supply of constant pressure is paid for volume: load,
+    friction and a low pressure on the off-side say where energy is lost, compression and oil
+    let to tank say how much is drawn."""
 
     cylinder: str
     travel_out: float
     travel_in: float
     closed: bool
-    kept: float
+    retained: float
     carries: str
     standard: float
     six: float
@@ -160,7 +160,7 @@ def bounds(rig: Rig, record: Record, cylinder: str, ledger: Ledger | None = None
         travel_out=ways[0],
         travel_in=ways[1],
         closed=back and abs(retained) <= SETTINGS.oil * paid["standard"],
-        kept=retained,
+        retained=retained,
         carries=load.carries,
         standard=paid["standard"],
         six=paid["six"],

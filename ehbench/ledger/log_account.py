@@ -202,7 +202,6 @@ def ledger_of_log(
     *,
     payload: str | None = None,
     accuracy: Accuracy | None = Accuracy(),
-    points: int = 0,
 ) -> Ledger:
     """The ledger of a machine's log, from measured channels alone: positions, pressures and
     commands.
@@ -223,7 +222,6 @@ def ledger_of_log(
             ``<valve>.command``; ``p_supply``, ``p_tank``, ``flow_supply`` where measured.
         payload: of the rig file; by default the one that the log names.
         accuracy: what sensors are good for; None where no interval is asked for, which is quicker.
-        points: how many times of cumulated energies to keep in ``series``; 0 for none.
 
     Raises:
         LogError: a channel is missing or not finite.
@@ -251,10 +249,10 @@ def ledger_of_log(
         sources = {name: float(abs(effect[-1])) for name, effect in effects.items()}
         sources = dict(sorted(sources.items(), key=lambda item: -item[1]))
     every = np.arange(readings.t.size)
-    rest = sheet.facts(record, account.energies(model, readings, states, power, every), points)
-    rest |= {"oil_drawn": oil_drawn(model, readings.t, flows)}
-    rest |= {"sources": sources, "notes": tuple(notes)}
-    return sheet.ledger(model, record, shown, base, std, **rest)
+    table = account.energies(model, readings, states, power, every)
+    facts = {"functions": sheet.functions(record, table), "sources": sources, "notes": tuple(notes)}
+    facts["oil_drawn"] = oil_drawn(model, readings.t, flows)
+    return sheet.ledger(model, record, shown, base, std, **facts)
 
 
 def _effects(

@@ -6,7 +6,7 @@ import numpy as np
 
 from ehbench.data.record import Record
 from ehbench.ledger.loads import Loads
-from ehbench.ledger.quadrature import Integrated, flows_at, integrate, powers_at
+from ehbench.ledger.quadrature import Integrated, integrate
 from ehbench.ledger.readings import ROUNDING
 from ehbench.ledger.sheet import Ledger, Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.valve.delay import line_of
@@ -14,8 +14,8 @@ from ehbench.physics.arm import SLIDE
 from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
-from ehbench.plant.valves import acting_commands, follow_valves
-from ehbench.vocabulary.errors import InputError, LogError
+from ehbench.plant.valves import follow_valves
+from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 FOLLOWS = 1.0e-2  # share of a state's range that a tick of the model may miss the next sample by
@@ -56,27 +56,19 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     return states, commands
 
 
-def ledger_of_model(
-    model: Model, record: Record, quadrature: str = "exact", points: int = 0, step: float = STEP
-) -> Ledger:
-    """The ledger of a trial on the model, from what the model logs.
+def ledger_of_model(model: Model, record: Record, step: float = STEP) -> Ledger:
+    """The ledger of a trial on the model: every tick is integrated anew from its logged state, and
+    the powers with it.
 
     Args:
         model: with the rig, payload and maps that made the record.
         record: as `Model.record` gives it: states, commands, openings, at any rate that has every
             change of the commands.
-        quadrature: ``exact`` integrates every tick anew from its logged state, and the powers with
-            it; ``samples`` takes the trapezoid of the powers at the samples, which is quicker and
-            as good as the sampling.
-        points: how many times of cumulated energies to keep in ``series``; 0 for none.
         step: longest integration step [s].
 
     Raises:
         LogError: a channel is missing, or its flows are not those of this model.
-        InputError: no such quadrature.
     """
-    if quadrature not in ("exact", "samples"):
-        raise InputError(message("ledger.no_quadrature", name=quadrature))
     must_have_samples(record)
     t = np.ascontiguousarray(record.t, dtype=float)
     states, commands = states_of(model, record)
@@ -85,34 +77,24 @@ def ledger_of_model(
     plant = plant.commanded_before(
         np.where(model.plant.valves.delay > 0.0, first, model.plant.valves.before)
     )
-    tank, loads = np.full(t.size, plant.tank_pressure), Loads.of(record)
-    sheet, notes = Sheet(model, "residual", bool(loads.changes)), []
+    loads = Loads.of(record)
+    sheet = Sheet(model, "residual", bool(loads.changes))
     flows = np.empty((t.size, len(model.layout.edges) + 1))
     spent = np.zeros((t.size, sheet.powers))
-    if quadrature == "exact":
-        ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
-        line, fixed = line_of(plant, t[1] - t[0]), replace(model, plant=plant)
-        for rows, loaded in loads.spans(fixed, t):
-            out = Integrated(
-                flows[rows], ticks[rows.start : rows.stop - 1], ends[rows.start : rows.stop - 1]
-            )
-            integrate(t[rows], states[rows], commands[rows], loaded, line, sheet.owner, step, out)
-        np.cumsum(ticks, axis=0, out=spent[1:])
-        notes += _missed(model, states, ends)
-    else:
-        tick = t[1] - t[0]
-        felt = acting_commands(plant, commands, tick, tick / max(1, round(tick / step)))
-        flows_at(states, felt, tank, plant, flows)
-        power = np.empty((t.size, sheet.powers))
-        powers_at(states, commands, flows, tank, plant, sheet.owner, power)
-        np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
+    ticks, ends = np.empty((t.size - 1, sheet.powers)), np.empty((t.size - 1, states.shape[1]))
+    line, fixed = line_of(plant, t[1] - t[0]), replace(model, plant=plant)
+    for rows, loaded in loads.spans(fixed, t):
+        out = Integrated(
+            flows[rows], ticks[rows.start : rows.stop - 1], ends[rows.start : rows.stop - 1]
+        )
+        integrate(t[rows], states[rows], commands[rows], loaded, line, sheet.owner, step, out)
+    np.cumsum(ticks, axis=0, out=spent[1:])
     _same_flows(model, record, flows)
-    stored = loads.stored(replace(model, plant=plant), t, states, sheet.stores)
+    stored = loads.stored(fixed, t, states, sheet.stores)
     table = sheet.expand(np.concatenate([spent, stored], axis=1))
-    facts = sheet.facts(record, table, points) | {"oil_drawn": oil_drawn(model, t, flows)}
-    return sheet.ledger(
-        model, record, payload_of(record), table[-1], None, notes=tuple(notes), **facts
-    )
+    facts = {"functions": sheet.functions(record, table), "oil_drawn": oil_drawn(model, t, flows)}
+    facts["notes"] = tuple(_missed(model, states, ends))
+    return sheet.ledger(model, record, payload_of(record), table[-1], None, **facts)
 
 
 def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:

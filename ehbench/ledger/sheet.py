@@ -77,10 +77,9 @@ class Ledger:
 
     The sum closes: supply = valve + loss + store + load + residual. ``functions`` holds, by
     cylinder and by the working function that its controller logged, the energies [J] of the rows
-    while that function was at work; they add up to the rows. ``series`` holds cumulated energies
-    [J] by row at times ``t`` [s], if asked for; ``sources`` the standard error [J] that each source
-    of doubt gives to the residual; ``notes`` what had to be assumed; ``oil_drawn`` [m³] what all
-    edges took from the supply."""
+    while that function was at work; they add up to the rows. ``sources`` holds the standard error
+    [J] that each source of doubt gives to the residual; ``notes`` what had to be assumed;
+    ``oil_drawn`` [m³] what all edges took from the supply."""
 
     source: str
     rig: str
@@ -90,8 +89,6 @@ class Ledger:
     sources: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     functions: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
-    t: np.ndarray | None = None
-    series: dict[str, np.ndarray] = field(default_factory=dict)
     oil_drawn: float = 0.0
 
     def __getitem__(self, name: str) -> Row:
@@ -158,8 +155,6 @@ class Ledger:
             "sources": dict(self.sources),
             "notes": list(self.notes),
             "functions": self.functions,
-            "t": None if self.t is None else self.t.tolist(),
-            "series": {name: values.tolist() for name, values in self.series.items()},
         }
 
 
@@ -213,7 +208,7 @@ class Sheet:
         payload: str,
         energies: np.ndarray,
         std: np.ndarray | None,
-        **rest: Any,
+        **facts: Any,
     ) -> Ledger:
         """The ledger of expanded energies and their standard errors."""
         named = [
@@ -235,27 +230,22 @@ class Sheet:
             rows.append(Row(name, energy, group, label, cylinder, interval))
         rows.sort(key=lambda row: GROUPS.index(row.group))
         source, duration = "model" if std is None else "log", float(record.t[-1] - record.t[0])
-        return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **rest)
+        return Ledger(source, model.rig.name, payload or "none", duration, tuple(rows), **facts)
 
-    def facts(self, record: Record, table: np.ndarray, points: int) -> dict[str, Any]:
-        """What a ledger holds of energies cumulated to every sample, shape (samples, rows): by
-        working function, and, if asked for, at about ``points`` times; rows that stay zero are left
-        out."""
+    def functions(
+        self, record: Record, table: np.ndarray
+    ) -> dict[str, dict[str, dict[str, float]]]:
+        """Energies by cylinder, working function and row, of ``table``, which has them cumulated to
+        every sample, shape (samples, rows); rows that stay zero are left out."""
         names = [name for name, *_ in self.rows] + [name for name, *_ in self.parts] + [self.word]
-        results: dict[str, Any] = {"functions": {}}
-        steps = np.diff(table, axis=0)
+        results, steps = {}, np.diff(table, axis=0)
         for cylinder in self.cylinders:
             if (function := function_of(record, cylinder)) is not None:
                 sums = {FUNCTIONS[f]: steps[function == f].sum(axis=0) for f in np.unique(function)}
-                results["functions"][cylinder] = {
+                results[cylinder] = {
                     word: {n: float(v) for n, v in zip(names, energies, strict=True) if v}
                     for word, energies in sums.items()
                 }
-        if points > 1:
-            count = max(2, min(points, record.t.size))
-            at = np.unique(np.linspace(0, record.t.size - 1, count).round().astype(int))
-            series = {name: table[at, i] for i, name in enumerate(names) if table[at, i].any()}
-            results |= {"t": record.t[at], "series": series}
         return results
 
 

@@ -198,11 +198,11 @@ def open_caption(rig: Rig, cases: Sequence[Case], same: float = 0.02) -> str:
     for case in cases:
         ledger = None if case.row.get("stopped") else case.energy()
         for bound in ledger.get("bounds", []) if ledger is not None else []:
-            if bound["closed"] or bound.get("kept") is None:
+            if bound["closed"] or bound.get("retained") is None:
                 continue
             ways = (bound["travel_out"], bound["travel_in"])
             if abs(ways[0] - ways[1]) <= same * max(ways):
-                retained.append(bound["kept"])
+                retained.append(bound["retained"])
     return Template("energy", rig).text("open", retained=retained) if retained else ""
 
 

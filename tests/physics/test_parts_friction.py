@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from plant_differences import plant_model
-from with_parts import closes, point_of
+from with_parts import closes, point_of, sampled
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.recipe.toml import read_toml, validated
@@ -183,14 +183,13 @@ def test_the_ledger_closes(law, name):
     table[:, model.layout.valves.index(valve)] = volts * np.sin(2 * np.pi * t / 0.5)
     log = model.run(model.trim(model.posture(None)), table)
     made = model.record(t, table, log)
-    ledger = ledger_of_model(model, made, points=100)
+    ledger = ledger_of_model(model, made)
     closes(ledger)
     cylinder = model.layout.cylinders[0]
-    taken = ledger.series[f"{cylinder}.friction"]
+    taken = sampled(model, made)[f"{cylinder}.friction"]
     assert taken[-1] > 1e-3 * ledger.pump
     assert (np.diff(taken) >= -1e-9 * taken[-1]).all()
-    samples = ledger_of_model(model, made, "samples")
-    assert samples[f"{cylinder}.friction"].energy == pytest.approx(taken[-1], rel=0.02)
+    assert ledger[f"{cylinder}.friction"].energy == pytest.approx(taken[-1], rel=0.02)
 
 
 @pytest.mark.parametrize("law", TABLES)

@@ -1,5 +1,6 @@
 """What the tests of a rig's parts share: a rig with a part, its linear form, noise, a fit."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,15 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.ledger import Ledger, ledger_of_log, ledger_of_model
+from ehbench.ledger.loads import Loads
+from ehbench.ledger.model_account import states_of
+from ehbench.ledger.quadrature import flows_at, powers_at
+from ehbench.ledger.sheet import Sheet
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.plant.derivatives import derivatives
+from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, simulate
+from ehbench.plant.valves import acting_commands
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
 from tests.shared import shipped
@@ -137,3 +144,23 @@ def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> No
             held.append(low <= value <= high)
     # of ten intervals of 95 %, more than two miss once in ninety
     assert held.count(False) <= 2, held
+
+
+def sampled(model: Model, record: Record) -> dict[str, np.ndarray]:
+    """Energies [J] by row of a ledger, cumulated: trapezoids of the powers at the samples."""
+    t, plant = record.t, model.plant.at_pressures(tank=record["p_tank"][0])
+    first = [record[f"{name}.opening"][0] for name in model.layout.valves]
+    before = np.where(model.plant.valves.delay > 0.0, first, model.plant.valves.before)
+    plant, tick = plant.commanded_before(before), t[1] - t[0]
+    states, commands = states_of(model, record)
+    tank, sheet = np.full(t.size, plant.tank_pressure), Sheet(model, "residual")
+    flows = np.empty((t.size, len(model.layout.edges) + 1))
+    power, spent = np.empty((t.size, sheet.powers)), np.zeros((t.size, sheet.powers))
+    acting = acting_commands(plant, commands, tick, tick / max(1, round(tick / STEP)))
+    flows_at(states, acting, tank, plant, flows)
+    powers_at(states, commands, flows, tank, plant, sheet.owner, power)
+    np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t)[:, None], axis=0, out=spent[1:])
+    stored = Loads.of(record).stored(replace(model, plant=plant), t, states, sheet.stores)
+    names = [*(name for name, *_ in (*sheet.rows, *sheet.parts)), "residual"]
+    table = sheet.expand(np.concatenate([spent, stored], axis=1))
+    return dict(zip(names, table.T, strict=True))

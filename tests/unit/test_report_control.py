@@ -481,7 +481,7 @@ def test_why_a_cycle_saves_more_than_its_bound_is_said(tmp_path):
 def test_a_way_that_ends_with_other_oil_saves_nothing(tmp_path):
     ledger = cycle_ledger(SIX)
     (limits,) = ledger["bounds"]
-    limits |= {"closed": False, "kept": 52.3, "travel_out": 0.15, "travel_in": 0.15}
+    limits |= {"closed": False, "retained": 52.3, "travel_out": 0.15, "travel_in": 0.15}
     rig, cases = cycles(tmp_path, six=ledger)
     (text,) = energy_tables.saving_blocks(rig, cases)
     assert "1 trial that came back with the oil in another state, 52.3 J more pressed" in text.text
