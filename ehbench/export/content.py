@@ -78,8 +78,8 @@ class Export:
         parts, contents = [], self.recipe.parts or ("model" if loop is None else "both")
         if contents != "controller":
             parts.append(model_part(trial, session, self.about))
-        if contents != "model" and loop is not None and loop.laws is not None:
-            for law, item in zip(loop.laws.parts, loop.driven, strict=True):
+        if contents != "model" and loop is not None:
+            for law, item in zip(loop.laws, loop.driven, strict=False):
                 parts.append(controller_part(trial, session, law, item.design))
                 parts.append(valves_part(trial, item.design))
         return tuple(parts)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ehbench.links.layout import FRAMES
-from ehbench.links.responder import ALIVE, HEADER, STOPPING, Target
-from ehbench.links.transport import LAYOUT, STATE
+from ehbench.links.responder import Target
+from ehbench.links.transport import datagram_of
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 
@@ -115,10 +115,7 @@ def serve(
         while (frame := bus.recv(max(due - time.monotonic(), 0.0))) is not None:
             if (numbers := down.take(frame)) is None:
                 continue
-            bare = numbers[STATE] in (ALIVE, STOPPING) or numbers[LAYOUT] not in target.modes
-            size = 0 if bare else target.modes[int(numbers[LAYOUT])][0]
-            datagram = numbers[: len(HEADER) + size].astype("<f8").tobytes()
-            target.receive(datagram, time.monotonic())
+            target.receive(datagram_of(numbers, target), time.monotonic())
         if datagram := target.tick(time.monotonic()):
             up.send(bus, np.frombuffer(datagram, "<f8"))
         due = max(due + 1.0 / target.rate, time.monotonic() - 0.1)

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ehbench.config.recipe.toml import read_text, table_of, validated
-from ehbench.links.responder import ALIVE, HEADER, STOPPING, Target
-from ehbench.links.transport import LAYOUT, SEQUENCE, STATE, VirtualClock
+from ehbench.links.responder import Target
+from ehbench.links.transport import SEQUENCE, VirtualClock, datagram_of
 from ehbench.vocabulary.fields import FileModel
 
 FORMATS = dict(zip(("float32", "float64", "int16", "uint16", "int32", "uint32"), "fdhHiI"))
@@ -171,10 +171,7 @@ def serve(
             at = address - down.first
             whole = registers[down.first : down.first + down.count]
             whole[at : at + count] = values
-            numbers = down.decode(whole)
-            bare = numbers[STATE] in (ALIVE, STOPPING) or numbers[LAYOUT] not in target.modes
-            size = 0 if bare else target.modes[int(numbers[LAYOUT])][0]
-            datagram = numbers[: len(HEADER) + size].astype("<f8").tobytes()
+            datagram = datagram_of(down.decode(whole), target)
             if virtual:
                 show(clock.answer(datagram))
             else:

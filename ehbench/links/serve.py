@@ -16,7 +16,7 @@ from ehbench.links.transport import ACKNOWLEDGED, LARGEST, SEQUENCE, VirtualCloc
 from ehbench.machines.faults import FaultyMachine
 from ehbench.machines.rows import LawRows, control
 from ehbench.parts.sample import OF, entry
-from ehbench.trial.controllers import Laws
+from ehbench.trial.controllers import Compiled
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary.errors import SimulationError
 
@@ -37,11 +37,10 @@ class Served:
     def reset(self) -> None:
         """Stand where the trial begins, valves and controllers at rest."""
         self._rows = self.prepared.first_rows(self.machine, 2)
-        law = self.prepared.law(self.machine)
-        parts = law.parts if isinstance(law, Laws) else ()
         self._laws = tuple(
-            LawRows(part.references[:2] * 0.0, part.controller, part.telemetry[:2])
-            for part in parts
+            LawRows(law.references[:2] * 0.0, law.controller, law.telemetry[:2])
+            for law in self.prepared.law(self.machine)
+            if isinstance(law, Compiled)
         )
         self._sample = self._rows.sample.copy()
         self._given, self._since = [], 0

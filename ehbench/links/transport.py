@@ -1,5 +1,5 @@
-"""How vectors of float64 reach a target and come back: datagrams over UDP, or a served target in
-this process on a virtual clock.
+"""How vectors of float64 reach a target and come back as datagrams, over UDP or on a virtual
+clock.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ehbench.links.responder import HEADER, Target
+from ehbench.links.responder import ALIVE, HEADER, STOPPING, Target
 
 LAYOUT, TOKEN, SEQUENCE, TIME, ACKNOWLEDGED, STATE, REASON, WATCHDOG = range(len(HEADER))
 LARGEST = 65535  # bytes of a datagram
@@ -80,29 +80,6 @@ class UdpLink:
         self._socket.close()
 
 
-class VirtualLink:
-    """A target in this process, whose time the host's vectors drive: the same datagrams, as fast
-    as they can be computed.
-    """
-
-    virtual = True
-
-    def __init__(self, target: Target) -> None:
-        self.target, self._clock, self._waiting = target, VirtualClock(target), b""
-
-    def send(self, numbers: np.ndarray) -> None:
-        """As `Link.send`."""
-        self._waiting = self._clock.answer(numbers.astype("<f8").tobytes())
-
-    def receive(self, timeout: float) -> list[np.ndarray]:
-        """As `Link.receive`, at once."""
-        taken, self._waiting = self._waiting, b""
-        return [vector(taken)] if taken else []
-
-    def close(self) -> None:
-        """As `Link.close`."""
-
-
 class VirtualClock:
     """The time of a target that goes on with its host's datagrams."""
 
@@ -133,3 +110,10 @@ class VirtualClock:
 def vector(datagram: bytes) -> np.ndarray:
     """The numbers of a datagram; one that is not a whole number of them gives none."""
     return np.frombuffer(datagram if len(datagram) % 8 == 0 else b"", "<f8")
+
+
+def datagram_of(numbers: np.ndarray, target: Target) -> bytes:
+    """The datagram for a target of a vector with room for all values of any mode."""
+    bare = numbers[STATE] in (ALIVE, STOPPING) or numbers[LAYOUT] not in target.modes
+    size = 0 if bare else target.modes[int(numbers[LAYOUT])][0]
+    return numbers[: len(HEADER) + size].astype("<f8").tobytes()

@@ -79,9 +79,9 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
         loop, others = prepared.trial.loop, [Facts, {"ledger": Any}]
         if loop is None:
             return others
-        parts = loop.laws.parts if loop.laws is not None else (None,)
         first, *more = (
-            {**measure_types(), **(part.used if part is not None else {})} for part in parts
+            {**measure_types(), **(part.used if part is not None else {})}
+            for part in loop.laws or (None,)
         )
         names = (item.cylinder for item in loop.driven[1:])
         also = {"also": dict(zip(names, more, strict=True))} if more else {}

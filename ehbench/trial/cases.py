@@ -22,7 +22,7 @@ from ehbench.trial.running import SELDOM, Facts, Result, run
 from ehbench.vocabulary.errors import EhbenchError, InsufficientData, SimulationError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import VOCABULARY
-from ehbench.vocabulary.text import quoted
+from ehbench.vocabulary.text import numbered, quoted
 from ehbench.vocabulary.units import from_si
 
 if TYPE_CHECKING:
@@ -250,17 +250,8 @@ def run_cases(
 
 def file_names(cases: Sequence[Case]) -> list[str]:
     """A name for each case's log that any file system takes."""
-    names: list[str] = []
-    for case in cases:
-        stem = re.sub(r"[^a-z0-9]+", "_", case.name.lower()).strip("_") or "case"
-        names.append(
-            next(
-                name
-                for i in range(len(cases) + 1)
-                if (name := f"{stem}{f'_{i + 1}' if i else ''}") not in names
-            )
-        )
-    return names
+    stems = (re.sub(r"[^a-z0-9]+", "_", case.name.lower()).strip("_") for case in cases)
+    return numbered(stem or "case" for stem in stems)
 
 
 def table_rows(cases: Sequence[Case], results: Sequence[CaseResult]) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from ehbench.parts.sample import OF, entry
 from ehbench.vocabulary.settings import setting
 
 if TYPE_CHECKING:
-    from ehbench.trial.controllers import Laws
+    from ehbench.trial.controllers import Compiled
     from ehbench.trial.coordination import Driven
 
 
@@ -60,7 +60,7 @@ def checks_of(
     cylinders: np.ndarray,
     rows: int,
     driven: Sequence[Driven] = (),
-    laws: Laws | None = None,
+    laws: Sequence[Compiled] = (),
 ) -> Checks:
     """What the samples of a trial are compared with.
 
@@ -70,7 +70,7 @@ def checks_of(
         cylinders: of the rig's plant.
         rows: of the trial.
         driven: the cylinders that it moves.
-        laws: of these, None of a user's class.
+        laws: of these, none of a user's class.
     """
     strokes = cylinders["stroke"]
 
@@ -80,7 +80,7 @@ def checks_of(
     desired = np.full((rows, len(strokes)), math.nan)
     for number, item in enumerate(driven):
         index = item.design.index
-        law = None if laws is None else laws.parts[number].controller
+        law = laws[number].controller if laws else None
         follows = law is not None and bool(law.observed[entry(index, OF.x)])
         if follows or limits.following_error != "auto":
             table = item.references.table

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from pathlib import Path
 
 import numpy as np
 
@@ -77,7 +78,10 @@ def command_table(
         if entry.valve not in last:
             table[:, column] = 0.0
         last[entry.valve] = index
-        record = _played(recipe, entry) if entry.kind == "file" else None
+        record = None
+        if entry.kind == "file":
+            assert entry.file is not None  # the recipe's model sees to it
+            record = log_with(f"{entry.valve}.command", recipe.file(entry.file))
         table[:, column] += _shape(entry, t, record)
     for column, (name, valve) in enumerate(valves.items()):
         values, low, high = table[:, column], float(valve.command_min), float(valve.command_max)
@@ -90,13 +94,15 @@ def command_table(
     return table
 
 
-def _played(recipe: TrialRecipe, entry: Command) -> Record:
-    """The log that an entry plays."""
+def log_with(channel: str, path: Path) -> Record:
+    """A log, or that of a trial's run, which has a channel.
+
+    Raises:
+        InputError: it does not have it; names those that it has.
+    """
     from ehbench.data import read
 
-    assert entry.file is not None
-    path, channel = recipe.file(entry.file), f"{entry.valve}.command"
-    record = read(path)
+    record = read(path / "log.mcap" if path.is_dir() else path)
     if channel not in record:
         known = ", ".join(record.channels)
         raise InputError(message("trial.no_channel", channel=channel, known=known), file=path)

@@ -143,17 +143,6 @@ def valve_fault(design: Design, t: np.ndarray, code: np.ndarray) -> dict[str, An
     return {"valve": name, "stays": "shut" if number > 0 else "open", "t": float(t[first])}
 
 
-@dataclass
-class Laws:
-    """The built-in controllers of a trial, one a cylinder, each as it would be alone."""
-
-    parts: tuple[Compiled, ...]
-
-    def afresh(self, plays: bool = True) -> Laws:
-        """The same at their beginning, for a run of their own; ``plays`` as there."""
-        return Laws(tuple(part.afresh(plays) for part in self.parts))
-
-
 @contextmanager
 def located(recipe: TrialRecipe, *keys: str | int) -> Iterator[None]:
     """Bad input found inside is said to stand at a key of the recipe, unless it says itself where

@@ -17,15 +17,14 @@ from ehbench.control.coupling import among_others, joint_motion
 from ehbench.control.measured import Pressures
 from ehbench.control.registry import LAWS
 from ehbench.control.required_flow import Motion, required_flow, torques
-from ehbench.control.trajectory import ORDERS, V, X, with_preview
+from ehbench.control.trajectory import V, X, with_preview
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of
 from ehbench.physics.arm import SLIDE
 from ehbench.physics.tip import Chain, tip_of
-from ehbench.signals.series import rms
 from ehbench.trial.controllers import Design, controller_of
-from ehbench.trial.measures import MEASURES
-from ehbench.trial.motion import References
+from ehbench.trial.measures import tracking_measures
+from ehbench.trial.motion import References, standing
 from ehbench.vocabulary.settings import setting
 
 
@@ -121,14 +120,7 @@ class Driven:
 def as_long(motions: Sequence[References]) -> list[References]:
     """Motions that all last as long as the longest: the others stand where they end."""
     count = max(len(motion.table) for motion in motions)
-    longer = []
-    for motion in motions:
-        still = np.zeros((count - len(motion.table), ORDERS))
-        still[:, X] = motion.table[-1, X]
-        longer.append(
-            replace(motion, table=np.ascontiguousarray(np.concatenate([motion.table, still])))
-        )
-    return longer
+    return [replace(motion, table=standing(motion.table, count)) for motion in motions]
 
 
 @dataclass(frozen=True)
@@ -175,7 +167,7 @@ class Plan:
 
     def measures(self, record: Record, rows: int) -> dict[str, Any]:
         """``tip`` errors [m] of a trial up to a row, and ``sharing`` of the pump's flow."""
-        error, across = (record[name][:rows] for name in ("tip_error", "tip_across"))
+        t, error, across = (record[name][:rows] for name in ("t", "tip_error", "tip_across"))
         slow = self.pace < COORDINATION.slowed
         tick = float(record.t[1] - record.t[0]) if record.t.size > 1 else 0.0
         sharing = {
@@ -186,15 +178,8 @@ class Plan:
             "pace": float(self.pace.min()),
             "longer": self.longer,
         }
-        tip = {
-            "max_error": float(error.max()),
-            "rms_error": rms(error),
-            "final_error": float(
-                np.mean(error[record.t[:rows] >= record.t[rows - 1] - MEASURES.final])
-            ),
-            "max_across": float(across.max()),
-        }
-        return {"tip": tip, "sharing": sharing}
+        tip = tracking_measures(t, error, np.zeros(rows))
+        return {"tip": tip | {"max_across": float(across.max())}, "sharing": sharing}
 
 
 def joints_of(driven: Sequence[Driven]) -> tuple[np.ndarray, np.ndarray]:

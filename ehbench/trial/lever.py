@@ -14,9 +14,8 @@ import numpy as np
 from ehbench.config.recipe import CylinderMotion, TrialRecipe
 from ehbench.control.trajectory import ORDERS, A, X
 from ehbench.runtime.memory import rows_of
+from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
-from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
 DEFLECTION, DEADMAN = range(2)  # columns of what a lever said
@@ -106,14 +105,8 @@ def commanded(
 
 def _logged(recipe: TrialRecipe, file: str, cylinder: str) -> np.ndarray:
     """What a lever said in a log or in the run of a trial, shape (rows, 2)."""
-    from ehbench.data import read
-
-    path, rate = recipe.file(file), float(recipe.rate)
-    record = read(path / "log.mcap" if path.is_dir() else path)
-    names = [f"{cylinder}.{name}" for name in LEVER_CHANNELS]
-    if names[DEFLECTION] not in record:
-        known = ", ".join(record.channels)
-        raise InputError(message("trial.no_channel", channel=names[0], known=known), file=path)
+    rate, names = float(recipe.rate), [f"{cylinder}.{name}" for name in LEVER_CHANNELS]
+    record = log_with(names[DEFLECTION], recipe.file(file))
     t = record.t - record.t[0]
     times = np.arange(rows_of(float(t[-1]), rate) + 1) / rate
     rows = np.searchsorted(t, times + 0.1 / rate, side="right") - 1

@@ -29,6 +29,7 @@ from ehbench.control.measured import Pressures
 from ehbench.control.trajectory import ORDERS, A, J, V, X, point_to_point, velocity_steps
 from ehbench.control.valve_level import top_speed
 from ehbench.runtime.memory import rows_of
+from ehbench.trial.commands import log_with
 from ehbench.trial.controllers import Design, located
 from ehbench.trial.lever import LEVER_CHANNELS, Lever, commanded
 from ehbench.vocabulary.codes import FUNCTIONS
@@ -110,9 +111,7 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
             count = rows_of(float(recipe.duration), rate) + 1
         if desired.lever is not None:  # a log that is played ends the trial
             count = min(count, len(table))
-        still = np.zeros((max(count - len(table), 0), ORDERS))
-        still[:, X] = table[-1, X]
-        table = np.ascontiguousarray(np.concatenate([table, still])[:count])
+        table = standing(table, count)[:count]
     stroke = float(design.row.stroke)
     out = np.flatnonzero((table[:, X] < 0.0) | (table[:, X] > stroke))
     if out.size:
@@ -134,6 +133,13 @@ def lasting(recipe: TrialRecipe, design: Design, desired: References) -> Referen
     )
     last_cycle = min(desired.last_cycle, len(table) - 2)
     return replace(desired, table=table, levels=levels, last_cycle=last_cycle)
+
+
+def standing(table: np.ndarray, rows: int) -> np.ndarray:
+    """A table of references of at least so many rows: after its end it stands."""
+    still = np.zeros((max(rows - len(table), 0), ORDERS))
+    still[:, X] = table[-1, X]
+    return np.ascontiguousarray(np.concatenate([table, still]))
 
 
 def full_speed(design: Design, way: int, low_pressure: float) -> float:
@@ -281,15 +287,10 @@ def _file(recipe: TrialRecipe, motion: Motion, design: Design, low_pressure: flo
     """
     from scipy.interpolate import make_interp_spline
 
-    from ehbench.data import read
-
     assert motion.file is not None  # the recipe's model sees to it
     path = recipe.file(motion.file)
-    record = read(path)
     names = [f"{design.cylinder}.{name}_desired" for name in "xvaj"]
-    if names[X] not in record:
-        known = ", ".join(record.channels)
-        raise InputError(message("trial.no_channel", channel=names[X], known=known), file=path)
+    record = log_with(names[X], path)
     if record.t.size < 6:
         raise InputError(message("trial.short_motion_file", count=record.t.size), file=path)
     t = record.t - record.t[0]

@@ -34,7 +34,7 @@ from ehbench.trial import controllers
 from ehbench.trial.checks import checks_of, limit_array
 from ehbench.trial.code import refuse_code
 from ehbench.trial.commands import command_table
-from ehbench.trial.controllers import Compiled, Design, Laws
+from ehbench.trial.controllers import Compiled, Design
 from ehbench.trial.coordination import Driven, Plan, as_long, planned, tables_of
 from ehbench.trial.motion import References, lasting, references
 from ehbench.trial.path import along_path, route
@@ -108,13 +108,14 @@ class Loop:
     """A closed loop before there is a machine: the cylinders that it moves, the first of which the
     trial is about, and their laws. ``notes`` are what is to be said of them before they run.
 
-    ``laws`` are packed, and None for a user's class, which is loaded when its trial begins.
+    ``laws`` are packed, one a cylinder; none for a user's class, which is loaded when its trial
+    begins.
     ``low_side`` [Pa] is where the off-side chamber stands at the start. ``plan`` is what they do
     together, None of one cylinder by itself.
     """
 
     driven: tuple[Driven, ...]
-    laws: Laws | None
+    laws: tuple[Compiled, ...]
     low_side: float
     plan: Plan | None = None
     notes: tuple[str, ...] = ()
@@ -190,23 +191,23 @@ class Prepared:
     @property
     def telemetry(self) -> tuple[str, ...]:
         """Channels that the controllers leave, but for the notes of a user's class."""
-        if self.loop is None or self.loop.laws is None:
+        if self.loop is None or not self.loop.laws:
             cylinder = None if self.loop is None else self.loop.design.cylinder
             return tuple(f"{cylinder}.{name}_desired" for name in Reference._fields if cylinder)
-        return tuple(name for part in self.loop.laws.parts for name in part.channels)
+        return tuple(name for part in self.loop.laws for name in part.channels)
 
-    def law(self, machine: Machine) -> Laws | UserCode | None:
-        """The controllers at their beginning, for one run on a machine; None for open loop.
+    def law(self, machine: Machine) -> tuple[Compiled, ...] | tuple[UserCode]:
+        """The controllers at their beginning, for one run on a machine; none for open loop.
 
         Raises:
             InputError: a user's class that cannot be loaded, or raised.
         """
         if self.loop is None:
-            return None
-        laws, table = self.loop.laws, self.loop.references.table
-        if laws is None:
-            return UserCode(self.recipe, self.loop.design, machine.channels, machine.rate, table)
-        return laws.afresh(plays_of(machine))
+            return ()
+        design, table, plays = self.loop.design, self.loop.references.table, plays_of(machine)
+        if not self.loop.laws:
+            return (UserCode(self.recipe, design, machine.channels, machine.rate, table),)
+        return tuple(law.afresh(plays) for law in self.loop.laws)
 
     def rows(self, machine: Machine, sample: np.ndarray, count: int | None = None) -> Rows:
         """Rows as they are before the first tick; arguments as in `first_rows`, ``sample`` is the
@@ -252,7 +253,7 @@ class Prepared:
         """What every sample is compared with, from the first on."""
         loop, absent = self.loop, unmeasured_of(machine)
         measured = np.array([name not in absent for name in machine.channels])
-        driven, laws = ((), None) if loop is None else (loop.driven, loop.laws)
+        driven, laws = ((), ()) if loop is None else (loop.driven, loop.laws)
         return checks_of(self.recipe.limits, measured, self.cylinders, rows, driven, laws)
 
     def reached(self, machine: Machine, rows: Rows, row: int) -> Stop:
@@ -539,34 +540,33 @@ def _rest(design: Design) -> References:
 
 def _laws(
     recipe: TrialRecipe, driven: Sequence[Driven], tuning: Mapping[str, Any] | None
-) -> Laws | None:
-    """The built-in law of each cylinder, over its own motion; None for a user's class."""
+) -> tuple[Compiled, ...]:
+    """The built-in law of each cylinder, over its own motion; none for a user's class."""
     if recipe.controller is None or recipe.controller.code is not None:
-        return None
+        return ()
     built = []
     for item in driven:
         tuned_for = None if tuning is None else tuning.get("cylinder")
         known = tuning if len(driven) == 1 or tuned_for == item.cylinder else None
         table, rate = item.references.table, float(recipe.rate)
         built.append(controllers.compiled(item.recipe, item.design, known, table, rate))
-    return Laws(tuple(built))
+    return tuple(built)
 
 
-def _over(laws: Laws | None, driven: Sequence[Driven]) -> Laws | None:
-    """The laws over what their cylinders shall do, with what each is told beside it."""
-    if laws is None:
-        return None
-    parts = zip(laws.parts, tables_of(driven), strict=True)
-    return Laws(tuple(replace(part, references=table) for part, table in parts))
+def _over(laws: tuple[Compiled, ...], driven: Sequence[Driven]) -> tuple[Compiled, ...]:
+    """The laws over what their cylinders shall do, with what each uses of the others' motions."""
+    return tuple(
+        replace(law, references=table) for law, table in zip(laws, tables_of(driven), strict=False)
+    )
 
 
 def _together(
-    recipe: TrialRecipe, driven: tuple[Driven, ...], laws: Laws | None, low: float
+    recipe: TrialRecipe, driven: tuple[Driven, ...], laws: tuple[Compiled, ...], low: float
 ) -> tuple[tuple[Driven, ...], Plan | None]:
     """What the cylinders do together, as long as the recipe says; no plan where an operator moves
     them.
     """
-    rules = [_rules(item, None if laws is None else laws.parts[i]) for i, item in enumerate(driven)]
+    rules = [_rules(item, laws[i] if laws else None) for i, item in enumerate(driven)]
     share, plan = recipe.motion is not None and recipe.motion.share_flow, None
     if all(item.references.lever is None for item in driven):
         driven, plan = planned(driven, rules, low, share)
@@ -588,7 +588,7 @@ def _rules(item: Driven, part: Compiled | None) -> np.record:
 
 def _controlled_valves(loop: Loop) -> tuple[str, ...]:
     """Valves that built-in controllers command; a user's class may leave any to the recipe."""
-    if loop.laws is None:
+    if not loop.laws:
         return ()
     taken = []
     for item in loop.driven:

@@ -19,7 +19,7 @@ from ehbench.machines.protocol import Machine, heard_of, in_real_time, truth_of
 from ehbench.plant.build import links_of
 from ehbench.plant.model import Start
 from ehbench.plant.stiffness import short_steps
-from ehbench.trial.controllers import Compiled, Laws, controller_of, valve_fault
+from ehbench.trial.controllers import Compiled, controller_of, valve_fault
 from ehbench.trial.coordination import Driven
 from ehbench.trial.limit_cycle import limit_cycle
 from ehbench.trial.measures import (
@@ -32,7 +32,6 @@ from ehbench.trial.measures import (
 from ehbench.trial.operator import OperatorInput
 from ehbench.trial.preparation import Aftermath, Prepared, Stop, prepare
 from ehbench.trial.session import LiveLog, Session, Watcher
-from ehbench.trial.user_code import UserCode
 from ehbench.vocabulary.codes import LIMITS as LIMIT_BITS
 from ehbench.vocabulary.codes import SATURATED
 from ehbench.vocabulary.errors import InputError, SimulationError
@@ -274,20 +273,19 @@ def _on_beats(record: Record, machine: Machine) -> Record:
 
 
 def _run_facts(prepared: Prepared, session: Session, record: Record) -> Facts:
-    recipe, law, stop, rate = prepared.recipe, session.law, session.stop, session.machine.rate
+    recipe, stop, rate = prepared.recipe, session.stop, session.machine.rate
     warnings = [] if prepared.loop is None else list(prepared.loop.notes)
     for channel, count in zip(session.machine.channels, session.gaps.tolist(), strict=True):
         if count:
             warnings.append(message("trial.sensor_gaps", channel=channel, count=count))
     measures = {}
-    if isinstance(law, UserCode) and law.beyond:
-        counts = {"count": law.beyond, "ticks": session.end}
-        warnings.append(message("trial.beyond_driver", label=law.label, **counts))
-    if law is not None and prepared.loop is not None:
+    if session.user_code is not None and session.user_code.beyond:
+        counts = {"count": session.user_code.beyond, "ticks": session.end}
+        warnings.append(message("trial.beyond_driver", label=session.user_code.label, **counts))
+    if prepared.loop is not None:
         rows = session.end if stop is None else max(round(stop.t * rate) + 1, 2)
-        parts = law.parts if isinstance(law, Laws) else (law,)
         results = {}
-        for item, part in zip(prepared.loop.driven, parts, strict=True):
+        for item, part in zip(prepared.loop.driven, session.laws, strict=True):
             results[item.cylinder] = known = part.used | _measures(
                 record, item, rows, session.true_strokes
             )

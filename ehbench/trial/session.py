@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ from ehbench.machines.rows import (
 from ehbench.parts.sample import LineEntries
 from ehbench.runtime.interrupts import unbroken
 from ehbench.runtime.realtime import aside
-from ehbench.trial.controllers import Compiled, Laws
+from ehbench.trial.controllers import Compiled
 from ehbench.trial.lever import LEVER_CHANNELS
 from ehbench.trial.operator import (
     Operator,
@@ -133,19 +133,20 @@ class Session:
         self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that no log takes
         known = [quantity(name) for name in machine.channels]
         self._plausible = np.array([(row.lower, row.upper) for row in known]).T
-        self.law = prepared.law(machine)
-        self._refuse_blind(measured)
-        for part in self.law.parts if isinstance(self.law, Laws) else ():
+        self.laws = prepared.law(machine)
+        self.user_code = next((law for law in self.laws if isinstance(law, UserCode)), None)
+        compiled = [law for law in self.laws if isinstance(law, Compiled)]
+        self._refuse_blind(compiled, measured)
+        for part in compiled:
             law = part.controller
             if law.monitor is not None:  # what it finds stops the trial
                 alarm = self.rows.checks.alarms[law.axis.circuit.cylinder :][:1]
                 part.controller = law._replace(monitor=law.monitor._replace(alarm=alarm))
-        self._packed = packed(self.law)
-        self._step = getattr(self.law, "step", None)
+        self._packed = packed(self.laws)
+        self._step = None if self.user_code is None else self.user_code.step
         self._operator = None
         if operator is not None and levers_of(prepared):
-            parts = _parts(self.law)
-            self._operator = Operator(operator, prepared, parts, self.rows.checks)
+            self._operator = Operator(operator, prepared, self.laws, self.rows.checks)
         self._bind = advance_of(machine) if fast and self._operator is None else None
         often = self._step is not None
         self._advance = None if self._bind is None else self._bind(self.rows, self._packed, often)
@@ -164,13 +165,13 @@ class Session:
         self.stamps = np.zeros((prepared.t.size, len(self._stamps))) if stamped else None
         self._stretch = max(1, round(SESSION.look * machine.rate))
 
-    def _refuse_blind(self, measured: np.ndarray) -> None:
+    def _refuse_blind(self, laws: list[Compiled], measured: np.ndarray) -> None:
         """Refuse a law that needs a channel for which the machine has no sensor.
 
         Raises:
             InputError: names the channels.
         """
-        for part in self.law.parts if isinstance(self.law, Laws) else ():
+        for part in laws:
             needed = part.controller.observed
             if part.controller.monitor is not None:
                 needed = needed | watched(part.controller.axis, needed.size)
@@ -198,7 +199,7 @@ class Session:
             SimulationError: the numbers left the finite range.
             InputError: a user's class raised, or gave no commands.
         """
-        with self.law.watched() if isinstance(self.law, UserCode) else nullcontext():
+        with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
             except BaseException:
@@ -220,8 +221,8 @@ class Session:
 
     def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
         first = 0
-        if isinstance(self.law, UserCode):
-            self.law.start(self.rows.sample)
+        if self.user_code is not None:
+            self.user_code.start(self.rows.sample)
         begun = time.monotonic()
         while first < self.end:
             payloads, carry = self.prepared.payloads, carry_of(self.machine)
@@ -247,13 +248,13 @@ class Session:
         Raises:
             InputError: the trial would take longer than the settings allow.
         """
-        if not isinstance(self.law, UserCode) or seconds < SESSION.patience or done >= self.end:
+        if self.user_code is None or seconds < SESSION.patience or done >= self.end:
             return ""
         remaining = (self.end - done) * seconds / done
-        pace = {"label": self.law.label, "tick": seconds / done, "hours": remaining / 3600}
+        pace = {"label": self.user_code.label, "tick": seconds / done, "hours": remaining / 3600}
         slow = message("trial.slow_class", **pace)
         if remaining > SESSION.longest:
-            raise InputError(slow, file=self.law.code.file)
+            raise InputError(slow, file=self.user_code.code.file)
         return slow if remaining > 60.0 else ""
 
     def _through(self, first: int, stop: int) -> tuple[int, int]:
@@ -339,7 +340,7 @@ class Session:
         shut = np.where(self.prepared.shut_at_once(self.stop, before), 1.0, share)
         rows.commands[row:] = (1.0 - shut) * before + shut * rest
         self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
-        for law in _parts(self.law):
+        for law in self.laws:
             _let_go(law, row, self.end)
         self._packed = self._step = self._operator = None
         if self._bind is not None:
@@ -365,7 +366,7 @@ class Session:
 
     def telemetry(self, row: int) -> list[np.ndarray]:
         """A row of each controller's telemetry."""
-        return [part.telemetry[row] for part in _parts(self.law)]
+        return [part.telemetry[row] for part in self.laws]
 
     @property
     def true_strokes(self) -> np.ndarray | None:
@@ -391,7 +392,7 @@ class Session:
         if self.stamps is not None:
             stamps = self.stamps[part]
             channels |= {name: stamps[:, i].copy() for i, name in enumerate(self._stamps)}
-        for law in _parts(self.law):
+        for law in self.laws:
             telemetry = law.telemetry[part]
             channels |= {name: telemetry[:, i] for i, name in enumerate(law.channels)}
         for item in () if self.prepared.loop is None else self.prepared.loop.driven:
@@ -484,18 +485,11 @@ def _with_room(rows: Rows, count: int, rate: float) -> Rows:
     return rows._replace(t=t, **tables)
 
 
-def _parts(law: Laws | UserCode | None) -> tuple[Compiled | UserCode, ...]:
-    """What leaves telemetry in a trial."""
-    if law is None:
-        return ()
-    return (law,) if isinstance(law, UserCode) else law.parts
-
-
-def packed(law: Laws | UserCode | None) -> Controls | None:
-    """Built-in controllers as compiled code takes them; None for a class that steps in Python."""
-    if law is None or isinstance(law, UserCode):
-        return None
-    return tuple(LawRows(part.references, part.controller, part.telemetry) for part in law.parts)
+def packed(laws: Sequence[Compiled | UserCode]) -> Controls | None:
+    """Built-in controllers as compiled code takes them; None without, or for a user's class."""
+    built_in = [law for law in laws if isinstance(law, Compiled)]
+    rows = (LawRows(law.references, law.controller, law.telemetry) for law in built_in)
+    return tuple(rows) if built_in else None
 
 
 def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:

@@ -80,11 +80,12 @@ class RecipeController:
     def start(self, sample: np.ndarray) -> None:
         """As `Controller.start`."""
         prepared = self._prepared
-        self._law = prepared.law(prepared.machine)
+        laws = prepared.law(prepared.machine)
+        self._code = next((law for law in laws if isinstance(law, UserCode)), None)
         self._rows = prepared.rows(prepared.machine, self._taken(sample))
-        self._laws, self._row = packed(self._law), 0
-        if isinstance(self._law, UserCode):
-            self._law.start(self._rows.sample)
+        self._laws, self._row = packed(laws), 0
+        if self._code is not None:
+            self._code.start(self._rows.sample)
 
     def step(self, sample: np.ndarray) -> np.ndarray:
         """As `Controller.step`."""
@@ -94,8 +95,8 @@ class RecipeController:
         rows.sample[:] = self._taken(sample)
         if self._laws is not None:
             control(self._laws, row, rows)
-        elif isinstance(self._law, UserCode):
-            self._law.step(row, float(rows.t[row]), rows.sample, rows.commands[row])
+        elif self._code is not None:
+            self._code.step(row, float(rows.t[row]), rows.sample, rows.commands[row])
         self._row += 1
         return rows.commands[row].copy()
 

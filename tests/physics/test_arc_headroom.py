@@ -86,7 +86,7 @@ class Still:
     """A steady motion under a load [N] by a working function, as `provide_headroom` sees it."""
 
     def __init__(self, trial, function, load):
-        self.law = trial.loop.laws.afresh().parts[0].controller
+        self.law = trial.loop.laws[0].afresh().controller
         self.circuit = self.law.axis.circuit
         pressure = float(trial.rig.supply.pressure)
         self.p = Pressures(0.5 * pressure, 0.1 * pressure, pressure, 1e5)

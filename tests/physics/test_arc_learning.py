@@ -9,7 +9,7 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.model import Model
 from ehbench.trial import prepare, run
-from ehbench.trial.controllers import Laws
+from ehbench.trial.controllers import Compiled
 from tests.shared import RECIPES, shipped
 
 RIG = shipped("thesis_arm")
@@ -140,8 +140,9 @@ def test_a_machine_says_whether_its_valves_play(monkeypatch):
     trial = prepared("50 lb")
     for machine, width in ((other_valves(1.0, 0.0), 0.0), (plain_bench(1.0), 0.05)):
         laws = trial.law(machine)
-        assert isinstance(laws, Laws)
-        play = laws.parts[0].controller.axis.circuit.play
+        (law,) = laws
+        assert isinstance(law, Compiled)
+        play = law.controller.axis.circuit.play
         assert play.size == 5 and (play == width).all()
 
 

@@ -66,7 +66,7 @@ def moved(controller, *, rig=ARM, allow_code=False, **given):
 
 def closed(recipe, rig=ARM):
     """The compiled controller of a recipe, as its trial would run it."""
-    return prepare(recipe, rig).loop.laws.parts[0]
+    return prepare(recipe, rig).loop.laws[0]
 
 
 def closed_layout():
@@ -292,13 +292,13 @@ def test_a_built_in_law_is_given_its_channels_only(law, given, on, monkeypatch):
     seen, through = [], Session._through
 
     def watched(self, first, stop):
-        seen.append(self.law)
+        seen.append(self.laws)
         return through(self, first, stop)
 
     monkeypatch.setattr(Session, "_through", watched)
     record, _ = moved(law, on=on, payload="50 lb")
     names = sample_channels(closed_layout().cylinders)
-    last = seen[-1].parts[0].controller.given
+    last = seen[-1][0].controller.given
     assert {name for name, value in zip(names, last, strict=True) if not math.isnan(value)} == given
     assert all(np.isfinite(values).all() for values in record.channels.values())
 

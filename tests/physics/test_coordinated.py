@@ -58,7 +58,7 @@ def test_what_the_others_add_is_what_the_mechanism_asks_for(tmp_path):
     """The load's gravity and mass together are the whole torque of the equations of motion, but for
     joint damping."""
     prepared = prepare(trial(tmp_path), ARM)
-    part = prepared.loop.laws.parts[0]
+    part = prepared.loop.laws[0]
     axis = part.controller.axis
     n, rng = 3, np.random.default_rng(1)
     links, gravity = axis.mechanism.links, axis.mechanism.gravity

@@ -30,7 +30,7 @@ def ideal(gains, v_d, z_0, seconds, passes=lambda t, v: v):
     """(telemetry by name, stroke error [m]) of an actuator that moves as its metering edge passes
     oil at standing pressures; ``passes`` (t, speed) is what it makes of that.
     """
-    law = prepare(recipe(gains=gains), SLIDE).loop.laws.parts[0]
+    law = prepare(recipe(gains=gains), SLIDE).loop.laws[0]
     own, count = law.controller, round(seconds / T)
     circuit = own.axis.circuit
     sample = np.zeros(own.given.size)

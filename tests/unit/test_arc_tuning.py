@@ -90,7 +90,7 @@ def test_a_trial_takes_the_gains(tmp_path):
             "path": tmp_path / "trial.toml",
         }
     )
-    law = prepare(recipe, rig()).loop.laws.parts[0]
+    law = prepare(recipe, rig()).loop.laws[0]
     used = law.used["gains"]
     for name in CHOSEN:
         assert used[name] == pytest.approx(told[name], rel=0.02), name

@@ -31,12 +31,13 @@ from ehbench.links.responder import (
     Target,
 )
 from ehbench.links.serve import ServedTarget
-from ehbench.links.transport import STATE, TOKEN, VirtualLink
+from ehbench.links.transport import STATE, TOKEN
 from ehbench.trial import prepare, run, running
 from ehbench.validation import validate_rig
 from ehbench.vocabulary.errors import InputError
 from tests.shared import ROOT, shipped
 from tools.studies import link_study
+from tools.studies.link_study import VirtualLink
 
 RIG = shipped("slide_servo")
 LAYOUT = Layout.of(RIG)

@@ -16,7 +16,6 @@ from ehbench.links.arming import rehearsed
 from ehbench.links.client import LinkMachine
 from ehbench.links.layout import Layout
 from ehbench.links.serve import ServedTarget
-from ehbench.links.transport import VirtualLink
 from ehbench.live.joystick import Joystick, follow_stick
 from ehbench.live.view import View, facts_of
 from ehbench.machines.paced import PacedMachine
@@ -24,6 +23,7 @@ from ehbench.trial import prepare, run
 from ehbench.trial.lever import Lever
 from tests.shared import RECIPES, RIGS, refused, shipped
 from tests.unit.test_live import asked
+from tools.studies.link_study import VirtualLink
 
 PATH = RECIPES / "trials/position.toml"
 HAND = {"kind": "operator", "speed": "100 mm/s"}

@@ -22,9 +22,9 @@ from ehbench.config.recipe import Fault, TrialRecipe, load_rig
 from ehbench.data import read_log
 from ehbench.links.client import LinkMachine
 from ehbench.links.layout import Layout
-from ehbench.links.responder import STOPPED
+from ehbench.links.responder import STOPPED, Target
 from ehbench.links.serve import LINK_FAULTS, ServedTarget
-from ehbench.links.transport import VirtualLink
+from ehbench.links.transport import VirtualClock, vector
 from ehbench.runs.rundir import shipped
 from ehbench.runtime.cores import cores
 from ehbench.trial import Prepared, prepare, run
@@ -108,6 +108,29 @@ def trial(on: str = "bench", **keys) -> Prepared:
     given |= {"limits": {"stroke_margin": f"{MARGIN!r} m"}, **keys}
     path = shipped("recipes") / "trials" / "position.toml"
     return prepare(TrialRecipe(stage="trial", rig="x", on=on, path=path, **given), RIG)
+
+
+class VirtualLink:
+    """A target in this process, whose time the host's vectors drive: the same datagrams, as fast
+    as they can be computed.
+    """
+
+    virtual = True
+
+    def __init__(self, target: Target) -> None:
+        self.target, self._clock, self._waiting = target, VirtualClock(target), b""
+
+    def send(self, numbers: np.ndarray) -> None:
+        """As `Link.send`."""
+        self._waiting = self._clock.answer(numbers.astype("<f8").tobytes())
+
+    def receive(self, timeout: float) -> list[np.ndarray]:
+        """As `Link.receive`, at once."""
+        taken, self._waiting = self._waiting, b""
+        return [vector(taken)] if taken else []
+
+    def close(self) -> None:
+        """As `Link.close`."""
 
 
 def outcome(base: Prepared, fault: Fault, seed: int, log: Path) -> Outcome:
