@@ -322,7 +322,7 @@ def carries(share):
 
 def closed_by_oil(share):
     price = motion().standard
-    unit = motion(pressed=1e5).kept / price
+    unit = motion(pressed=1e5).retained / price
     return motion(pressed=1e5 * share / unit).closed
 
 
