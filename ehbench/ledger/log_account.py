@@ -10,12 +10,12 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.ledger.loads import Loads
 from ehbench.ledger.powers import COMPRESSION, OF, PUMP, SUPPLY_LINE, power_at
-from ehbench.ledger.quadrature import flows_at, powers_at
+from ehbench.ledger.quadrature import flows_at, powers_at, stiffness_at
 from ehbench.ledger.readings import Readings, noise_of, read_log
 from ehbench.ledger.sheet import Ledger, Sheet, must_have_samples, oil_drawn, payload_of
 from ehbench.parts.edge import MAP
 from ehbench.parts.nodes import SUPPLY, TANK
-from ehbench.parts.oil import bulk, bulk_of
+from ehbench.parts.oil import bulk
 from ehbench.plant.build import Maps, map_of
 from ehbench.plant.model import Model
 from ehbench.plant.valves import follow_friction, follow_parts, follow_valves, opening_of
@@ -104,7 +104,7 @@ class Account:
             oil = [row.volume_head, row.volume_rod] + np.outer(x, areas)
             across = row.leakage_internal * (p[:, :1] - p[:, 1:]) * [1.0, -1.0]
             lost = across + [row.leakage_head, row.leakage_rod] * (p - m.p_tank[:, None])
-            stiff = np.vectorize(lambda pressure, row=row: bulk_of(row, pressure))(p)
+            stiff = stiffness_at(plant.cylinders, c, p)
             pressed = 0.5 * (oil / stiff)[1:] + 0.5 * (oil / stiff)[:-1]
             taken = np.diff(oil, axis=0) + pressed * np.diff(p, axis=0)
             taken += 0.5 * dt * (lost[1:] + lost[:-1])

@@ -7,6 +7,7 @@ import numpy as np
 
 from ehbench.ledger.powers import powers, stores
 from ehbench.parts.nodes import TANK
+from ehbench.parts.oil import bulk_of
 from ehbench.parts.valve.delay import line_acting, line_push
 from ehbench.physics import arm
 from ehbench.plant.derivatives import derivatives
@@ -87,6 +88,16 @@ def powers_at(states, commands, flows, tank, plant, owner, out):
     for i in range(states.shape[0]):
         plant.nodes[TANK].pressure = tank[i]
         powers(states[i], commands[i], flows[i], plant, owner, out[i])
+
+
+@allocating_kernel
+def stiffness_at(cylinders, c, pressures):
+    """Bulk modulus [Pa] of the oil of cylinder ``c`` at pressures [Pa], shape (samples, 2)."""
+    out = np.empty(pressures.shape)
+    for i in range(pressures.shape[0]):
+        for side in range(pressures.shape[1]):
+            out[i, side] = bulk_of(cylinders[c], pressures[i, side])
+    return out
 
 
 @allocating_kernel
