@@ -55,13 +55,13 @@ def _text(style: str, file: str, columns: list[tuple[str, str, str]], **given: A
     """Register a text file of the table `recorder_files.toml`."""
     names = [name for name, _, _ in columns]
     mark, form = given.get("mark", ","), given.get("form", "{:.4f}")
-    decimal = "," if mark == ";" else "."
+    decimal, units = "," if mark == ";" else ".", given.get("cells", [""] * len(columns))
 
     def write(path: Path) -> None:
         rows = [mark.join(names)] + ([given["units"]] if "units" in given else [])
         for n in range(T.size):
             cells = [form.format(SIGNALS[kind][n]).replace(".", decimal) for _, kind, _ in columns]
-            rows.append(mark.join(cells))
+            rows.append(mark.join(map(str.__add__, cells, units)))
         text = given.get("head", "") + "\r\n".join(rows) + "\r\n"
         path.write_bytes(text.encode(given.get("encoding", "utf-8")))
 

@@ -16,6 +16,7 @@ from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.runtime.memory import available, refuse_beyond
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.units import named_unit
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
 _MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
@@ -23,12 +24,15 @@ _LINE_END = re.compile("\r\n|\r|\n")
 _OTHER = {".": ",", ",": "."}
 _GROUPING = "\u00a0\u202f\u2009'\u2019"  # spaces and apostrophes, which only ever group digits
 _MINUS = {0x2212: "-"}
+_FORTRAN = {ord("d"): "e", ord("D"): "e"}
+_PADDING = re.compile(rb"\0{4,}\Z")  # of a file that a recorder made larger beforehand
 _QUOTES = re.compile(r'(?:^|[,;\t])\s*"[^"]*(?:""[^"]*)*$')  # a cell that goes on in the next line
 _LINES_OF_A_CELL = 8
 _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 # a mark before three digits: the decimal sign, or what groups them
 _TWO_READINGS = re.compile(r"[-+\u2212]?[1-9][0-9]{0,2}([.,])[0-9]{3}")
 _BLOCK = 512  # rows that are read at once
+_MEASURED = re.compile(r"(.*[0-9.,])\s*([^\W\d_].*|%|°.*)")
 _QUOTED = 60  # characters of a cell in a message
 
 
@@ -44,7 +48,7 @@ def _grammar(decimal: str) -> str:
     whole = rf"(?:{grouped}(?:(?P=mark)[0-9]{{3}})*|[0-9]+)"
     tail = "[0-9]*" if decimal == "." else "[0-9]+"
     sign = re.escape(decimal)
-    return rf"[-+\u2212]?(?:{whole}(?:{sign}{tail})?|{sign}[0-9]+)(?:[eE][-+\u2212]?[0-9]+)?"
+    return rf"[-+\u2212]?(?:{whole}(?:{sign}{tail})?|{sign}[0-9]+)(?:[eEdD][-+\u2212]?[0-9]+)?"
 
 
 @lru_cache(maxsize=1 << 16)
@@ -53,7 +57,14 @@ def number(cell: str, decimal: str = ".") -> float | None:
     if not re.fullmatch(_grammar(decimal), cell):
         return None
     dropped = dict.fromkeys(map(ord, _GROUPING + _OTHER[decimal]))
-    return float(cell.translate(dropped | _MINUS | {ord(decimal): "."}))
+    return float(cell.translate(dropped | _MINUS | _FORTRAN | {ord(decimal): "."}))
+
+
+def measured(cell: str, decimal: str = ".") -> tuple[str, str] | None:
+    """(number as it stands, unit) of a cell such as ``0.01 sec``, None of any other."""
+    match = _MEASURED.fullmatch(cell)
+    known = match and number(match[1], decimal) is not None and named_unit(match[2])
+    return (match[1], match[2]) if match and known else None
 
 
 def _holds(text: str, separator: str, mark: str, pattern: str) -> bool:
@@ -141,6 +152,7 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
             raise LogError(message("data.gzip_breaks_off"), file=path)
     refuse_beyond(COPIES * len(data), "reading it")
     marked = [name for mark, name in _MARKS.items() if data.startswith(mark)]
+    data = _PADDING.sub(b"", data)
     if not marked and b"\0" in data:  # every second byte of western text in UTF-16
         low_first = data[1::2].count(0) >= data[::2].count(0)
         marked = ["utf-16-le" if low_first else "utf-16-be"]

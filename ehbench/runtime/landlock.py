@@ -21,7 +21,9 @@ class _Rule(ctypes.Structure):
 def system_paths() -> list[Path]:
     """What Python and its libraries read while they work: modules, time zones, the machine."""
     system = ("/usr", "/lib", "/lib64", "/proc", "/sys", "/etc/localtime", "/dev/null")
-    return [Path(name) for name in (*system, sys.prefix, sys.base_prefix, *sys.path) if name]
+    package = Path(__file__).parents[1]  # an editable install is on no path
+    python = (sys.prefix, sys.base_prefix, *sys.path)
+    return [package, *(Path(name) for name in (*system, *python) if name)]
 
 
 def restrict(readable: Iterable[Path], writable: Path) -> bool:

@@ -17,6 +17,7 @@ from ehbench.data.readers import READERS, Reader, open_source
 from ehbench.runtime.confined import Bounds, Ended, confined
 from ehbench.runtime.landlock import restrict
 from ehbench.vocabulary.errors import LogError
+from tests.shared import ROOT
 
 SMALL = Bounds(memory=5e8, seconds=2.0, wait=20.0)
 
@@ -167,3 +168,10 @@ def test_a_child_opens_its_file_and_no_other(tmp_path):
         pytest.skip("this system has no Landlock")
     assert result == b"given refused refused refused refused"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["given", "other"]
+
+
+def test_a_confined_reader_finds_the_files_of_the_package_however_it_is_installed(monkeypatch):
+    monkeypatch.setattr(sys, "path", [name for name in sys.path if not (ROOT / name) == ROOT])
+    texts = ROOT / "ehbench/vocabulary/messages/data.toml"
+    result = confined(lambda pipe: pipe.write(texts.read_bytes()), SMALL)
+    assert result == texts.read_bytes()

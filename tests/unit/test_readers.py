@@ -462,3 +462,21 @@ def test_a_clock_that_mostly_stands_ends_no_reading_without_checks(tmp_path):
 def test_a_table_with_a_time_is_no_flowmeters(header, readings, tmp_path):
     (tmp_path / "a.csv").write_text(header + "\n" + "1,2,3,4\n")
     assert is_flowmeter(tmp_path / "a.csv") is readings
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "values", "odd"),
+    [
+        ("t,p\n0 sec,1.5 bar\n1 sec,-2 bar\n", "bar", [1.5, -2.0], {}),
+        ('t;p\n"0";"1,5 °C"\n"1";"2,25 °C"\n', "°C", [1.5, 2.25], {}),
+        ("t,p\n0,1.5 bar\n1,2 mbar\n2,3\n", "bar", [1.5, np.nan, 3.0], {1: "2 mbar"}),
+        ("t p\n0 1.5D+02\n1 -2.5d-1\n", "", [150.0, -0.25], {}),
+        ("t,p\n0,1.5\n1,2\n" + "\0" * 512, "", [1.5, 2.0], {}),
+    ],
+)
+def test_what_stands_beside_digits_changes_no_number(text, unit, values, odd, tmp_path):
+    """Units in the cells, the exponents of Fortran, the padding of a file made larger."""
+    (tmp_path / "a.txt").write_text(text, "utf-8")
+    column = open_source(tmp_path / "a.txt").tables[0].columns[-1]
+    np.testing.assert_array_equal(column.values, values)
+    assert (column.unit, column.odd) == (unit, odd)

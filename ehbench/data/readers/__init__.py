@@ -53,7 +53,7 @@ class Reader(NamedTuple):
 
 ZIP = b"PK\x03\x04"
 READERS = (
-    Reader("text", (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm"), "delimited"),
+    Reader("text", (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".log"), "delimited"),
     Reader("MDF", (".mf4", ".mdf", ".dat"), "mdf", "asammdf", (b"MDF     ", b"UnFinMF ")),
     Reader("TDMS", (".tdms",), "tdms", "nptdms", (b"TDSm",)),
     Reader("MAT", (".mat",), "mat", "", (b"MATLAB 5.0 MAT-file",)),

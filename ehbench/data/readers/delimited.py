@@ -31,7 +31,9 @@ from ehbench.data.text import (
     cells_of,
     lines_of,
     long_integers,
+    measured,
     numbers,
+    split,
     text_of,
     two_readings,
 )
@@ -73,7 +75,7 @@ def _table_of(
     width = len(layout.kinds)
     names = column_names((top + [""] * width)[:width])
     at = [n for n in range(layout.first, len(lines)) if is_row(lines[n], separator)]
-    rows = [lines[n] for n in at]
+    rows, units_of_cells = _without_units([lines[n] for n in at], marks)
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
     widest = 0 if separator == "\t" else max(width, len(top))  # no number holds a tab
     values, odd = numbers(rows, separator, decimal, of_numbers, widest)
@@ -97,6 +99,7 @@ def _table_of(
         if kind == "numbers":
             place = of_numbers.index(index)
             unit = "ns" if index in ticks else "".join(units[index : index + 1])
+            unit = units_of_cells.get(index, unit)
             if index < len(top) and names[index] != top[index]:  # numbered behind its unit
                 unit = unit or unit_in(top[index])
             doubt = doubts.get(index)
@@ -122,6 +125,24 @@ def _table_of(
     skip = layout.first if layout.header is None else layout.header
     unit_row = layout.units is not None
     return table, Dialect(separator, decimal, skip, unit_row, day_first=dialect.day_first)
+
+
+def _without_units(rows: list[str], marks: tuple[str, str]) -> tuple[list[str], dict[int, str]]:
+    """(rows, unit by column) once the units that stand behind numbers are taken away: those of the
+    first row. A cell in another unit stays as it is.
+    """
+    separator, decimal = marks
+    first = enumerate(split(rows[0], separator) if separator != " " else ())
+    units = {index: pair[1] for index, cell in first if (pair := measured(cell, decimal))}
+    results = []
+    for row in rows if units else ():
+        cells = split(row, separator)
+        for index, unit in units.items():
+            pair = measured(cells[index], decimal) if index < len(cells) else None
+            if pair and pair[1] == unit:
+                cells[index] = pair[0]
+        results.append(separator.join(f'"{x}"' if separator in x else x for x in cells))
+    return results or rows, units
 
 
 def _dated(cells: dict[int, list[str]], kinds: Sequence[str]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from itertools import islice
 
 from ehbench.data.readers.clock import is_time
 from ehbench.data.readers.table import Dialect
-from ehbench.data.text import is_hole, number, split
+from ehbench.data.text import is_hole, measured, number, split
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import absolute_unit, named_unit
@@ -62,7 +62,7 @@ def is_row(line: str, separator: str) -> bool:
 
 def _kind(cell: str, decimal: str) -> str:
     """What a cell holds: a number, a time of day, nothing, or words."""
-    if number(cell, decimal) is not None:
+    if number(cell, decimal) is not None or measured(cell, decimal):
         return "numbers"
     if is_hole(cell):
         return "holes"
