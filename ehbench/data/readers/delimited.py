@@ -98,8 +98,8 @@ def _table_of(
     for index, kind in enumerate(kinds):
         if kind == "numbers":
             place = of_numbers.index(index)
-            unit = "ns" if index in ticks else "".join(units[index : index + 1])
-            unit = units_of_cells.get(index, unit)
+            unit = units_of_cells.get(index, "".join(units[index : index + 1]))
+            unit = "ns" if index in ticks else unit
             if index < len(top) and names[index] != top[index]:  # numbered behind its unit
                 unit = unit or unit_in(top[index])
             doubt = doubts.get(index)
@@ -120,11 +120,10 @@ def _table_of(
     start, step = layout.clock or (0.0, 0.0)
     t = start + step * np.arange(len(rows)) if step else None
     daytime = None if began is not None else daytime
-    at = [before + n + 1 for n in at]
-    table = SourceTable(name, tuple(columns), t, began, at, words, daytime)
+    numbered = [before + n + 1 for n in at]
+    table = SourceTable(name, tuple(columns), t, began, numbered, words, daytime)
     skip = layout.first if layout.header is None else layout.header
-    unit_row = layout.units is not None
-    return table, Dialect(separator, decimal, skip, unit_row, day_first=dialect.day_first)
+    return table, Dialect(*marks, skip, layout.units is not None, day_first=dialect.day_first)
 
 
 def _without_units(rows: list[str], marks: tuple[str, str]) -> tuple[list[str], dict[int, str]]:
