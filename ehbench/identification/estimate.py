@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +30,7 @@ from ehbench.identification.problem import (
 )
 from ehbench.identification.results import HydraulicsFit, read_off
 from ehbench.identification.sensitivity import doubts_of
-from ehbench.identification.uncertainty import Error, errors_of, result_of
+from ehbench.identification.uncertainty import errors_of, result_of
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
@@ -68,11 +68,6 @@ class EstimateSettings:
 SETTINGS = EstimateSettings()
 
 
-def fit(problem: Problem) -> HydraulicsFit:
-    """The result of a fit: `estimate` without its state."""
-    return estimate(problem)[0]
-
-
 def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
     """(the result of a fit, where it stands): search, weigh and solve until no parameter is lost or
     comes near a bound.
@@ -101,7 +96,13 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
         state = evaluate(problem, state)
         errors = errors_of(problem, state)
         lost = [i for i, error in errors.by_index.items() if error.kind == "not_excited"]
-        near = _near_bounds(problem, state, errors.by_index)
+        near = {}  # bounds that parameters come near and that their intervals do not exclude
+        for i in (i for i in state.free if i in errors.by_index):
+            c, error = problem.search[i], errors.by_index[i]
+            for bound in c.bounds:
+                off = abs(state.theta[i] - bound)
+                if 0.0 < off < min(SETTINGS.near * c.reach, error.quantile * error.std):
+                    near[i] = bound
         if not lost and not near:
             break
         state = _over_ranges(problem, state, lost)
@@ -192,11 +193,11 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
         channels = {read_off(name, problem.logs) for name in names}
         if None in channels:
             raise InsufficientData(message("identification.nothing_told", names=", ".join(names)))
-        listed = " and ".join(sorted(filter(None, channels)))
-        names_text = ", ".join(names)
-        raise InsufficientData(
-            message("identification.only_channels", names=names_text, channels=listed)
-        )
+        fields = {
+            "names": ", ".join(names),
+            "channels": " and ".join(sorted(filter(None, channels))),
+        }
+        raise InsufficientData(message("identification.only_channels", **fields))
     return state
 
 
@@ -207,7 +208,7 @@ def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[
     others = replace(state, free=tuple(k for k in state.free if k != i))
     blocks = linearised(problem, others, others.free)
     rises, effect = np.zeros(len(points)), 0.0
-    residuals, here = scaled(problem, state, state.here.residuals), cost(problem, state)
+    residuals, here = scaled(problem, state), cost(problem, state)
     for n, value in enumerate(points):
         theta = state.moved(i, value).theta
         moved = residuals_at(problem, state, [theta])[0]
@@ -261,17 +262,3 @@ def _interval_ends(
             inner, outer = (inner, middle) if rise > limit else (middle, outer)
         ends.append(problem.search[i].bounds[side > 0] if outer is None else outer)
     return (ends[0], ends[1]), *lowest
-
-
-def _near_bounds(problem: Problem, state: State, errors: Mapping[int, Error]) -> dict[int, float]:
-    """Bounds, by index, that free parameters come near and that their intervals do not exclude."""
-    results = {}
-    for i in state.free:
-        c, error = problem.search[i], errors.get(i)
-        if error is None:
-            continue
-        for bound in c.bounds:
-            off = abs(state.theta[i] - bound)
-            if 0.0 < off < min(SETTINGS.near * c.reach, error.quantile * error.std):
-                results[i] = bound
-    return results

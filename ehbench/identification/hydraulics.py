@@ -24,7 +24,7 @@ from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.rig import Cylinder, Rig
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import Averaging
-from ehbench.identification.estimate import fit
+from ehbench.identification.estimate import estimate
 from ehbench.identification.frequency_domain import on_response
 from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
@@ -294,7 +294,8 @@ def run_fit(
         simulator.replay(starts, simulator.unshifted())
     if requested.method == "thesis":
         return Matching(simulator, search, progress or (lambda text, share: None), maximum).fit()
-    return fit(problem_of(simulator, search, progress, maximum, requested.cutoff, journal))
+    problem = problem_of(simulator, search, progress, maximum, requested.cutoff, journal)
+    return estimate(problem)[0]
 
 
 def simulator_of(prepared: PreparedFit, logs: Sequence[Log]) -> Simulator:
@@ -334,10 +335,8 @@ def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
     """
     for name in variants:
         if name not in rig.dynamics:
-            known = ", ".join(rig.dynamics) or "none"
-            raise InputError(
-                message("identification.no_dynamics", rig=rig.name, name=name, known=known)
-            )
+            fields = {"rig": rig.name, "name": name, "known": ", ".join(rig.dynamics) or "none"}
+            raise InputError(message("identification.no_dynamics", **fields))
     if not any(set(valve.series) & set(variants) for _, valve in rig.valves()):
         names = ", ".join(variants)
         raise InputError(message("identification.unused_dynamics", rig=rig.name, names=names))

@@ -330,10 +330,11 @@ def residuals_at(
 def scaled(
     problem: Problem,
     state: State,
-    residuals: Sequence[np.ndarray],
+    residuals: Sequence[np.ndarray] | None = None,
     chosen: Sequence[int] | None = None,
 ) -> list[np.ndarray]:
-    """Residuals divided by their channels' scales."""
+    """Residuals, by default those of the state, divided by their channels' scales."""
+    residuals = state.here.residuals if residuals is None else residuals
     return [
         part / by_channel(state.scales, log)
         for part, log in zip(residuals, problem.simulator.chosen(chosen), strict=True)
@@ -342,7 +343,7 @@ def scaled(
 
 def squares(problem: Problem, state: State) -> float:
     """Sum of the squared scaled residuals."""
-    return sum(float(np.sum(r**2)) for r in scaled(problem, state, state.here.residuals))
+    return sum(float(np.sum(r**2)) for r in scaled(problem, state))
 
 
 def cost(problem: Problem, state: State) -> float:
@@ -447,7 +448,7 @@ def linearised(
     """
     columns = jacobian(problem, state, which)
     starts = start_jacobian(problem, state) if start_columns is None else start_columns
-    residuals = scaled(problem, state, state.here.residuals)
+    residuals = scaled(problem, state)
     blocks = []
     for k, log in enumerate(problem.logs):
         size, shifts = by_channel(state.scales, log), state.here.shifts[k]
@@ -474,7 +475,7 @@ def weighed(problem: Problem, state: State, scales: bool = True) -> State:
             for channel, spread in problem.spread.items()
         }
         state = replace(state, scales=sizes)
-    return replace(state, prior_weight=prior_weight(scaled(problem, state, state.here.residuals)))
+    return replace(state, prior_weight=prior_weight(scaled(problem, state)))
 
 
 def effects(

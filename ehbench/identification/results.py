@@ -330,8 +330,14 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
             moving.setdefault(name, []).append(replayed)
     laws = simulator.rig.model is None  # nobody knows what the numbers of an FMU count on
     known = [item.name for item in result.fitted if laws and item.interval is not None]
+    count = len(logs)
+    source = f"identified from {count} log{'s' if count > 1 else ''}, {result.method}"
+    values = {}
+    for item in (item for item in result.fitted if item.status != "not_excited"):
+        facts = {"std": item.std, "lower": item.lower, "upper": item.upper, "source": source}
+        values[item.name] = Value(item.value, sure="identified", **facts)
     return HydraulicsFit(
-        rig=_identified(simulator.rig, result, len(simulator.logs)),
+        rig=simulator.rig.with_values(values),
         method=result.method,
         parameters=tuple(result.fitted),
         correlated_names=tuple(result.names),
@@ -375,16 +381,6 @@ def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[s
             key = "identification.closed_deadband" if shut else "identification.at_bound"
             warnings.append(message(key, side="lower" if is_low else "upper", **fields))
     return warnings
-
-
-def _identified(rig: Rig, result: Estimate, count: int) -> Rig:
-    """The rig with the values that ``count`` logs tell."""
-    source = f"identified from {count} log{'s' if count > 1 else ''}, {result.method}"
-    values = {}
-    for item in (item for item in result.fitted if item.status != "not_excited"):
-        known = {"std": item.std, "lower": item.lower, "upper": item.upper, "source": source}
-        values[item.name] = Value(item.value, sure="identified", **known)
-    return rig.with_values(values)
 
 
 def _log_fit(log: Log, simulated: np.ndarray, cutoff: float | None) -> LogFit:

@@ -134,8 +134,20 @@ def coordinates(
     """
     given = {"start": dict(start or {}), "lower": dict(lower or {}), "upper": dict(upper or {})}
     given["prior"] = dict(prior or {})
-    _refuse_unknown(rig, names, given, where)
     known = rig.parameters()
+    for key, table in {"parameters": names, **given}.items():
+        for name in table:
+            place = where(key) if key == "parameters" else where(key, name)
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                text = message("identification.no_parameter", rig=rig.name, name=name)
+                hint = f"nearest is '{near[0]}'" if near else None
+                raise InputError(text, **place, hint=hint)
+            if name not in names:
+                fields = {"key": key, "name": name, "fitted": ", ".join(names)}
+                raise InputError(message("identification.not_fitted", **fields), **place)
+    if not names or len(set(names)) < len(names):
+        raise InputError(message("identification.parameters_once"), **where("parameters"))
     return [_coordinate(rig, name, known[name], given, where) for name in names]
 
 
@@ -158,25 +170,6 @@ def of_sensors(terms: Sequence[Term]) -> list[Coordinate]:
         for term in terms
         if term.std > 0.0 and not term.per_log
     ]
-
-
-def _refuse_unknown(
-    rig: Rig, names: Sequence[str], given: Mapping[str, Given], where: Where
-) -> None:
-    known = rig.parameters()
-    for key, table in {"parameters": names, **given}.items():
-        for name in table:
-            place = where(key) if key == "parameters" else where(key, name)
-            if name not in known:
-                near = get_close_matches(name, known, 1)
-                text = message("identification.no_parameter", rig=rig.name, name=name)
-                hint = f"nearest is '{near[0]}'" if near else None
-                raise InputError(text, **place, hint=hint)
-            if name not in names:
-                fields = {"key": key, "name": name, "fitted": ", ".join(names)}
-                raise InputError(message("identification.not_fitted", **fields), **place)
-    if not names or len(set(names)) < len(names):
-        raise InputError(message("identification.parameters_once"), **where("parameters"))
 
 
 def _coordinate(

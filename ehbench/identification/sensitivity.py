@@ -116,7 +116,18 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
     limit = SETTINGS.effort * took
     asked, unasked = _screened(fit, state, effort, round(SETTINGS.first * limit))
     suspects = _promising(fit, result, asked, effort)
-    warnings = _gain_fixed(fit, result, [item for item in suspects if item.row.kind == "gain"][:1])
+    warnings = []
+    for item in [item for item in suspects if item.row.kind == "gain"][:1]:
+        std = _release(fit, result, item, 0.0).std
+        if abs(item.delta) > SETTINGS.surely * std:
+            fields = {
+                "name": ", ".join(item.row.parameters),
+                "move": 100.0 * item.delta,
+                "half": 100.0 * Z95 * std,
+                "share": item.explains,
+                "remedy": item.row.remedy(fit.simulator.rig, item.delta),
+            }
+            warnings.append(message("identification.gain_fixed", **fields))
     confirmed: list[tuple[Hypothesis, Lean]] = []
     for item in suspects:
         # to first order about a wrong fit half of what a number moves is easily missed
@@ -131,24 +142,7 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
     ]
     likely.sort(key=lambda pair: (pair[0].certainty, -pair[1].explains))
     leans = tuple(replace(i, sentence=_sentence(fit, row, i)) for row, i in likely)
-    return Doubts(warnings, leans, unasked)
-
-
-def _gain_fixed(fit: Problem, result: Errors, some: Sequence[_Suspect]) -> tuple[str, ...]:
-    """A warning of each fixed gain that the logs surely would have otherwise."""
-    warnings = []
-    for item in some:
-        std = _release(fit, result, item, 0.0).std
-        if abs(item.delta) > SETTINGS.surely * std:
-            fields = {
-                "name": ", ".join(item.row.parameters),
-                "move": 100.0 * item.delta,
-                "half": 100.0 * Z95 * std,
-                "share": item.explains,
-                "remedy": item.row.remedy(fit.simulator.rig, item.delta),
-            }
-            warnings.append(message("identification.gain_fixed", **fields))
-    return tuple(warnings)
+    return Doubts(tuple(warnings), leans, unasked)
 
 
 def _only_noise(fit: Problem, state: State) -> bool:
@@ -211,7 +205,7 @@ def _screened(
     """(the rows that change something in the log that is followed worst of those that show them, or
     in all logs where no simulation is needed for it; the names of rows beyond ``count``).
     """
-    rows, left = _fixed_rows(fit, state), [float(np.sum(r**2)) for r in _scaled(fit, state)]
+    rows, left = _fixed_rows(fit, state), [float(np.sum(r**2)) for r in scaled(fit, state)]
     shown = {row: _read_off(fit, state, row) for row in rows}
     asked = [row for row in rows if shown[row] is None]
     asked.sort(key=lambda row: row.certainty)
@@ -224,10 +218,6 @@ def _screened(
         suspects.append(_Suspect(row, parts, tuple(sorted(known))))
     suspects = [item for item in suspects if any(map(np.any, item.columns))]
     return suspects, tuple(row.name for row in asked[count:])
-
-
-def _scaled(fit: Problem, state: State) -> list[np.ndarray]:
-    return scaled(fit, state, state.here.residuals)
 
 
 def _logs_of(fit: Problem, row: Hypothesis) -> list[int]:

@@ -178,7 +178,11 @@ def prepare(
     rig = model.rig
     record, doubts = preprocess(name, record, model)
     warnings = [f"{name}: {text}" for text in doubts]
-    requested = [cylinder.name for cylinder in rig.cylinder if _is_commanded(cylinder, record)]
+    requested = [
+        cylinder.name
+        for cylinder in rig.cylinder
+        if any(np.ptp(record[c]) > minimum for c, minimum in _commands(cylinder, record).items())
+    ]
     live = [c.name for c in rig.cylinder if c.name in requested or _moves(c, record)]
     if not requested:
         raise InsufficientData(message("identification.no_command_changes", log=name, rig=rig.name))
@@ -218,12 +222,27 @@ def _counts(
     """
     messages: list[str] = []
     counts = np.ones((record.t.size, len(channels)), dtype=bool)
+    limit = SETTINGS.empty * float(rig.oil.cavitation_pressure)
+    ahead = round(SETTINGS.emptying / record.sample_time)
     for cylinder in rig.cylinder:
-        void = _cavitates(rig, cylinder, record)
+        ends = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
+        pressures = [record[channel] for channel in ends if channel in record]
         columns = [
-            i for i, channel in enumerate(channels) if channel.startswith(cylinder.name + ".")
+            i for i, channel in enumerate(channels) if channel.startswith(f"{cylinder.name}.")
         ]
-        if columns and void.any():
+        if not pressures or not columns:
+            continue
+        void, lowest = np.zeros(record.t.size, dtype=bool), np.min(pressures, axis=0)
+        commands = _commands(cylinder, record)
+        table = np.column_stack([record[channel] for channel in commands] or [0.0 * record.t])
+        minimum = np.array(list(commands.values())) if commands else 0.0
+        starts = [window.start for window in transients(record.t, table, least=minimum)]
+        stops = np.array([*starts, record.t.size])
+        for first in np.flatnonzero(lowest < limit):  # void until a command changes
+            if not void[first]:
+                stop = int(stops[np.searchsorted(stops, first, side="right")])
+                void[max(0, first - ahead) : stop + ahead] = True
+        if void.any():
             counts[np.ix_(void, np.array(columns))] = False
             fields = {"t": record.t[int(np.argmax(void))], "share": 100 * np.mean(void)}
             fields |= {"log": name, "cylinder": cylinder.name}
@@ -260,12 +279,6 @@ def shut(model: Model, log: Log) -> str | None:
             fields = {"channel": channel, "maximum": maximum, "edge": name, "onset": onset}
             closest = onset - maximum, message("identification.within_deadband", **fields)
     return closest[1] if closest else message("identification.opens_nothing")
-
-
-def _is_commanded(cylinder: Cylinder, record: Record) -> bool:
-    """Whether a command of the cylinder changes."""
-    commands = _commands(cylinder, record)
-    return any(np.ptp(record[channel]) > command for channel, command in commands.items())
 
 
 def _moves(cylinder: Cylinder, record: Record) -> bool:
@@ -313,28 +326,6 @@ def _columns(record: Record, live: Sequence[str], required: Sequence[str]) -> di
             if values is not None and np.ptp(values) > 0.0:
                 columns.setdefault(choice, values)
     return columns
-
-
-def _cavitates(rig: Rig, cylinder: Cylinder, record: Record) -> np.ndarray:
-    """Where a recorded chamber is empty, or has been and no command of the cylinder has changed
-    since, shape (samples,).
-    """
-    channels = [f"{cylinder.name}.{word}" for word in ("p_head", "p_rod")]
-    pressures = [record[channel] for channel in channels if channel in record]
-    void = np.zeros(record.t.size, dtype=bool)
-    lowest = np.min(pressures, axis=0, initial=np.inf) if pressures else np.full(void.size, np.inf)
-    limit = SETTINGS.empty * float(rig.oil.cavitation_pressure)
-    ahead = round(SETTINGS.emptying / record.sample_time)
-    commands = _commands(cylinder, record)
-    table = np.column_stack([record[channel] for channel in commands] or [0.0 * record.t])
-    minimum = np.array(list(commands.values())) if commands else 0.0
-    starts = [window.start for window in transients(record.t, table, least=minimum)]
-    stops = np.array([*starts, record.t.size])
-    for first in np.flatnonzero(lowest < limit):
-        if not void[first]:
-            stop = int(stops[np.searchsorted(stops, first, side="right")])
-            void[max(0, first - ahead) : stop + ahead] = True
-    return void
 
 
 # model (None: there is none), log, shifts of its start, bias of all logs' sensors, steps, slack
@@ -471,11 +462,6 @@ class Simulator:
         except (EhbenchError, ArithmeticError):
             return None, FREE
 
-    def _replay(self, task: tuple[Model, Log, np.ndarray, dict[str, float]]) -> Record:
-        model, log, shifts, shared = task
-        start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
-        return log.start.seen(model.replay(true, self.step, start=start), shifts, shared)
-
     def replay(
         self, values: Sequence[float], shifts: Shifts
     ) -> tuple[list[dict[str, float]], list[Record]]:
@@ -486,14 +472,17 @@ class Simulator:
             SimulationError: the numbers left the finite range.
         """
         models, shared = self.models(values), self._by_name(values, True)
-        tasks = [
-            (models[log.payload], log, shift, shared)
-            for log, shift in zip(self.logs, shifts, strict=True)
-        ]
-        starts = [
-            log.start.numbers(log.start.at(model, item, shared)) for model, log, item, _ in tasks
-        ]
-        return starts, map_threads(self._replay, tasks, self.workers)
+
+        def replayed(task: tuple[Log, np.ndarray]) -> tuple[dict[str, float], Record]:
+            log, shift = task
+            model, true = models[log.payload], log.start.true(shift, shared)
+            start = log.start.at(model, shift, shared)
+            numbers, built = log.start.numbers(start), model.replay(true, self.step, start=start)
+            return numbers, log.start.seen(built, shift, shared)
+
+        tasks = list(zip(self.logs, shifts, strict=True))
+        starts, records = zip(*map_threads(replayed, tasks, self.workers), strict=True)
+        return list(starts), list(records)
 
     def short_steps(self, values: Sequence[float], shifts: Shifts) -> Iterator[Message]:
         """Of each log that takes very short steps, which state limits them and what makes it fast.

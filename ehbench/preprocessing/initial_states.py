@@ -273,19 +273,8 @@ def initial_state_of(
         if np.ptp(record[channel]) > 0.0 or record[channel][0] != 0.0:
             std, output = SETTINGS.opening * span, int(valve.output)
             numbers.append(_uncertain(f"{name}.opening", output, std, span, index))
-    numbers += _of_lines(model, record, rest, moves)
-    numbers = [number for number in numbers if model.starts(number.name)]
-    for term in terms:
-        if term.per_log and term.std > 0.0:
-            step = SETTINGS.sensed * term.std
-            numbers.append(Uncertain(term.name, -1, term.std, step, bias=True))
-    return InitialState(record, rest, moves, tuple(numbers), tuple(terms))
-
-
-def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Uncertain]:
-    """Uncertainty of the supply's set pressure, and of the tank's where it is the larger."""
-    maximum, result = float(model.plant.supply.pressure), []
-    for channel in (SUPPLY_CHANNEL, TANK_CHANNEL):
+    maximum = float(model.plant.supply.pressure)
+    for channel in (SUPPLY_CHANNEL, TANK_CHANNEL):  # pressures of the lines
         if channel not in record or (channel == SUPPLY_CHANNEL and supplied(record)):
             continue
         y = record[channel]
@@ -296,10 +285,15 @@ def _of_lines(model: Model, record: Record, rest: int, moves: bool) -> list[Unce
             std = max(map(count_error, alike))
         if channel == SUPPLY_CHANNEL:
             std = max(std, SETTINGS.supply * maximum)
-            result.append(_uncertain(channel, model.plant.at.supply, std, maximum))
+            numbers.append(_uncertain(channel, model.plant.at.supply, std, maximum))
         elif std > SETTINGS.supply * maximum:
-            result.append(_uncertain(channel, -1, std, maximum))
-    return result
+            numbers.append(_uncertain(channel, -1, std, maximum))
+    numbers = [number for number in numbers if model.starts(number.name)]
+    for term in terms:
+        if term.per_log and term.std > 0.0:
+            step = SETTINGS.sensed * term.std
+            numbers.append(Uncertain(term.name, -1, term.std, step, bias=True))
+    return InitialState(record, rest, moves, tuple(numbers), tuple(terms))
 
 
 def mean_error(y: np.ndarray, rest: int) -> float:

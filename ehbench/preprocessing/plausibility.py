@@ -187,7 +187,7 @@ def _refuse_supply(name: str, record: Record, model: Model) -> None:
 def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: bool) -> None:
     """Refuse pressures that neither the supply nor the load can have made."""
     rig, plant, names = model.rig, model.plant, model.layout
-    supply = float(plant.supply.pressure)
+    supply, shown = float(plant.supply.pressure), rig.shown
     if "p_supply" in record:
         _refuse_supply(name, record, model)
     try:
@@ -207,11 +207,15 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         carrying, other = ("p_head", "p_rod") if force > 0 else ("p_rod", "p_head")
         need = abs(force) / areas[carrying]
         peak = _peak(name, rig, cylinder, seen, supply, need)
-        if len(seen) == 2 and peak < supply / SETTINGS.far_apart and _fed(cylinder, record):
-            fields = {
-                "supply": rig.shown("p_head", supply, 3),
-                "peak": rig.shown("p_head", peak, 3),
-            }
+        fed = any(
+            (command := f"{cylinder.name}.{valve.name}.command") in record
+            and bool(np.any(edge.sign * record[command] > valve.onset(edge)))
+            for valve in cylinder.valve
+            for edge in valve.edge
+            if edge.from_ == "supply"
+        )
+        if fed and len(seen) == 2 and peak < supply / SETTINGS.far_apart:
+            fields = {"supply": shown("p_head", supply, 3), "peak": shown("p_head", peak, 3)}
             fields |= {"log": name, "cylinder": cylinder.name}
             raise InputError(message("preprocessing.low_pressures", **fields))
         light = need < SETTINGS.loaded * supply
@@ -225,11 +229,8 @@ def refuse_pressures(name: str, record: Record, model: Model, rest: int, still: 
         if (fixed < need / SETTINGS.apart and peak < supply / SETTINGS.apart) or (
             other in seen and fixed > need * SETTINGS.apart
         ):
-            fields = {
-                "channel": f"{cylinder.name}.{carrying}",
-                "load": rig.shown("p_head", need, 3),
-            }
-            fields |= {"fixed": rig.shown("p_head", fixed, 3), "rig": rig.name}
+            fields = {"load": shown("p_head", need, 3), "fixed": shown("p_head", fixed, 3)}
+            fields |= {"channel": f"{cylinder.name}.{carrying}", "rig": rig.name}
             raise InputError(message("preprocessing.load_pressure", log=name, **fields))
 
 
@@ -257,17 +258,6 @@ def _peak(
     return max(peaks.values())
 
 
-def _fed(cylinder: Cylinder, record: Record) -> bool:
-    """Whether a recorded command opens an edge from the supply."""
-    return any(
-        (command := f"{cylinder.name}.{valve.name}.command") in record
-        and bool(np.any(edge.sign * record[command] > valve.onset(edge)))
-        for valve in cylinder.valve
-        for edge in valve.edge
-        if edge.from_ == "supply"
-    )
-
-
 def _at_end(record: Record, cylinder: Cylinder, rest: int) -> bool:
     """Whether the recorded stroke begins at an end stop, which carries what the oil does not."""
     channel = f"{cylinder.name}.x"
@@ -285,7 +275,21 @@ def _travel_of(cylinder: Cylinder, word: str) -> float:
 def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
     """What is odd about single channels, and about pairs of them."""
     rig = model.rig
-    yield from _stuck(record, rig)
+    for cylinder in rig.cylinder:
+        name, moves = cylinder.name, _travels(record, cylinder)
+        pushed = not moves and _pushed(record, rig, cylinder)
+        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES):
+            if (channel := f"{name}.{word}") not in record:
+                continue
+            way, position = float(np.ptp(record[channel])), word in ("q", "x")
+            still = position and way < SETTINGS.still * _travel_of(cylinder, word)
+            fields = {"channel": channel, "cylinder": name}
+            if moves and way == 0.0:
+                yield message("preprocessing.constant", **fields)
+            elif moves and still:
+                yield message("preprocessing.stands_still", **fields)
+            elif pushed and still:
+                yield message("preprocessing.stands_still_pushed", **fields)
     names = [f"{c.name}.{word}" for c in rig.cylinder for word in ("p_head", "p_rod", *GAUGES)]
     for name in [*names, "p_supply"]:
         if name in record and (there := at_limit(record[name])).any():
@@ -297,7 +301,19 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
         shown = f"{abs(from_si(off, rig.unit_of('x'), VOCABULARY['x'])):.3g} {rig.unit_of('x')}"
         way, by = "above" if off > 0.0 else "below", rig.cylinder_named(name).linkage_word
         yield message("preprocessing.off_pins", cylinder=name, off=shown, way=way, linkage=by)
-    yield from _gauges_against(record, rig)
+    for cylinder in rig.cylinder:
+        ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
+        if not all(end in record for end in ends):
+            continue
+        head, rod = (record[end] for end in ends)
+        area_head, area_rod = cylinder.areas()
+        for word in GAUGES:
+            name = f"{cylinder.name}.{word}"
+            pushed = head - rod if word == "load_pressure" else head * area_head - rod * area_rod
+            if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
+                continue
+            if np.corrcoef(record[name], pushed)[0, 1] < SETTINGS.against:  # the sensor is turned
+                yield message("preprocessing.gauge_turned", channel=name)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
 
@@ -318,25 +334,6 @@ def outside_stroke(record: Record, rig: Rig) -> Iterator[Message]:
         turned = -slack * stroke <= -high and -low <= (1.0 + slack) * stroke
         key = "preprocessing.stroke_turned" if turned else "preprocessing.stroke_shifted"
         yield message(key, **fields)
-
-
-def _stuck(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on channels that stay constant in motion, or while command and pressures move."""
-    for cylinder in rig.cylinder:
-        name, moves = cylinder.name, _travels(record, cylinder)
-        pushed = not moves and _pushed(record, rig, cylinder)
-        for word in ("q", "x", "qd", "v", "p_head", "p_rod", *GAUGES):
-            if (channel := f"{name}.{word}") not in record:
-                continue
-            way, position = float(np.ptp(record[channel])), word in ("q", "x")
-            still = position and way < SETTINGS.still * _travel_of(cylinder, word)
-            fields = {"channel": channel, "cylinder": name}
-            if moves and way == 0.0:
-                yield message("preprocessing.constant", **fields)
-            elif moves and still:
-                yield message("preprocessing.stands_still", **fields)
-            elif pushed and still:
-                yield message("preprocessing.stands_still_pushed", **fields)
 
 
 def _pushed(record: Record, rig: Rig, cylinder: Cylinder) -> bool:
@@ -395,27 +392,19 @@ def off_pins(record: Record, model: Model) -> dict[str, float]:
     return results
 
 
-def _gauges_against(record: Record, rig: Rig) -> Iterator[Message]:
-    """Notes on gauges that fall as the pressures push more: a sign or the ends are turned."""
-    for cylinder in rig.cylinder:
-        ends = [f"{cylinder.name}.p_head", f"{cylinder.name}.p_rod"]
-        if not all(end in record for end in ends):
-            continue
-        head, rod = (record[end] for end in ends)
-        area_head, area_rod = cylinder.areas()
-        for word in GAUGES:
-            name = f"{cylinder.name}.{word}"
-            pushed = head - rod if word == "load_pressure" else head * area_head - rod * area_rod
-            if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
-                continue
-            if np.corrcoef(record[name], pushed)[0, 1] < SETTINGS.against:
-                yield message("preprocessing.gauge_turned", channel=name)
-
-
 def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
     """Notes on positions and speeds that fall while the commands extend a cylinder."""
     for cylinder in rig.cylinder:
-        ways = _directions(cylinder, record)
+        opened = np.zeros((2, record.t.size), dtype=bool)
+        for valve in cylinder.valve:
+            channel = f"{cylinder.name}.{valve.name}.command"
+            for edge in valve.edge:
+                if channel not in record or {edge.from_, edge.to} == {"head", "rod"}:
+                    continue
+                out = "head" == edge.to or "rod" == edge.from_
+                reach = edge.sign * record[channel]
+                opened[0 if out else 1] |= reach > max(valve.onset(edge), 0.0)
+        ways = opened[0].astype(float) - opened[1].astype(float)
         ends = np.flatnonzero(np.diff(ways, prepend=0.0, append=0.0))
         if ends.size < 2:
             continue
@@ -434,21 +423,6 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
             if far and along < SETTINGS.against * path:
                 falls, name = "falls" if turn > 0 else "rises", cylinder.name
                 yield message("preprocessing.backwards", channel=channel, way=falls, cylinder=name)
-
-
-def _directions(cylinder: Cylinder, record: Record) -> np.ndarray:
-    """Motion that the commands make at each sample: 1 out, −1 in, 0 neither or both. Edges across
-    the ports, and what pumps slip, count as none."""
-    opened = np.zeros((2, record.t.size), dtype=bool)
-    for valve in cylinder.valve:
-        channel = f"{cylinder.name}.{valve.name}.command"
-        for edge in valve.edge:
-            if channel not in record or {edge.from_, edge.to} == {"head", "rod"}:
-                continue
-            out = "head" == edge.to or "rod" == edge.from_
-            reach = edge.sign * record[channel]
-            opened[0 if out else 1] |= reach > max(valve.onset(edge), 0.0)
-    return opened[0].astype(float) - opened[1].astype(float)
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

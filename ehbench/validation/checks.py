@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -11,11 +11,9 @@ from ehbench.config.recipe import Thresholds
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.preprocessing.observations import stood_for
-from ehbench.validation.results import ChannelResult, Check, Correlation, Ring, Sweep, Transient
+from ehbench.validation.results import ChannelResult, Check, Ring, Sweep, Transient
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.settings import setting
-from ehbench.vocabulary.units import from_si
 
 
 @dataclass(frozen=True)
@@ -46,13 +44,7 @@ def checks_of(
     """Every check that a log supports: channel by channel, then cylinder by cylinder, then the
     responses to commands that sweep.
     """
-    checks = []
-    for result in results:
-        checks += [
-            *_fit_check(result, requested),
-            *_error_check(result, requested, rig),
-            *_residual_checks(result, requested),
-        ]
+    checks = [check for result in results for check in _channel_checks(result, requested, rig)]
     judged = (w for w in windows if w.judged)
     for cylinder, mine in groupby(judged, key=lambda w: w.cylinder):
         group = list(mine)
@@ -86,19 +78,37 @@ def _sweep_checks(sweep: Sweep, requested: Thresholds) -> Iterator[Check]:
         yield Check(f"{sweep.channel} response {what}", reached, maximum, unit, passed, sentence)
 
 
-def _fit_check(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
-    word = result.channel.rsplit(".", 1)[1]
+def _channel_checks(result: ChannelResult, requested: Thresholds, rig: Rig) -> Iterator[Check]:
+    """Fit, largest error and whiteness of the residual of a channel."""
+    word, channel = result.channel.rsplit(".", 1)[1], _channel_name(result.channel)
     limits = (requested.fit_percent.get(item) for item in stood_for(word))
     required = next((limit for limit in limits if limit is not None), None)
-    reached = result.fit_percent
-    if required is None or reached is None:
-        return
-    fields = {"channel": _channel_name(result.channel), "reached": reached, "required": required}
-    sentence, minimum = message("validation.fit", **fields), required
-    if 100.0 * (1.0 - result.noise_share) < required + SETTINGS.noisy:
-        minimum = beyond_noise(required, result.noise_share)
-        sentence = message("validation.fit_of_noisy", least=minimum, **fields)
-    yield Check(f"{result.channel} fit", reached, minimum, "percent", reached >= minimum, sentence)
+    fit = result.fit_percent
+    if required is not None and fit is not None:
+        fields = {"channel": channel, "reached": fit, "required": required}
+        sentence, minimum = message("validation.fit", **fields), required
+        if 100.0 * (1.0 - result.noise_share) < required + SETTINGS.noisy:
+            minimum = beyond_noise(required, result.noise_share)
+            sentence = message("validation.fit_of_noisy", least=minimum, **fields)
+        yield Check(f"{result.channel} fit", fit, minimum, "percent", fit >= minimum, sentence)
+    if word in requested.max_error:
+        reached, maximum = abs(result.max_error), float(requested.max_error[word])
+        shown = [rig.shown(word, value, 3) for value in (reached, maximum)]
+        fields = {"channel": channel, "reached": shown[0], "allowed": shown[1]}
+        sentence, passed = message("validation.error", **fields), reached <= maximum
+        yield Check(f"{result.channel} max error", reached, maximum, result.unit, passed, sentence)
+    auto = (result.autocorrelation,) if result.autocorrelation else ()
+    limit = requested.outside_percent
+    for wished, kind, correlations in (
+        (requested.whiteness, "autocorrelation", auto),
+        (requested.independence, "correlation with commands", result.cross_correlation),
+    ):
+        if wished and correlations:
+            reached = max(item.outside_percent for item in correlations)
+            fields = {"channel": channel, "kind": kind, "reached": reached, "allowed": limit}
+            sentence, what = message("validation.residual", **fields), "residual " + kind
+            passed = reached <= limit
+            yield Check(f"{result.channel} {what}", reached, limit, "percent", passed, sentence)
 
 
 def beyond_noise(fit: float, noise_share: float) -> float:
@@ -109,54 +119,6 @@ def beyond_noise(fit: float, noise_share: float) -> float:
     return 100.0 * (1.0 - math.sqrt(miss**2 * (1.0 - noise) + noise))
 
 
-def _error_check(result: ChannelResult, requested: Thresholds, rig: Rig) -> Iterator[Check]:
-    word = result.channel.rsplit(".", 1)[1]
-    if word in requested.max_error:
-        row, unit = quantity(word), rig.unit_of(word)
-        reached, maximum = abs(result.max_error), float(requested.max_error[word])
-        shown = [f"{from_si(value, unit, row):.3g}" for value in (reached, maximum)]
-        sentence = message(
-            "validation.error",
-            channel=_channel_name(result.channel),
-            reached=f"{shown[0]} {unit}",
-            allowed=f"{shown[1]} {unit}",
-        )
-        what = f"{result.channel} max error"
-        yield Check(what, reached, maximum, result.unit, reached <= maximum, sentence)
-
-
-def _residual_kinds(
-    requested: Thresholds,
-) -> list[tuple[bool, str, Callable[[ChannelResult], tuple[Correlation, ...]]]]:
-    """(whether it is required, the recipe's key, the correlations of a channel)."""
-
-    def auto(result: ChannelResult) -> tuple[Correlation, ...]:
-        return (result.autocorrelation,) if result.autocorrelation else ()
-
-    return [
-        (requested.whiteness, "whiteness", auto),
-        (requested.independence, "independence", lambda result: result.cross_correlation),
-    ]
-
-
-_KINDS = {"whiteness": "autocorrelation", "independence": "correlation with commands"}
-
-
-def _residual_checks(result: ChannelResult, requested: Thresholds) -> Iterator[Check]:
-    for required, key, of in _residual_kinds(requested):
-        if required and (correlations := of(result)):
-            reached, kind = max(item.outside_percent for item in correlations), _KINDS[key]
-            sentence = message(
-                "validation.residual",
-                channel=_channel_name(result.channel),
-                kind=kind,
-                reached=reached,
-                allowed=requested.outside_percent,
-            )
-            what, passed = f"{result.channel} residual {kind}", reached <= requested.outside_percent
-            yield Check(what, reached, requested.outside_percent, "percent", passed, sentence)
-
-
 def unrequested(
     results: Sequence[ChannelResult], requested: Thresholds, rig: Rig, record: Record
 ) -> Iterator[Message]:
@@ -164,34 +126,26 @@ def unrequested(
     that is off.
     """
     for result in results:
-        yield from _level_note(result, rig)
-        word, reached = result.channel.rsplit(".", 1)[1], result.fit_percent
-        silent = not {*stood_for(word)} & {*requested.fit_percent, *requested.max_error}
-        if word in ("q", "x") and silent and reached is not None and reached < SETTINGS.poor:
-            row, unit = quantity(word), rig.unit_of(word)
-            error = f"{from_si(abs(result.max_error), unit, row):.3g} {unit}"
-            fields = {"channel": _channel_name(result.channel), "fit": reached, "error": error}
-            yield message("validation.poor_fit", word=word, **fields)
-            wish = f"{result.channel.rsplit('.', 1)[0]}.x_desired"
-            if wish in record:
-                yield message("validation.was_controlled", channel=wish)
-
-
-def _level_note(result: ChannelResult, rig: Rig) -> Iterator[Message]:
-    """That a channel is followed but for its level. Positions have none: they begin where the
-    recording does.
-    """
-    word, fit = result.channel.rsplit(".", 1)[1], result.fit_percent
-    bias, rms = result.bias, result.rms_error
-    if fit is None or word in ("q", "x") or bias**2 < SETTINGS.mostly * rms**2 or fit >= 100.0:
-        return
-    spread = rms / (1.0 - fit / 100.0)
-    shape = 100.0 * (1.0 - math.sqrt(max(rms**2 - bias**2, 0.0)) / spread)
-    if abs(bias) > SETTINGS.level * spread and shape >= SETTINGS.shape:
-        way = "high" if bias > 0.0 else "low"
-        off = f"{rig.shown(result.channel, abs(bias), 3)} too {way}"
-        channel = _channel_name(result.channel)
-        yield message("validation.level", channel=channel, shape=shape, off=off, fit=fit)
+        name, fit = _channel_name(result.channel), result.fit_percent
+        cylinder, word = result.channel.rsplit(".", 1)
+        if fit is None:
+            continue
+        if word in ("q", "x"):  # has no level: it begins where the recording does
+            silent = not {*stood_for(word)} & {*requested.fit_percent, *requested.max_error}
+            if silent and fit < SETTINGS.poor:
+                error = rig.shown(word, abs(result.max_error), 3)
+                yield message("validation.poor_fit", word=word, channel=name, fit=fit, error=error)
+                if (wish := f"{cylinder}.x_desired") in record:
+                    yield message("validation.was_controlled", channel=wish)
+            continue
+        bias, rms = result.bias, result.rms_error
+        if bias**2 >= SETTINGS.mostly * rms**2 and fit < 100.0:
+            spread = rms / (1.0 - fit / 100.0)
+            shape = 100.0 * (1.0 - math.sqrt(max(rms**2 - bias**2, 0.0)) / spread)
+            if abs(bias) > SETTINGS.level * spread and shape >= SETTINGS.shape:
+                way = "high" if bias > 0.0 else "low"
+                off = f"{rig.shown(result.channel, abs(bias), 3)} too {way}"
+                yield message("validation.level", channel=name, shape=shape, off=off, fit=fit)
 
 
 def _ringing_check(cylinder: str, key: str, windows: Sequence[Transient], limit: float) -> Check:

@@ -350,8 +350,8 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
         held=tuple(c.name for c in model.rig.cylinder if c.name not in moved),
     )
     warnings = [*log.notes, *_not_counted(judged, moved)]
-    words = [word for word in channels if word not in tied_words(record)]
-    free = [c for c in _channels_wanted(record, moved, words) if _shown(model, record, c)]
+    wished = [c for name in moved for word in channels for c in channels_asked(record, name, word)]
+    free = _free(model, record, wished)
     try:
         if judged.failure is not None:
             raise LogError(str(judged.failure).removeprefix(f"{log.name}: "))
@@ -361,8 +361,7 @@ def _judge(judged: JudgedLog, channels: tuple[str, ...], required: Thresholds) -
     except FmuError:  # says nothing of the log
         raise
     except EhbenchError as error:
-        wanted = _channels_wanted(record, moved, channels)
-        names = [name for item in wanted for name in alternatives(item)]
+        names = [name for item in wished for name in alternatives(item)]
         series = {"t": record.t} | {name: record[name] for name in names if name in record}
         facts = replace(facts, warnings=tuple(warnings), series=series)
         return replace(facts, status="failed", failure=str(error))
@@ -407,16 +406,17 @@ def _not_counted(log: JudgedLog, moved: Sequence[str]) -> Iterator[str]:
         yield message("validation.no_motion")
 
 
-def _channels_wanted(record: Record, moved: Sequence[str], channels: Sequence[str]) -> list[str]:
-    """The channels of a log, by full name, that quantities ask for."""
+def _free(model: Model, record: Record, channels: Sequence[str]) -> list[str]:
+    """The channels that a replay of the record has, or what stands for it, and that are not tied
+    to it.
+    """
+    tied = tied_words(record)
     return [
-        item for name in moved for word in channels for item in channels_asked(record, name, word)
+        channel
+        for channel in channels
+        if channel.rpartition(".")[2] not in tied
+        and any(model.shows(c if c in record else position_of(c)) for c in alternatives(channel))
     ]
-
-
-def _shown(model: Model, record: Record, channel: str) -> bool:
-    """Whether a replay of the record has a channel, or what stands for it."""
-    return any(model.shows(c if c in record else position_of(c)) for c in alternatives(channel))
 
 
 def _pairs(

@@ -481,21 +481,23 @@ def keys(messages):
 
 
 def poor(fit):
+    return notes(channel("press.x", fit))
+
+
+def notes(result):
     asked = Thresholds(fit_percent={})
-    return keys(
-        checks.unrequested([channel("press.x", fit)], asked, SLIDE, Record(np.zeros(1), {}))
-    )
+    return keys(checks.unrequested([result], asked, SLIDE, Record(np.zeros(1), {})))
 
 
 def level(fit, share=1.0):
     """Whether a channel is off by its level, which makes up a share of the error's square."""
-    return keys(checks._level_note(channel(fit=fit, bias=math.sqrt(share)), SLIDE))
+    return notes(channel(fit=fit, bias=math.sqrt(share)))
 
 
 def allowed(noise):
     """The threshold of a fit of 70 % for a channel of which so much is noise."""
     asked = Thresholds(fit_percent={"v": 70.0})
-    (check,) = checks._fit_check(channel(noise_share=noise), asked)
+    (check,) = checks.checks_of([channel(noise_share=noise)], [], [], asked, SLIDE)
     return round(check.asked, 1)
 
 

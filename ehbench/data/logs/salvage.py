@@ -104,9 +104,6 @@ class Salvage:
         self._loose = bytearray()
         self._chunks = 0
         self._most = self._room = LEAST_ROOM + MOST_PACKED * len(data)
-        self._scan()
-
-    def _scan(self) -> None:
         data, size = self.data, len(self.data)
         pos = len(MAGIC) if data.startswith(MAGIC) else self._skip(0, message("data.no_mcap_head"))
         while pos < size and not self.closed:

@@ -144,18 +144,13 @@ class LogWriter:
         self, meta: dict[str, str], attachments: dict[str, bytes], losses: Sequence[str]
     ) -> None:
         """Write what stands before the samples."""
-        from mcap.records import Header, Metadata, MetadataIndex
+        from mcap.records import Attachment, AttachmentIndex, Header, Metadata, MetadataIndex
 
         self._write(MAGIC + pack(Header("ros2", "ehbench")))
         record = Metadata("ehbench", meta)
         self._indexes.append(MetadataIndex(self._offset, self._write(pack(record)), record.name))
         facts = {"channels": self.channels, "losses": list(losses), "meta": meta}
-        self._attach({FACTS: json.dumps(facts, indent=1).encode(), **attachments})
-
-    def _attach(self, files: Mapping[str, bytes]) -> None:
-        from mcap.records import Attachment, AttachmentIndex
-
-        for name, data in files.items():
+        for name, data in {FACTS: json.dumps(facts, indent=1).encode(), **attachments}.items():
             kind = _MEDIA.get(Path(name).suffix, "application/octet-stream")
             offset = self._offset
             length = self._write(pack(Attachment(0, 0, name, kind, data)))

@@ -230,7 +230,10 @@ class Hypothesis:
 
     def sentence(self, rig: Rig, delta: float) -> Message:
         """What a fault of size δ is, and how it shows."""
-        return message(self._key(delta), **self._fields(rig, delta))
+        name = self.kind.replace(" ", "_")
+        signed = f"{name}_{'more' if delta > 0.0 else 'less'}"
+        key = f"faults.{signed if signed in templates('faults') else name}"
+        return message(key, **self._fields(rig, delta))
 
     def remedy(self, rig: Rig, delta: float) -> Message:
         """The line of the recipe, the rig file or the map of columns that frees it or puts it
@@ -249,12 +252,6 @@ class Hypothesis:
         if all(number.sure == "identified" for number in self.numbers):
             return message("faults.fitted", **fields)
         return message("faults.free", **fields)
-
-    def _key(self, delta: float) -> str:
-        """The key of its message: one for either sign of δ, or one for both."""
-        name = self.kind.replace(" ", "_")
-        signed = f"{name}_{'more' if delta > 0.0 else 'less'}"
-        return f"faults.{signed if signed in templates('faults') else name}"
 
     def _fields(self, rig: Rig, delta: float) -> dict[str, Any]:
         """What its messages name."""
