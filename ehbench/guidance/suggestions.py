@@ -103,7 +103,8 @@ class Tried:
 class Suggestion:
     """A row of the table: ``changes`` in words, how many numbers they free, what is left out
     relative to the recipe's own fit (mean square, 1 for that), the standard error of its
-    difference from the best, whether it is ``not_worse`` than that; the lines to write."""
+    difference from the best, relative to the same, whether it is ``not_worse`` than that; the lines
+    to write."""
 
     changes: tuple[str, ...]
     freedom: int
@@ -509,7 +510,7 @@ class _Trials:
                     tuple(change.name for change in setup.changes),
                     setup.freedom,
                     misfits[i],
-                    self._difference(self.tried[i], best)[1] * misfits[i],
+                    self._difference(self.tried[i], best)[1] * min(misfits),
                     fine[i],
                     tuple(line for c in setup.changes for line in c.recipe_lines(setup.rig)),
                     tuple(line for c in setup.changes for line in c.rig_lines(setup.rig)),

@@ -14,7 +14,7 @@ from ehbench import workflow
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import hypotheses
-from ehbench.guidance.suggestions import suggest
+from ehbench.guidance.suggestions import Setup, Tried, _Trials, suggest
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.parts.sway import Sway
 from ehbench.runs.rundir import read_json
@@ -203,6 +203,23 @@ def test_what_promises_little_beside_the_best_is_not_tried():
     looked = [text for text in told if "promises" in text]
     assert tried[0].startswith("suggest: friction")
     assert len(tried) < len(looked) / 3 and not found.untried
+
+
+def test_the_error_of_what_is_left_is_of_the_difference_as_a_share_of_the_recipes(monkeypatch):
+    """5 ± … and 0.6 of three windows: the differences are 72, 108 and 84 % of what the first
+    leaves.
+    """
+    monkeypatch.setattr("ehbench.guidance.suggestions._Trials._begun", lambda _, item: item.setup)
+    trials = object.__new__(_Trials)
+    trials.spread, setup = {"v": 1e-9}, Setup(rig_of(), (), FitOptions())
+    trials.tried = [
+        Tried(setup, {("log", n): {"v": size} for n, size in enumerate(sizes)}, (), ())
+        for sizes in ((4.0, 6.0, 5.0), (0.4, 0.6, 0.8))
+    ]
+    best, recipe = trials._table(()).rows
+    assert (best.misfit, recipe.misfit) == pytest.approx((0.12, 1.0))
+    assert best.std == 0.0
+    assert recipe.std == pytest.approx(math.sqrt((0.16**2 + 0.20**2 + 0.04**2) / 2.0 / 3.0))
 
 
 def test_where_nothing_that_promised_helps_the_rest_is_tried(monkeypatch):
