@@ -12,6 +12,7 @@ from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.fields import SURENESS, Value
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import factor
+from tests.shared import RECIPES
 
 FOLDER = Path(__file__).parents[2] / "recipes" / "rigs"
 RIGS = sorted(FOLDER.glob("*.toml"))
@@ -140,3 +141,13 @@ def test_places_are_told_in_the_readers_unit_as_finely_as_in_mm():
     with pytest.raises(InputError, match=r"posture press = 118\.110 in lies") as caught:
         Model.of(inch).posture({"press": "3 m"})
     assert caught.value.hint == "the stroke allows 0.000 to 15.748 in"
+
+
+def test_pressures_and_flows_are_seen_as_those_of_the_supply():
+    """Where the rig says nothing else; a choice for one quantity holds for all of its kind."""
+    press = load_rig(RECIPES / "press" / "rig.toml")  # 210 bar and 80 L/min, in no other words
+    assert {press.unit_of(n) for n in ("press.p_head", "p_supply", "rail_pressure")} == {"bar"}
+    assert press.unit_of("press.servo_supply_head.flow") == "L/min"
+    assert press.unit_of("bulk_modulus") == "MPa" and press.unit_of("press.x") == "mm"
+    chosen = press.model_copy(update={"display": {"p_rod": "psi"}})
+    assert (chosen.unit_of("p_head"), chosen.unit_of("flow")) == ("psi", "L/min")

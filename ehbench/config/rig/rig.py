@@ -228,17 +228,22 @@ class Rig(FileModel):
 
     def unit_of(self, name: str) -> str:
         """The unit people see for a quantity, channel or parameter: the choice of ``[display]``,
-        else that in which the rig file has it, else the vocabulary's.
+        else that in which the rig file has it, else for pressures and flows that in which it has
+        those of the supply, else the vocabulary's.
         """
-        word = name.rsplit(".", 1)[-1]
+        word = name.rpartition(".")[2]
         row, typed = VOCABULARY[word], self.typed_units
-        alike = (
-            unit
-            for other, unit in self.display.items()
-            if (VOCABULARY[other].unit, VOCABULARY[other].display) == (row.unit, row.display)
-        )
-        chosen = self.display.get(word) or next(alike, "")
-        return chosen or typed.get(name) or typed.get(word) or row.display
+
+        def of_kind(units: Mapping[str, str]) -> str:
+            """That of the first quantity of the same kind; '' of none."""
+            rows = ((VOCABULARY[other], unit) for other, unit in units.items())
+            alike = (unit for x, unit in rows if (x.unit, x.display) == (row.unit, row.display))
+            return next(alike, "")
+
+        names = (n for n in ("supply.pressure", "supply.flow_limit") if n in typed)
+        supply = {n.removeprefix("supply."): typed[n] for n in names}
+        given = self.display.get(word) or of_kind(self.display) or typed.get(name)
+        return given or typed.get(word) or of_kind(supply) or row.display
 
     def shown(self, name: str, value: float, digits: int = 4) -> str:
         """A value [SI] of a quantity, channel or parameter in the unit that people see."""
