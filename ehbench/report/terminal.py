@@ -4,6 +4,7 @@ the first part of its section of the report, from the run's saved files only.
 
 import json
 import os
+import re
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -58,7 +59,9 @@ class Answer:
         """
         verdict, short = self.verdict, self.verdict.split()[: MOST_WORDS // 2]
         if not whole and len(short) < len(verdict.split()):
-            verdict = " ".join([*short, "…"])
+            cut = " ".join(short)
+            clauses = re.match(r".{60,}[,;](?= )", cut)
+            verdict = f"{clauses[0] if clauses else cut} …"
         out = textwrap.wrap(verdict, width)
         for note in (*self.notes, *self.details) if whole else ():
             out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")

@@ -84,3 +84,11 @@ def test_notes_of_several_logs_that_differ_in_numbers_alone_are_one():
         "up: p_supply is up to 7 psi above the model's (at t = 1 s)",
     ]
     assert folded([*said, said[1]]) == [f"{said[0]} (the like of back_2)", *said[1:3], *said[4:]]
+
+
+def test_a_long_verdict_ends_with_a_clause():
+    parts = [f"fit of channel number {n} is {n} %" for n in range(20)]
+    (line,) = terminal.Answer("REJECTED on one log: " + ", ".join(parts)).lines(width=1000)
+    assert line.endswith(" %, …") and 20 < len(line.split()) <= 31
+    (line,) = terminal.Answer("word " * 40).lines(width=1000)
+    assert line.split() == ["word"] * 30 + ["…"]
