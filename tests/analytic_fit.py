@@ -69,7 +69,12 @@ def log_of(k: int, noise: float, seed: int) -> Stub:
     doubt = Stub(name="press.x0", std=1e-3, share=1e-2)
     log = Stub(name=f"log {k}", side=side, channels=("press.x", "press.v"), recorded=y)
     log.start = Stub(terms=(), uncertain=(doubt,), moves=True)
-    log.counts, log.sample_time, log.each, log.asked = np.ones(y.shape, bool), 2e-3, 1, ("press",)
+    log.counts, log.sample_time, log.each, log.commanded = (
+        np.ones(y.shape, bool),
+        2e-3,
+        1,
+        ("press",),
+    )
     log.within, log.coarse, log.band = np.zeros(2), np.zeros(2), None
     log.head = lambda seconds: log
     return log

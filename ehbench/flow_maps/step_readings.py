@@ -98,7 +98,9 @@ def _stretches(model: Model, index: int, record: Record, settle: float) -> Itera
         return
     table = np.column_stack([record[channel] for channel in present])
     skip = round(settle / record.sample_time)
-    for window in transients(record.t, table, least=np.array([minimum[item] for item in present])):
+    for window in transients(
+        record.t, table, minimum=np.array([minimum[item] for item in present])
+    ):
         yield slice(window.start + skip, window.stop)
 
 

@@ -63,7 +63,9 @@ def comparison_of(prepared: PreparedFit) -> Comparison:
     if prepared.options.method != "output_error" or prepared.options.response is not None:
         return Comparison(channels)
     logs = prepared.logs
-    if any(_follows(log, name) for log in logs for name in log.asked if not tied_words(log.record)):
+    if any(
+        _follows(log, name) for log in logs for name in log.commanded if not tied_words(log.record)
+    ):
         steps = (message("steps.tie_position"),)
         return Comparison(channels, True, ('tied = "position"',), steps)
     noisy = {c.rpartition(".")[2] for log in logs for c in log.channels if _only_noise(log, c)}

@@ -297,7 +297,7 @@ class _Planner:
 def drives_of(rig: Rig, logs: Sequence[Log], driven: float = 0.3) -> list[Drive]:
     """What drove each cylinder: shares of the largest command by valve in fast motion."""
     results: dict[str, Drive] = {}
-    for log, name in ((item, name) for item in logs for name in item.asked):
+    for log, name in ((item, name) for item in logs for name in item.commanded):
         record, cylinder = log.record, rig.cylinder_named(name)
         speeds = (column(record, f"{name}.{word}", record) for word in ("v", "qd"))
         speed = next((values for values in speeds if values is not None), None)

@@ -360,7 +360,7 @@ class _Trials:
             for channel, y in zip(log.channels, log.recorded.T, strict=True):
                 self.noise[channel] = max(white_noise(y) ** 2, self.noise.get(channel, 0.0))
         folds = [self._fold(self.base, which, start) for which in range(2)]
-        self.live = tuple(dict.fromkeys(name for log in logs for name in log.asked))
+        self.live = tuple(dict.fromkeys(name for log in logs for name in log.commanded))
         self.channels = tuple(dict.fromkeys(name for log in logs for name in log.channels))
         first = _tried(self.base, folds)
         self.tried.append(first)

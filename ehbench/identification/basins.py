@@ -139,7 +139,7 @@ def _look(problem: Problem, state: State) -> tuple[list[np.ndarray], list[tuple[
     the wrong cycle of the ringing."""
     first: dict[tuple[str, ...], int] = {}
     for k, log in enumerate(problem.logs):
-        first.setdefault(log.asked, k)
+        first.setdefault(log.commanded, k)
     chosen, search = list(first.values()), problem.search
     bulk, damping = (
         [i for i in state.free if search[i].row.mode_role == role and search[i].log]

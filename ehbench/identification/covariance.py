@@ -39,7 +39,7 @@ class Eliminated:
     """A log's least squares with its nuisances taken out: by how much the best nuisances follow the
     parameters (``gain``, shape (nuisances, parameters)), their own best step ``move``, and what
     stays for the parameters: normal matrix and gradient; ``known`` is the normal matrix if the
-    nuisances were known, ``own`` the nuisances' covariance if the parameters were.
+    nuisances were known, ``inner`` the nuisances' covariance if the parameters were.
     """
 
     gain: np.ndarray
@@ -47,13 +47,13 @@ class Eliminated:
     normal: np.ndarray
     gradient: np.ndarray
     known: np.ndarray
-    own: np.ndarray
+    inner: np.ndarray
 
     def std(self, covariance: np.ndarray) -> np.ndarray:
         """Standard errors of the nuisances [prior standard deviations], by the covariance of the
         parameters.
         """
-        whole = self.own + self.gain @ covariance @ self.gain.T
+        whole = self.inner + self.gain @ covariance @ self.gain.T
         return np.sqrt(np.maximum(np.diag(whole), 0.0))
 
 
@@ -70,8 +70,8 @@ def eliminate(block: Block, weight: float) -> Eliminated:
     gain, move = np.linalg.solve(inner, square[p : p + n, :p]), -np.linalg.solve(inner, pull)
     normal = square[:p, :p] - square[:p, p : p + n] @ gain
     gradient = square[:p, -1] - gain.T @ pull
-    own = weight * np.linalg.inv(inner) if n else inner
-    return Eliminated(gain, move, 0.5 * (normal + normal.T), gradient, square[:p, :p], own)
+    inner = weight * np.linalg.inv(inner) if n else inner
+    return Eliminated(gain, move, 0.5 * (normal + normal.T), gradient, square[:p, :p], inner)
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def find_windows(simulator: Simulator, progress: Progress) -> list[_Window]:
         cylinders, names, minimum = zip(*(v for v in valves if v[1] in log.record), strict=True)
         commands = np.column_stack([log.record[name] for name in names])
         progress("thesis: looking for ringing", 0.2 * k / len(simulator.logs))
-        for span in transients(log.record.t, commands, least=np.array(minimum)):
+        for span in transients(log.record.t, commands, minimum=np.array(minimum)):
             before = max(0, span.start - 1 - round(OBSERVATION.together / log.record.sample_time))
             changed = np.abs(commands[before] - np.median(commands[span], axis=0)) > minimum
             moved = {c.name: c for c, moved in zip(cylinders, changed, strict=True) if moved}
@@ -214,7 +214,11 @@ class Matching:
             rings = self._rings(self.theta, rings)
             error = {i: self.aim[i] - self._measure(i, rings) for i in self.live}
             silent = [i for i in self.live if not np.isfinite(error[i]).any()]
-            if silent and fresh <= SETTINGS.taming and self._tame(low):
+            decays = [i for i in self.live if self.search[i].row.mode_role == "decay"]
+            tame = [i for i in decays if self.theta[i] > low[i]]
+            if silent and fresh <= SETTINGS.taming and tame:
+                less = SETTINGS.longest if self.search[tame[0]].log else 0.1
+                self.theta[tame] = np.maximum(self.theta[tame] - less, low[tame])
                 result = replace(result, error=error, rings=rings)
                 continue
             self._drop(silent)
@@ -239,16 +243,6 @@ class Matching:
             moves = np.clip(moves, -SETTINGS.longest, SETTINGS.longest)
             self.theta[live] = np.clip(theta + moves, low[live], high[live])
         return result
-
-    def _tame(self, low: np.ndarray) -> bool:
-        """Damp the simulation less; whether it can be."""
-        search = self.search
-        decays = [i for i in self.live if search[i].row.mode_role == "decay"]
-        tame = [i for i in decays if self.theta[i] > low[i]]
-        if tame:
-            less = SETTINGS.longest if search[tame[0]].log else 0.1
-            self.theta[tame] = np.maximum(self.theta[tame] - less, low[tame])
-        return bool(tame)
 
     def _slopes(
         self, theta: np.ndarray, live: Sequence[int], rings: Sequence[Ringing]

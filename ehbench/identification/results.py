@@ -263,7 +263,7 @@ class HydraulicsFit:
 class Estimate:
     """What a method found: its parameters in the order searched, and what belongs to them; fields
     as in `HydraulicsFit`. ``cutoff`` [Hz]: of the low-pass on what is left of each log; ``shifts``
-    of their starts, None for none; ``held`` the values of the simulator's parameters behind those
+    of their starts, None for none; ``shared`` the values of the simulator's parameters behind those
     that were searched, ``sensors`` what was found of these."""
 
     method: str
@@ -276,7 +276,7 @@ class Estimate:
     scales: Mapping[str, float] = field(default_factory=dict)
     cutoff: float | None = None
     shifts: Shifts | None = None
-    held: Sequence[float] = ()
+    shared: Sequence[float] = ()
     sensors: Sequence[SensorFit] = ()
     groups: Sequence[Group] = ()
     doubts: Doubts = Doubts()
@@ -308,7 +308,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     warnings += [*result.warnings, *_statuses(result.fitted, simulator)]
     logs, recordings = [], []
     shifts = simulator.unshifted() if result.shifts is None else result.shifts
-    values = [*(item.value for item in result.fitted), *result.held]
+    values = [*(item.value for item in result.fitted), *result.shared]
     starts, replays = simulator.replay(values, shifts)
     warnings += simulator.short_steps(values, shifts)
     moving: dict[str, list[Record]] = {}

@@ -87,14 +87,14 @@ SETTINGS = SensitivitySettings()
 
 @dataclass(frozen=True, eq=False)
 class _Suspect:
-    """A row with by how much δ changes the scaled residuals of some logs (``asked``, by index),
+    """A row with by how much δ changes the scaled residuals of some logs (``logs``, by index),
     shape (samples, channels), the share of the squares that its best δ explains, that δ, the steps
     of what is live that follow it and the estimates that would move.
     """
 
     row: Hypothesis
     columns: list[np.ndarray]
-    asked: tuple[int, ...]
+    logs: tuple[int, ...]
     explains: float = 0.0
     delta: float = 0.0
     follow: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -114,8 +114,8 @@ def doubts_of(fit: Problem, state: State, result: Errors) -> Doubts:
         return Doubts()
     effort, took = Effort(), max(fit.simulator.effort.evaluations, SETTINGS.quick)
     limit = SETTINGS.effort * took
-    asked, unasked = _screened(fit, state, effort, round(SETTINGS.first * limit))
-    suspects = _promising(fit, result, asked, effort)
+    screened, unasked = _screened(fit, state, effort, round(SETTINGS.first * limit))
+    suspects = _promising(fit, result, screened, effort)
     warnings = []
     for item in [item for item in suspects if item.row.kind == "gain"][:1]:
         std = _release(fit, result, item, 0.0).std
@@ -163,8 +163,8 @@ def _fixed_rows(fit: Problem, state: State) -> list[Hypothesis]:
     """The rows of the fault table that a fit takes as known."""
     simulator, logs = fit.simulator, fit.logs
     values = {n: v for n, v in fit.by_name(state.theta).items() if n in simulator.known}
-    cylinders = list(dict.fromkeys(name for log in logs for name in log.asked))
-    tied = [position_channel(log.record, name) for log in logs for name in log.asked]
+    cylinders = list(dict.fromkeys(name for log in logs for name in log.commanded))
+    tied = [position_channel(log.record, name) for log in logs for name in log.commanded]
     tied = [name for name in tied if name and all(tied_words(log.record) for log in logs)]
     channels = list(dict.fromkeys([*(name for log in logs for name in log.channels), *tied]))
     records, rig = [log.record for log in logs], simulator.rig.with_values(values)
@@ -207,9 +207,11 @@ def _screened(
     """
     rows, left = _fixed_rows(fit, state), [float(np.sum(r**2)) for r in scaled(fit, state)]
     shown = {row: _read_off(fit, state, row) for row in rows}
-    asked = [row for row in rows if shown[row] is None]
-    asked.sort(key=lambda row: row.certainty)
-    worst = {row: max(_logs_of(fit, row), key=left.__getitem__, default=0) for row in asked[:count]}
+    simulated = [row for row in rows if shown[row] is None]
+    simulated.sort(key=lambda row: row.certainty)
+    worst = {
+        row: max(_logs_of(fit, row), key=left.__getitem__, default=0) for row in simulated[:count]
+    }
     every = tuple(range(len(fit.logs)))
     suspects = [_Suspect(row, parts, every) for row, parts in shown.items() if parts is not None]
     columns = _columns(fit, state, {row: [k] for row, k in worst.items()}, effort)
@@ -217,7 +219,7 @@ def _screened(
         known = {worst[row], *every} - {k for k in _logs_of(fit, row) if k != worst[row]}
         suspects.append(_Suspect(row, parts, tuple(sorted(known))))
     suspects = [item for item in suspects if any(map(np.any, item.columns))]
-    return suspects, tuple(row.name for row in asked[count:])
+    return suspects, tuple(row.name for row in simulated[count:])
 
 
 def _logs_of(fit: Problem, row: Hypothesis) -> list[int]:
@@ -227,7 +229,7 @@ def _logs_of(fit: Problem, row: Hypothesis) -> list[int]:
     return [
         k
         for k, log in enumerate(fit.logs)
-        if row.cylinder in ("", *log.asked) and load in (None, log.payload)
+        if row.cylinder in ("", *log.commanded) and load in (None, log.payload)
     ]
 
 
@@ -313,20 +315,20 @@ def _promising(
     live, total = list(state.live), cost(fit, state)
     prior, minimum = prior_of(fit, state, live), SETTINGS.worth * total
     gains: list[tuple[float, _Suspect]] = []
-    for asked in dict.fromkeys(item.asked for item in every):
-        alike = [item for item in every if item.asked == asked]
+    for which in dict.fromkeys(item.logs for item in every):
+        alike = [item for item in every if item.logs == which]
         gains += zip(gains_of(_with(result, alike), prior), alike, strict=True)
     gains = [pair for pair in gains if pair[0] > minimum / len(fit.logs)]
     best = [item for _, item in sorted(gains, key=lambda pair: -pair[0])[: SETTINGS.looked]]
-    rest = {i.row: [k for k in _logs_of(fit, i.row) if k not in i.asked] for i in best}
+    rest = {i.row: [k for k in _logs_of(fit, i.row) if k not in i.logs] for i in best}
     more = _columns(fit, state, {row: which for row, which in rest.items() if which}, effort)
     suspects = []
     for item in best:
         if rest[item.row] and item.row not in more:
             continue
         parts = zip(item.columns, more.get(item.row, item.columns), strict=True)
-        columns = [old if k in item.asked else new for k, (old, new) in enumerate(parts)]
-        item = replace(item, columns=columns, asked=tuple(range(len(columns))))
+        columns = [old if k in item.logs else new for k, (old, new) in enumerate(parts)]
+        item = replace(item, columns=columns, logs=tuple(range(len(columns))))
         release = _release(fit, result, item, math.inf)
         delta = min(max(release.move, item.row.bounds[0]), item.row.bounds[1])
         if delta == 0.0 or release.gain < minimum:
@@ -363,7 +365,7 @@ def _with(result: Errors, some: Sequence[_Suspect]) -> list[Block]:
                 axis=-1,
             ),
         )
-        for k in some[0].asked
+        for k in some[0].logs
     ]
 
 

@@ -81,7 +81,7 @@ class Log:
     name: str
     record: Record
     payload: str | None
-    asked: tuple[str, ...]
+    commanded: tuple[str, ...]
     live: tuple[str, ...]
     channels: tuple[str, ...]
     recorded: np.ndarray
@@ -236,7 +236,7 @@ def _counts(
         commands = _commands(cylinder, record)
         table = np.column_stack([record[channel] for channel in commands] or [0.0 * record.t])
         minimum = np.array(list(commands.values())) if commands else 0.0
-        starts = [window.start for window in transients(record.t, table, least=minimum)]
+        starts = [window.start for window in transients(record.t, table, minimum=minimum)]
         stops = np.array([*starts, record.t.size])
         for first in np.flatnonzero(lowest < limit):  # void until a command changes
             if not void[first]:
@@ -268,7 +268,7 @@ def shut(model: Model, log: Log) -> str | None:
     for edge, name in zip(plant.edges, names.edges, strict=True):
         valve = names.valves[edge.valve] if edge.valve >= 0 else ""
         channel = f"{valve}.command"
-        if valve.partition(".")[0] not in log.asked or channel not in log.record:
+        if valve.partition(".")[0] not in log.commanded or channel not in log.record:
             continue
         onset = edge.sign * edge_onset(edge, plant.maps)
         onset = 0.0 if edge.unmetered else onset

@@ -20,8 +20,8 @@ from ehbench.identification.results import (
     finish,
     not_excited,
 )
-from ehbench.identification.search import VAGUE, Coordinate
-from ehbench.vocabulary.messages import Message, message
+from ehbench.identification.search import VAGUE
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import CORRELATED, Z95
 
 
@@ -119,13 +119,12 @@ def result_of(
     doubts: Doubts,
 ) -> HydraulicsFit:
     """A fit as it leaves, with what it took as known and the logs deny."""
-    flat = [
-        _flat(problem, problem.search[i], ends)
-        for i, ends in state.ranges.items()
-        if i < problem.requested
-    ]
     fitted = [_fitted(problem, state, errors, i) for i in range(problem.requested)]
-    warnings = [*doubts.warnings, *flat]
+    warnings, rig = [*doubts.warnings], problem.simulator.rig
+    for i in (i for i in state.ranges if i < problem.requested):
+        c = problem.search[i]
+        low, high = (rig.shown(c.name, c.at(end)) for end in state.ranges[i])
+        warnings.append(message("identification.flat", name=c.name, low=low, high=high))
     if not converged:
         count = problem.max_iterations
         warnings.append(message("identification.not_converged", count=count))
@@ -147,7 +146,7 @@ def result_of(
             shifts=state.shifts,
             groups=groups,
             doubts=doubts,
-            held=[problem.search[i].at(state.theta[i]) for i in shared],
+            shared=[problem.search[i].at(state.theta[i]) for i in shared],
             sensors=_sensors(problem, errors),
         ),
     )
@@ -179,14 +178,6 @@ def _fitted(problem: Problem, state: State, errors: Errors, i: int) -> FittedPar
         from_data=error.from_data,
         from_starts=error.from_starts,
     )
-
-
-def _flat(problem: Problem, c: Coordinate, ends: tuple[float, float]) -> Message:
-    """A note of a parameter of which the logs tell a range alone."""
-    values, rig = map(c.at, ends), problem.simulator.rig
-    of_rig = c.quantity is None  # else of a sensor
-    low, high = (rig.shown(c.name, x) if of_rig else f"{x:.4g} {c.row.unit}" for x in values)
-    return message("identification.flat", name=c.name, low=low, high=high)
 
 
 def together(names: Sequence[str], correlation: np.ndarray, shown: Sequence[set[str]]) -> list[str]:

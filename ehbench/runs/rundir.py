@@ -400,20 +400,26 @@ def _remove(before: Path, final: Path) -> list[Message]:
 
 def clear_left(folder: Path) -> tuple[str, ...]:
     """Remove what dead processes left, keep logs with samples in ``salvaged``; a message each."""
+    from ehbench.data import read
+
     messages = []
     for left in sorted(folder.glob(".*.part")):
         match = _PART.fullmatch(left.name)
         if match is None or not left.is_dir() or not _abandoned(left, int(match["pid"])):
             continue
-        logs = [path for path in sorted(left.rglob("*.mcap")) if _has_samples(path)]
         retained = _unused(folder / "salvaged" / f"{match['name']}_{match['pid']}")
-        for path in logs:
+        for path in sorted(left.rglob("*.mcap")):
+            try:
+                samples = read(path, check=False).t.size
+            except EhbenchError:
+                samples = 0
+            if not samples:
+                continue
             target = retained / path.relative_to(left)
             target.parent.mkdir(parents=True, exist_ok=True)
             with suppress(FileNotFoundError):  # another process was quicker
                 os.replace(path, target)
-                text = message("runs.salvaged", name=match["name"], target=str(target))
-                messages.append(text)
+                messages.append(message("runs.salvaged", name=match["name"], target=str(target)))
         shutil.rmtree(left, ignore_errors=True)
     return tuple(messages)
 
@@ -422,15 +428,6 @@ def _unused(place: Path) -> Path:
     """A folder name that is not taken."""
     tries = (place if n == 1 else place.with_name(f"{place.name}_{n}") for n in itertools.count(1))
     return next(item for item in tries if not item.exists())
-
-
-def _has_samples(path: Path) -> bool:
-    from ehbench.data import read
-
-    try:
-        return read(path, check=False).t.size > 0
-    except EhbenchError:
-        return False
 
 
 def _abandoned(folder: Path, pid: int) -> bool:

@@ -29,7 +29,7 @@ class _State:
 
     depth = 0
     waiting = 0
-    asked = 0
+    requested = 0
 
 
 def listen() -> None:
@@ -44,12 +44,12 @@ def listen() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)  # the command line's library says nothing of it
     if hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGVTALRM, lambda *_: _end(_State.asked))
+        signal.signal(signal.SIGVTALRM, lambda *_: _end(_State.requested))
 
 
 def ended() -> int:
     """The signal by which the process was asked to end, 0 if by none; it is not asked again."""
-    number, _State.asked = _State.asked, 0
+    number, _State.requested = _State.requested, 0
     _ask_after(0.0)
     return number
 
@@ -64,7 +64,7 @@ def _end(number: int, _: object = None) -> None:
     if _State.depth:
         _State.waiting = number
         return
-    _State.asked = number
+    _State.requested = number
     _ask_after(AGAIN)
     raise Terminated(number)
 

@@ -42,8 +42,12 @@ def oddities(values: np.ndarray) -> list[Oddity]:
     if y.size < _FEWEST or not np.ptp(y) > 0.0:
         return []
     steps = np.diff(y)
-    if (wraps := _wraps(y, steps)).size:
-        return [Oddity("wrap", wraps.size, int(rows[wraps[0] + 1]), float(y[wraps[0] + 1]))]
+    for turn in _TURNS:  # which begins again at its other end
+        near = np.abs(np.abs(steps) - turn) < SETTINGS.wrap * turn
+        small = np.abs(steps[~near]) < SETTINGS.wrap * turn
+        if near.any() and near.mean() < SETTINGS.share and np.ptp(y) <= turn * 1.01 and small.all():
+            at = int(np.argmax(near)) + 1
+            return [Oddity("wrap", int(np.count_nonzero(near)), int(rows[at]), float(y[at]))]
     results = []
     usual = float(np.percentile(np.abs(steps), 99))
     for end in (float(y.min()), float(y.max())):
@@ -71,13 +75,3 @@ def oddities(values: np.ndarray) -> list[Oddity]:
         at = np.flatnonzero(odd) + 1
         results.append(Oddity("jump", at.size, int(rows[at[0]]), float(y[at[0]])))
     return results
-
-
-def _wraps(y: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """After which samples a signal begins again at the other end of a turn."""
-    for turn in _TURNS:
-        near = np.abs(np.abs(steps) - turn) < SETTINGS.wrap * turn
-        small = np.abs(steps[~near]) < SETTINGS.wrap * turn
-        if near.any() and near.mean() < SETTINGS.share and np.ptp(y) <= turn * 1.01 and small.all():
-            return np.flatnonzero(near)
-    return np.zeros(0, dtype=int)

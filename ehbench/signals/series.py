@@ -138,7 +138,7 @@ def _butterworth(order: int, cutoff: float, sample_time: float) -> tuple[np.ndar
 
 
 def transients(
-    t: np.ndarray, commands: np.ndarray, settle: float = 0.02, least: float | np.ndarray = 0.0
+    t: np.ndarray, commands: np.ndarray, settle: float = 0.02, minimum: float | np.ndarray = 0.0
 ) -> list[slice]:
     """Windows between command changes: each begins where a command has just changed and ends before
     the next change.
@@ -150,12 +150,12 @@ def transients(
         t: time [s], shape (samples,).
         commands: [V], shape (samples,) or (samples, valves).
         settle: [s].
-        least: [V], one number or one a valve: a command has changed when it is off its last level
+        minimum: [V], one number or one a valve: a command has changed when it is off its last level
             by more.
     """
     table = _as_table(commands)
     changed: set[int] = set()
-    for u, dead in zip(table.T, np.broadcast_to(least, table.shape[1]), strict=True):
+    for u, dead in zip(table.T, np.broadcast_to(minimum, table.shape[1]), strict=True):
         at = 0
         while (off := np.abs(u[at:] - u[at]) > dead).any():
             at += int(np.argmax(off))

@@ -98,7 +98,8 @@ def _overlaps(record: Record, rows: FittedSamples) -> list[Overlap]:
     return [
         run
         for run in _runs(record.t, same, rows)
-        if _changes_at_all(mine[(record.t >= run.start) & (record.t <= run.stop)], allowed)
+        # at rest any two logs are alike
+        if np.any(np.ptp(mine[(record.t >= run.start) & (record.t <= run.stop)], axis=0) > allowed)
     ]
 
 
@@ -219,11 +220,6 @@ def _aligned(t: np.ndarray, mine: np.ndarray, when: np.ndarray, theirs: np.ndarr
             break
         shift -= float(np.clip((left @ steep) / (steep @ steep), -tick, tick))
     return shift
-
-
-def _changes_at_all(readings: np.ndarray, allowed: np.ndarray) -> bool:
-    """Whether readings, shape (samples, channels), change: at rest any two logs are alike."""
-    return bool(np.any(np.ptp(readings, axis=0) > allowed))
 
 
 def _runs(t: np.ndarray, same: np.ndarray, rows: FittedSamples) -> list[Overlap]:

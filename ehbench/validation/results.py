@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from ehbench.diagnosis import DOMINANT, Finding, Structure
+from ehbench.diagnosis import DOMINANT, Structure
 from ehbench.frequency_response.response import Curve
 from ehbench.preprocessing.observations import rings_clearly
 from ehbench.runs.rundir import read_json
 from ehbench.signals.series import Ringing
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.terms import BEYOND
 
@@ -245,9 +245,12 @@ class Validation:
         interval.
         """
         causes = [cause for cause in structure.findings if cause.dominant][:1]
-        return replace(self, structure=structure).weighed(
-            [_cause(item) for item in causes], [item.beyond > BEYOND for item in causes]
-        )
+        texts = [
+            message("validation.cause", share=c.explains, cause=c.sentence, remedy=c.remedy)
+            for c in causes
+        ]
+        reject = [cause.beyond > BEYOND for cause in causes]
+        return replace(self, structure=structure).weighed(texts, reject)
 
     def with_fit(self, leans: Sequence[Mapping[str, Any]]) -> Validation:
         """With the fixed numbers to which the fit of the rig is sensitive, as ``leans`` of its
@@ -284,12 +287,6 @@ class Validation:
             for log in self.logs
             if log.series
         }
-
-
-def _cause(cause: Finding) -> Message:
-    """What a finding says against a model."""
-    fields = {"share": cause.explains, "cause": cause.sentence, "remedy": cause.remedy}
-    return message("validation.cause", **fields)
 
 
 def read_validation(path: Path) -> Validation:

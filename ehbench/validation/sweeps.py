@@ -140,12 +140,14 @@ def _sweep_of(command: str, channel: str, recorded: Response, simulated: Respons
     ratio = simulated.gain[at] / recorded.gain[at]
     turn = np.angle(np.exp(1j * (simulated.phase - recorded.phase)[at]))
     known = np.isfinite(error) & np.isfinite(ratio)
-    delay = _delay(simulated, at)
+    delay, interval, doubt = _delay(simulated, at), recorded.delay, math.inf
+    if interval is not None and interval.low is not None and interval.high is not None:
+        doubt = 0.5 * (interval.high - interval.low)
     return replace(
         facts,
         coherence=(facts.coherence[0], float(np.nanmean(simulated.coherence[at]))),
         delay=(facts.delay[0], delay),
-        delay_error=max(0.0, abs(delay - facts.delay[0]) - _spread(recorded)),
+        delay_error=max(0.0, abs(delay - facts.delay[0]) - doubt),
         gain_ratio=float(np.median(ratio[known])),
         gain_error=_beyond(ratio[known] - 1.0, error[known]),
         phase_error=_beyond(turn[known], error[known]),
@@ -167,11 +169,3 @@ def _delay(response: Response, at: np.ndarray) -> float:
     """Mean slope −dφ/dω [s] over the frequencies that count in the recording."""
     omega = 2.0 * math.pi * response.frequency[at]
     return -float(np.polyfit(omega, np.unwrap(response.phase[at]), 1)[0])
-
-
-def _spread(response: Response) -> float:
-    """Half the 95 % interval of a delay [s]."""
-    result = response.delay
-    if result is None or result.low is None or result.high is None:
-        return math.inf
-    return 0.5 * (result.high - result.low)

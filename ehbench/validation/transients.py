@@ -130,7 +130,11 @@ def why_not_judged(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
     periods = float(t[-1] - t[0]) * result.natural_frequency * shape / (2.0 * math.pi)
     if periods < SETTINGS.periods:
         return message("validation.short_stand", periods=periods)
-    halves = [half for half in _halves(t, y, result) if half.ok]
+    living = int(np.searchsorted(t, result.stop, side="right"))
+    guess = (result.natural_frequency, max(result.damping_ratio, 0.02))
+    parts = (slice(0, living // 2), slice(living // 2, living))
+    halves = [series.ringing(t[part], y[part], guess, trim=False) for part in parts]
+    halves = [half for half in halves if half.ok]
     if not halves:
         return message("validation.no_half")
     for half in halves:
@@ -140,14 +144,6 @@ def why_not_judged(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> str:
             hertz = [item.natural_frequency / (2.0 * math.pi) for item in (half, result)]
             return message("validation.halves_differ", half=hertz[0], whole=hertz[1])
     return ""
-
-
-def _halves(t: np.ndarray, y: np.ndarray, result: series.Ringing) -> Iterator[series.Ringing]:
-    """The oscillation as each half of the part in which it lives shows it."""
-    living = int(np.searchsorted(t, result.stop, side="right"))
-    guess = (result.natural_frequency, max(result.damping_ratio, 0.02))
-    for part in (slice(0, living // 2), slice(living // 2, living)):
-        yield series.ringing(t[part], y[part], guess, trim=False)
 
 
 def unjudged(moved: Sequence[str], windows: Sequence[Transient]) -> Iterator[str]:

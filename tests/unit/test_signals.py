@@ -174,7 +174,7 @@ def test_transients_lie_between_command_changes():
     assert series.transients(t, u[:, 0]) == [slice(20, 60), slice(60, 100)]
     assert series.transients(t, np.ones(100)) == []
     rough = u + 0.01 * np.random.default_rng(8).standard_normal(u.shape)
-    assert series.transients(t, rough, least=0.1) == [slice(20, 60), slice(61, 100)]
+    assert series.transients(t, rough, minimum=0.1) == [slice(20, 60), slice(61, 100)]
     ramp = np.clip((t - 0.2) / 0.3, 0.0, 1.0)
     assert [window.stop for window in series.transients(t, ramp)] == [100]
 

@@ -20,19 +20,18 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, meant, quantity
 
 
-def _share_or_none(raw: Any) -> Any:
-    if raw is True:
-        raise ValueError(message("config.share_expected"))
-    return None if raw is False else raw
+def _or_false(expected: str) -> BeforeValidator:
+    """``false`` for none; ``expected`` is the message to ``true``."""
+
+    def checked(raw: Any) -> Any:
+        if raw is True:
+            raise ValueError(message(expected))
+        return None if raw is False else raw
+
+    return BeforeValidator(checked)
 
 
-_Share = Annotated[Annotated[float, Field(gt=0)] | None, BeforeValidator(_share_or_none)]
-
-
-def _unasked(raw: Any) -> Any:
-    if raw is True:
-        raise ValueError(message("config.value_expected"))
-    return None if raw is False else raw
+_Share = Annotated[Annotated[float, Field(gt=0)] | None, _or_false("config.share_expected")]
 
 
 class Thresholds(FileModel):
@@ -53,10 +52,10 @@ class Thresholds(FileModel):
     damping_ratio_error: _Share = None
     response_gain_error: _Share = 0.25
     response_phase_error: Annotated[
-        Annotated[Value, Q("phase")] | None, BeforeValidator(_unasked)
+        Annotated[Value, Q("phase")] | None, _or_false("config.value_expected")
     ] = read_value("20 deg", VOCABULARY["phase"])
     response_delay_error: Annotated[
-        Annotated[Value, Q("delay")] | None, BeforeValidator(_unasked)
+        Annotated[Value, Q("delay")] | None, _or_false("config.value_expected")
     ] = read_value("5 ms", VOCABULARY["delay"])
     response_coherence: float = Field(default=0.8, gt=0, lt=1)
     whiteness: bool = False
