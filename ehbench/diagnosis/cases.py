@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ehbench.data.record import Record
+from ehbench.data.record import Record, block_averages
 from ehbench.diagnosis.faults.hypothesis import Hypothesis
 from ehbench.plant.build import Maps
 from ehbench.plant.foreign import model_of
@@ -121,9 +121,7 @@ class Case:
 
     def blocks(self, values: np.ndarray) -> np.ndarray:
         """Means of what counts of a channel over blocks."""
-        values = values[self.keep]
-        count = values.size // self.block
-        return values[: count * self.block].reshape(count, self.block).mean(axis=1)
+        return block_averages(values[self.keep], self.block)
 
     @cached_property
     def recorded(self) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from ehbench.parts.nodes import SUPPLY, TANK
 from ehbench.parts.oil import bulk_of
 from ehbench.plant.layout import SIDES
 from ehbench.plant.model import Model
-from ehbench.preprocessing.observations import least_change
+from ehbench.preprocessing.observations import least_changes
 from ehbench.preprocessing.preparation import preprocess
 from ehbench.signals.series import transients
 from ehbench.vocabulary.errors import InsufficientData
@@ -91,16 +91,12 @@ def step_readings(
 
 def _stretches(model: Model, index: int, record: Record, settle: float) -> Iterator[slice]:
     """Where the commands of a cylinder's valves stand, after they have settled."""
-    cylinder = model.rig.cylinder[index]
-    minimum = {f"{cylinder.name}.{v.name}.command": least_change(v) for v in cylinder.valve}
-    present = [channel for channel in minimum if channel in record]
-    if not present:
+    minimum = least_changes(model.rig.cylinder[index], record)
+    if not minimum:
         return
-    table = np.column_stack([record[channel] for channel in present])
+    table = np.column_stack([record[channel] for channel in minimum])
     skip = round(settle / record.sample_time)
-    for window in transients(
-        record.t, table, minimum=np.array([minimum[item] for item in present])
-    ):
+    for window in transients(record.t, table, minimum=np.array([*minimum.values()])):
         yield slice(window.start + skip, window.stop)
 
 

@@ -17,8 +17,8 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.covariance import eliminate
 from ehbench.identification.estimate import estimate_starts, information
-from ehbench.identification.hydraulics import PreparedFit, simulator_of
-from ehbench.identification.problem import Problem, initial, problem_of
+from ehbench.identification.hydraulics import PreparedFit, problem_over
+from ehbench.identification.problem import initial
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, channels_of, prepare
 from ehbench.plant.foreign import model_of
@@ -170,7 +170,7 @@ class _Planner:
         # with dead bands as wide as the logs leave them: what a test must open for sure
         ends = {item.name: item.interval[1] for item in fitted if item.interval is not None}
         self.shut = self.rig.with_values({n: u for n, u in ends.items() if n.endswith(".deadband")})
-        problem = self._problem(prepared.logs)
+        problem = problem_over(prepared, prepared.logs)
         state = estimate_starts(problem, self.values)
         blocks, prior = information(problem, state)
         self.sensors = state.theta[len(fitted) :]
@@ -202,11 +202,6 @@ class _Planner:
                     noise.setdefault(name.rsplit(".", 1)[-1], []).append(spread)
         self.noise = {word: float(np.median(sizes)) for word, sizes in noise.items()}
 
-    def _problem(self, logs: Sequence[Log]) -> Problem:
-        item, requested = self.prepared, self.prepared.options
-        simulator = simulator_of(item, logs)
-        return problem_of(simulator, item.search, None, requested.max_iterations, requested.cutoff)
-
     def _error(self, normal: np.ndarray) -> np.ndarray:
         """Standard errors of the live parameters in search coordinates, for white residuals."""
         part = normal[np.ix_(self.live, self.live)]
@@ -235,7 +230,7 @@ class _Planner:
         """What a test would leave of the interval; nothing where it cannot be run."""
         try:
             log = self._log(trial)
-            problem = self._problem([log])
+            problem = problem_over(self.prepared, [log])
             state = initial(problem)
             pairs = zip(self.prepared.search, self.values, strict=True)
             state = replace(

@@ -13,8 +13,7 @@ import numpy as np
 
 from ehbench.identification.descent import constrained
 from ehbench.identification.estimate import estimate
-from ehbench.identification.hydraulics import PreparedFit, simulator_of
-from ehbench.identification.problem import problem_of
+from ehbench.identification.hydraulics import PreparedFit, problem_over
 from ehbench.identification.results import FittedParameter, HydraulicsFit
 from ehbench.identification.search import Coordinate
 from ehbench.vocabulary.errors import InputError
@@ -57,15 +56,11 @@ def profile(
         InsufficientData: as the fit.
     """
     names = [c.name for c in prepared.search]
-    requested, report = prepared.options, progress or (lambda sentence, share: None)
     if name not in names:
         raise InputError(message("guidance.not_among", name=name, names=", ".join(names)))
-    if requested.method != "output_error":
+    if prepared.options.method != "output_error":
         raise InputError(message("guidance.needs_output_error"))
-    simulator = simulator_of(prepared, prepared.logs)
-    problem = problem_of(
-        simulator, prepared.search, report, requested.max_iterations, requested.cutoff
-    )
+    problem = problem_over(prepared, prepared.logs, progress)
     fit, estimated = estimate(problem)
     which = names.index(name)
     fitted, c = fit[name], prepared.search[which]
@@ -74,7 +69,7 @@ def profile(
     for side in (thetas[thetas < best][::-1], thetas[thetas >= best]):
         state = estimated
         for theta in side:
-            report(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
+            problem.report(f"profile of {name}", 0.5 + 0.5 * len(result) / thetas.size)
             state, minimum = constrained(problem, state, which, float(theta))
             result.append((float(theta), minimum, problem.by_name(state.theta)))
     result.sort(key=lambda item: item[0])

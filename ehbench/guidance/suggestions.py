@@ -23,7 +23,7 @@ from ehbench.data.record import Record
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.guidance.comparison import Comparison, comparison_of
 from ehbench.identification.basins import at_values, descend, foreseen, nearest_basin
-from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit
+from ehbench.identification.hydraulics import FitOptions, PreparedFit, prepare_fit, problem_over
 from ehbench.identification.problem import SETTINGS as PROBLEM
 from ehbench.identification.problem import (
     Problem,
@@ -31,10 +31,8 @@ from ehbench.identification.problem import (
     evaluate,
     initial,
     jacobian,
-    problem_of,
 )
-from ehbench.identification.search import of_sensors
-from ehbench.identification.simulator import Log, Simulator
+from ehbench.identification.simulator import Log
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.terminal import Answer
 from ehbench.signals.series import white_noise
@@ -431,10 +429,7 @@ class _Trials:
                 replace(log, counts=log.counts & ~_out(log, k, which)[:, None])
                 for k, log in enumerate(logs)
             ]
-        options, sensors = setup.options, of_sensors(fit.logs[0].start.terms)
-        names = [*setup.parameters, *(c.name for c in sensors)]
-        simulator = Simulator(setup.rig, retained, names, self.maps, options.workers, options.step)
-        return logs, problem_of(simulator, fit.search, None, self.steps, options.cutoff)
+        return logs, problem_over(fit, retained)
 
     def _fold(self, setup: Setup, which: int, begin: Mapping[str, float]) -> _Fold:
         """A fit from some numbers on, with the windows of a fold left out."""

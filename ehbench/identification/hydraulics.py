@@ -30,7 +30,7 @@ from ehbench.identification.journal import Journal
 from ehbench.identification.matching import Matching, refuse_unmatched
 from ehbench.identification.means import SETTINGS as MEANS
 from ehbench.identification.means import Decimate
-from ehbench.identification.problem import problem_of
+from ehbench.identification.problem import Problem, problem_of
 from ehbench.identification.results import FittedParameter, HydraulicsFit, LogFit, Match
 from ehbench.identification.search import Coordinate, Where, coordinates, of_sensors
 from ehbench.identification.simulator import CHANNELS, Log, Simulator, prepare, shut
@@ -294,8 +294,19 @@ def run_fit(
         simulator.replay(starts, simulator.unshifted())
     if requested.method == "thesis":
         return Matching(simulator, search, progress or (lambda text, share: None), maximum).fit()
-    problem = problem_of(simulator, search, progress, maximum, requested.cutoff, journal)
-    return estimate(problem)[0]
+    return estimate(problem_over(prepared, prepared.logs, progress, journal))[0]
+
+
+def problem_over(
+    prepared: PreparedFit,
+    logs: Sequence[Log],
+    progress: Progress | None = None,
+    journal: Journal | None = None,
+) -> Problem:
+    """The problem of a fit over logs; ``progress`` and ``journal`` as of `run_fit`."""
+    simulator, limits = simulator_of(prepared, logs), prepared.options
+    given = progress, limits.max_iterations, limits.cutoff, journal
+    return problem_of(simulator, prepared.search, *given)
 
 
 def simulator_of(prepared: PreparedFit, logs: Sequence[Log]) -> Simulator:

@@ -28,7 +28,7 @@ from ehbench.preprocessing.observations import (
     channels_asked,
     column,
     count_error,
-    least_change,
+    least_changes,
     payload_of,
     position_of,
 )
@@ -181,7 +181,9 @@ def prepare(
     requested = [
         cylinder.name
         for cylinder in rig.cylinder
-        if any(np.ptp(record[c]) > minimum for c, minimum in _commands(cylinder, record).items())
+        if any(
+            np.ptp(record[c]) > minimum for c, minimum in least_changes(cylinder, record).items()
+        )
     ]
     live = [c.name for c in rig.cylinder if c.name in requested or _moves(c, record)]
     if not requested:
@@ -233,7 +235,7 @@ def _counts(
         if not pressures or not columns:
             continue
         void, lowest = np.zeros(record.t.size, dtype=bool), np.min(pressures, axis=0)
-        commands = _commands(cylinder, record)
+        commands = least_changes(cylinder, record)
         table = np.column_stack([record[channel] for channel in commands] or [0.0 * record.t])
         minimum = np.array(list(commands.values())) if commands else 0.0
         starts = [window.start for window in transients(record.t, table, minimum=minimum)]
@@ -251,14 +253,6 @@ def _counts(
         if channel in record and quantity(channel).unit in LIMITED:
             counts[at_limit(record[channel]), i] = False
     return counts, messages
-
-
-def _commands(cylinder: Cylinder, record: Record) -> dict[str, float]:
-    """Least change [V] that is one, by recorded command channel of a cylinder."""
-    minimum = {
-        f"{cylinder.name}.{valve.name}.command": least_change(valve) for valve in cylinder.valve
-    }
-    return {channel: change for channel, change in minimum.items() if channel in record}
 
 
 def shut(model: Model, log: Log) -> str | None:
@@ -326,10 +320,6 @@ def _columns(record: Record, live: Sequence[str], required: Sequence[str]) -> di
             if values is not None and np.ptp(values) > 0.0:
                 columns.setdefault(choice, values)
     return columns
-
-
-# model (None: there is none), log, shifts of its start, bias of all logs' sensors, steps, slack
-_Task = tuple[Model | None, Log, np.ndarray, dict[str, float], np.ndarray, float]
 
 
 @dataclass
@@ -426,41 +416,41 @@ class Simulator:
         """
         self.effort.evaluations += len(points)
         built: dict[tuple[float, ...], dict[str | None, Model | None]] = {}
-        tasks = []
-        for values, k, shifts in points:
-            key, log = tuple(self._by_name(values, False).values()), self.logs[k]
+        models = []
+        for values, k, _ in points:
+            key = tuple(self._by_name(values, False).values())
             if key not in built:
                 try:
                     built[key] = dict(self.models(values))
                 except (EhbenchError, ArithmeticError, np.linalg.LinAlgError):
                     # these values make no rig: pins that its cylinder cannot join
                     built[key] = dict.fromkeys(item.payload for item in self.logs)
-            mesh = FREE if meshes is None else meshes[k]
-            shared = self._by_name(values, True)
-            tasks.append((built[key][log.payload], log, shifts, shared, mesh, slack))
-        done = map_threads(self._simulated, tasks, self.workers)
+            models.append(built[key][self.logs[k].payload])
+
+        def simulated(i: int) -> tuple[np.ndarray | None, np.ndarray]:
+            model, (values, k, shifts) = models[i], points[i]
+            if model is None:
+                return None, FREE
+            log, shared = self.logs[k], self._by_name(values, True)
+            words = {channel.rpartition(".")[2] for channel in log.channels}
+            try:
+                start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+                if self.step == AUTO and words.isdisjoint(FLOWS):
+                    means = log.means if words.isdisjoint(BENT) else None
+                    mesh = FREE if meshes is None else meshes[k]
+                    replayed, mesh = model.replay_paced(true, start, mesh, slack, means)
+                else:
+                    replayed, mesh = model.replay(true, self.step, start=start), FREE
+                return channels_of(log, log.start.seen(replayed, shifts, shared)), mesh
+            except (EhbenchError, ArithmeticError):
+                return None, FREE
+
+        done = map_threads(simulated, range(len(points)), self.workers)
         return [channels for channels, _ in done], [mesh for _, mesh in done]
 
     def unshifted(self) -> Shifts:
         """No shift of any log's start."""
         return [np.zeros(len(log.start.uncertain)) for log in self.logs]
-
-    def _simulated(self, task: _Task) -> tuple[np.ndarray | None, np.ndarray]:
-        """(simulated channels, None where it failed; the steps taken) of one log."""
-        model, log, shifts, shared, mesh, slack = task
-        if model is None:
-            return None, FREE
-        words = {channel.rpartition(".")[2] for channel in log.channels}
-        try:
-            start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
-            if self.step == AUTO and words.isdisjoint(FLOWS):
-                means = log.means if words.isdisjoint(BENT) else None
-                built, mesh = model.replay_paced(true, start, mesh, slack, means)
-            else:
-                built, mesh = model.replay(true, self.step, start=start), FREE
-            return channels_of(log, log.start.seen(built, shifts, shared)), mesh
-        except (EhbenchError, ArithmeticError):
-            return None, FREE
 
     def replay(
         self, values: Sequence[float], shifts: Shifts

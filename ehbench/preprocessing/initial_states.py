@@ -19,7 +19,6 @@ from ehbench.data.record import Record
 from ehbench.parts.cylinder import linkage_of
 from ehbench.parts.valve import valve_lag, valve_settle
 from ehbench.plant.build import Plant
-from ehbench.plant.integrate import STEP
 from ehbench.plant.layout import SIDES
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.model import Model, Seen, Start, seen_of
@@ -431,7 +430,6 @@ def follow_recording(
     live: Sequence[str],
     channels: Sequence[str],
     terms: Sequence[Term] = (),
-    step: float = STEP,
 ) -> Followed:
     """The start from which a model follows the whole of a recording best, each number of it held by
     what the recording's first samples say.
@@ -444,7 +442,6 @@ def follow_recording(
         live: cylinders that move.
         channels: full names, of which the recording has the values or their position's.
         terms: what its sensors make of it; all of them are estimated of this recording by itself.
-        step: of the integration [s].
 
     Raises:
         InputError: a posture outside the stroke.
@@ -452,20 +449,18 @@ def follow_recording(
     """
     terms = tuple(replace(term, per_log=True) for term in terms)
     start = initial_state_of(model, record, live, channels, terms)
-    shifts = best_shifts(model, start, channels, step)
+    shifts = best_shifts(model, start, channels)
     return Followed(start.at(model, shifts), start.true(shifts), start.bias(shifts), terms)
 
 
-def best_shifts(
-    model: Model, start: InitialState, channels: Sequence[str], step: float = STEP
-) -> np.ndarray:
+def best_shifts(model: Model, start: InitialState, channels: Sequence[str]) -> np.ndarray:
     """The shifts [prior standard deviations] of a start from which the model follows its recording
     best, as `follow_recording` has it.
 
     Raises:
         InputError, SimulationError: as `follow_recording`.
     """
-    search = _Follow(model, start, channels, step)
+    search = _Follow(model, start, channels)
     shifts = np.zeros(len(start.uncertain))
     return search.best(shifts) if search.recorded.size and shifts.size else shifts
 
@@ -473,10 +468,8 @@ def best_shifts(
 class _Follow:
     """A recording followed from a start that may be shifted."""
 
-    def __init__(
-        self, model: Model, start: InitialState, channels: Sequence[str], step: float
-    ) -> None:
-        self.model, self.start, self.channels, self.step_time = model, start, channels, step
+    def __init__(self, model: Model, start: InitialState, channels: Sequence[str]) -> None:
+        self.model, self.start, self.channels = model, start, channels
         self.recorded = _channel_table(start.record, channels, start.record)
         self.floor = np.maximum(SETTINGS.floor * np.std(self.recorded, axis=0), 1e-300)
         self.scale, self.weight = self.floor, 1.0
@@ -499,9 +492,7 @@ class _Follow:
     def residual(self, shifts: np.ndarray) -> np.ndarray:
         """Simulated minus recorded [SI], shape (samples, channels)."""
         run = self.run_of(shifts)
-        return self.residual_by(
-            run.model.replay(run.record, self.step_time, start=run.start), shifts
-        )
+        return self.residual_by(run.model.replay(run.record, start=run.start), shifts)
 
     def run_of(self, shifts: np.ndarray) -> Replay:
         """What is replayed, and from where."""
@@ -514,8 +505,7 @@ class _Follow:
 
     def residuals(self, every: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
         """`residual` of several shifts."""
-        runs = [self.run_of(shifts) for shifts in every]
-        replays = replay_many(runs, self.step_time)
+        replays = replay_many([self.run_of(shifts) for shifts in every])
         for shifts, replayed in zip(every, replays, strict=True):
             # a replay that failed says why when it runs again
             failed = replayed is None

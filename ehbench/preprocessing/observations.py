@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ehbench.config.rig import Rig, Valve
+from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.record import Record, payloads_of
 from ehbench.plant.model import MOVED, Model
 from ehbench.plant.ties import supplied
@@ -113,6 +113,12 @@ def stood_for(word: str) -> tuple[str, ...]:
 def least_change(valve: Valve) -> float:
     """The change of a valve's recorded command [V] that is more than noise."""
     return MOVED * (float(valve.command_max) - float(valve.command_min))
+
+
+def least_changes(cylinder: Cylinder, record: Record) -> dict[str, float]:
+    """`least_change` by recorded command channel of a cylinder."""
+    channels = {f"{cylinder.name}.{valve.name}.command": valve for valve in cylinder.valve}
+    return {name: least_change(valve) for name, valve in channels.items() if name in record}
 
 
 def commanded(model: Model, record: Record) -> tuple[str, ...]:

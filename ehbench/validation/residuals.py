@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ehbench.data.record import Record
+from ehbench.data.record import Record, block_averages
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import column, noise_of
 from ehbench.preprocessing.plausibility import LIMITED, at_limit
@@ -83,7 +83,7 @@ def compare_channel(record: Record, model: Model, channel: str, pair: Pair) -> C
         noise_share=min(1.0, float(share)),
     )
     block = max(1, round(SETTINGS.lag_step / record.sample_time))
-    residual = _averaged(error, block)
+    residual = block_averages(error, block)
     lags = min(max(1, round(SETTINGS.lag_span / (block * record.sample_time))), len(residual) // 4)
     if lags < 2 or float(np.ptp(residual)) <= 1e-12 * float(np.max(np.abs(recorded))):
         return plain
@@ -100,17 +100,12 @@ def compare_channel(record: Record, model: Model, channel: str, pair: Pair) -> C
         name = f"{valve}.command"
         if not valve.startswith(f"{cylinder}.") or name not in record:
             continue
-        command = _averaged(record[name], block)
+        command = block_averages(record[name], block)
         if float(np.ptp(command)) > 0.0:
             band = np.full(lags + 1, series.correlation_band(residual, command))
             values = series.correlation(residual, command, lags)[lags:]
             cross.append(_rounded_correlation(name, lag, values, band))
     return replace(plain, autocorrelation=auto, cross_correlation=tuple(cross))
-
-
-def _averaged(y: np.ndarray, block: int) -> np.ndarray:
-    count = len(y) // block
-    return np.mean(y[: count * block].reshape(count, block), axis=1)
 
 
 def _rounded_correlation(
