@@ -1,5 +1,6 @@
 """Whether tests notice wrong code: one change each of cosmic-ray's, drawn at random, in a copy of
-the tree, and the share that the quick tests kill of those that run the changed line.
+the tree, and the share that the quick tests kill. A line that only slow tests run, or none, lets
+its mutants survive; one that hangs is killed, and named.
 
 python -m tools.mutate [MUTANTS] [MINUTES] [SEED]
 """
@@ -28,14 +29,20 @@ CHANGES = (
     *("Lt_GtE", "Gt_LtE", "LtE_Lt", "GtE_Gt", "Eq_NotEq", "NotEq_Eq"),
     *("AndWithOr", "OrWithAnd", "TrueWithFalse", "FalseWithTrue", "Delete_Not", "NumberReplacer"),
 )
-# words that only refuse what no caller does, what is shown of progress, how many threads work
+# words that only refuse what no caller does, what is shown of progress, how many threads work, how
+# much is kept to be fast: no number that anybody gets depends on these
 NO_CHANGE = re.compile(
-    r"\b(strict|frozen|eq) ?= ?(True|False)|\breport\([^\n]*|\bworkers: int = .*"
+    r"\b(strict|frozen|eq|repr) ?= ?(True|False)|\b(report|progress)\([^\n]*"
+    r"|\bworkers: int = .*|\blru_cache\([^)\n]*\)"
 )
 _NUMBER = re.compile(r"(?<![\w.])-? ?\d+\.?\d*(?:e[-+]?\d+)?")
 LEAST = 1.0 / 3.0  # change of a number, of itself: tests hold thresholds to a third (CONTRIBUTING)
+TINY = (
+    1e-3  # below it a step or a guard against zero: 1 more is a change, 1 less a sign that nobody
+)
+# would write
 LONGEST = 120.0  # [s] of the tests of a mutant: one that hangs is killed
-ENOUGH = 20.0  # [s] of tests, the quickest first
+ENOUGH = 30.0  # [s] of tests
 
 
 class Change(NamedTuple):
@@ -50,13 +57,13 @@ class Change(NamedTuple):
 
 
 def is_small(before: str, after: str) -> bool:
-    """Whether a number changes by less than `LEAST` of itself."""
+    """Whether a number changes by less than `LEAST` of itself, or a `TINY` one only its sign."""
     pairs = zip(_NUMBER.findall(before), _NUMBER.findall(after), strict=False)
     changed = next(((a, b) for a, b in pairs if a.strip() != b.strip()), None)
     if changed is None:
         return False
     old, new = (float(text.replace(" ", "")) for text in changed)
-    return abs(new - old) < LEAST * abs(old)
+    return abs(new - old) < LEAST * abs(old) or new < 0.0 < old < TINY
 
 
 class Mutant(NamedTuple):
@@ -159,6 +166,16 @@ def statement(text: str, line: int) -> range | None:
     return range(inner.lineno, max(end, inner.lineno + 1))
 
 
+def bound(text: str, line: int) -> str:
+    """The constant or setting that a line outside of functions gives a value, '' if none."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Assign | ast.AnnAssign | ast.AugAssign):
+            target: Any = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            if node.lineno <= line <= (node.end_lineno or line) and isinstance(target, ast.Name):
+                return target.id
+    return ""
+
+
 class Runs:
     """Which quick tests run a line, and how long each takes [s]."""
 
@@ -194,26 +211,54 @@ class Runs:
         }
 
     def of(self, module: Path, line: int) -> list[str]:
-        """The tests that run a line, the quickest first; of a line that runs as the module is
-        imported those of the whole module.
-        """
-        lines = self.data.contexts_by_lineno(self.files.get(module, ""))
-        those = statement((ROOT / module).read_text(encoding="utf-8"), line) or lines
-        names = {name for each in those for name in lines.get(each, ())}
+        """The tests of a line for `ENOUGH` seconds: first those of files that import its module,
+        one case of each test before any second, the quickest first.
+
+        A constant's are those of the lines that name it, anywhere. Where tests share a result, only
+        the first of them runs the line: then the others of its file follow."""
+        text = (ROOT / module).read_text(encoding="utf-8")
+        inside, word = statement(text, line), bound(text, line)
+        names: set[str] = set()
+        if inside is None and word:
+            for other in self.files:
+                rows = (ROOT / other).read_text(encoding="utf-8").splitlines()
+                named = [i for i, row in enumerate(rows, 1) if re.search(rf"\b{word}\b", row)]
+                names |= self.contexts(other, named)
+        names = names or self.contexts(module, inside)
         tests = {name.rpartition("|")[0] for name in names} - {"", *self.broken}
+        head, _, tail = (
+            ".".join(module.with_suffix("").parts).removesuffix(".__init__").rpartition(".")
+        )
+        imported = rf"\b{head}(\.| import .*\b){tail}\b"
+        near, shared = set(), set()
+        for file in {test.partition("::")[0] for test in tests}:
+            content = (ROOT / file).read_text(encoding="utf-8")
+            near |= {file} if re.search(imported, content) else set()
+            shared |= {file} if re.search(r"@cache\b|scope=.module", content) else set()
+        more = {test for test in self.seconds if test.partition("::")[0] in shared} - self.broken
+        cases, order = Counter[str](), []
+        for test in sorted(tests | more, key=lambda test: (self.seconds[test], test)):
+            case = cases[test.partition("[")[0]] = cases[test.partition("[")[0]] + 1
+            order.append((test.partition("::")[0] not in near, test not in tests, case, test))
         some, total = [], 0.0
-        for test in sorted(tests, key=lambda test: (self.seconds[test], test)):
+        for *_, test in sorted(order, key=lambda item: item[:3]):
             total += self.seconds[test]
             if some and total > ENOUGH:
                 break
             some.append(test)
         return some
 
+    def contexts(self, module: Path, lines: Sequence[int] | None) -> set[str]:
+        """What runs some lines of a module; any of its lines for None."""
+        known = self.data.contexts_by_lineno(self.files.get(module, ""))
+        return {name for line in lines or known for name in known.get(line, ())}
+
 
 def kills(mutant: Mutant, change: Change, folder: Path, runs: Runs) -> bool:
     """Whether a test fails with the change, or hangs."""
     tests = runs.of(mutant.module, change.line)
     if not tests:
+        print("no quick test runs it:", end=" ")
         return False
     place = folder / mutant.module
     whole = place.read_text(encoding="utf-8")
@@ -221,6 +266,7 @@ def kills(mutant: Mutant, change: Change, folder: Path, runs: Runs) -> bool:
     try:
         return pytest(folder, ["-x", *tests], LONGEST)[0] not in (0, 5)
     except subprocess.TimeoutExpired:
+        print(f"hangs: {mutant.module}:{change.line}\n    {change.after}", flush=True)
         return True
     finally:
         place.write_text(whole, encoding="utf-8")
