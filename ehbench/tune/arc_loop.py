@@ -194,8 +194,7 @@ class ArcLoop:
                 at = w[i] * (w[i + 1] / w[i]) ** share
                 turn = cmath.phase(item[i] + share * (item[i + 1] - item[i]))
                 phase = min(phase, abs(turn))
-                if (turn % (2.0 * math.pi)) / at < delay:
-                    delay, frequency = (turn % (2.0 * math.pi)) / at, at
+                delay, frequency = min((delay, frequency), ((turn % (2.0 * math.pi)) / at, at))
             for i, share in _crossings(angle):
                 if abs(angle[i]) < 1.0 and abs(angle[i + 1]) < 1.0:
                     reached = size[i] + share * (size[i + 1] - size[i])
