@@ -21,6 +21,8 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
+from ehbench.preprocessing.sensors import Term
+from ehbench.signals.series import correlation_time
 from ehbench.validation import validate_rig
 from tests.shared import shipped
 from tools.studies.structure_study import Fault, asked, faults, log_of
@@ -337,3 +339,112 @@ def test_alike_faults_are_asked_of_each_part_of_each_valve_and_of_all_valves():
     kinds = {row.kind for row in rows}
     assert "neutral" not in kinds and {"drift", "sensor lag", "sensor scale"} <= kinds
     assert len(rows_of(shipped("slide_servo"), "neutral")) == 1
+
+
+def test_words_of_a_fault_for_recipe_and_rig_file():
+    """Numbers to five digits; a sensor's word or its sign."""
+    rig = shipped("slide_servo")
+    number = Number("press.volume_rod", 1e-3, 1.0, (1e-3,), 1.2345678e-3, "assumed")
+    place = ("cylinder", 0, "valve", 0)
+    content = {"law": {"value": 1.23456789}, "of": ["a", 2.0], "far": "inf m"}
+    edit = (place, "law", content, {"load": "12.3456789 kg"})
+    added = Hypothesis(Row("gain"), "a", (number,), edits=(edit,))
+    assert added.recipe_lines(rig) == (
+        'parameters: add "press.volume_rod"',
+        f'[upper] "press.volume_rod" = "{rig.shown(number.name, number.upper, 5)}"',
+    )
+    (line,) = added.rig_lines(rig)
+    values = 'law = 1.2346, of = ["a", 2], far = "inf m", load = "12.346 kg"'
+    assert line == f"[cylinder.press.valve.servo] {values}"
+    plain = Hypothesis(Row("gain"), "a", (number,), edits=((place, "dynamics", {"f": "x y"}, {}),))
+    assert plain.rig_lines(rig) == ('[cylinder.press.valve.servo.dynamics] f = "x y"',)
+    for kind, word in (("sensor scale", 'scale = "estimate"'), ("sensor sign", "sign = -1")):
+        read = Hypothesis(Row(kind), "press.v", readings=(("press.v", "scale", 1.0),))
+        assert read.recipe_lines(rig) == (f'[[sensor]] channel = "press.v", {word}',)
+        assert read.freedom == 1
+    assert Hypothesis(Row("drift"), "a", readings=(("u", "drift", 1.0),)).recipe_lines(rig) == ()
+
+
+def test_a_fault_of_readings_is_added_to_what_is_known_of_sensors():
+    """Commands that drift grow in proportion to time, to 1 + δ at the end."""
+    name = "press.servo.command"
+    log = Record(np.linspace(2.0, 4.0, 5), {name: np.full(5, 3.0), "press.v": np.ones(5)})
+    drift = Hypothesis(
+        Row("drift"), "a", readings=((name, "drift", 1.0), ("press.other.command", "drift", 1.0))
+    )
+    grown = drift.record(log, 0.5)
+    np.testing.assert_allclose(grown[name], 3.0 * np.array([1.0, 1.125, 1.25, 1.375, 1.5]))
+    np.testing.assert_array_equal(grown["press.v"], 1.0)
+    offset = Hypothesis(Row("sensor offset"), name, readings=((name, "offset", 4.0),))
+    assert offset.record(log, 0.5) is log
+    known = (Term(name, "scale", 0.1, 2.0, 0.3, True),)
+    terms, bias = offset.terms(known, {f"{name}.offset": 1.0, f"{name}.scale": 7.0}, -0.25)
+    assert terms == (*known, Term(name, "offset", 0.0, 1.0, 0.0, False))
+    assert bias == {f"{name}.offset": 0.0, f"{name}.scale": 7.0}
+    again, bias = offset.terms(terms, {}, 0.5)
+    assert again == terms and bias == {f"{name}.offset": 2.0}
+    assert drift.terms(known, {}, 1.0)[0] == known
+
+
+def case_of(channels, *, step=1e-3, noise=0.0, **more) -> Case:
+    """A case of some channels at standstill of the model, two cylinders' words alike."""
+    t = np.arange(next(iter(channels.values())).size) * step
+    rng = np.random.default_rng(7)
+    seen = {name: y + noise * rng.standard_normal(t.size) for name, y in channels.items()}
+    return Case("log", Record(t, seen), Model.of(shipped("slide_servo")), ("press",), **more)
+
+
+def test_what_is_left_is_in_units_of_a_blocks_noise():
+    """White noise of 0.02, five samples to a block; errors of 0.3 beside a spread of 1/√2."""
+    y = np.sin(2.0 * np.pi * np.arange(8000) / 2000.0)
+    case = case_of({"press.v": y, "press.p_head": 2.0 * y}, noise=0.02)
+    assert case.channels == ("press.v", "press.p_head") and case.block == 5
+    wanted = math.hypot(0.02 / math.sqrt(5.0), 0.005 / math.sqrt(2.0))
+    assert case.scales["press.v"] == pytest.approx(wanted, rel=0.05)
+    off = Record(case.record.t, {n: v + 0.3 for n, v in case.record.channels.items()})
+    left = case.left(off)
+    assert left.size == 3200
+    assert left[:1600] == pytest.approx(0.3 / case.scales["press.v"])
+    assert left[1600:] == pytest.approx(0.3 / case.scales["press.p_head"])
+    shares = [(case.noise[name] / case.scales[name]) ** 2 for name in case.channels]
+    assert case.noise_squares == pytest.approx(1600.0 * sum(shares))
+    white = np.random.default_rng(2).standard_normal(3200)
+    assert case.independent(white) == pytest.approx(3200.0, rel=0.1)
+    slow = np.append(np.repeat(white[::8], 8)[:1600], np.repeat(white[::4], 4)[:1600])
+    each = [1600.0 / correlation_time(part) for part in np.split(slow, 2)]
+    assert case.independent(slow) == pytest.approx(sum(each)) and sum(each) < 1200.0
+    part = replace(case, scored=(2.0, 3.999))
+    assert part.keep.sum() == 2000 and part.left(off).size == 800
+
+
+@pytest.mark.parametrize(
+    ("given", "channels"),
+    [
+        (("v", "qd", "p_head", "p_rod"), ("v", "p_head", "p_rod")),
+        (("v", "load_pressure", "p_head"), ("v", "p_head")),
+        (("x", "load_pressure"), ("v", "load_pressure")),
+        (("p_rod",), ("p_rod",)),
+    ],
+)
+def test_a_case_compares_a_rate_and_pressures_or_what_stands_for_them(given, channels):
+    y = np.sin(np.arange(400) * 0.05)
+    case = case_of({f"press.{word}": y for word in given})
+    assert case.channels == tuple(f"press.{word}" for word in channels)
+    still = case_of({f"press.{word}": 0.0 * y for word in given})
+    assert still.channels == ()
+
+
+def test_a_search_refines_only_what_has_a_slope_and_stays_within_bounds(monkeypatch):
+    search, asked = search_of(U), []
+
+    def at(points):
+        asked.extend(points)
+        return [[U * abs(1.0 - delta)] for _, delta in points]
+
+    monkeypatch.setattr(search, "_at", at)
+    fixed = Hypothesis(replace(WEAK.row, step=0.0), "fixed")
+    near = {BOUND: (0.2, 0.64, [U]), fixed: (0.5, 0.25, [U])}
+    refined = search._refined(near)
+    assert refined[fixed] is near[fixed] and {fault for fault, _ in asked} == {BOUND}
+    assert max(delta for _, delta in asked) <= 0.25 and refined[BOUND][0] == pytest.approx(0.25)
+    assert len(asked) < 2 * diagnosis.HALVINGS

@@ -3,6 +3,7 @@ ramps."""
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,16 @@ from ehbench.diagnosis import Finding, Structure
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import noise_of
 from ehbench.validation import validate_rig
-from ehbench.validation.checks import _ringing_check, beyond_noise
+from ehbench.validation.checks import _ringing_check, beyond_noise, checks_of, unrequested
 from ehbench.validation.residuals import pair_of
-from ehbench.validation.results import Ring, Transient, Validation
+from ehbench.validation.results import (
+    ChannelResult,
+    Correlation,
+    Ring,
+    Sweep,
+    Transient,
+    Validation,
+)
 from ehbench.validation.sweeps import _beyond
 from ehbench.validation.transients import stands, unjudged
 from tests.shared import shipped
@@ -317,3 +325,103 @@ def test_causes_and_fixed_numbers_weigh_on_the_verdict(findings, leans, verdict,
     assert (len(result.reasons), len(result.reservations)) == texts
     failed = replace(plain, accepted=False, reasons=("a fit",))
     assert failed.with_fit(rows).with_structure(Structure(causes)).verdict == "rejected"
+
+
+def result_of(channel, fit=90.0, error=0.0, bias=0.0, rms=1.0, **more):
+    """How a channel is followed."""
+    return ChannelResult(channel, "m", fit, error, bias, rms, **more)
+
+
+def outside(*percent):
+    """Correlations that leave their bands at some shares [%] of their lags."""
+    return tuple(Correlation("u", (0.0,), (1.0,), (0.1,), share) for share in percent)
+
+
+@pytest.mark.parametrize("off", [-1.0, 0.0, 1.0])
+def test_each_threshold_is_held_against_what_was_reached(off):
+    """One demand at a time, missed and kept by a little; words as people read them."""
+    nothing: dict[str, Any] = {"fit_percent": {}, "natural_frequency_error": False}
+    nothing |= {f"response_{word}_error": False for word in ("gain", "phase", "delay")}
+    sweep = Sweep("u", "press.p_head", (1.0, 9.0), 20, 8.0, (1.0, 1.0), (0.0, 0.0), None)  # pyright: ignore[reportArgumentType]
+    answered = replace(sweep, gain_error=0.2, phase_error=math.radians(20.0), delay_error=2e-3)
+    channel = result_of(
+        "press.x",
+        80.0,
+        -3e-3,
+        autocorrelation=outside(20.0)[0],
+        cross_correlation=outside(20.0, 5.0),
+    )
+    for asked, key, fields in (
+        ({"fit_percent": {"x": 80.0 + off}}, "fit", {"reached": 80.0, "required": 80.0 + off}),
+        (
+            {"max_error": {"x": f"{3.0 - 0.1 * off} mm"}},
+            "error",
+            {"reached": "3 mm", "allowed": f"{3.0 - 0.1 * off:.3g} mm"},
+        ),
+        (
+            {"whiteness": True, "outside_percent": 20.0 - off},
+            "residual",
+            {"kind": "autocorrelation", "reached": 20.0},
+        ),
+        (
+            {"independence": True, "outside_percent": 20.0 - off},
+            "residual",
+            {"kind": "correlation with commands", "reached": 20.0, "allowed": 20.0 - off},
+        ),
+        (
+            {"response_gain_error": 0.2 - 0.01 * off},
+            "response",
+            {"reached": "20 %", "allowed": f"{20.0 - off:.3g} %", "low": 1.0, "high": 9.0},
+        ),
+        (
+            {"response_phase_error": f"{20.0 - off} deg"},
+            "response",
+            {"what": "phase", "reached": "20°", "allowed": f"{20.0 - off:.3g}°"},
+        ),
+        (
+            {"response_delay_error": f"{2.0 - 0.1 * off} ms"},
+            "response",
+            {"reached": "2 ms", "channel": "press head pressure"},
+        ),
+    ):
+        requested = Thresholds(**nothing | asked)
+        (check,) = checks_of([channel], [], [answered], requested, shipped("slide_servo"))
+        assert check.passed == (off <= 0.0), asked
+        assert check.sentence.key == f"validation.{key}"
+        assert {name: check.sentence.fields[name] for name in fields} == fields
+        if key == "response":
+            (check,) = checks_of([channel], [], [sweep], requested, shipped("slide_servo"))
+            assert (check.passed, check.reached) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("channel", "word"),
+    [("press.x", {"fit": 79.0, "error": "3 mm"}), ("press.v", None), ("press.q", None)],
+)
+def test_a_position_that_is_followed_badly_is_told_where_nobody_asks(channel, word):
+    rig, log = shipped("slide_servo"), Record(np.zeros(1), {"press.x_desired": np.zeros(1)})
+    bad = result_of(channel, 79.0, -3e-3)
+    asked = Thresholds(max_error={"q": "1 deg"} if channel == "press.q" else {}, fit_percent={})
+    notes = list(unrequested([bad], asked, rig, log))
+    if word is None:
+        assert not notes
+        return
+    poor, controlled = notes
+    assert {name: poor.fields[name] for name in word} == word
+    assert controlled.fields["channel"] == "press.x_desired"
+    assert not list(unrequested([replace(bad, fit_percent=81.0)], asked, rig, log))
+    assert not list(unrequested([bad], Thresholds(fit_percent={"x": 1.0}), rig, log))
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "off"), [("p_head", 1e5, "0.8 bar"), ("v", 0.1, "80 mm/s")]
+)
+@pytest.mark.parametrize(("sign", "way"), [(1.0, "high"), (-1.0, "low")])
+def test_a_level_is_taken_from_the_error_before_the_shape_is_judged(channel, unit, off, sign, way):
+    """Of an rms error of 1 with a bias of 0.8, 0.6 are left; the spread is 2, or 20."""
+    result = result_of(f"press.{channel}", 50.0, bias=0.8 * sign * unit, rms=unit)
+    rig, asked, log = shipped("slide_servo"), Thresholds(fit_percent={}), Record(np.zeros(1), {})
+    (note,) = unrequested([result], asked, rig, log)
+    assert note.fields["shape"] == pytest.approx(70.0) and note.fields["fit"] == 50.0
+    assert note.fields["off"] == f"{off} too {way}"
+    assert not list(unrequested([replace(result, fit_percent=95.0)], asked, rig, log))
