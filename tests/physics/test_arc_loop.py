@@ -239,5 +239,5 @@ def test_estimates_of_a_steady_motion_keep_off_their_bounds_and_pressures_lag():
     assert [".p_" in name or name.startswith("p_") for name in channels] == lagged.tolist()
     width = gains.upper - gains.lower
     inside = 1e-3 * width
-    assert state.estimates[INVERSE_INERTIA] == pytest.approx((0.9 - inside[INVERSE_INERTIA]))
+    assert state.estimates[INVERSE_INERTIA] == pytest.approx(0.9 - inside[INVERSE_INERTIA])
     assert state.estimates[DISTURBANCE] == pytest.approx(-1.0 + inside[DISTURBANCE])

@@ -2,12 +2,15 @@
 
 import json
 import math
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from ehbench.flow_maps import results
+from ehbench.flow_maps import shape as shapes
 from ehbench.flow_maps.spline import Axis, OneColumn, Spline, full, pivoted
 from ehbench.flow_maps.tables import fitted_flow
 from ehbench.physics.flow_map import (
@@ -399,3 +402,142 @@ def test_a_reading_is_compared_on_its_side_of_the_hysteresis():
     found = fitted_flow(fit, SimpleNamespace(command=command, flow=flow), drop)
     np.testing.assert_allclose(found[:2], (level + side)[:2], rtol=1e-9)
     np.testing.assert_array_equal(found[2:], level[2:])
+
+
+# --- standard errors in closed form
+
+
+@pytest.mark.parametrize(("bends", "share"), [(True, 0.5), (False, 0.25)])
+def test_a_kink_between_two_drops_is_in_the_standard_error(bends, share):
+    """Slope 2 more from 0.37 on: the chord over its gap is off by κ·h·w·(1 − w) at most."""
+    roots = np.array([0.1, 0.2, 0.3, 0.5, 0.6, 0.7, 0.8])
+    kinked = lambda u, s: u + 2.0 * np.maximum(s - 0.37, 0.0)
+    result = SimpleNamespace(
+        readings=SimpleNamespace(roots=roots),
+        solution=SimpleNamespace(at=kinked),
+        shape=SimpleNamespace(along_s=SimpleNamespace(kink=bends)),
+    )
+    s = np.array([0.3, 0.37, 0.45, 0.55, 0.65, 0.75, 0.95])
+    std = np.sqrt(results._between_drops(result, np.full(s.size, 3.0), s))
+    inside = np.array([0.0, 0.35 * 0.65, 0.75 * 0.25])
+    assert std[:3] == pytest.approx(share * 2.0 * 0.2 * inside)
+    assert std[3] == pytest.approx(share * 2.0 * 0.1 * 0.25)  # its neighbour may hold it
+    assert std[4] == pytest.approx(share * 0.7 * 0.1 * 0.25)  # 1.3 and 2 before and behind 0.5
+    assert std[5:] == pytest.approx(0.0, abs=1e-12)
+    result.readings.roots = roots[:3]
+    assert not results._between_drops(result, s, s).any()
+
+
+def test_a_miss_beyond_chance_is_in_the_standard_error():
+    """Of one cell its square less 1 + 1.6 √2 variances of its noise; of two the nearer counts."""
+    cells = SimpleNamespace(
+        weight=np.array([1e4, 1e4, 0.0, 1e4]),
+        u=np.array([3.0, 9.0, 3.0, 1.0]),
+        s=np.array([0.5, 0.5, 0.5, 0.5]),
+        y=np.array([1.1, 1.02, 9.0, 9.0]),
+    )
+    places = lambda u, s: np.stack([100.0 * u, s], axis=1)
+    result = SimpleNamespace(
+        readings=SimpleNamespace(places=places),
+        solution=SimpleNamespace(cells=cells, at=lambda u, s: np.ones(u.size)),
+        deadband=SimpleNamespace(value=1.5),
+    )
+    variance = results._missed(result, np.array([3.0, 9.0]), np.array([0.5, 0.5]))
+    sure = 1.0 + 1.6 * math.sqrt(2.0)
+    assert variance == pytest.approx([0.01 - sure * 1e-4, 0.02**2 - sure * 1e-4])
+    cells.y[:] = 1.015
+    assert not results._missed(result, np.array([3.0]), np.array([0.5])).any()
+    result.deadband.value = 10.0
+    assert not results._missed(result, np.array([3.0]), np.array([0.5])).any()
+
+
+def test_trials_scatter_as_dersimonian_and_laird_have_it():
+    """Of equal weights p: τ² is the variance of the factors less 1/p."""
+    factors, each = np.array([0.02, -0.05, 0.04, 0.03]), 50
+    trial = np.repeat(np.arange(4), each)
+    flow = np.tile(np.linspace(0.2, 1.0, each), 4)
+    solution = SimpleNamespace(flow=flow, lone=np.zeros(1, bool))
+    cell = np.zeros(trial.size, int)
+    result = SimpleNamespace(
+        readings=SimpleNamespace(trial=trial, cell=cell),
+        solution=solution,
+        keep=np.ones(trial.size, bool),
+        residuals=factors[trial] * flow,
+        noise=SimpleNamespace(std=lambda readings, flow: np.full(flow.size, 0.1)),
+    )
+    precision = float(np.sum(flow[:each] ** 2)) / 0.01
+    between = np.var(factors, ddof=1) - 1.0 / precision
+    assert results._trial_scatter(result) == pytest.approx(math.sqrt(between / 4.0))
+    result.keep = trial < 3
+    between = np.var(factors[:3], ddof=1) - 1.0 / precision
+    assert results._trial_scatter(result) == pytest.approx(math.sqrt(between / 3.0))
+    result.residuals *= 0.1
+    assert results._trial_scatter(result) == 0.0
+    result.keep = trial < 1
+    assert results._trial_scatter(result) == 0.0
+
+
+def test_a_leak_is_the_mean_below_the_deadband_and_never_negative():
+    u = np.array([0.0, 0.5, 1.0, 1.1, 2.0])
+    readings = SimpleNamespace(
+        u=u, q=np.array([1.0, 3.0, 2.0, 9.0, 9.0]), rated=10.0, y=np.array([0.1, 0.3, 0.2, 9, 9])
+    )
+    result = SimpleNamespace(
+        readings=readings,
+        keep=np.ones(5, bool),
+        deadband=SimpleNamespace(interval=(1.0, 1.2)),
+        solution=SimpleNamespace(flow=np.full(5, 0.1)),
+    )
+    mean, (low, high) = results._leakage(result)
+    std = math.sqrt(0.05 / 3.0 / 3.0)  # of residuals 0, 0.2 and 0.1
+    assert (mean, low) == (pytest.approx(0.2), pytest.approx(0.2 - 1.959964 * std))
+    assert high == pytest.approx(0.2 + 1.959964 * std)
+    assert results._interval(0.1, 1.0) == (0.0, pytest.approx(2.059964))
+    result.keep = u > 1.0
+    assert results._leakage(result) == (0.0, (0.0, 0.0))
+    np.testing.assert_array_equal(results._digits([1.23456, -98765.4], 3), [1.23, -98800.0])
+
+
+@dataclass(frozen=True)
+class Bend:
+    """A shape that knows its commands and kinks."""
+
+    above: np.ndarray
+    kinks: tuple[float, ...]
+
+    def spline(self):
+        return self
+
+
+def test_a_kink_is_placed_by_its_likelihood(monkeypatch):
+    """Normal about 5.03 V by 0.2 V: its error, that of the grid, and 95 % with a step to spare."""
+    square = lambda shape, moved, cells: np.array(
+        [((m.kinks[-1] - 5.03) / 0.2) ** 2 for m in moved]
+    )
+    monkeypatch.setattr(shapes, "likelihoods", square)
+    above = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0])
+    kink = shapes._place(Bend(above, (2.5, 5.4)), None)
+    step = 3.0 / 61.0
+    assert kink.value == pytest.approx(5.03, abs=0.5 * step)
+    assert kink.std == pytest.approx(math.sqrt(0.04 + step**2 / 12.0), rel=0.02)
+    assert kink.interval == pytest.approx((5.03 - 0.392, 5.03 + 0.392), abs=1.6 * step)
+    assert kink.interval[1] - kink.interval[0] > 2.0 * 0.392
+    gaps = shapes.gaps_of(above, (kink,))
+    ends = [(gap[0], gap[-1]) for gap in gaps]
+    inner = [(2.0, 3.0), (3.0, 4.0), (4.0, 5.0), (6.0, 7.0)]
+    assert ends == [pytest.approx((a + 1 / 9, a + 8 / 9)) for a, _ in inner]
+    assert all(gap.size == 8 for gap in gaps)
+
+
+def test_a_deadbands_profile_closes_in_on_what_is_likely(monkeypatch):
+    """Deadbands within √14 standard errors fill at least eight points of fifteen in the end."""
+    monkeypatch.setattr(shapes, "likelihoods", lambda shape, tried, cells: np.array([*tried]))
+    shape = SimpleNamespace(spline=lambda u, soft: ((u - 1.37) / 0.01) ** 2 + 7.0)
+    readings, window = SimpleNamespace(levels=np.array([10.0])), SimpleNamespace(low=0.0, high=3.0)
+    grid, rise = shapes._profile(readings, shape, None, window, False)
+    assert grid.size == 15 and rise.min() == 0.0
+    far = math.sqrt(14.0) * 0.01
+    assert np.count_nonzero(np.abs(grid - 1.37) < far) > 5
+    assert grid[0] < 1.37 - 0.02 and grid[-1] > 1.37 + 0.02 and np.ptp(grid) < 0.2
+    readings.levels[0] = 1e4
+    assert np.ptp(shapes._profile(readings, shape, None, window, False)[0]) == 3.0
