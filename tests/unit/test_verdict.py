@@ -14,19 +14,23 @@ from ehbench.data.record import Record
 from ehbench.diagnosis import Finding, Structure
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import noise_of
+from ehbench.signals import series
 from ehbench.validation import validate_rig
 from ehbench.validation.checks import _ringing_check, beyond_noise, checks_of, unrequested
+from ehbench.validation.judge import _reasons, _unexplained
 from ehbench.validation.residuals import pair_of
 from ehbench.validation.results import (
     ChannelResult,
+    Check,
     Correlation,
+    LogResult,
     Ring,
     Sweep,
     Transient,
     Validation,
 )
 from ehbench.validation.sweeps import _beyond
-from ehbench.validation.transients import stands, unjudged
+from ehbench.validation.transients import stands, unjudged, why_not_judged
 from tests.shared import shipped
 from tools.virtual_logs import DRIVES, clean_log, commands_of, noisy, virtual_log
 
@@ -425,3 +429,66 @@ def test_a_level_is_taken_from_the_error_before_the_shape_is_judged(channel, uni
     assert note.fields["shape"] == pytest.approx(70.0) and note.fields["fit"] == 50.0
     assert note.fields["off"] == f"{off} too {way}"
     assert not list(unrequested([replace(result, fit_percent=95.0)], asked, rig, log))
+
+
+def log_of_results(name, status, *channels, **more):
+    return LogResult(name, "none", status, 1.0, 1e-3, channels=channels, **more)
+
+
+@pytest.mark.parametrize(
+    ("channels", "named"),
+    [
+        ([("a", 69.0, 0.1)], ("a", 0.31)),
+        ([("a", 71.0, 0.0)], None),  # below three tenths
+        ([("a", 60.0, 0.134)], None),  # 0.4 is less than three times its noise
+        ([("a", 60.0, 0.13)], ("a", 0.4)),
+        ([("a", 60.0, 0.0), ("b", 50.0, 0.17), ("c", 55.0, 0.1)], ("c", 0.45)),
+        ([("a", None, 0.0)], None),
+    ],
+)
+def test_the_worst_channel_beyond_its_noise_is_a_reservation(channels, named):
+    """Of logs that count: of others nothing is said."""
+    items = [result_of(f"{name}.v", fit, noise_share=noise) for name, fit, noise in channels]
+    notes = list(_unexplained([log_of_results("log", "held_out", *items)]))
+    told = [(note.fields["channel"], note.fields["share"]) for note in notes]
+    assert told == ([(f"{named[0]}.v", pytest.approx(named[1]))] if named else [])
+    assert not list(_unexplained([log_of_results("log", "fitted", *items)]))
+
+
+def test_what_failed_or_asked_nothing_rejects():
+    kept, missed = (Check("a", 1.0, 1.0, "", ok, "s") for ok in (True, False))
+    sound = log_of_results("a", "held_out", checks=(kept,))
+    assert sound.passed and not list(_reasons([sound, log_of_results("b", "still")]))
+    failed = replace(sound, checks=(kept, missed))
+    assert not failed.passed and list(_reasons([failed, sound])) == ["a: s"]
+    broken = replace(sound, name="c", failure="f")
+    (reason,) = _reasons([sound, broken])
+    assert reason.fields == {"log": "c", "reason": "f"} and not broken.passed
+    fitted = replace(failed, name="d", status="fitted")
+    (reason,) = _reasons([fitted, replace(fitted, name="e")])
+    assert reason.key == "validation.all_fitted" and reason.fields["logs"] == "d, e"
+    (reason,) = _reasons([log_of_results("b", "held_out")])
+    assert reason.key == "validation.no_check" and not log_of_results("b", "held_out").passed
+
+
+@pytest.mark.parametrize(
+    ("omega", "zeta", "until", "key"),
+    [
+        (30.0, 0.05, 3.0, ""),
+        (30.0, -0.02, 3.0, "grows"),
+        (30.0, 0.05, 0.5, "short_stand"),  # 2.39 periods
+        (30.0, 0.05, 0.6, ""),
+    ],
+)
+def test_a_ringing_is_judged_by_its_decay_and_the_time_that_it_has(omega, zeta, until, key):
+    t = np.arange(0.0, until, 1e-3)
+    bent = omega * math.sqrt(1.0 - zeta**2)
+    y = np.exp(-zeta * omega * t)[:, None] * np.stack([np.cos(bent * t), np.sin(bent * t)], axis=1)
+    y = y + 1e-3 * np.random.default_rng(1).standard_normal(y.shape)
+    plain = {"natural_frequency_std": 0.05, "damping_ratio_std": 0.002, "stop": t[-1]}
+    result = replace(series.ringing(t, y, (omega, abs(zeta)), trim=False), **plain)
+    result = replace(result, natural_frequency=omega, damping_ratio=zeta)
+    assert getattr(why_not_judged(t, y, result), "key", "").removeprefix("validation.") == key
+    if not key and until > 1.0:  # halves that ring otherwise
+        off = replace(result, natural_frequency=1.25 * omega)
+        assert why_not_judged(t, y, off).key == "validation.halves_differ"
