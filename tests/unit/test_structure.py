@@ -18,6 +18,7 @@ from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
 from ehbench.diagnosis.follows import followed
 from ehbench.identification.fixed_numbers import counts_on
+from ehbench.parts.fault import Amount
 from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import commanded
@@ -448,3 +449,53 @@ def test_a_search_refines_only_what_has_a_slope_and_stays_within_bounds(monkeypa
     assert refined[fixed] is near[fixed] and {fault for fault, _ in asked} == {BOUND}
     assert max(delta for _, delta in asked) <= 0.25 and refined[BOUND][0] == pytest.approx(0.25)
     assert len(asked) < 2 * diagnosis.HALVINGS
+
+
+def scales_of(command, part=None, channel=""):
+    """Scales of the slide, whose valve was commanded so, of ±10 V."""
+    rig = shipped("slide_servo")
+    (item,) = rig.cylinder
+    log = Record(np.arange(command.size) * 1e-3, {"press.servo.command": command})
+    return Scales(rig, item, item.valve[0], [log], channel, part and part(item.valve[0]))
+
+
+def test_scales_of_a_machine_by_hand():
+    area = math.pi / 4.0 * 0.05**2
+    scales = scales_of(np.array([-3.0, 0.0, 2.0]))
+    assert (scales.pressure, scales.force) == (1.4e7, pytest.approx(1.4e7 * area))
+    assert scales.leakage == pytest.approx(0.01 * area / 1.4e7)
+    assert (scales.command, scales.reach) == (float(scales.valve.command_max), 3.0)
+    assert scales.friction == pytest.approx(max(scales.coulomb, 0.006 * scales.force))
+    for edge in scales.valve.edge:
+        found = scales_of(np.array([-3.0, 0.0, 2.0]), lambda valve, edge=edge: edge)
+        assert found.reach == (2.0 if edge.sign > 0 else 3.0)
+    scales.part = Stub(opening_max=9.0, deadband=1.5)
+    assert scales.travel == 7.5
+    assert scales_of(np.array([-3.0, 0.0]), lambda valve: valve.edge[0]).empty
+    assert not scales.empty
+    amount = Amount((0.5, 2.0), "command", "V", (0.1, 3.0))
+    top = scales.command
+    assert (scales.of(amount), scales.of(amount, 1), scales.of(amount, 7)) == (
+        0.5 * top,
+        2 * top,
+        2 * top,
+    )
+    written = scales.written(amount)
+    assert written == {
+        "value": f"{0.5 * top!r} V",
+        "lower": f"{0.05 * top!r} V",
+        "upper": f"{1.5 * top!r} V",
+    }
+    assert scales.written(amount._replace(span=None)) == f"{0.5 * top!r} V"
+    assert scales.written(amount._replace(unit="")) == 0.5 * top and scales.written("a") == "a"
+
+
+@pytest.mark.parametrize(
+    ("small", "middle", "graded"), [(0, 6, True), (0, 4, False), (100, 6, True), (100, 4, False)]
+)
+def test_commands_of_several_sizes_grade_a_valve(small, middle, graded):
+    """Beyond a twentieth of those over a tenth of the largest lie below eight tenths of it."""
+    large = 100 - middle
+    command = np.repeat([0.5, 5.0, 10.0], [small, middle, large])
+    assert scales_of(command).graded == graded
+    assert scales_of(np.repeat([0.9, 8.1, 10.0], [small, middle, large])).graded is False
