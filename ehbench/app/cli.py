@@ -296,7 +296,7 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
         "parts": parts and parts.value,
         "formats": formats.split(",") if formats else (),
         "payload": payload,
-        "rate": f"{rate} Hz" if rate.replace(".", "", 1).isdecimal() else rate,
+        "rate": f"{rate} Hz" if rate[-1:].isdecimal() else rate,
         "targets": targets.split(",") if targets else (),
     }
     says = Says.of(loud, as_json)

@@ -4,16 +4,34 @@ variables by which people know what lies there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from ehbench.config.rig.names import ascii_words
 from ehbench.vocabulary.quantities import VOCABULARY
 
 WORD = 8  # bytes of a number
+
+
+def identifier(text: str) -> str:
+    """A text as a name in C and MATLAB: letters, digits and _ of ASCII, a letter first."""
+    plain = ascii_words(text)
+    return plain if plain[:1].isalpha() else f"c{plain}"
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Names with numbers behind those that an earlier one has too, whatever their case."""
+    result: list[str] = []
+    for name in names:
+        taken = {item.upper() for item in result}
+        tries = (f"{name}_{i}" if i > 1 else name for i in count(1))
+        result.append(next(item for item in tries if item.upper() not in taken))
+    return result
 
 
 class Variable(NamedTuple):

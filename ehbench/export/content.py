@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.config.recipe import ExportRecipe
 from ehbench.config.rig import Rig
+from ehbench.export.component import distinct
+from ehbench.vocabulary.errors import one_line
 from ehbench.vocabulary.terms import Z95
 
 if TYPE_CHECKING:
@@ -53,6 +55,11 @@ class Export:
     fitted: Mapping[str, Mapping[str, Any]]
 
     @property
+    def carrying(self) -> Rig:
+        """The rig with its payload."""
+        return self.rig.with_payload(self.trial.recipe.payload)
+
+    @property
     def about(self) -> dict[str, str]:
         """Source and 95 % interval of each parameter, in words."""
         about = {}
@@ -61,7 +68,7 @@ class Export:
             if interval is None and value.std:
                 half = Z95 * value.std
                 interval = [float(value) - half, float(value) + half]
-            about[name] = value.source or value.sure
+            about[name] = one_line(value.source or value.sure)
             if interval:
                 about[name] += "; 95 % interval {:.6g} to {:.6g}".format(*interval)
         return about
@@ -82,7 +89,8 @@ class Export:
             for law, item in zip(loop.laws, loop.driven, strict=False):
                 parts.append(controller_part(trial, session, law, item.design))
                 parts.append(valves_part(trial, item.design))
-        return tuple(parts)
+        names = distinct(part.name for part in parts)
+        return tuple(replace(part, name=name) for part, name in zip(parts, names, strict=True))
 
     @cached_property
     def kernels(self) -> list[Kernels]:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import io
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ehbench.config.rig import Rig, parameter_row
+from ehbench.export.component import distinct, identifier
 from ehbench.export.linear import StateSpace
+from ehbench.vocabulary.errors import one_line
 
+KEYWORDS = set(
+    "break case catch classdef continue else elseif end for function global if otherwise parfor"
+    " persistent return spmd switch try while".split()
+)
 Fitted = Mapping[str, Mapping[str, Any]]  # rows of ``parameters.json`` by name
 
 
@@ -29,7 +34,7 @@ def matlab_files(rig: Rig, fitted: Fitted, linear: Sequence[StateSpace]) -> dict
         linear: state spaces.
     """
     name = _matlab_name(rig.name)
-    facts = dict(_facts(rig, fitted))
+    facts = dict(_places(_facts(rig, fitted)))
     lines = [
         f"% {rig.name}: SI. p: values; info: unit, 95 % interval, status, source.",
         f"% Linear models: load('{name}.mat'); sys = ss(linear(1).A, linear(1).B, linear(1).C, 0);",
@@ -45,20 +50,36 @@ def matlab_files(rig: Rig, fitted: Fitted, linear: Sequence[StateSpace]) -> dict
     }
 
 
-def _facts(rig: Rig, fitted: Fitted) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
-    """What is known of each parameter, by its place in the structs."""
+def _facts(rig: Rig, fitted: Fitted) -> dict[str, Any]:
+    """What is known of each parameter, in tables by the words of its name; the keys of tables end
+    in a dot.
+    """
+    tables: dict[str, Any] = {}
     for name, value in rig.parameters().items():
-        row = fitted.get(name, {})
-        yield (
-            tuple(_matlab_name(word) for word in name.split(".")),
-            {
-                "value": float(value),
-                "unit": parameter_row(name).unit,
-                "interval": row.get("interval") or (math.nan, math.nan),
-                "status": row.get("status", "fixed"),
-                "source": value.source or "",
-            },
-        )
+        row, inner = fitted.get(name, {}), tables
+        *words, last = name.split(".")
+        for word in words:
+            inner = inner.setdefault(f"{word}.", {})
+        inner[last] = {
+            "value": float(value),
+            "unit": parameter_row(name).unit,
+            "interval": row.get("interval") or (math.nan, math.nan),
+            "status": row.get("status", "fixed"),
+            "source": one_line(value.source or ""),
+        }
+    return tables
+
+
+def _places(
+    tables: dict[str, Any], path: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+    """(place in the structs, facts) of each parameter."""
+    names = distinct(map(_matlab_name, tables))
+    for (word, item), name in zip(tables.items(), names, strict=True):
+        if word.endswith("."):
+            yield from _places(item, (*path, name))
+        else:
+            yield (*path, name), item
 
 
 def _mat(facts: Mapping[tuple[str, ...], Mapping[str, Any]], linear: Sequence[StateSpace]) -> bytes:
@@ -88,8 +109,8 @@ def _mat(facts: Mapping[tuple[str, ...], Mapping[str, Any]], linear: Sequence[St
 
 def _matlab_name(word: str) -> str:
     """A word as MATLAB takes it for a name."""
-    plain = re.sub(r"\W", "_", word, flags=re.ASCII)[:60]
-    return plain if plain[:1].isalpha() else f"c{plain}"
+    plain = identifier(word)[:60]
+    return f"c{plain}" if plain in KEYWORDS else plain
 
 
 def _matlab_number(value: float) -> str:

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ehbench.config.rig import Rig
+from ehbench.export.component import distinct
 from ehbench.plant.model import Model
 
 
@@ -43,6 +44,7 @@ def _about_x(angle: float) -> np.ndarray:
 def bodies_of(rig: Rig) -> Iterator[Body]:
     """The bodies of a rig's mechanism, base first."""
     model, mechanism = Model.of(rig), rig.mechanism
+    names = distinct(["world", *rig.joint_names])[1:]  # MuJoCo has one world of its own
     ends: dict[int, tuple[float, float]] = {}
     for i, row in enumerate(model.plant.cylinders):
         low, high = sorted(model.stroke_range(i))
@@ -53,7 +55,7 @@ def bodies_of(rig: Rig) -> Iterator[Body]:
         # it never turns, so that its inertia is of no effect
         facts = float(mechanism.mass), np.zeros(3), np.eye(3)
         damping = float(mechanism.damping)
-        yield Body(mechanism.name, np.zeros(3), np.eye(3), axis, True, damping, ends.get(0), *facts)
+        yield Body(*names, np.zeros(3), np.eye(3), axis, True, damping, ends.get(0), *facts)
         return
     position = np.zeros(3)
     twist = np.eye(3) if mechanism.first_axis == "vertical" else _about_x(0.5 * math.pi)
@@ -64,7 +66,7 @@ def bodies_of(rig: Rig) -> Iterator[Body]:
         xx, yy, zz, xy, xz, yz = joint.inertia.value  # type: ignore[misc]
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         yield Body(
-            joint.name,
+            names[i],
             position,
             rotation,
             (0.0, 0.0, 1.0),
@@ -90,9 +92,10 @@ def _xml_bytes(root: ElementTree.Element) -> bytes:
 def urdf(rig: Rig) -> bytes:
     """The mechanism of a rig as URDF."""
     root = ElementTree.Element("robot", name=rig.name)
-    ElementTree.SubElement(root, "link", name="base")
-    parent = "base"
-    for body in bodies_of(rig):
+    bodies = list(bodies_of(rig))
+    parent = distinct([*(body.name for body in bodies), "base"])[-1]
+    ElementTree.SubElement(root, "link", name=parent)
+    for body in bodies:
         link = ElementTree.SubElement(root, "link", name=body.name)
         inertial = ElementTree.SubElement(link, "inertial")
         ElementTree.SubElement(inertial, "origin", xyz=_text(*body.com), rpy="0 0 0")

@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.control.functions import RULE_NAMES
 from ehbench.control.registry import tick
-from ehbench.export.component import Component, Variable, members, numbers
+from ehbench.export.component import Component, Variable, identifier, members, numbers
 from ehbench.machines.simulated import model_tick
 from ehbench.parts.edge import edge_command
 from ehbench.parts.sample import perfect_sample, sample_channels
@@ -19,7 +19,7 @@ from ehbench.parts.valve.delay import line_of
 from ehbench.plant.model import Model
 from ehbench.trial import Prepared, Session
 from ehbench.trial.controllers import Compiled, Design
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, one_line
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
@@ -36,11 +36,6 @@ class ExportSettings:
 
 
 EXPORT = ExportSettings()
-
-
-def identifier(text: str) -> str:
-    """A text as a name in C."""
-    return re.sub(r"\W+", "_", text).strip("_")
 
 
 def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> Component:
@@ -80,7 +75,9 @@ def model_part(trial: Prepared, session: Session, about: Mapping[str, str]) -> C
     rows = session.rows
     part = Component(
         f"{identifier(trial.rig.name)}_model",
-        message("export.about_model", rig=trial.rig.name, payload=recipe.payload or "none"),
+        message(
+            "export.about_model", rig=trial.rig.name, payload=one_line(recipe.payload or "none")
+        ),
         model_tick,
         {
             "y": y,

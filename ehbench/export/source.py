@@ -5,6 +5,7 @@ output, and a check against a trial.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -12,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from ehbench.config.rig.names import ascii_words
 from ehbench.export import c99
-from ehbench.export.component import Component, Leaf, Variable
+from ehbench.export.component import Component, Leaf, distinct
 from ehbench.export.kernels import NAME, Kernels
 from ehbench.runtime.disk import write_text
 
@@ -95,13 +97,13 @@ def arguments_of(leaf: Leaf) -> Iterator[tuple[str, str]]:
 
 def template(file: str, name: str) -> str:
     """A file of C that is the same for every part but for the part's name."""
-    return (TEMPLATES / file).read_text().replace("NAME", name).replace("UPPER", name.upper())
+    text, words = (TEMPLATES / file).read_text(), {"NAME": name, "UPPER": name.upper()}
+    return re.sub("NAME|UPPER", lambda match: words[match[0]], text)
 
 
-def macro(part: Component, item: Variable) -> str:
-    """The name of a variable's number in C."""
-    text = "".join(char if char.isalnum() else "_" for char in item.name).strip("_")
-    return f"{part.name}_{text}".upper()
+def comment(text: str) -> str:
+    """A text as a comment of C may have it."""
+    return text.replace("*/", "* /").replace("/*", "/ *")
 
 
 def header(part: Component) -> str:
@@ -112,18 +114,19 @@ def header(part: Component) -> str:
         fields.append(f"  {layouts.of(leaf.value.dtype, leaf.name)} {leaf.name}"
                       f"{sizes(leaf.value.shape)};")  # fmt: skip
     rows, before = [], ""
-    for i, item in enumerate(part.variables):
+    words = distinct(f"{name}_{ascii_words(item.name)}".upper() for item in part.variables)
+    for i, (word, item) in enumerate(zip(words, part.variables, strict=True)):
         if item.role != before:
             rows.append(f"  /* {item.role}s */")
             before = item.role
         unit = item.unit or "1"
-        about = f" {item.about.replace('*/', '* /')}" if item.about else ""
-        rows.append(f"  {macro(part, item)} = {i}, /* [{unit}] {number(item.lower)} to "
+        about = f" {comment(item.about)}" if item.about else ""
+        rows.append(f"  {word} = {i}, /* [{unit}] {number(item.lower)} to "
                     f"{number(item.upper)}, at first {number(item.start)}.{about} */")  # fmt: skip
     counts = [len(part.role(role)) for role in ("input", "output", "parameter")]
     sums = dict(zip(("INPUTS", "OUTPUTS", "PARAMETERS"), counts, strict=True))
     return "\n".join([
-        HEAD.format(about=part.about, version=metadata.version("ehbench"), rate=part.rate),
+        HEAD.format(about=comment(part.about), version=metadata.version("ehbench"), rate=part.rate),
         f"#ifndef {name.upper()}_H", f"#define {name.upper()}_H", "#include <stdint.h>",
         "#ifdef __cplusplus", 'extern "C" {', "#endif",
         "/* variables: unit, range, value after init, meaning */", "enum {", *rows, "};",

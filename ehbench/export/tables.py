@@ -9,24 +9,31 @@ from ehbench.export.linear import state_spaces
 from ehbench.export.matlab import matlab_files
 from ehbench.export.mechanism import mjcf, urdf
 from ehbench.runtime.disk import replacing
+from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
 
 
 def write_matlab(export: Export, folder: Path) -> list[Written]:
     """Write parameters and linear models into ``matlab``."""
-    files = matlab_files(export.rig, export.fitted, state_spaces(export.rig, export.maps))
-    return _written(folder / "matlab", files, message("export.about_matlab"))
+    spaces, note = [], ""
+    try:
+        spaces = state_spaces(export.rig, export.maps)
+    except EhbenchError as error:
+        note = message("export.no_linear", reason=error.message)
+    files = matlab_files(export.rig, export.fitted, spaces)
+    *others, last = _written(folder / "matlab", files, message("export.about_matlab"))
+    return [*others, last._replace(note=note)]
 
 
 def write_urdf(export: Export, folder: Path) -> list[Written]:
     """Write the mechanism as URDF into ``mechanism``."""
-    files = {f"{export.rig.name}.urdf": urdf(export.rig)}
+    files = {f"{export.rig.name}.urdf": urdf(export.carrying)}
     return _written(folder / "mechanism", files, message("export.about_mechanism"))
 
 
 def write_mjcf(export: Export, folder: Path) -> list[Written]:
     """Write the mechanism as MJCF into ``mechanism``."""
-    files = {f"{export.rig.name}.xml": mjcf(export.rig)}
+    files = {f"{export.rig.name}.xml": mjcf(export.carrying)}
     return _written(folder / "mechanism", files, message("export.about_mechanism"))
 
 

@@ -182,17 +182,13 @@ def _named(recipe: ExportRecipe, inputs: Inputs) -> tuple[Recipe, Path]:
 
 
 def _open_loop(recipe: ExportRecipe, rig: Rig) -> TrialRecipe:
-    """A trial in which each valve opens and shuts at a frequency of its own."""
-    command = [
-        {
-            "valve": f"{cylinder.name}.{valve.name}",
-            "kind": "sine",
-            "offset": f"{float(valve.rest)!r} V",
-            "amplitude": f"{0.5 * max(map(abs, valve.given))!r} V",
-            "frequency": f"{0.5 + 0.1 * i!r} Hz",
-        }
-        for i, (cylinder, valve) in enumerate(rig.valves())
-    ]
+    """A trial in which each valve opens halfway and shuts at a frequency of its own."""
+    command = []
+    for i, (cylinder, valve) in enumerate(rig.valves()):
+        low, high = (0.5 * (valve.rest + end) for end in valve.given)
+        item = {"valve": f"{cylinder.name}.{valve.name}", "kind": "sine"}
+        item |= {"offset": f"{0.5 * (low + high)!r} V", "amplitude": f"{0.5 * (high - low)!r} V"}
+        command.append(item | {"frequency": f"{0.5 + 0.1 * i!r} Hz"})
     trial = {"stage": "trial", "rig": recipe.rig, "duration": "2 s", "command": command}
     return TrialRecipe(path=recipe.path, **trial)
 

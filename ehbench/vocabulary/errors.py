@@ -29,10 +29,10 @@ class EhbenchError(Exception):
             hint = hint or message.hint or None
         self.key = getattr(message, "key", "")
         self.fields = getattr(message, "fields", {})
-        self.message = _one_line(message)
-        self.file = None if file is None else _one_line(str(file))
+        self.message = one_line(message)
+        self.file = None if file is None else one_line(str(file))
         self.line = line
-        self.hint = None if hint is None else _one_line(hint)
+        self.hint = None if hint is None else one_line(hint)
         super().__init__(str(self))
 
     def __str__(self) -> str:
@@ -41,7 +41,7 @@ class EhbenchError(Exception):
         return where + self.message + (f" ({self.hint})" if self.hint else "")
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     """A sentence on one line: what it quotes of a file may be anything, and of any length."""
     plain = text  # a message stays one, with its key
     if not text.isprintable():

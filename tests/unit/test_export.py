@@ -1,5 +1,6 @@
 """Exported C and functional mock-up units against trials of ehbench, bit for bit."""
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 from ehbench import trial, workflow
 from ehbench.app import inspection
-from ehbench.config.recipe import ExportRecipe, TrialRecipe
+from ehbench.config.recipe import ExportRecipe, TrialRecipe, load_rig
 from ehbench.control import LAW_NAMES
 from ehbench.export import FORMATS, Export, c99, compiler
 from ehbench.export.source import write_sources
@@ -95,6 +96,45 @@ def test_c_equals_a_trial_to_the_bit(name, law, tmp_path):
                 begin = 1 if late and not channel.endswith(".command") else 0
                 recorded = record[channel][begin : begin + column.size]
                 assert np.array_equal(recorded, column, equal_nan=True), channel
+
+
+@needs_compiler
+@pytest.mark.slow
+def test_names_and_texts_of_any_kind_are_exported(tmp_path):
+    text = (RECIPES / "rigs" / "thesis_arm.toml").read_text()
+    names = {"swing": "a-b", "stick": "A_b", "boom": "UPPER", "hect": "2", "hepc": "NAME"}
+    names |= {"regen": "name", "50 lb": "*/ int x; /*"}
+    for old, new in names.items():
+        text = re.sub(rf'"{old}"|(?<=\.){old}(?=\])', f'"{new}"', text)
+    assert '"A_b"' in text and 'source = "assumed"' in text
+    odd = r'source = "/* assumed */ \\\n \u0007 ??/ öl 油 %d \""'
+    (tmp_path / "rig.toml").write_text(text.replace('source = "assumed"', odd))
+    moved = ["a-b", "A_b", "UPPER"]
+    rig = load_rig(tmp_path / "rig.toml")
+    motions = [
+        f'kind = "point_to_point"\ncylinder = "{name}"\nspeed = "20 mm/s"\n'
+        f'waypoints = ["{0.4 * stroke!r} m", "{0.41 * stroke!r} m"]\n'
+        for name in moved
+        for stroke in [float(rig.cylinder_named(name).stroke)]
+    ]
+    (tmp_path / "trial.toml").write_text(
+        'stage = "trial"\nrig = "rig.toml"\nduration = "0.5 s"\npayload = "*/ int x; /*"\n'
+        '[controller]\nkind = "open_loop"\n[motion]\n' + "[[motion.also]]\n".join(motions)
+    )
+    session = workflow.Session(out=tmp_path / "out", unvalidated=True)
+    done = workflow.export(tmp_path / "trial.toml", {}, session)
+    parts = [tmp_path / "out" / item["file"] for item in done.json("export")["written"]]
+    assert len({part.name.upper() for part in parts}) == 7
+    for part in parts:
+        assert program(part, part.name).startswith("0 of")
+        assert re.fullmatch("[A-Za-z]\\w*", part.name, re.ASCII)
+
+
+@pytest.mark.parametrize("name", sorted(QUICK))
+def test_the_model_of_every_rig_is_exported_without_a_controller(name, tmp_path):
+    text = f'stage = "export"\nrig = "{RECIPES / "rigs" / name}.toml"\n'
+    (tmp_path / "export.toml").write_text(text)
+    assert inspection.check(tmp_path / "export.toml").errors == ()
 
 
 @needs_compiler

@@ -9,6 +9,7 @@ import pytest
 from scipy.io import loadmat
 
 import ehbench
+from ehbench import workflow
 from ehbench.config.recipe import load_rig
 from ehbench.export.linear import state_spaces
 from ehbench.export.matlab import matlab_files
@@ -47,6 +48,77 @@ def test_the_script_and_the_mat_file_say_the_rigs_numbers(slide):
     (line,) = re.findall(r"^info\.bulk_modulus = (.*);", script, re.M)
     assert "[870000000.0, 940000000.0]" in line and "'unit', 'Pa'" in line
     assert matlab_files(rig, FITTED, slide[1]) == files  # whenever it is written
+
+
+ODD = """name = "end"
+[oil]
+bulk_modulus = { value = "750 MPa", source = "said\\nby 'X' */ \\u0007" }
+[supply]
+pressure = "160 bar"
+flow_limit = "80 L/min"
+[mechanism]
+kind = "chain"
+first_axis = "horizontal"
+[payload."*/\\n2".world]
+mass = "30 kg"
+"""
+for joint, cylinder in (("world", "gravity"), ("base", "öl-1"), ("hub", "ol_1")):
+    ODD += f"""
+[[mechanism.joint]]
+name = "{joint}"
+dh_a = "1 m"
+mass = "20 kg"
+com = ["-0.5 m", "0 m", "0 m"]
+inertia = ["1 kg*m^2", "2 kg*m^2", "2 kg*m^2", "0 kg*m^2", "0 kg*m^2", "0 kg*m^2"]
+[[cylinder]]
+name = "{cylinder}"
+joint = "{joint}"
+bore = "40 mm"
+rod = "25 mm"
+stroke = "0.3 m"
+volume_head = "0.2 L"
+volume_rod = "0.5 L"
+pins = {{ l_a = "1 m", l_b = "0.4 m", retracted_length = "0.8 m", phase = "60 deg" }}
+[[cylinder.valve]]
+name = "case"
+command_min = "0 V"
+command_max = "5 V"
+edge = [{{ from = "supply", to = "head", law = "orifice", flow_gain = "1 L/min/V/bar^0.5" }}]
+"""
+
+
+def test_names_of_any_kind_stay_apart(tmp_path):
+    (tmp_path / "rig.toml").write_text(ODD)
+    rig = load_rig(tmp_path / "rig.toml")
+    script, file = matlab_files(rig, {}, []).values()
+    known = loadmat(io.BytesIO(file), simplify_cells=True)
+    places = re.findall(r"^p\.([\w.]+) = .*$", script.decode(), re.M | re.A)
+    assert len(places) == len(set(places)) == len(rig.parameters())
+    assert all(row.startswith(("%", "p.", "info.")) for row in script.decode().splitlines())
+    read = []
+    for place in places:
+        inner = known["p"]
+        for word in place.split("."):
+            assert word != "case"  # a word of MATLAB's own
+            inner = inner[word]
+        read.append((word, inner))
+    expected = [(name.rpartition(".")[2], float(v)) for name, v in rig.parameters().items()]
+    assert sorted(read) == sorted(expected)
+    assert known["info"]["ol_1_2"]["stroke"]["unit"] == "m"
+    mujoco = pytest.importorskip("mujoco")
+    for write in (urdf, mjcf):
+        model = mujoco.MjModel.from_xml_string(write(rig.with_payload("*/\n2")).decode())
+        assert model.body_mass.tolist() == [0.0, 30.0, 20.0, 20.0]
+
+
+def test_a_pump_has_numbers_without_linear_models(tmp_path):
+    session = workflow.Session(out=tmp_path / "out", unvalidated=True)
+    options = {"formats": ("matlab", "urdf"), "payload": "150 kg"}
+    done = workflow.export(RIGS / "pump_cylinder.toml", options, session)
+    assert [note.key for note in done.notes] == ["export.no_linear"]
+    known = loadmat(done.folder / "matlab" / "pump_cylinder.mat", simplify_cells=True)
+    assert known["p"]["lift"]["stroke"] == 0.4 and len(known["linear"]) == 0
+    assert '<mass value="500.0"' in (done.folder / "mechanism" / "pump_cylinder.urdf").read_text()
 
 
 def test_linear_models_are_the_closed_form_of_a_cylinder_on_a_servo_valve(slide):

@@ -27,10 +27,15 @@ def _name(name: str) -> str:
     return name
 
 
+def ascii_words(text: str) -> str:
+    """The letters and digits of a text that ASCII has, with _ for what stands between them."""
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_")
+
+
 def plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        plain = unicodedata.normalize("NFKD", name.casefold()).encode("ascii", "ignore").decode()
-        plain = re.sub(r"[^a-z0-9]+", "_", plain).strip("_").lstrip("0123456789_") or "my_rig"
+        plain = ascii_words(name.casefold()).lstrip("0123456789_") or "my_rig"
         raise ValueError(message("config.no_rig_name", name=name, plain=plain))
     return name
 
