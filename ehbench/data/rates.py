@@ -124,7 +124,7 @@ def apart(columns: Sequence[SourceColumn]) -> list[tuple[list[int], np.ndarray]]
         filled = column.filled
         near = next((group for group in groups if not _take_turns(filled, group[1])), None)
         if near is None:
-            groups.append(([index], filled))
+            groups.append(([index], filled.copy()))
         else:
             near[0].append(index)
             near[1][:] |= filled

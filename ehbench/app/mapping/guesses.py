@@ -207,26 +207,27 @@ _COUNTED = [[word] for word in WORDS["counted"]]
 
 def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) -> Guess | None:
     """A column that may be the time: it goes on, and is called so or in seconds."""
+    if not unit:  # micros, millis, seconds
+        units = map(named_unit, sorted(words & WORDS["time"]))
+        unit = next((item for item in units if item and is_of(item, VOCABULARY["t"])), "")
+    is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
+    named = is_time or words >= {"x", "value"} or (words & WORDS["time"] and not unit)
+    unnamed = bool(re.fullmatch(r"column \d+", column.name))
+    if not named and (unit or not (unnamed or column is table.columns[0])):
+        return None
     others = [item for item in table.columns if item is not column]
     rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)
     values = column.values[np.isfinite(column.values) & rows]
     steps = np.diff(values)
     if not steps.size or values[0] == values[-1]:
         return None
-    if not unit:  # micros, millis, seconds
-        units = map(named_unit, sorted(words & WORDS["time"]))
-        unit = next((item for item in units if item and is_of(item, VOCABULARY["t"])), "")
-    is_time = bool(unit) and is_of(unit, VOCABULARY["t"])
     if steps.min() < 0.0:
         if not (is_time and words & WORDS["time"] and np.mean(steps < 0.0) < LIMITS.again):
             return None
         return Guess("t", unit, UNDECIDED, message("app.time_goes_back"))
-    lvm = words >= {"x", "value"}
-    if not (is_time or lvm or (words & WORDS["time"] and not unit)):
+    if not named:
         even = steps.min() > 0.0 and np.ptp(steps) < 1e-3 * steps.min() and steps[0] != 1.0
-        unnamed = bool(re.fullmatch(r"column \d+", column.name))
-        first = unnamed or column is table.columns[0]
-        if not (even and first and table.t is None and not unit):
+        if not even or table.t is not None:
             return None
         unit, certainty = _time_unit(values)
         certainty = certainty if unnamed else UNDECIDED

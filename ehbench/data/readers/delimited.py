@@ -12,7 +12,6 @@ import numpy as np
 from ehbench.data.readers.clock import clock, is_date, nanoseconds, order_of, time_of_day
 from ehbench.data.readers.layout import (
     LOOKED_AT,
-    is_row,
     layout_of,
     marks_of,
     names_of,
@@ -74,8 +73,7 @@ def _table_of(
     top, units = names_of(lines, layout, separator), units_of(lines, layout, separator)
     width = len(layout.kinds)
     names = column_names((top + [""] * width)[:width])
-    at = [n for n in range(layout.first, len(lines)) if is_row(lines[n], separator)]
-    rows, units_of_cells = _without_units([lines[n] for n in at], marks)
+    rows, units_of_cells = _without_units([lines[n] for n in layout.rows], marks)
     of_numbers = [index for index, kind in enumerate(layout.kinds) if kind == "numbers"]
     widest = 0 if separator == "\t" else max(width, len(top))  # no number holds a tab
     values, odd = numbers(rows, separator, decimal, of_numbers, widest)
@@ -120,7 +118,7 @@ def _table_of(
     start, step = layout.clock or (0.0, 0.0)
     t = start + step * np.arange(len(rows)) if step else None
     daytime = None if began is not None else daytime
-    numbered = [before + n + 1 for n in at]
+    numbered = [before + n + 1 for n in layout.rows]
     table = SourceTable(name, tuple(columns), t, began, numbered, words, daytime)
     skip = layout.first if layout.header is None else layout.header
     return table, Dialect(*marks, skip, layout.units is not None, day_first=dialect.day_first)

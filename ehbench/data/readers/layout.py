@@ -39,14 +39,16 @@ _TOGETHER = 20  # lines in a row that are looked at: signals of several rates ta
 @dataclass(frozen=True)
 class TextLayout:
     """Where things stand in the lines: the header (None without one), the units, the first row of
-    numbers; ``kinds`` says of each column whether it is of numbers, times or words; ``clock`` is
-    (start, step) [s] of rows without a time of their own, where the rows above say it.
+    numbers; ``kinds`` says of each column whether it is of numbers, times or words; ``rows`` are
+    the lines of the numbers; ``clock`` is (start, step) [s] of rows without a time of their own,
+    where the rows above say it.
     """
 
     header: int | None
     units: int | None
     first: int
     kinds: tuple[str, ...]
+    rows: Sequence[int]
     clock: tuple[float, float] | None = None
 
 
@@ -57,6 +59,8 @@ def bare(line: str) -> str:
 
 def is_row(line: str, separator: str) -> bool:
     """Whether a line is neither blank nor a remark."""
+    if line[:1].isdigit():  # as most, so that long files are read in less time
+        return True
     return bool(line.strip(" \t" + separator)) and not line.lstrip().startswith(_REMARKS)
 
 
@@ -109,7 +113,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
     separator, decimal = marks
     skip = dialect.skip or 0
     at = [n for n in range(skip, len(lines)) if is_row(lines[n], separator)]
-    kinds = _kinds_of([split(lines[n], separator) for n in at], decimal)
+    kinds = _kinds_of([lines[n] for n in at], marks)
     if not kinds:
         raise LogError(message("data.no_rows_of_numbers"))
 
@@ -136,7 +140,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         strict -= 1
     if at[strict - 1 : strict] == [at[strict] - 1] and fits(at[strict] - 1, 1.0, True):
         strict -= 1  # its title calls this row the first of the numbers
-    first = at[strict]
+    first, rows = at[strict], at[strict:]
     step = _fact(lines[:first], marks, _STEP_HEADS) if kinds[0] == "blank" else None
     clock = (_fact(lines[:first], marks, _START_HEADS) or 0.0, step) if step else None
     titled = _titled(lines, range(first), separator, len(kinds), _UNIT_HEADS)
@@ -145,14 +149,13 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         below = above[1] if len(above) > 1 else None
         if titled is not None and not any(map(_is_unit, split(lines[above[-1]], separator))):
             below = titled
-        return TextLayout(
-            above[0] if above else None, below if dialect.unit_row else None, first, kinds, clock
-        )
+        below = below if dialect.unit_row else None
+        return TextLayout(above[0] if above else None, below, first, kinds, rows, clock)
     header, units = _heads(lines, range(skip, first), separator, len(kinds))
     units = titled if units is None else units
     if dialect.unit_row is False:
         header, units = (header if units in (None, titled) else units), None
-    return TextLayout(header, units, first, kinds, clock)
+    return TextLayout(header, units, first, kinds, rows, clock)
 
 
 def _titled(
@@ -178,20 +181,22 @@ def _fact(lines: Sequence[str], marks: tuple[str, str], titles: Sequence[str]) -
     return None
 
 
-def _kinds_of(rows: Sequence[Sequence[str]], decimal: str) -> tuple[str, ...]:
+def _kinds_of(rows: Sequence[str], marks: tuple[str, str]) -> tuple[str, ...]:
     """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
     out.
     """
-    shown = _some(rows)
+    separator, decimal = marks
+    shown = [split(row, separator) for row in _some(rows)]
     widths = Counter(len(row) for row in shown)
     if not widths:
         return ()
     width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
-    results = []
+    results, every = [], []
     for at, column in enumerate(zip(*(row for row in shown if len(row) == width))):
         kinds = Counter(_kind(cell, decimal) for cell in column)
         if set(kinds) == {"holes"}:  # a slow signal: where it stands at all
-            filled = (row[at] for row in rows if len(row) == width and row[at])
+            every = every or [split(row, separator) for row in rows]
+            filled = (row[at] for row in every if len(row) == width and row[at])
             some = Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
             kinds += some if at or "numbers" in some or "times" in some else Counter()
         holes = kinds.pop("holes", 0)
@@ -265,8 +270,9 @@ def _label(cell: str) -> str:
 def sections_of(
     lines: Sequence[str], marks: tuple[str, str], dialect: Dialect
 ) -> list[tuple[int, list[str]]]:
-    """(line before it, lines) of each table. A table begins behind a blank line with rows of words
-    that name its columns; under the head of the one before it goes on, and that head is blank.
+    """(line before it, lines) of each table. A table begins with rows of words that name its
+    columns, behind a blank line or amid numbers; under the head of the one before it goes on, and
+    that head is blank.
 
     Args:
         lines: of the file.
@@ -287,14 +293,21 @@ def sections_of(
     begins = [
         later
         for before, later in zip(at, at[1:])
-        if later > before + 1 and _kind(split(lines[later], marks[0])[0], marks[1]) == "words"
+        if later > before + 1
+        and _kind(split(lines[later], marks[0])[0], marks[1]) == "words"
+        or _begins_with_word(lines[later])
+        and not _begins_with_word(lines[before])
+        and _is_of_words(lines[later], marks)
     ]
     free, result = replace(dialect, skip=None, unit_row=None), [*lines]
     firsts, facts, above = [0], None, None  # facts: where rows of words may begin the next
     for begin, end in zip(begins, [*begins[1:], len(lines)]):
         facts = begin if facts is None else facts
         here = layout(begin, end, free)
-        if here is None or here.header is None:
+        if here is None:
+            continue
+        if here.header is None:  # rows that go on below a remark
+            facts = None
             continue
         named = [cell for cell in split(bare(lines[begin + here.header]), marks[0]) if cell]
         if 2 * len(named) < len(here.kinds):
@@ -314,6 +327,16 @@ def sections_of(
         facts = None
     ends = [*firsts[1:], len(lines)]
     return [(first, result[first:end]) for first, end in zip(firsts, ends)]
+
+
+def _begins_with_word(line: str) -> bool:
+    return line.lstrip('" \t[')[:1].isalpha()
+
+
+def _is_of_words(line: str, marks: tuple[str, str]) -> bool:
+    """Whether the cells of a line are words, not all alike."""
+    cells = {cell for cell in split(line, marks[0]) if cell}
+    return len(cells) > 1 and all(_kind(cell, marks[1]) == "words" for cell in cells)
 
 
 def names_of(lines: Sequence[str], layout: TextLayout, separator: str) -> list[str]:

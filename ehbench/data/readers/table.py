@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ class SourceColumn:
         inside = (unit_last[1] for unit_last in re.finditer(r"[\[({]\s*(.+)[\])}]\s*$", self.name))
         return next(filter(None, map(absolute_unit, (*inside, *ends))), "")
 
-    @property
+    @cached_property
     def filled(self) -> np.ndarray:
         """Where it holds something, be it a word; shape (rows,)."""
         result = np.isfinite(self.values)
