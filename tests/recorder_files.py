@@ -16,6 +16,7 @@ SIGNALS = {
     "t": T,
     "ms": 1e3 * T,
     "us": 1e6 * T,
+    "wrapping": (2.0**32 - 1e6 + 1e6 * T) % 2.0**32,
     "n": np.arange(300.0),
     "q": -8.0 + 5.0 * np.sin(2.0 * T),
     "q2": 30.0 + 4.0 * np.cos(3.0 * T),
@@ -195,6 +196,39 @@ _lines(
     [*_SETUP, *(f"{row}," for row in _rows("- a q"))],
     {"p_head": HEAD, "angle": Q},
     *("p_head", "angle"),
+)
+
+_FACTS_BESIDE = ["Record Length,3.0E+02", "Source,CH1", "Vertical Units,V", "Yzero,0"]
+_FACTS_BESIDE += ["," for _ in _rows("t")[4:]]
+_lines(
+    "Tektronix, facts beside",
+    "a.csv",
+    [f"{fact},,{row}," for fact, row in zip(_FACTS_BESIDE, _rows("t a"))],
+    {"column 2": "", "column 4": "t", "column 5": ""},
+    "column 4",
+)
+_lines(
+    "R",
+    "a.txt",
+    ['"time_s" "p_head_bar" "angle_deg"']
+    + [f'"{n}" {row}' for n, row in enumerate(_rows("t a q", " "), 1)],
+    {"column 1": "", "time_s": "t", "p_head_bar": HEAD, "angle_deg": Q},
+    *("time_s", "p_head_bar", "angle_deg"),
+)
+_lines(
+    "pandas, two rows of names",
+    "a.csv",
+    [",p_head,angle", "unit,bar,deg", "time,,", *_rows("t a q")],
+    {"column 1": "t", "column 2": "", "column 3": Q},
+    *("column 1", "column 3"),
+)
+_RESTARTED = ["t [s],p_head [bar],angle [deg]"]
+_lines(
+    "a logger that goes on below a second head",
+    "a.csv",
+    [*_RESTARTED, *_rows("t a q")[:99], *_RESTARTED, *_rows("t a q")[99:]],
+    {"t [s]": "t", "p_head [bar]": HEAD, "angle [deg]": Q},
+    *("t [s]", "p_head [bar]", "angle [deg]"),
 )
 
 

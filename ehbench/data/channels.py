@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from ehbench.data.readers.clock import since_1970
 from ehbench.data.record import Record, resampled
 from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
-from ehbench.signals.timestamps import resolution, timestamps_of, unrounded
+from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
@@ -225,8 +225,10 @@ class _Mapping:
     def _si(self, name: str) -> np.ndarray:
         """A column of the map in SI."""
         mapped = self.columns.columns.names[name]
-        lines = self.source.tables[self.places[name][0]].lines
-        return si_of(name, mapped, self._column(name), self.columns, self.path, lines)
+        lines, column = self.source.tables[self.places[name][0]].lines, self._column(name)
+        if mapped.channel == "t":
+            column = replace(column, values=unwrapped(column.values))
+        return si_of(name, mapped, column, self.columns, self.path, lines)
 
     def _timed(self, index: int, time: str) -> Group:
         """A table with its time, and no channel yet: by the rate that the map says, a column of
@@ -248,8 +250,8 @@ class _Mapping:
                 stamps = timestamps_of(stamped, 1.0 / rate) if fine else None
                 t = stamps.number / rate if stamps is not None and stamps.even else t
         elif t is not None and time:
-            column = self._column(time)
-            values = column.values[np.isfinite(column.values)]
+            values = unwrapped(self._column(time).values)
+            values = values[np.isfinite(values)]
             if values.size == t.size and np.ptp(values) > 0.0:
                 coarse, scale = resolution(values), float(np.ptp(t) / np.ptp(values))
                 even = unrounded(t, max(coarse) * scale)

@@ -19,7 +19,7 @@ from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.units import named_unit
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
-_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+_MARKS = {b"\xff\xfe\0\0": "utf-32", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
 _LINE_END = re.compile("\r\n|\r|\n")
 _OTHER = {".": ",", ",": "."}
 _GROUPING = "\u00a0\u202f\u2009'\u2019"  # spaces and apostrophes, which only ever group digits
@@ -163,7 +163,7 @@ def text_of(path: Path, encoding: str | None = None) -> tuple[str, str]:
             continue
         if "\0" in text:
             break
-        return text, name
+        return text.replace("\ufeff", ""), name  # also within, where files were put together
     if encoding:
         raise LogError(message("data.other_encoding", encoding=encoding), file=path)
     raise LogError(message("data.no_text"), file=path)

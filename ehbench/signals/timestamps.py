@@ -33,6 +33,7 @@ class TimestampSettings:
 
 
 SETTINGS = TimestampSettings()
+_TURNS = (2.0**16, 2.0**32)
 
 
 class Timestamps(NamedTuple):
@@ -106,6 +107,31 @@ def unrounded(t: np.ndarray, step: float) -> np.ndarray:
     if stamps is None or np.abs(stamps.off).max() > SETTINGS.rounded * step:
         return t
     return t[0] - stamps.off[0] + stamps.period * stamps.number
+
+
+def rate_of_rounded(t: np.ndarray) -> float:
+    """Rows a unit of increasing times that are rounded to several rows: those between the first and
+    the last change."""
+    ends = np.flatnonzero(np.diff(t) > 0.0)[[0, -1]] + 1
+    first, last = ends if ends[0] < ends[1] else (0, t.size - 1)
+    return float((last - first) / (t[last] - t[first]))
+
+
+def unwrapped(counts: np.ndarray) -> np.ndarray:
+    """Counts of a clock of 16 or 32 bits that go on where it begins again: where that makes no step
+    longer than the longest of the others. Others as they are, such as of a clock that was reset."""
+    rows = np.flatnonzero(np.isfinite(counts))
+    y = counts[rows]
+    steps = np.diff(y)
+    back = steps < 0.0
+    if not back.any() or back.all() or y.min() < 0.0 or np.any(y != np.rint(y)):
+        return counts
+    for turn in _TURNS:
+        if y.max() < turn and np.all(steps[back] + turn <= steps[~back].max()):
+            result = counts.copy()
+            result[rows[1:]] += turn * np.cumsum(back)
+            return result
+    return counts
 
 
 def timestamps_of(t: np.ndarray, period: float | None = None) -> Timestamps | None:

@@ -326,7 +326,7 @@ def test_the_dialect_of_a_text_is_found(text, tmp_path):
     assert again.dialect == source.dialect
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32", "cp1252"])
 def test_encodings(encoding, tmp_path):
     (tmp_path / "a.csv").write_bytes("t;Öl °C\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))
     (table,) = open_source(tmp_path / "a.csv").tables
@@ -480,3 +480,39 @@ def test_what_stands_beside_digits_changes_no_number(text, unit, values, odd, tm
     column = open_source(tmp_path / "a.txt").tables[0].columns[-1]
     np.testing.assert_array_equal(column.values, values)
     assert (column.unit, column.odd) == (unit, odd)
+
+
+_ROWS = [f"{n / 100:.2f},{n}.5,{-n}.25" for n in range(60)]
+HEADS = {  # amid numbers: the lines, and the second column of each table
+    "that comes again": (["t,p,q", *_ROWS[:30], "t,p,q", *_ROWS[30:]], [range(60)]),
+    "with its units": (
+        ["t,p,q", "s,bar,deg", *_ROWS[:30], "t,p,q", "s,bar,deg", *_ROWS[30:]],
+        [range(60)],
+    ),
+    "in another order": (
+        ["t,p,q", *_ROWS[:30], "t,q,p", *_ROWS[30:]],
+        [range(30), range(30, 60)],
+    ),
+    "of other units": (
+        ["t,p,q", "s,bar,deg", *_ROWS[:30], "t,p,q", "s,MPa,deg", *_ROWS[30:]],
+        [range(30), range(30, 60)],
+    ),
+    "below a note": (
+        ["t,p,q", *_ROWS[:20], "", "a note", *_ROWS[20:40], "", "t,p,q", *_ROWS[40:]],
+        [[*range(20), np.nan, *range(20, 60)]],
+    ),
+    "of words that name nothing": (
+        ["t,p,q", *_ROWS[:30], "PAUSE,PAUSE,PAUSE", *_ROWS[30:]],
+        [[*range(30), np.nan, *range(30, 60)]],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_no_row_is_lost_or_renamed_by_a_head_amid_numbers(name, tmp_path):
+    lines, truth = HEADS[name]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    tables = open_source(tmp_path / "a.csv").tables
+    assert len(tables) == len(truth)
+    for table, rows in zip(tables, truth):
+        np.testing.assert_array_equal(table.columns[1].values, np.array(rows) + 0.5)

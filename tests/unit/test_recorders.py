@@ -6,6 +6,7 @@ import pytest
 from ehbench.app import inspection, mapping
 from ehbench.config.recipe import load_columns
 from ehbench.config.rig import Rig
+from ehbench.data.channels import dialect_of
 from ehbench.data.readers import open_source
 from ehbench.signals.oddities import oddities
 from tests.recorder_files import RECORDINGS
@@ -59,6 +60,11 @@ def test_each_column_is_listed_and_what_is_undecided_is_a_remark(style, tmp_path
         line = next(line for line in made.lines if line.startswith(f"  {name} "))
         assert any(word in line for word in ("certain", "likely", "undecided"))
         assert (name in drafted) == ("undecided" not in line)
+    drafted_as = dialect_of(load_columns(made.path))
+    for table, again in zip(open_source(path).tables, open_source(path, drafted_as).tables):
+        assert [column.name for column in table.columns] == [column.name for column in again.columns]
+        for column, other in zip(table.columns, again.columns):
+            np.testing.assert_array_equal(column.values, other.values)
     whole = all(name in drafted for name in recording.truth)
     assert ("taken with this map" in text) <= whole
 

@@ -9,7 +9,13 @@ from ehbench.config.recipe import load_columns
 from ehbench.data import read
 from ehbench.data.record import Record
 from ehbench.preprocessing.time_base import evened, parts_of
-from ehbench.signals.timestamps import resolution, timestamps_of, unrounded
+from ehbench.signals.timestamps import (
+    rate_of_rounded,
+    resolution,
+    timestamps_of,
+    unrounded,
+    unwrapped,
+)
 from ehbench.vocabulary.errors import LogError
 
 PERIOD = 0.01
@@ -145,3 +151,16 @@ def test_missing_samples_are_no_rounding(lost):
     rows = np.setdiff1d(np.arange(8000), np.random.default_rng(1).choice(8000, lost, False))
     t = np.round(rows / 1000.0, 3)
     assert unrounded(t, max(resolution(t))) is t
+
+
+@pytest.mark.parametrize("turn", [2.0**16, 2.0**32])
+def test_a_counter_that_begins_again_goes_on_and_one_that_was_reset_stays(turn):
+    truth = np.concatenate([[np.nan], turn - 1e4 + 10.0 * np.cumsum(np.arange(300) % 4 + 1)])
+    np.testing.assert_array_equal(unwrapped(truth % turn), truth)
+    for other in (np.where(truth < turn, truth, truth - turn + 500.0), truth % turn + 0.5):
+        np.testing.assert_array_equal(unwrapped(other), other)
+
+
+@pytest.mark.parametrize("rows", [130, 400, 1999])
+def test_the_rate_of_a_time_in_whole_seconds_is_that_of_its_rows(rows):
+    assert rate_of_rounded(np.floor(0.3 + np.arange(rows) / 50.0)) == pytest.approx(50.0)

@@ -31,7 +31,7 @@ from ehbench.report.blocks import Grid
 from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import replacing, write_text
 from ehbench.signals.oddities import oddities
-from ehbench.signals.timestamps import resolution, unrounded
+from ehbench.signals.timestamps import resolution, unrounded, unwrapped
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -182,7 +182,7 @@ def _span(
     for name, (i, j) in names.items():
         if i == index and guesses[name].channel == "t" and t is None:
             unit = guesses[name].unit or "s"
-            written = table.columns[j].values
+            written = unwrapped(table.columns[j].values)
             t = to_si(written, unit, VOCABULARY["t"])
             first = float(np.nanmin(t)) if np.isfinite(t).any() else 0.0
             began = since_1970(first, unit in DAYS) if began is None else began

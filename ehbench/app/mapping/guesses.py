@@ -18,7 +18,7 @@ from ehbench.data.rates import SETTINGS, apart, is_bad
 from ehbench.data.readers import Source, SourceColumn, SourceTable
 from ehbench.data.readers.clock import since_1970
 from ehbench.preprocessing.sensors import ATMOSPHERE
-from ehbench.signals.timestamps import resolution, unrounded
+from ehbench.signals.timestamps import rate_of_rounded, resolution, unrounded, unwrapped
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
@@ -217,7 +217,7 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
         return None
     others = [item for item in table.columns if item is not column]
     rows = apart(others)[0][1] if others else np.ones(column.values.size, bool)
-    values = column.values[np.isfinite(column.values) & rows]
+    values = unwrapped(column.values)[np.isfinite(column.values) & rows]
     steps = np.diff(values)
     if not steps.size or values[0] == values[-1]:
         return None
@@ -236,7 +236,7 @@ def _time(column: SourceColumn, unit: str, words: set[str], table: SourceTable) 
         return Guess(remark=message("app.time_known"))
     even = unrounded(values, max(resolution(values)))
     if even is values and np.mean(steps == 0.0) > SETTINGS.repeated:
-        rate = (values.size - 1) / (values[-1] - values[0])
+        rate = rate_of_rounded(values)
         note = message("app.time_rounded", rate=rate, unit=unit or "s")
         return Guess("t", unit or "s", UNDECIDED, note)
     tick = float(np.median(steps))

@@ -9,6 +9,7 @@ from ehbench.app.mapping.guesses import LIMITS, Guess
 from ehbench.data.rates import apart
 from ehbench.data.readers import Source, SourceColumn
 from ehbench.report.style import ACCENT, MUTED, canvas, thin
+from ehbench.signals.timestamps import rate_of_rounded
 from ehbench.vocabulary.messages import message
 
 _SEPARATOR_KEYS = {"\t": "tab", " ": "space"}
@@ -71,7 +72,7 @@ def _rate(source: Source, guesses: dict[str, Guess]) -> list[str]:
         if getattr(guess.remark, "key", "") == "app.time_rounded":
             values = source.tables[names[name][0]].columns[names[name][1]].values
             scale = {"ms": 1e-3, "us": 1e-6}.get(guess.unit, 1.0)
-            rate = (values.size - 1) / (np.nanmax(values) - np.nanmin(values)) / scale
+            rate = rate_of_rounded(values[np.isfinite(values)]) / scale
             note = message("app.rate_of_rounded", name=remark(name))
             return [f'rate = "{rate:.6g} Hz"                 # {note}']
     return ['# rate = "1 kHz"              # ' + message("app.no_time_column")]

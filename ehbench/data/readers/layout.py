@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import compress, islice
 
 from ehbench.data.readers.clock import is_time
 from ehbench.data.readers.table import Dialect
@@ -21,6 +21,7 @@ _REMARKS = ("#", "%", "//")
 _NAME_HEADS = ("name", "names", "tracename", "channel name", "kanalname")
 _UNIT_HEADS = (
     *("unit", "units", "einheit", "einheiten", "unité", "unidad", "vunit", "y_unit_label"),
+    "vertical units",
 )
 _CLOCK_HEADS = ("sampletime[ms]",)  # above a time, which the names call a name
 _STEP_HEADS, _START_HEADS = ("delta_x", "hresolution"), ("x0", "hoffset")  # both in seconds
@@ -31,6 +32,7 @@ _CLOCK_FORM = re.compile(
     r"h{1,2}:m{1,2}(:s{1,2}[.,:]?[msfz0]*)?",
     re.I,
 )
+_NUMERIC = (*"0123456789+-.,;\u2212",)  # first characters of rows of numbers
 _HEADS = 6  # rows of facts between the header and the numbers
 LOOKED_AT = 200  # lines that tell a dialect
 _TOGETHER = 20  # lines in a row that are looked at: signals of several rates take turns
@@ -113,7 +115,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
     separator, decimal = marks
     skip = dialect.skip or 0
     at = [n for n in range(skip, len(lines)) if is_row(lines[n], separator)]
-    kinds = _kinds_of([lines[n] for n in at], marks)
+    kinds, slow = _kinds_of([lines[n] for n in at], marks)
     if not kinds:
         raise LogError(message("data.no_rows_of_numbers"))
 
@@ -122,7 +124,8 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         row += ["holes"] * (len(kinds) - len(row))
         if not titled and kinds[0] == "blank" and row[0] != "holes":
             return False
-        requested = [got for got, kind in zip(row, kinds) if kind not in ("words", "blank")]
+        wanted = (index not in slow and kind in ("numbers", "times") for index, kind in enumerate(kinds))
+        requested = list(compress(row, wanted))
         good = requested.count("numbers") + requested.count("times")
         if requested[:1] == ["words"]:
             return False
@@ -140,6 +143,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         strict -= 1
     if at[strict - 1 : strict] == [at[strict] - 1] and fits(at[strict] - 1, 1.0, True):
         strict -= 1  # its title calls this row the first of the numbers
+    strict = 0 if all(fits(n, 1.0, True) for n in at[:strict]) else strict  # facts beside numbers
     first, rows = at[strict], at[strict:]
     step = _fact(lines[:first], marks, _STEP_HEADS) if kinds[0] == "blank" else None
     clock = (_fact(lines[:first], marks, _START_HEADS) or 0.0, step) if step else None
@@ -147,8 +151,8 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
     if dialect.skip is not None:
         above = [n for n in range(skip, first) if lines[n].strip(" \t" + separator)][:2]
         below = above[1] if len(above) > 1 else None
-        if titled is not None and not any(map(_is_unit, split(lines[above[-1]], separator))):
-            below = titled
+        last = split(lines[above[-1]], separator) if above else []
+        below = below if titled is None or any(map(_is_unit, last)) else titled
         below = below if dialect.unit_row else None
         return TextLayout(above[0] if above else None, below, first, kinds, rows, clock)
     header, units = _heads(lines, range(skip, first), separator, len(kinds))
@@ -181,20 +185,23 @@ def _fact(lines: Sequence[str], marks: tuple[str, str], titles: Sequence[str]) -
     return None
 
 
-def _kinds_of(rows: Sequence[str], marks: tuple[str, str]) -> tuple[str, ...]:
-    """What each column mostly holds, of the rows as wide as most; the blank ones at the end left
-    out.
+def _kinds_of(
+    rows: Sequence[str], marks: tuple[str, str]
+) -> tuple[tuple[str, ...], frozenset[int]]:
+    """(what each column mostly holds, of the rows as wide as most, the blank ones at the end left
+    out; the columns that are mostly blank).
     """
     separator, decimal = marks
     shown = [split(row, separator) for row in _some(rows)]
     widths = Counter(len(row) for row in shown)
     if not widths:
-        return ()
+        return (), frozenset()
     width = max(widths, key=lambda size: (widths[size] * min(size, 2), size))
-    results, every = [], []
+    results, every, slow = [], [], set()
     for at, column in enumerate(zip(*(row for row in shown if len(row) == width))):
         kinds = Counter(_kind(cell, decimal) for cell in column)
         if set(kinds) == {"holes"}:  # a slow signal: where it stands at all
+            slow.add(at)
             every = every or [split(row, separator) for row in rows]
             filled = (row[at] for row in every if len(row) == width and row[at])
             some = Counter(_kind(cell, decimal) for cell in islice(filled, _TOGETHER))
@@ -205,7 +212,7 @@ def _kinds_of(rows: Sequence[str], marks: tuple[str, str]) -> tuple[str, ...]:
         results.pop()
     first = ["blank" if kind == "holes" else kind for kind in results[:1]]
     results = [*first, *("words" if kind == "holes" else kind for kind in results[1:])]
-    return tuple(results) if "numbers" in results else ()
+    return tuple(results) if "numbers" in results else (), frozenset(slow)
 
 
 def _heads(
@@ -236,7 +243,7 @@ def _heads(
             if wide:
                 break
             continue
-        cells = split(bare(lines[n]), separator)[:width]
+        cells = _names_in(lines, n, separator, width)[:width]
         filled = [cell for cell in cells if cell.strip("-")]
         if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
             break
@@ -256,6 +263,15 @@ def _heads(
         if len(list(filter(None, names))) == len(wide[0]):
             return at[0] - 1, at[0]
     return (at[0], None) if at else (None, None)
+
+
+def _names_in(lines: Sequence[str], n: int, separator: str, width: int) -> list[str]:
+    """The cells of a line of names; the first is blank above counted rows, which R does not name."""
+    cells = split(bare(lines[n]), separator)
+    if len(cells) != width - 1:
+        return cells
+    counted = [split(line, separator)[0] for line in lines[n + 1 : n + 3]] == ["1", "2"]
+    return ["", *cells] if counted else cells
 
 
 def _is_unit(cell: str) -> bool:
@@ -289,14 +305,18 @@ def sections_of(
         few = end - first - result.first < _TOGETHER
         return None if few and result.kinds[0] == "words" else result
 
+    def heads(first: int, of: TextLayout) -> list[str]:
+        """The lines of its names and units."""
+        return [lines[first + n] for n in (of.header, of.units) if n is not None]
+
     at = [n for n, line in enumerate(lines) if line.strip(" \t,;")]
     begins = [
         later
         for before, later in zip(at, at[1:])
         if later > before + 1
         and _kind(split(lines[later], marks[0])[0], marks[1]) == "words"
-        or _begins_with_word(lines[later])
-        and not _begins_with_word(lines[before])
+        or lines[later].lstrip('" \t[')[:1].isalpha()
+        and lines[before].lstrip('" \t')[:1] in _NUMERIC
         and _is_of_words(lines[later], marks)
     ]
     free, result = replace(dialect, skip=None, unit_row=None), [*lines]
@@ -315,11 +335,7 @@ def sections_of(
         above = above or layout(firsts[-1], facts, dialect if len(firsts) == 1 else free)
         if above is None:  # facts above the first table
             pass
-        elif (
-            above.header is not None
-            and here.clock is None
-            and lines[firsts[-1] + above.header] == lines[begin + here.header]
-        ):
+        elif here.clock is None and heads(begin, here) == heads(firsts[-1], above):
             result[facts : begin + here.first] = [""] * (begin + here.first - facts)
         else:
             firsts.append(facts)
@@ -327,10 +343,6 @@ def sections_of(
         facts = None
     ends = [*firsts[1:], len(lines)]
     return [(first, result[first:end]) for first, end in zip(firsts, ends)]
-
-
-def _begins_with_word(line: str) -> bool:
-    return line.lstrip('" \t[')[:1].isalpha()
 
 
 def _is_of_words(line: str, marks: tuple[str, str]) -> bool:
@@ -341,10 +353,11 @@ def _is_of_words(line: str, marks: tuple[str, str]) -> bool:
 
 def names_of(lines: Sequence[str], layout: TextLayout, separator: str) -> list[str]:
     """The cells of the header; none without one."""
-    top = [] if layout.header is None else split(bare(lines[layout.header]), separator)
+    width = len(layout.kinds)
+    top = [] if layout.header is None else _names_in(lines, layout.header, separator, width)
     if top and _label(top[0]) in _NAME_HEADS:  # the title of a row is the name of no column
         above = range(layout.first)
-        at = _titled(lines, above, separator, len(layout.kinds), _CLOCK_HEADS)
+        at = _titled(lines, above, separator, width, _CLOCK_HEADS)
         clock = "" if at is None else split(lines[at], separator)[0]
         if clock or top.count(top[0]) > 1:
             top = [clock if cell == top[0] else cell for cell in top]
@@ -362,6 +375,6 @@ def units_of(lines: Sequence[str], layout: TextLayout, separator: str) -> list[s
         if _label(cell) in _UNIT_HEADS
         else text
         if absolute_unit(cell)
-        else named_unit(cell) or named_unit(re.sub(r"\s*\(.*\)", "", cell)) or text
+        else named_unit(cell) or named_unit(re.sub(r"\s*\(.*\)|^\w+:", "", cell)) or text
         for cell, text in zip(cells, plain)
     ]

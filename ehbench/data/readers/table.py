@@ -22,7 +22,7 @@ from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _UNIT_LAST = (
     r"\[([^\[\]]*)\]\s*$",
-    r"\(([^()]*)\)\s*$",
+    r"\(([^()]*)\)(?:\s*$|;|\s*\[)",
     r"\{([^{}]*)\}\s*$",
     r"\s(?:/|in)\s+(\S+)\s*$",
     r",\s*(\S+)$",
