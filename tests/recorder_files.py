@@ -231,6 +231,21 @@ _lines(
     *("t [s]", "p_head [bar]", "angle [deg]"),
 )
 
+_lines(
+    "remarks below the names",
+    "a.csv",
+    [*_RESTARTED, "# started by hand", "# 2", *_rows("t a q")],
+    {"t [s]": "t", "p_head [bar]": HEAD, "angle [deg]": Q},
+    *("t [s]", "p_head [bar]", "angle [deg]"),
+)
+_lines(
+    "two runs below one another",
+    "a.csv",
+    ["t [s],pressure [bar]", *_rows("t a"), "", "t [s],pressure [bar],rpm", *_rows("t b count")],
+    {"1/t [s]": "t", "1/pressure [bar]": "", "2/t [s]": "t", "2/pressure [bar]": "", "rpm": ""},
+    *("1/t [s]", "2/t [s]"),
+)
+
 
 def _mat(style: str, variables: Callable[[], dict], truth: dict[str, str], *required: str) -> None:
     def write(path: Path) -> None:

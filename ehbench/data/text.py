@@ -19,7 +19,12 @@ from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.units import named_unit
 
 COPIES = 8  # of a table, as bytes, text, lines and numbers, while it is read
-_MARKS = {b"\xff\xfe\0\0": "utf-32", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+_MARKS = {
+    b"\xff\xfe\0\0": "utf-32",
+    b"\xff\xfe": "utf-16",
+    b"\xfe\xff": "utf-16",
+    b"\xef\xbb\xbf": "utf-8-sig",
+}
 _LINE_END = re.compile("\r\n|\r|\n")
 _OTHER = {".": ",", ",": "."}
 _GROUPING = "\u00a0\u202f\u2009'\u2019"  # spaces and apostrophes, which only ever group digits

@@ -62,7 +62,9 @@ def test_each_column_is_listed_and_what_is_undecided_is_a_remark(style, tmp_path
         assert (name in drafted) == ("undecided" not in line)
     drafted_as = dialect_of(load_columns(made.path))
     for table, again in zip(open_source(path).tables, open_source(path, drafted_as).tables):
-        assert [column.name for column in table.columns] == [column.name for column in again.columns]
+        assert [column.name for column in table.columns] == [
+            column.name for column in again.columns
+        ]
         for column, other in zip(table.columns, again.columns):
             np.testing.assert_array_equal(column.values, other.values)
     whole = all(name in drafted for name in recording.truth)

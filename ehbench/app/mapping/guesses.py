@@ -127,7 +127,9 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
 
 
 def _guess(name: str, column: SourceColumn, table: SourceTable, rig: Rig | None) -> Guess:
-    unit, words = column.known_unit or column.absolute, words_of(name)
+    unit, words = column.known_unit or column.absolute, words_of(column.name)
+    if name != column.name:  # the number of a run is that of no port
+        words |= {word for word in words_of(table.name) if not word.isdigit()}
     if column.unit.strip("()[]").lower() in DIFFERENTIAL:
         words |= {"dp"}
     if table.name.startswith("/"):  # a topic is what its field is of
@@ -192,7 +194,8 @@ def words_of(name: str) -> set[str]:
     port P, pp. A letter or number behind ``channel`` or ``AI`` counts the recorder's channels.
     """
     plain = re.sub(r"[\[({][^\])}]*[\])}]\s*$", "", name)
-    parts = re.findall(r"[^\W\d_]+|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", plain))
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])(?!Sec)", " ", plain)  # mSec are no seconds
+    parts = re.findall(r"[^\W\d_]+|\d+", spaced)
     parts = [part.lower() for part in parts]
     parts = [part for at, part in enumerate(parts) if parts[at - 1 : at][:1] not in _COUNTED]
     words = set(parts) | ({"pp"} if parts.count("p") > 1 else set())

@@ -124,7 +124,9 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         row += ["holes"] * (len(kinds) - len(row))
         if not titled and kinds[0] == "blank" and row[0] != "holes":
             return False
-        wanted = (index not in slow and kind in ("numbers", "times") for index, kind in enumerate(kinds))
+        wanted = (
+            index not in slow and kind in ("numbers", "times") for index, kind in enumerate(kinds)
+        )
         requested = list(compress(row, wanted))
         good = requested.count("numbers") + requested.count("times")
         if requested[:1] == ["words"]:
@@ -245,6 +247,8 @@ def _heads(
             continue
         cells = _names_in(lines, n, separator, width)[:width]
         filled = [cell for cell in cells if cell.strip("-")]
+        if not (wide or is_row(lines[n], separator)) and len(cells) < width:
+            continue  # a remark below the header
         if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
             break
         if sum(number(cell) is not None for cell in filled) < 0.5 * len(filled):
@@ -266,7 +270,7 @@ def _heads(
 
 
 def _names_in(lines: Sequence[str], n: int, separator: str, width: int) -> list[str]:
-    """The cells of a line of names; the first is blank above counted rows, which R does not name."""
+    """The cells of a line of names; blank is the first above rows that R counts without a name."""
     cells = split(bare(lines[n]), separator)
     if len(cells) != width - 1:
         return cells
