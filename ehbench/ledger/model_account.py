@@ -89,22 +89,17 @@ def ledger_of_model(model: Model, record: Record, step: float = STEP) -> Ledger:
         )
         integrate(t[rows], states[rows], commands[rows], loaded, line, sheet.owner, step, out)
     np.cumsum(ticks, axis=0, out=spent[1:])
-    _same_flows(model, record, flows)
+    channels = [*(f"{name}.flow" for name in model.layout.edges), "flow_supply"]
+    for i, channel in enumerate(channels):  # are they those at the record's states?
+        if channel in record:
+            scale = max(np.abs(record[channel]).max(), np.abs(flows[:, i]).max(), ROUNDING)
+            if np.abs(record[channel] - flows[:, i]).max() > FOLLOWS * scale:
+                raise LogError(message("ledger.other_flows", channel=channel))
     stored = loads.stored(fixed, t, states, sheet.stores)
     table = sheet.expand(np.concatenate([spent, stored], axis=1))
     facts = {"functions": sheet.functions(record, table), "oil_drawn": oil_drawn(model, t, flows)}
     facts["notes"] = tuple(_missed(model, states, ends))
     return sheet.ledger(model, record, payload_of(record), table[-1], None, **facts)
-
-
-def _same_flows(model: Model, record: Record, flows: np.ndarray) -> None:
-    """Raise where the record's flows are not those that the model has at the record's states."""
-    for i, channel in enumerate([*(f"{name}.flow" for name in model.layout.edges), "flow_supply"]):
-        if channel not in record:
-            continue
-        scale = max(np.abs(record[channel]).max(), np.abs(flows[:, i]).max(), ROUNDING)
-        if np.abs(record[channel] - flows[:, i]).max() > FOLLOWS * scale:
-            raise LogError(message("ledger.other_flows", channel=channel))
 
 
 def _missed(model: Model, states: np.ndarray, ends: np.ndarray) -> list[str]:

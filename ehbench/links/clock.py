@@ -44,10 +44,15 @@ def estimated(exchanges: Sequence[Sequence[float]]) -> dict[str, Any]:
     number, sent, came, t, acknowledged = table.T
     span = np.linspace(t[0], t[-1], 11)
     parts = [(t >= a) & (t <= b) for a, b in zip(span[:-1], span[1:], strict=True)]
-    best = np.array(
-        [(t[p][i], (came - t)[p][i]) for p in parts if p.any() for i in [_first(came, t, p)]]
-    )
-    slope, error = _fitted_slope(best)
+    # of each part the sample that came soonest after it was taken, and the line through these
+    waits = [np.where(part, came - t, np.inf) for part in parts if part.any()]
+    soonest = [int(np.argmin(wait)) for wait in waits]
+    taken, waited = t[soonest], (came - t)[soonest]
+    taken, waited = taken - taken.mean(), waited - waited.mean()
+    spread = float(taken @ taken)
+    slope = float(taken @ waited) / spread
+    rest = waited - slope * taken
+    error = float(np.sqrt(rest @ rest / max(len(taken) - 2, 1) / spread))
     base = t[0]
     first = np.searchsorted(acknowledged, number)  # the sample that acknowledges a command
     known = first < len(t)
@@ -62,21 +67,6 @@ def estimated(exchanges: Sequence[Sequence[float]]) -> dict[str, Any]:
         "command_delay": _median(offset - down[known], half),
         "sample_delay": _median(up - offset, half),
     }
-
-
-def _first(came: np.ndarray, t: np.ndarray, part: np.ndarray) -> int:
-    """Which sample of a part came soonest after it was taken."""
-    return int(np.argmin((came - t)[part]))
-
-
-def _fitted_slope(points: np.ndarray) -> tuple[float, float]:
-    """Slope of a line through points (t, y), and its standard error."""
-    t, y = points.T
-    t = t - t.mean()
-    spread = float(t @ t)
-    slope = float(t @ y) / spread
-    rest = y - y.mean() - slope * t
-    return slope, float(np.sqrt(rest @ rest / max(len(t) - 2, 1) / spread))
 
 
 def _median(values: np.ndarray, half: float) -> tuple[float, float, float]:

@@ -122,14 +122,9 @@ def open_machine(prepared: Prepared, url: str) -> Machine:
         InputError: as `Address.of` and `Address.link`.
     """
     address, layout = Address.of(url), Layout.of(prepared.rig)
-    if address.scheme in CARDS:
-        return _card(prepared, address)
-    kind = BufferedLink if address.mode == "buffered" else LinkMachine
-    return kind(prepared, layout, address.link(layout), address.mode, url)
-
-
-def _card(prepared: Prepared, address: Address) -> CardMachine:
-    """The card of an address, by its map."""
+    if address.scheme not in CARDS:
+        kind = BufferedLink if address.mode == "buffered" else LinkMachine
+        return kind(prepared, layout, address.link(layout), address.mode, url)
     assert address.map is not None  # `Address.of` sees to it
     text, machine = read_text(address.map), prepared.machine
     known = validated(CardMap, table_of(text, address.map), text, address.map)

@@ -78,39 +78,31 @@ class Quality:
         ]
 
 
-def _answered(link: Link, url: str, seconds: float) -> tuple[np.ndarray, list[tuple[float, ...]]]:
-    """(times at which packets were sent [s], time received, sequence, target's time, acknowledged
-    packet and watchdog's time of each sample).
-    """
-    token, sent, rows, newest = secrets.randbelow(TOKENS - 1) + 1, [], [], 0.0
-    header = np.zeros(len(HEADER))
-    header[TOKEN], header[STATE] = token, ALIVE
-    begun = heard = now = time.monotonic()
-    while now - begun <= seconds or len(rows) < 2:
-        sent.append(now)
-        header[[SEQUENCE, ACKNOWLEDGED]] = len(sent), newest
-        header[TIME] = 1e-3 * len(sent) if link.virtual else now
-        link.send(header)
-        came = link.receive(0.1)
-        now = time.monotonic()
-        for item in came:
-            if item.size >= len(HEADER) and item[TOKEN] == token:
-                rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
-                newest, heard = item[SEQUENCE], now
-        if now - heard > QUALITY.answer:
-            raise InputError(message("links.silent", url=url, rejected="none"))
-    return np.array(sent), rows
-
-
 def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ()) -> Quality:
     """Answer a target's samples for a while, valves at rest; then the link is closed.
 
     Raises:
         InputError: nobody answers.
     """
+    token, times, rows, newest = secrets.randbelow(TOKENS - 1) + 1, [], [], 0.0
+    header = np.zeros(len(HEADER))
+    header[TOKEN], header[STATE] = token, ALIVE
+    begun = heard = now = time.monotonic()
     with closing(link):
-        sent, rows = _answered(link, url, seconds)
-    table = np.array(rows)
+        while now - begun <= seconds or len(rows) < 2:
+            times.append(now)
+            header[[SEQUENCE, ACKNOWLEDGED]] = len(times), newest
+            header[TIME] = 1e-3 * len(times) if link.virtual else now
+            link.send(header)
+            answers = link.receive(0.1)
+            now = time.monotonic()
+            for item in answers:
+                if item.size >= len(HEADER) and item[TOKEN] == token:
+                    rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
+                    newest, heard = item[SEQUENCE], now
+            if now - heard > QUALITY.answer:
+                raise InputError(message("links.silent", url=url, rejected="none"))
+    sent, table = np.array(times), np.array(rows)
     came, sequence, t, acknowledged = table[:, :4].T
     steps = np.diff(acknowledged)
     first = np.flatnonzero(np.r_[True, steps > 0.0] & (acknowledged > 0.0))

@@ -62,10 +62,22 @@ class Page(BaseHTTPRequestHandler):
         path = self._path()
         if path == "":
             self._answer(200, Path(__file__).with_name("page.html").read_bytes(), "text/html")
-        elif path == "events":
-            self._stream()
-        else:
+        elif path != "events":
             self._answer(403 if path is None else 404)
+        else:
+            self.send_response(200)
+            for name, value in (SAFE | {"Content-Type": "text/event-stream"}).items():
+                self.send_header(name, value)
+            self.send_header("Connection", "close")
+            self.end_headers()
+            with suppress(OSError):
+                self._send("facts", self.server.facts)
+                while True:
+                    frame = self.server.frame
+                    self._send("frame", frame)
+                    if frame["state"] == "ended":
+                        break
+                    time.sleep(1.0 / VIEW.frames)
 
     def do_POST(self) -> None:
         """What the levers of the page say: ``{"held": true, "levers": [0.5, -0.1]}``."""
@@ -84,21 +96,6 @@ class Page(BaseHTTPRequestHandler):
         if taken:
             server.put(levers if pressed else None)
         self._answer(204 if taken else 403 if path is None else 400)
-
-    def _stream(self) -> None:
-        self.send_response(200)
-        for name, value in (SAFE | {"Content-Type": "text/event-stream"}).items():
-            self.send_header(name, value)
-        self.send_header("Connection", "close")
-        self.end_headers()
-        with suppress(OSError):
-            self._send("facts", self.server.facts)
-            while True:
-                frame = self.server.frame
-                self._send("frame", frame)
-                if frame["state"] == "ended":
-                    break
-                time.sleep(1.0 / VIEW.frames)
 
     def _send(self, name: str, content: Any) -> None:
         self.wfile.write(f"event: {name}\ndata: {json.dumps(content)}\n\n".encode())

@@ -153,10 +153,21 @@ def draw_sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -
     shape = {"sharex": True, "squeeze": False, "height_ratios": (3, 3, 1.6)}
     with canvas(path, 3, len(result), (7.4, 5.4), **shape) as (figure, axes):
         for column, sweep in enumerate(result):
-            for side, look in _LOOKS.items():
-                if sweep.get(side) is not None:
-                    _draw_side(axes[:, column], rig, sweep, side, look)
             top, middle, bottom = axes[:, column]
+            coherent = np.array(sweep["recorded"]["coherent"], bool)
+            scale = shown(rig, sweep["channel"], 1.0) - shown(rig, sweep["channel"], 0.0)
+            for side, look in _LOOKS.items():
+                if sweep.get(side) is None:
+                    continue
+                frequency, gain, phase, coherence = (
+                    np.array(sweep[side][row], float) for row in ("frequency", *rows)
+                )
+                if side == "simulated":  # on the nearest turn
+                    recorded = np.array(sweep["recorded"]["phase"], float)
+                    phase = phase + 360.0 * np.round((recorded - phase) / 360.0)
+                top.plot(frequency[coherent], scale * gain[coherent], **look)
+                middle.plot(frequency[coherent], phase[coherent], **look)
+                bottom.plot(frequency, coherence, **look | {"marker": ""})
             unit = pretty(unit_of(rig, sweep["channel"]))
             title = title_of(sweep["channel"])
             top.set_title(f"{title} [{unit}/V]" if unit else title, fontsize=8.5)
@@ -175,17 +186,3 @@ def draw_sweeps(path: Path, rig: Rig, result: Sequence[Table], minimum: float) -
         for ax, row in zip(axes[:, 0], rows, strict=True):
             ax.set_ylabel("phase [°]" if row == "phase" else row)
         legend(figure, [key(side, **look) for side, look in _LOOKS.items()])
-
-
-def _draw_side(axes: np.ndarray, rig: Rig, sweep: Table, side: str, look: dict) -> None:
-    curve, channel = sweep[side], sweep["channel"]
-    frequency = np.array(curve["frequency"], float)
-    coherent = np.array(sweep["recorded"]["coherent"], bool)
-    scale = shown(rig, channel, 1.0) - shown(rig, channel, 0.0)
-    gain, phase, coherence = (np.array(curve[row], float) for row in ("gain", "phase", "coherence"))
-    if side == "simulated":
-        recorded = np.array(sweep["recorded"]["phase"], float)
-        phase = phase + 360.0 * np.round((recorded - phase) / 360.0)  # on the nearest turn
-    axes[0].plot(frequency[coherent], scale * gain[coherent], **look)
-    axes[1].plot(frequency[coherent], phase[coherent], **look)
-    axes[2].plot(frequency, coherence, **look | {"marker": ""})

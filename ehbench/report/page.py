@@ -267,28 +267,23 @@ def rig_table(rig: Rig, fits: Sequence[Table] = ()) -> list[Block]:
                     vectors[f"payload {load}: {link}.{key}"] = getattr(change, key)
     every = [*rig.parameters().items(), *vectors.items()]
     groups = grouped(every, lambda item: item[0].rpartition(".")[0])
-    rows = [
-        [group, *_value_row(rig, name, value, known.get((name, value.value)))]
-        for group, members in groups.items()
-        for name, value in members
-    ]
+    rows: list[list[Cell | str]] = []
+    for group, name, value in ((group, *item) for group, items in groups.items() for item in items):
+        fit = known.get((name, value.value))
+        if isinstance(value.value, tuple):
+            text: Cell | str = f"({', '.join(number(shown(rig, name, v), 5) for v in value.value)})"
+        elif fit is not None:
+            text = num(as_fitted(rig, name, fit))
+        elif value.std:
+            text = num(plus(rig, name, value.value, Z95 * value.std))
+        else:
+            text = num(number(shown(rig, name, value.value), 6))
+        source = value.source.removeprefix(value.sure).lstrip(":, ")
+        label = Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning)
+        rows.append([group, label, text, pretty(unit_of(rig, name)), value.sure, source])
     notes = [f"{name}: {dynamics.note}" for name, dynamics in rig.dynamics.items() if dynamics.note]
     head = ["of", "parameter", "value", "unit", "how sure", "source"]
     return [*([Bullets(notes)] if notes else []), Grid(head, rows)]
-
-
-def _value_row(rig: Rig, name: str, value: Value, fit: Table | None) -> list[Cell | str]:
-    if isinstance(value.value, tuple):
-        text: Cell | str = f"({', '.join(number(shown(rig, name, v), 5) for v in value.value)})"
-    elif fit is not None:
-        text = num(as_fitted(rig, name, fit))
-    elif value.std:
-        text = num(plus(rig, name, value.value, Z95 * value.std))
-    else:
-        text = num(number(shown(rig, name, value.value), 6))
-    source = value.source.removeprefix(value.sure).lstrip(":, ")
-    label = Cell(name.rsplit(".", 1)[-1], "code", hint=row_of(name).meaning)
-    return [label, text, pretty(unit_of(rig, name)), value.sure, source]
 
 
 class Titles:

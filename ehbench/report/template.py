@@ -67,10 +67,10 @@ _RIG_FILTERS: dict[str, Any] = {
         [words.shown(rig, name, value) for value in values], digits
     ),
     "unit": lambda rig, name: words.pretty(words.unit_of(rig, name)),
-    "axis": lambda rig, name, text="": words.axis(rig, name, text),
+    "axis": words.axis,
     "fitted": lambda rig, item, name: words.as_fitted(rig, name, item),
     "ends": lambda rig, ends, name: words.range_of(rig, name, ends),
-    "error": lambda rig, row, which, key: words.error_of(rig, row, which, key),
+    "error": words.error_of,
     "ranged": words.ranged_in,
     # a number of a decay with its 95 % interval; why there is none, as a hint
     "ring": lambda rig, ring, key: Cell(

@@ -65,8 +65,11 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
                 raise InputError(
                     message("export.played_force", channel=channel), **recipe.at("rig")
                 )
-        _refuse(inputs, not _is_validated(state), "unvalidated", rig=state.rig.name,
-                stage=state.stage)  # fmt: skip
+        validated = isinstance(state, ValidatedRig)
+        if not validated and state.origin.is_dir():  # of a tuning on a validated rig
+            validated = rundir.read_json(state.origin / "run.json").get("validated", False)
+        fields = {"rig": state.rig.name, "stage": state.stage}
+        _refuse(inputs, not validated, "unvalidated", **fields)
         source, trial = _trial_of(recipe, inputs, state)
         law = trial.controller
         if recipe.parts != "model" and law is not None:
@@ -112,13 +115,6 @@ def _refuse(inputs: Inputs, wrong: bool, key: str, **fields: str) -> None:
         inputs.notes.refuse(ModelRejected(text, file=inputs.recipe.path), text)
 
 
-def _is_validated(state: RigState) -> bool:
-    """Whether a validation accepted a rig, or it is that of a tuning on such a rig."""
-    if isinstance(state, ValidatedRig) or not state.origin.is_dir():
-        return isinstance(state, ValidatedRig)
-    return rundir.read_json(state.origin / "run.json").get("validated", False)
-
-
 def _is_tuned(source: Recipe, trial: TrialRecipe, inputs: Inputs) -> bool:
     """Whether the gains of a trial are those of a tuning on a validated rig."""
     name = trial.controller.gains_from if trial.controller is not None else None
@@ -160,7 +156,7 @@ def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Re
     if trial.step == "auto":
         changes["step"] = TrialRecipe.model_fields["step"].default
     trial = trial.model_copy(update=changes)
-    tuned = _tuned_rate(source, trial, inputs)
+    tuned = _tuned_rate(source, trial)
     if tuned is not None and tuned != float(trial.rate):
         text = message("export.other_rate", tuned=tuned, rate=float(trial.rate))
         raise InputError(text, **recipe.at("rate"))
@@ -210,7 +206,7 @@ def _tuned(recipe: ExportRecipe, item: Recipe, place: Path, rig: Rig) -> TrialRe
     return TrialRecipe(path=recipe.path, **trial)
 
 
-def _tuned_rate(source: Recipe, trial: TrialRecipe, inputs: Inputs) -> float | None:
+def _tuned_rate(source: Recipe, trial: TrialRecipe) -> float | None:
     """The rate [Hz] that the gains of a trial were tuned for; None where no tuning says."""
     name = trial.controller.gains_from if trial.controller is not None else None
     if name is None:

@@ -59,11 +59,6 @@ class RigState:
 class ValidatedRig(RigState):
     """A rig that a validation accepted, or that the user insists on."""
 
-    @classmethod
-    def insisted(cls, state: RigState) -> ValidatedRig:
-        """A rig as it is because the user said ``--unvalidated``; ``stage`` stays as it is."""
-        return cls(**{name: getattr(state, name) for name in cls.__dataclass_fields__})
-
 
 class Logs(NamedTuple):
     """The logs of a recipe.
@@ -140,7 +135,10 @@ class Inputs:
             InputError: it is not there, or has no maps.
         """
         path, maps_path, promised = self._rig_source(rig, flow_maps)
-        stage = _stage_of(path)
+        facts = rundir.read_json(path / "run.json") if path.is_dir() else {"stage": "file"}
+        judged = "validated" if facts.get("accepted") else "rejected"
+        stage = str(facts["stage"])
+        stage = {"identify": "identified", "validate": judged}.get(stage, stage)
         inputs, maps = [("rig", path)], maps_in(path)
         if maps_path is not None:
             inputs.append(("flow_maps", maps_path))
@@ -312,17 +310,6 @@ def refuse_fmu(rig: Rig, allowed: bool) -> None:
     if not allowed:
         raise InputError(message("stages.fmu_not_allowed", fmu=rig.model.fmu))
     _ = FmuModel.of(rig).binding
-
-
-def _stage_of(path: Path) -> str:
-    """The stage that the rig of a file or run folder has passed."""
-    if not path.is_dir():
-        return "file"
-    facts = rundir.read_json(path / "run.json")
-    if facts["stage"] == "validate" and not facts["accepted"]:
-        return "rejected"
-    stage = str(facts["stage"])
-    return {"identify": "identified", "validate": "validated"}.get(stage, stage)
 
 
 def maps_in(folder: Path) -> FlowMaps | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ehbench.config.recipe import Measure, Recipe, StudyRecipe, load_recipe
+from ehbench.config.recipe import Recipe, StudyRecipe, load_recipe
 from ehbench.runs import rundir
 from ehbench.runs.versions import Versions
 from ehbench.runtime.cores import cores
@@ -324,36 +324,29 @@ def _single_keys(
 
 
 def _refuse_measures(study: StudyRecipe, prepared: Prepared, stage: Stage) -> None:
-    """Refuse measures that no sample will have.
+    """Refuse measures that no sample will have; the channels of a user's class are not known.
 
     Raises:
         InputError: names the nearest.
     """
+    from ehbench import trial
+
     roots = stage.results(prepared)
     for index, measure in enumerate(study.measures):
         where = study.at("measures", index)
         if measure.channel is not None:
-            _refuse_channels(measure, prepared, where)
+            if not isinstance(prepared, PreparedOne):
+                raise InputError(message("stages.not_a_trial", measure=measure.label), **where)
+            law = prepared.recipe.controller
+            names = () if law is not None and law.code else (measure.channel, measure.minus)
+            known = trial.log_channels(prepared.trial) if names else ()
+            for name in names:
+                if name is not None and name not in known:
+                    near = ", ".join(get_close_matches(name, known, 1, 0.3) or known)
+                    raise InputError(message("stages.no_channel", name=name, near=near), **where)
         for name in (measure.result, measure.over):
             if name is not None and roots and name != "code":
                 refuse_unknown(name, roots, where)
-
-
-def _refuse_channels(item: Measure, prepared: Prepared, where: Mapping[str, Any]) -> None:
-    """Refuse channels that no trial's log will have; those of a user's class are not known."""
-    from ehbench import trial
-
-    if not isinstance(prepared, PreparedOne):
-        raise InputError(message("stages.not_a_trial", measure=item.label), **where)
-    law = prepared.recipe.controller
-    if law is not None and law.code is not None:
-        return
-    known = trial.log_channels(prepared.trial)
-    for name in (item.channel, item.minus):
-        if name is not None and name not in known:
-            near = get_close_matches(name, known, 1, 0.3)
-            text = message("stages.no_channel", name=name, near=", ".join(near or known))
-            raise InputError(text, **where)
 
 
 def _target(recipe: StudyRecipe, index: int, measures: tuple[MeasureColumn, ...]) -> dict[str, Any]:
@@ -399,7 +392,11 @@ def _make(prepared: PreparedStudy, journal: Journal, progress: Progress | None) 
             if progress is not None:
                 done = int(journal.done.sum())
                 rate = max(done - journal.taken, 1) / (time.monotonic() - began)
-                left = _duration((size - done) / rate)
+                seconds = (size - done) / rate
+                units = ((86400.0, "d"), (3600.0, "h"), (60.0, "min"))
+                long = (item for item in units if seconds >= 2.0 * item[0])
+                length, unit = next(long, (1.0, "s"))
+                left = f"{seconds / length:.0f} {unit}"
                 progress(f"{done} of {size} samples, {left} left", 0.9 * done / size)
 
 
@@ -421,11 +418,3 @@ def _until(end: float, tasks: Iterator[Task]) -> Iterator[Task]:
     """Tasks that are taken before ``end`` on the monotonic clock."""
     while time.monotonic() < end and (task := next(tasks, None)) is not None:
         yield task
-
-
-def _duration(seconds: float) -> str:
-    """A time in a unit of its size."""
-    for size, unit in ((86400.0, "d"), (3600.0, "h"), (60.0, "min")):
-        if seconds >= 2.0 * size:
-            return f"{seconds / size:.0f} {unit}"
-    return f"{seconds:.0f} s"

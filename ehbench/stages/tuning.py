@@ -41,7 +41,13 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
     def _prepared(self, recipe: R, inputs: Inputs, **seeds: int) -> PreparedTuning[R]:
         from ehbench.tune.study import prepare_tuning
 
-        state, study = _validated(recipe, inputs), None
+        state, study = inputs.rig_state(recipe.rig, recipe.flow_maps), None
+        if not isinstance(state, ValidatedRig):
+            if not inputs.unvalidated:
+                text = message("stages.not_validated", rig=state.rig.name, stage=state.stage)
+                remark = message("stages.needs_unvalidated", stage=state.stage)
+                inputs.notes.refuse(ModelRejected(text, file=recipe.path), remark)
+            state = ValidatedRig(**vars(state))  # the user insists
         factors = {
             "stroke": recipe.strokes or range(recipe.postures),
             "payload": recipe.payloads or (None, *state.rig.payload),
@@ -98,7 +104,10 @@ class TuningStage(_AnyTuningStage[TuneRecipe]):
         assert prepared.study is not None  # a run without operating points is refused
         if progress is not None:
             progress("operating points", 0.0)
-        correlation = _correlation(prepared.state)
+        path = prepared.state.origin / "parameters.json"
+        known, correlation = rundir.read_json(path) if path.is_file() else {}, None
+        if known.get("correlation"):
+            correlation = known["correlated_names"], known["correlation"]
         tuning = tune_pressure_feedback(prepared.study, correlation, progress)
         return self._written(prepared, folder, tuning)
 
@@ -139,24 +148,3 @@ def reservations_of(origin: Path) -> list[str]:
     """The reservations under which a validation accepted a rig."""
     path = origin / "validation.json"
     return rundir.read_json(path).get("reservations", []) if path.is_file() else []
-
-
-def _validated(recipe: AnyTuning, inputs: Inputs) -> ValidatedRig:
-    """The rig of the recipe, which a validation must have accepted unless the user insists."""
-    state = inputs.rig_state(recipe.rig, recipe.flow_maps)
-    if isinstance(state, ValidatedRig):
-        return state
-    if not inputs.unvalidated:
-        text = message("stages.not_validated", rig=state.rig.name, stage=state.stage)
-        remark = message("stages.needs_unvalidated", stage=state.stage)
-        inputs.notes.refuse(ModelRejected(text, file=recipe.path), remark)
-    return ValidatedRig.insisted(state)
-
-
-def _correlation(state: ValidatedRig) -> tuple[list[str], Any] | None:
-    """(names, matrix) of the identified parameters of the rig."""
-    path = state.origin / "parameters.json"
-    if not (state.origin.is_dir() and path.is_file()):
-        return None
-    known = rundir.read_json(path)
-    return (known["correlated_names"], known["correlation"]) if known["correlation"] else None

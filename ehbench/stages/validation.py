@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from ehbench.config.recipe import (
     DataFile,
     HydraulicsRecipe,
-    JudgedFile,
     Recipe,
     ValidateRecipe,
     kind_of,
@@ -62,19 +61,17 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
 
     def prepare(self, recipe: ValidateRecipe, inputs: Inputs) -> PreparedJudgement:
         from ehbench.preprocessing.observations import payload_of
+        from ehbench.report.saved import read_series
         from ehbench.validation import PreparedValidation, models_of, prepare_log
-        from ehbench.validation.held_out import overlaps
+        from ehbench.validation.held_out import FittedSamples, overlaps
 
         notes = inputs.notes
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         logs = inputs.logs(recipe.data)
-        from ehbench.report.saved import read_series
-        from ehbench.validation.held_out import FittedSamples
-
-        digests, result = set(), []
+        used, fitted = set(), []
         for folder in (path for _, path in state.inputs if path.is_dir()):
             fitted_on = rundir.read_json(folder / "run.json").get("fitted_on", [])
-            digests.update(fitted_on)
+            used.update(fitted_on)
             if not fitted_on or not (folder / "parameters.json").is_file():
                 continue
             names = rundir.read_json(folder / "parameters.json").get("recordings", [])
@@ -82,8 +79,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
                 path = folder / "series" / f"{name}.csv"
                 if path.is_file():
                     series = read_series(path)
-                    result.append(FittedSamples(name, series.t, series.recorded, digest))
-        used, fitted = (digests, result)
+                    fitted.append(FittedSamples(name, series.t, series.recorded, digest))
         channels = [set(record.channels) for _, record in logs.records]
         shared = set.intersection(*channels) if channels else set()
         sensors, texts = inherited(state.origin, recipe.sensor, shared, state.rig)
@@ -205,18 +201,13 @@ def _note_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:
         if not path.is_file():
             continue
         digest = rundir.sha256(path)
-        by = [by for by, entry, used in fits if used == digest and _overlap(item, entry)]
-        if by:
-            fit = inputs.notes.name_of(by[0])
-            inputs.notes.add("remarks", message("stages.fitted_to", name=item.path, recipe=fit))
-
-
-def _overlap(judged: JudgedFile, fitted: DataFile) -> bool:
-    """Whether two windows of one log have samples in common."""
-    spans = [span_of(judged), span_of(fitted)]
-    if judged.scored is not None:
-        spans.append(judged.scored)
-    return max(low for low, _ in spans) < min(high for _, high in spans)
+        judged = [span_of(item)] if item.scored is None else [span_of(item), item.scored]
+        for by, entry, used in fits:
+            starts, stops = zip(*judged, span_of(entry), strict=True)
+            if used == digest and max(starts) < min(stops):  # samples in common
+                fit = inputs.notes.name_of(by)
+                inputs.notes.add("remarks", message("stages.fitted_to", name=item.path, recipe=fit))
+                break
 
 
 def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, DataFile, Path]]:

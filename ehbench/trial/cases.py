@@ -15,7 +15,7 @@ import numpy as np
 from ehbench.config.recipe import TrialRecipe
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.ledger import Accuracy, Ledger, bounds, ledger_of_log, ledger_of_model
+from ehbench.ledger import Accuracy, bounds, ledger_of_log, ledger_of_model
 from ehbench.runtime.cores import cores
 from ehbench.trial.preparation import Prepared, prepare
 from ehbench.trial.running import SELDOM, Facts, Result, run
@@ -62,26 +62,23 @@ def account(prepared: Prepared, result: Result, intervals: bool = True) -> Accou
         return Account(facts, None, (message("trial.no_ledger", problem=error.message),))
     limits = []
     if facts.cylinder:
-        facts = facts.with_energy(
-            {
-                name: _energy(ledger, name) | {"supply": prepared.rig.supply.kind}
-                for name in facts.cylinders
-            }
-        )
+        shared = {
+            "oil_drawn": ledger.oil_drawn,
+            "source": MODEL if ledger.source == "model" else LOG,
+            "supply": prepared.rig.supply.kind,
+        }
+        rail = {} if ledger.low_rail is None else {"low_rail": ledger.low_rail}
+        energies = {
+            name: {"pump": ledger.pump}
+            | rail
+            | {"cylinder_work": ledger[f"{name}.work"].energy}
+            | shared
+            for name in facts.cylinders
+        }
+        facts = facts.with_energy(energies)
         with suppress(InsufficientData):  # it did not move, or its supply has not one pressure
             limits = [bounds(prepared.rig, record, facts.cylinder, ledger).as_json()]
     return Account(facts, ledger.as_json() | {"bounds": limits})
-
-
-def _energy(ledger: Ledger, cylinder: str) -> dict[str, Any]:
-    """Energies [J] of a trial under a controller, and the oil [m³] that all valves drew."""
-    return {
-        "pump": ledger.pump,
-        **({} if ledger.low_rail is None else {"low_rail": ledger.low_rail}),
-        "cylinder_work": ledger[f"{cylinder}.work"].energy,
-        "oil_drawn": ledger.oil_drawn,
-        "source": MODEL if ledger.source == "model" else LOG,
-    }
 
 
 # measures that noise moves; the others are what the controller was made of

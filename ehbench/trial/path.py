@@ -6,7 +6,6 @@ finds a few millimetres apart; how s goes with time is a trajectory with bounded
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
@@ -144,6 +143,17 @@ class Mover:
             **self.recipe.at(*self.motion.where, "points", index),
         )
 
+    def between(self, point: np.ndarray, start: np.ndarray, index: int) -> np.ndarray:
+        """The posture nearest to ``start`` with the tip at a point of the line to point ``index``.
+
+        Raises:
+            InputError: it is out of reach.
+        """
+        result = reach(self.chain, point, start, self.free)
+        place = message("trial.between", before=index, number=index + 1, point=self.at(point))
+        self.refuse(result, place, index)
+        return result.q
+
     def at(self, point: np.ndarray) -> str:
         """Where a point [m] is, in the unit that the recipe's points have."""
         row = quantity("tip")
@@ -188,8 +198,21 @@ def route(recipe: TrialRecipe, model: Model) -> Route:
     for index, (item, other) in enumerate(zip(points[:-1], points[1:], strict=True), 1):
         leg, q = _leg(mover, (item, other), q, index)
         legs.append(leg)
-    table = _times(recipe, motion, [leg.length for leg in legs])
-    tables = _cylinder_tables(table, legs, len(mover.moved))
+    # the way made along the whole path: s, ṡ, s̈, s⃛
+    ends = np.cumsum([leg.length for leg in legs])
+    limits, tick = limits_of(recipe, motion, len(points)), 1.0 / float(recipe.rate)
+    table = point_to_point([0.0, *ends.tolist()], tick=tick, **limits)
+    tables = np.zeros((len(mover.moved), len(table), 4))
+    of = np.searchsorted(ends[:-1], table[:, X], side="right")
+    for number, leg in enumerate(legs):  # the chain rule on each line's splines
+        rows = np.flatnonzero(of == number)
+        s, v, a, j = table[rows].T
+        s = np.clip(s - (ends[number] - leg.length), 0.0, leg.length)
+        x, first, second, third = (leg.strokes(s, order).T for order in range(4))
+        tables[:, rows, X] = x
+        tables[:, rows, V] = first * v
+        tables[:, rows, A] = second * v**2 + first * a
+        tables[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
     return Route(
         dict(zip(mover.moved, start.tolist(), strict=True)),
         dict(zip(mover.moved, tables, strict=True)),
@@ -212,8 +235,11 @@ def _leg(
     if length <= FOUND:
         raise InputError(message("trial.same_point", number=index + 1, before=index), **where)
     coarse = np.linspace(0.0, 1.0, PATH.coarse)
-    begun = _follow(mover, item + coarse[:, None] * (other - item), q, index)
-    near = make_interp_spline(coarse, begun, k=3)
+    begun = []  # each the nearest to the one before
+    for point in item + coarse[:, None] * (other - item):
+        q = mover.between(point, q, index)
+        begun.append(q)
+    near = make_interp_spline(coarse, np.array(begun), k=3)
     count = max(PATH.postures, int(np.ceil(length / PATH.spacing)))
     off = 0.0
     for _ in range(PATH.doublings):
@@ -257,54 +283,5 @@ def _polished(mover: Mover, line: np.ndarray, starts: np.ndarray, index: int) ->
     slack = 1e-9
     out = ((q < chain.low - slack) | (q > chain.high + slack))[:, free].any(axis=1)
     for i in np.flatnonzero(out | (miss > FOUND)):
-        result = reach(chain, line[i], starts[i], free)
-        mover.refuse(
-            result,
-            message("trial.between", before=index, number=index + 1, point=mover.at(line[i])),
-            index,
-        )
-        q[i] = result.q
+        q[i] = mover.between(line[i], starts[i], index)
     return q
-
-
-def _follow(mover: Mover, line: np.ndarray, q: np.ndarray, index: int) -> np.ndarray:
-    """Postures along the points of a line, each the nearest to the one before.
-
-    Raises:
-        InputError: a point out of reach.
-    """
-    free, postures = mover.free, []
-    for point in line:
-        result = reach(mover.chain, point, q, free)
-        mover.refuse(
-            result,
-            message("trial.between", before=index, number=index + 1, point=mover.at(point)),
-            index,
-        )
-        q = result.q
-        postures.append(q)
-    return np.array(postures)
-
-
-def _times(recipe: TrialRecipe, motion: Motion, lengths: Sequence[float]) -> np.ndarray:
-    """The way made along the whole path, as a table of s, ṡ, s̈, s⃛."""
-    stops = np.concatenate([[0.0], np.cumsum(lengths)])
-    limits = limits_of(recipe, motion, len(stops))
-    return point_to_point(stops.tolist(), tick=1.0 / float(recipe.rate), **limits)
-
-
-def _cylinder_tables(table: np.ndarray, legs: Sequence[Leg], count: int) -> list[np.ndarray]:
-    """The table of each cylinder along the way: the chain rule on each line's splines."""
-    built = np.zeros((count, len(table), 4))
-    ends = np.cumsum([leg.length for leg in legs])
-    of = np.searchsorted(ends[:-1], table[:, X], side="right")
-    for index, leg in enumerate(legs):
-        rows = np.flatnonzero(of == index)
-        s, v, a, j = table[rows].T
-        s = np.clip(s - (ends[index] - leg.length), 0.0, leg.length)
-        x, first, second, third = (leg.strokes(s, order).T for order in range(4))
-        built[:, rows, X] = x
-        built[:, rows, V] = first * v
-        built[:, rows, A] = second * v**2 + first * a
-        built[:, rows, J] = third * v**3 + 3.0 * second * v * a + first * j
-    return list(built)

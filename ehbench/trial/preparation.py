@@ -308,12 +308,6 @@ class Prepared:
                 if value < bound if below else abs(value) > bound:
                     beyond.append(Excess(limit, channel, float(value), bound))
         seconds = (span.stop - span.start - 1) / machine.rate
-        sentence = self._after(ramp, seconds, still, beyond)
-        return Aftermath(ramp, seconds, still, tuple(beyond), sentence)
-
-    def _after(
-        self, ramp: float, seconds: float, still: bool | None, beyond: list[Excess]
-    ) -> Message:
         sentences = ""
         for item in beyond:
             word = item.channel.rsplit(".", 1)[-1]
@@ -321,15 +315,15 @@ class Prepared:
             value, bound = (from_si(v, unit, VOCABULARY[word]) for v in (item.value, item.bound))
             fields = {"channel": item.channel, "value": value, "unit": unit, "limit": item.limit}
             sentences += message("trial.beyond_limit", bound=bound, **fields)
-        return message(
+        stood = {True: "it stood still", False: "it still moved", None: "no sensor says whether"}
+        sentence = message(
             "trial.after_stop",
             shut=f"within {ramp:.3g} s" if ramp else "at once",
             seconds=seconds,
-            stood={True: "it stood still", False: "it still moved", None: "no sensor says whether"}[
-                still
-            ],
+            stood=stood[still],
             beyond=sentences,
         )
+        return Aftermath(ramp, seconds, still, tuple(beyond), sentence)
 
 
 def prepare(
@@ -503,7 +497,14 @@ def _loop(
             motions.append(References(result.tables[design.cylinder]))
     driven = tuple(Driven(*item) for item in zip(singles, designs, as_long(motions), strict=True))
     laws = _laws(recipe, driven, tuning)
-    driven, plan = _together(recipe, driven, laws, level)
+    rules = [_rules(item, laws[i] if laws else None) for i, item in enumerate(driven)]
+    share, plan = recipe.motion is not None and recipe.motion.share_flow, None
+    if all(item.references.lever is None for item in driven):  # no operator moves them
+        driven, plan = planned(driven, rules, level, share)
+    driven = tuple(
+        replace(item, references=lasting(item.recipe, item.design, item.references))
+        for item in driven
+    )
     return Loop(driven, _over(laws, driven), level, plan, notes)
 
 
@@ -558,22 +559,6 @@ def _over(laws: tuple[Compiled, ...], driven: Sequence[Driven]) -> tuple[Compile
     return tuple(
         replace(law, references=table) for law, table in zip(laws, tables_of(driven), strict=False)
     )
-
-
-def _together(
-    recipe: TrialRecipe, driven: tuple[Driven, ...], laws: tuple[Compiled, ...], low: float
-) -> tuple[tuple[Driven, ...], Plan | None]:
-    """What the cylinders do together, as long as the recipe says; no plan where an operator moves
-    them.
-    """
-    rules = [_rules(item, laws[i] if laws else None) for i, item in enumerate(driven)]
-    share, plan = recipe.motion is not None and recipe.motion.share_flow, None
-    if all(item.references.lever is None for item in driven):
-        driven, plan = planned(driven, rules, low, share)
-    lasting_as = [lasting(item.recipe, item.design, item.references) for item in driven]
-    return tuple(
-        replace(item, references=motion) for item, motion in zip(driven, lasting_as, strict=True)
-    ), plan
 
 
 def _rules(item: Driven, part: Compiled | None) -> np.record:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -193,15 +193,11 @@ def run(
         truth, facts = truth_of(at_work), _run_facts(prepared, session, record)
     if truth is None:
         return Result(record, facts, None)
-    notes = _short_steps(prepared, truth.model, record)
-    return Result(record, replace(facts, warnings=(*facts.warnings, *notes)), truth.model)
-
-
-def _short_steps(prepared: Prepared, model: Model, record: Record) -> Iterator[Message]:
-    """What makes a trial's simulation slow, by its commands and its first payload."""
-    model = replace(model, plant=model.plant._replace(links=links_of(model.rig)))
+    # what makes its simulation slow, by its commands and its first payload
+    model = replace(truth.model, plant=truth.model.plant._replace(links=links_of(truth.model.rig)))
     start = Start(model.trim(model.posture(prepared.posture), prepared.low_side))
-    return short_steps(model, record, start)
+    notes = short_steps(model, record, start)
+    return Result(record, replace(facts, warnings=(*facts.warnings, *notes)), truth.model)
 
 
 def log_channels(prepared: Prepared) -> tuple[str, ...]:

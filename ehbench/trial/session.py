@@ -202,22 +202,18 @@ class Session:
         with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
-            except BaseException:
-                self._let_valves_rest()
+            except BaseException:  # whatever ended the trial, the valves go to rest
+                rest = self.machine.commands.rest
+                ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
+                if (halt := halt_of(self.machine)) is not None:
+                    halt()
+                with unbroken():
+                    for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
+                        try:
+                            self.machine.tick((1.0 - share) * self._sent + share * rest)
+                        except Exception:  # one that fails still gets what follows
+                            continue
                 raise
-
-    def _let_valves_rest(self) -> None:
-        """Let the valves go to rest by the recipe's ramp, whatever ended the trial."""
-        rest = self.machine.commands.rest
-        ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
-        if (halt := halt_of(self.machine)) is not None:
-            halt()
-        with unbroken():
-            for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
-                try:
-                    self.machine.tick((1.0 - share) * self._sent + share * rest)
-                except Exception:  # a machine that fails still gets the commands that follow
-                    continue
 
     def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
         first = 0
@@ -341,7 +337,18 @@ class Session:
         rows.commands[row:] = (1.0 - shut) * before + shut * rest
         self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
         for law in self.laws:
-            _let_go(law, row, self.end)
+            # the last estimates and the desired stroke stay, nothing is asked for any more
+            last = min(row, len(law.telemetry) - 1)
+            retained = law.telemetry[last]
+            retained = np.where(np.isfinite(retained), retained, law.telemetry[max(last - 1, 0)])
+            after = np.tile(retained, (self.end - row, 1))
+            law.telemetry = np.concatenate([law.telemetry[:row], after])
+            for column, name in enumerate(law.channels):
+                word = name.rsplit(".", 1)[-1]
+                if word in DEMANDS or word.startswith("flow"):
+                    law.telemetry[row:, column] = 0.0
+                elif word == "function":
+                    law.telemetry[row:, column] = HOLD
         self._packed = self._step = self._operator = None
         if self._bind is not None:
             self._advance = self._bind(rows, None, False)
@@ -440,15 +447,12 @@ class LiveLog:
         Raises:
             OSError: the disk is full, perhaps since the rows before.
         """
+        rows = np.stack(list(channels.values()), axis=1)
         if self._pool is None:
-            return self.writer.extend(t, np.stack(list(channels.values()), axis=1))
+            return self.writer.extend(t, rows)
         if self._writing is not None and self._writing.done():
             self._writing.result()
-        rows = {name: values.copy() for name, values in channels.items()}
-        self._writing = self._pool.submit(self._write, t.copy(), rows)
-
-    def _write(self, t: np.ndarray, channels: dict[str, np.ndarray]) -> None:
-        self.writer.extend(t, np.stack(list(channels.values()), axis=1))
+        self._writing = self._pool.submit(self.writer.extend, t.copy(), rows)
 
     def finish(self, record: Record) -> None:
         """Close the log of a trial that came to its end. Its bytes hang on ``record`` alone: a log
@@ -490,19 +494,3 @@ def packed(laws: Sequence[Compiled | UserCode]) -> Controls | None:
     built_in = [law for law in laws if isinstance(law, Compiled)]
     rows = (LawRows(law.references, law.controller, law.telemetry) for law in built_in)
     return tuple(rows) if built_in else None
-
-
-def _let_go(law: Compiled | UserCode, row: int, end: int) -> None:
-    """Telemetry after a stop: the last estimates and the desired stroke stay, nothing is asked for
-    any more.
-    """
-    last = min(row, len(law.telemetry) - 1)
-    retained = law.telemetry[last]
-    retained = np.where(np.isfinite(retained), retained, law.telemetry[max(last - 1, 0)])
-    law.telemetry = np.concatenate([law.telemetry[:row], np.tile(retained, (end - row, 1))])
-    for column, name in enumerate(law.channels):
-        word = name.rsplit(".", 1)[-1]
-        if word in DEMANDS or word.startswith("flow"):
-            law.telemetry[row:end, column] = 0.0
-        elif word == "function":
-            law.telemetry[row:end, column] = HOLD

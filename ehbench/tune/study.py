@@ -127,7 +127,16 @@ def prepare_tuning(rig: Rig, maps: Maps | None, recipe: R) -> Study[R]:
         model = study.model(payload)
         curves.append(_curves(model, name, payload, recipe))
         motions += _possible(study, model, payload)
-    motions, notes = _those_that_count(motions, recipe, name)
+    possible = {motion.point.function for motion in motions}
+    counting = {motion.point.function for motion in motions if motion.counts}
+    if not counting:
+        raise InsufficientData(message("tune.no_points", cylinder=name))
+    lost = [function for function in recipe.functions if function not in possible]
+    notes = [message("tune.not_possible", function=function) for function in lost]
+    # a function that no load calls for is shown, but no gain is chosen on it
+    shown = sorted(possible - counting)
+    notes += [message("tune.for_information", function=function) for function in shown]
+    motions = [item for item in motions if item.counts or item.point.function in shown]
     notes += Model.of(rig, maps).creeping(name)
     notes += rail_notes(rig, [motion.point for motion in motions if motion.counts])
     return replace(study, motions=tuple(motions), curves=tuple(curves), notes=tuple(notes))
@@ -176,29 +185,6 @@ def _possible(study: Study, model: Model, payload: str) -> Iterator[SteadyMotion
                 if point.possible and point.v != 0.0:
                     linear = development_model(model_here, point)
                     yield SteadyMotion(model_here, circuit, point, linear, point.fits)
-
-
-def _those_that_count(
-    motions: Sequence[SteadyMotion], recipe: AnyTuning, name: str
-) -> tuple[list[SteadyMotion], list[Message]]:
-    """(motions to tune on or to show, what is odd about them): a function that no load calls for is
-    shown, but no gain is chosen on it.
-
-    Raises:
-        InsufficientData: no motion counts.
-    """
-    fitting = {motion.point.function for motion in motions if motion.counts}
-    result = {motion.point.function for motion in motions}
-    lost = [f for f in recipe.functions if f not in result]
-    notes = [message("tune.not_possible", function=function) for function in lost]
-    retained = [
-        motion for motion in motions if motion.counts or motion.point.function not in fitting
-    ]
-    if not fitting:
-        raise InsufficientData(message("tune.no_points", cylinder=name))
-    shown = sorted({motion.point.function for motion in retained} - fitting)
-    notes += [message("tune.for_information", function=function) for function in shown]
-    return retained, notes
 
 
 def rail_notes(rig: Rig, points: Sequence[OperatingPoint]) -> list[Message]:

@@ -59,29 +59,23 @@ def draw(run: Saved, index: FigureIndex) -> None:
         path = index.add("trajectories", title, f"Desired motion. {caption}.", "trajectories")
         figures.trajectories(path, rig, drawn)
     for motion in dict.fromkeys(case.row["motion"] for case in cases):
-        _draw_energies(rig, index, motion, [c for c in cases if c.row["motion"] == motion])
+        of_motion = [case for case in cases if case.row["motion"] == motion]
+        named = [f"{c.row['controller']}, {load_name(c.row['payload'])}" for c in of_motion]
+        title = f"Energy: {words(motion)}, on the {of_motion[0].row['on']}"
+        key, caption = f"energy_{stem_of(motion)}", energy_caption(rig, of_motion)
+        path = index.add(key, title, caption, "energy", motion=motion)
+        ledgers = [ledger for case in of_motion if (ledger := case.energy()) is not None]
+        if len(ledgers) == len(of_motion):
+            limits = [[b for b in led.get("bounds", []) if b["closed"]] for led in ledgers]
+            bars(path, list(zip(named, ledgers, strict=True)), limits)
+        else:
+            figures.pump_energies(path, rig, of_motion, named)
     _draw_map(rig, index, cases)
     for case in cases:
         name = case.row["case"]
         title = f"{name}, on the {case.row['on']}"
         draw_case(run, index, case, case.record(), title)
         draw_sankey(index, case, f"sankey_{case.stem}", title, case=name)
-
-
-def _draw_energies(rig: Rig, index: FigureIndex, motion: str, cases: Sequence[Case]) -> None:
-    """The bars of one motion: of the ledgers where all have one, else the pump's energy."""
-    names = [f"{case.row['controller']}, {load_name(case.row['payload'])}" for case in cases]
-    title = f"Energy: {words(motion)}, on the {cases[0].row['on']}"
-    key, caption = f"energy_{stem_of(motion)}", energy_caption(rig, cases)
-    path = index.add(key, title, caption, "energy", motion=motion)
-    ledgers = [ledger for case in cases if (ledger := case.energy()) is not None]
-    if len(ledgers) == len(cases):
-        limits = [
-            [bound for bound in ledger.get("bounds", []) if bound["closed"]] for ledger in ledgers
-        ]
-        bars(path, list(zip(names, ledgers, strict=True)), limits)
-    else:
-        figures.pump_energies(path, rig, cases, names)
 
 
 def _draw_map(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:

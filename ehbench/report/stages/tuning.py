@@ -1,6 +1,6 @@
 """Tuning: functions, equivalents, operating points, gains, loci, steps, draws."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -184,7 +184,21 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table, low: float = -0.08) -
         tag(ax, "target", 0.0, tuning["target"], (4, 3), "x", color=MUTED)
         ax.axhspan(low, 0.0, color=ACCENT, alpha=0.07, linewidth=0)
         tag(ax, "unstable", 0.0, low, (4, 3), "x", color=ACCENT)
-        _choices(ax, rig, tuning, colours)
+        chosen = tuning["feedback_gain"]
+        choices = sorted(set(chosen.values()))
+        for gain in choices:  # a line, with a ring at the minimum damping that it gives
+            functions = [name for name in colours if chosen[name] == gain]
+            colour = _BLACK if len(choices) == 1 else colours[functions[0]]
+            at = shown(rig, "feedback_gain", gain)
+            ax.axvline(at, color=colour, linewidth=0.9, linestyle=(0, (2, 2)))
+            reached = [
+                point["damping_ratio_closed"]
+                for point in tuning["points"]
+                if point["counts"] and point["point"]["function"] in functions
+            ]
+            if reached:
+                look = {"markerfacecolor": "white", "markeredgecolor": colour, "zorder": 6}
+                ax.plot([at], [min(reached)], "o", markersize=6.5, markeredgewidth=1.6, **look)
         ax.set_xscale("log")
         ax.xaxis.set_major_formatter(lambda tick, _: number(tick))
         ax.set(xlim=(x[0], x[-1]), ylim=(low, 1.02))
@@ -199,25 +213,6 @@ def damping_over_gain(path: Path, rig: Rig, tuning: Table, low: float = -0.08) -
             text, look = (", shown only", _UNCOUNTED) if name not in counting else ("", {})
             handles.append(key(words(name) + text, color=colour, **look))
         legend(figure, handles, 3)
-
-
-def _choices(ax, rig: Rig, tuning: Table, colours: Mapping[str, str]) -> None:
-    """A line a chosen gain, with a ring at the minimum damping that it gives."""
-    chosen = tuning["feedback_gain"]
-    gains = sorted(set(chosen.values()))
-    for gain in gains:
-        functions = [name for name in colours if chosen[name] == gain]
-        colour = _BLACK if len(gains) == 1 else colours[functions[0]]
-        x = shown(rig, "feedback_gain", gain)
-        ax.axvline(x, color=colour, linewidth=0.9, linestyle=(0, (2, 2)))
-        reached = [
-            point["damping_ratio_closed"]
-            for point in tuning["points"]
-            if point["counts"] and point["point"]["function"] in functions
-        ]
-        if reached:
-            look: Look = {"markerfacecolor": "white", "markeredgecolor": colour, "zorder": 6}
-            ax.plot([x], [min(reached)], "o", markersize=6.5, markeredgewidth=1.6, **look)
 
 
 def draw_steps(path: Path, steps: Sequence[Table], by_name: dict[str, Table]) -> None:
