@@ -103,10 +103,6 @@ class Ledger:
         known = ", ".join(row.name for row in self.rows)
         raise InputError(message("ledger.no_row", name=name, known=known))
 
-    def of(self, cylinder: str) -> tuple[Row, ...]:
-        """The rows of one cylinder."""
-        return tuple(row for row in self.rows if row.cylinder == cylinder)
-
     def total(self, group: str, cylinder: str | None = None) -> float:
         """Sum [J] of a group, of one cylinder's rows if named."""
         return math.fsum(

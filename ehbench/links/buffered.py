@@ -103,7 +103,25 @@ class BufferedLink(Buffered, LinkMachine):
         end = len(table) / self.rate
         self._until(RUNNING, -1, rest, lambda: self.state > RUNNING, end)
         self._until(STOPPING, -1, rest, lambda: self.state == STOPPED)
-        return self._download(len(table), int(self.newest[REASON]))
+        # then its log, row by row
+        reason, rows, requests, log = int(self.newest[REASON]), len(table), {}, {}
+        missing, until = dict.fromkeys(range(rows)), self.now() + LINK.patience + 3.0 * end
+        while missing and self.now() < until:
+            row = next(iter(missing))
+            missing[row] = missing.pop(row)  # behind the others, should its answer be lost
+            requests[self.sequence + 1] = row
+            self.exchange(STOPPING, np.array([row, *rest]))
+            row = requests.get(int(self.newest[ACKNOWLEDGED]), rows)
+            if row in missing and self.newest[STATE] != STOPPED:
+                log[row] = (self.sample(), self.newest[-len(rest) :].copy())
+                del missing[row]
+            elif row in missing:  # it was stopped before
+                missing = {item: None for item in missing if item < row}
+        count = next((row for row in range(rows) if row not in log), rows)
+        if count == 0:
+            raise InputError(message("links.no_log", url=self.name))
+        samples, applied = (np.array([log[row][k] for row in range(count)]) for k in (0, 1))
+        return Played(samples, applied, reason)
 
     def _until(
         self, wish: int, row: int, command: np.ndarray, done: Callable[[], bool], seconds=0.0
@@ -115,27 +133,6 @@ class BufferedLink(Buffered, LinkMachine):
             if self.now() > until or (self.state == STOPPED and wish < RUNNING):
                 reason = REASONS[int(self.newest[REASON])]
                 raise InputError(message("links.not_armed", url=self.name, reason=reason))
-
-    def _download(self, rows: int, reason: int) -> Played:
-        """The log of the table that was played, row by row."""
-        requests, log, missing = {}, {}, dict.fromkeys(range(rows))
-        until = self.now() + LINK.patience + 3.0 * rows / self.rate
-        while missing and self.now() < until:
-            row = next(iter(missing))
-            missing[row] = missing.pop(row)  # behind the others, should its answer be lost
-            requests[self.sequence + 1] = row
-            self.exchange(STOPPING, np.array([row, *self.commands.rest]))
-            row = requests.get(int(self.newest[ACKNOWLEDGED]), rows)
-            if row in missing and self.newest[STATE] != STOPPED:
-                log[row] = (self.sample(), self.newest[-len(self.commands.rest) :].copy())
-                del missing[row]
-            elif row in missing:  # it was stopped before
-                missing = {item: None for item in missing if item < row}
-        count = next((row for row in range(rows) if row not in log), rows)
-        if count == 0:
-            raise InputError(message("links.no_log", url=self.name))
-        samples, applied = (np.array([log[row][k] for row in range(count)]) for k in (0, 1))
-        return Played(samples, applied, reason)
 
 
 class Card(Protocol):

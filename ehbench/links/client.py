@@ -6,7 +6,6 @@ import math
 import secrets
 import time
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -314,7 +313,3 @@ class LinkMachine:
         while self.state != STOPPED and self.now() < until:
             self.exchange(STOPPING, np.empty(0), DONE)
         self.link.close()
-
-    def counts(self) -> Mapping[str, int]:
-        """Packets that did not count, by why, and ticks without a sample."""
-        return {**dict(sorted(self.rejected.items())), "missed": self.missed}

@@ -170,7 +170,22 @@ class FaultyMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`: the command as it arrives, the sample as the sensors give it."""
         t = self._tick / self.rate
-        given = self._arrived(np.array(command, dtype=float), t)
+        given = np.array(command, dtype=float)
+        for failure in self._of("machine"):  # late with the controller, at rest without a link
+            if failure.fault.kind == "controller_late":
+                late = float(failure.fault.duration) if failure.active(t) else 0.0
+                failure.past.append((t + late, given))
+                while len(failure.past) > 1 and failure.past[1][0] <= t + 0.5 * failure.tick:
+                    failure.past.popleft()
+                given = failure.past[0][1]
+            if failure.fault.kind == "link_lost":
+                if not failure.active(t):
+                    failure.past = deque([given], maxlen=1)
+                elif failure.past and failure.since(t) < WATCHDOG:
+                    given = failure.past[0]
+                else:
+                    given = self.commands.rest
+        given = np.array(given)
         for failure in self._of("valve"):
             i = failure.index
             value = given[i]
@@ -191,24 +206,6 @@ class FaultyMachine:
 
     def _of(self, place: str) -> list[Failure]:
         return [item for item in self._failures if KINDS[item.fault.kind].place == place]
-
-    def _arrived(self, command: np.ndarray, t: float) -> np.ndarray:
-        """The command [V] that acts: late with the controller, at rest without a link."""
-        for failure in self._of("machine"):
-            if failure.fault.kind == "controller_late":
-                late = float(failure.fault.duration) if failure.active(t) else 0.0
-                failure.past.append((t + late, command))
-                while len(failure.past) > 1 and failure.past[1][0] <= t + 0.5 * failure.tick:
-                    failure.past.popleft()
-                command = failure.past[0][1]
-            if failure.fault.kind == "link_lost":
-                if not failure.active(t):
-                    failure.past = deque([command], maxlen=1)
-                elif failure.past and failure.since(t) < WATCHDOG:
-                    command = failure.past[0]
-                else:
-                    command = self.commands.rest
-        return np.array(command)
 
     def _sensed(self, sample: np.ndarray) -> np.ndarray:
         """What the sensors say of a sample, which the machine's strokes are taken from."""

@@ -63,8 +63,8 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
             payload=recipe.payload or "none",
         )
         seeds, named = {"trial": recipe.seed}, (*state.inputs, *files)
-        asked = inputs.ask, inputs.live
-        return PreparedOne(recipe, named, does, state, prepared, *asked, seeds=seeds)
+        ask, live = inputs.ask, inputs.live
+        return PreparedOne(recipe, named, does, state, prepared, ask, live, seeds=seeds)
 
     def default_place(self, prepared: PreparedOne, root: Path) -> Path:
         """As `Stage.default_place`; each trial of a machine has a folder by its time."""

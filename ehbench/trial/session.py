@@ -37,7 +37,6 @@ from ehbench.machines.rows import (
     MONITOR,
     Controls,
     LawRows,
-    Rows,
     control,
     violated,
 )
@@ -329,7 +328,15 @@ class Session:
         rate, rest = self.machine.rate, self.machine.commands.rest
         ramp = round(float(self.prepared.recipe.limits.ramp) * rate)
         self.end = row + 1 + ramp + round(RUN_OUT * rate)
-        self.rows = rows = _with_room(self.rows, self.end, rate)
+        more = max(self.end - self.rows.t.size, 0)
+        tables = {
+            name: np.concatenate([table[: self.end], np.zeros((more, *table.shape[1:]))])
+            for name, table in self.rows._asdict().items()
+            if name in ("commands", "samples", "truth")
+        }
+        t = np.arange(self.end) / rate
+        t[: self.rows.t.size] = self.rows.t[: self.end]
+        self.rows = rows = self.rows._replace(t=t, **tables)
         rows.checks.armed[0] = False
         before = rows.commands[row - 1].copy() if row else rest
         share = np.minimum(np.arange(1.0, self.end - row + 1) / (ramp + 1), 1.0)[:, None]
@@ -423,7 +430,7 @@ class LiveLog:
         channels: names, in the order of the log.
         meta: the run's facts, as far as they are known.
         attachments: files that travel with the log.
-        beside: a thread writes, and the trial does not wait for the disk.
+        threaded: a thread writes, and the trial does not wait for the disk.
     """
 
     def __init__(
@@ -432,13 +439,13 @@ class LiveLog:
         channels: list[str],
         meta: dict[str, str],
         attachments: dict[str, bytes],
-        beside: bool = False,
+        threaded: bool = False,
     ) -> None:
         from ehbench.data.logs import LogWriter
 
         self.path, self.meta, self.attachments = path, meta, attachments
         self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SESSION.sync)
-        self._pool = ThreadPoolExecutor(1, initializer=aside) if beside else None
+        self._pool = ThreadPoolExecutor(1, initializer=aside) if threaded else None
         self._writing: Future[None] | None = None
 
     def add(self, t: np.ndarray, channels: dict[str, np.ndarray]) -> None:
@@ -474,19 +481,6 @@ class LiveLog:
         if self._pool is not None:
             self._pool.shutdown()
         self.writer.close()
-
-
-def _with_room(rows: Rows, count: int, rate: float) -> Rows:
-    """Rows with room for ``count`` of them; what they hold stays."""
-    more = max(count - rows.t.size, 0)
-
-    def longer(table: np.ndarray) -> np.ndarray:
-        return np.concatenate([table[:count], np.zeros((more, *table.shape[1:]))])
-
-    tables = {name: longer(getattr(rows, name)) for name in ("commands", "samples", "truth")}
-    t = np.arange(count) / rate
-    t[: rows.t.size] = rows.t[:count]
-    return rows._replace(t=t, **tables)
 
 
 def packed(laws: Sequence[Compiled | UserCode]) -> Controls | None:

@@ -246,17 +246,6 @@ class Tuning:
         """Plain numbers, texts and lists, for `rundir.write_json`; numbers to DIGITS digits."""
         return _rounded(self)
 
-    def controller(self) -> dict[str, Any]:
-        """Keywords for `ehbench.control.pressure_feedback.pack_pressure_feedback`."""
-        return {
-            "tick": self.tick,
-            "feedback_gain": self.feedback_gain,
-            "washout": self.washout,
-            "ramp_washout": self.ramp_washout,
-            "off_gain": self.off_gain,
-            "low_pressure": self.low_pressure,
-        }
-
 
 def _rounded(value: Any) -> Any:
     if is_dataclass(value):

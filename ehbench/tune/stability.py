@@ -19,7 +19,7 @@ class StabilitySettings:
     """Where a loop's response is looked at."""
 
     near: float = setting(0.03, "", "real part on the axis, of the size", "double eigenvalues")
-    beside: float = setting(0.03, "", "share of a frequency to both sides of it", "as near")
+    around: float = setting(0.03, "", "share of a frequency to both sides of it", "as near")
     points: int = setting(61, "", "frequencies there", "a thousandth of it each")
     turns: tuple = setting((0.3, 60.0), "rad", "angles of a delay to look at", "Padé is worse")
     spread: int = setting(300, "", "frequencies there", "two percent each")
@@ -112,7 +112,7 @@ def _crossings(
         turns = np.geomspace(first, last, STABILITY.spread) / loop.delay
         poles: np.ndarray = np.linalg.eigvals(loop.a).imag
         places = np.append(places, poles[poles > 0.0])
-    share = np.geomspace(1.0 - STABILITY.beside, 1.0 + STABILITY.beside, STABILITY.points)
+    share = np.geomspace(1.0 - STABILITY.around, 1.0 + STABILITY.around, STABILITY.points)
     omega = np.unique(np.append(np.outer(places, share), turns))
     above = level(loop.response(omega)) > 0.0
     at = np.flatnonzero(above[1:] != above[:-1])

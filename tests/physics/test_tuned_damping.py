@@ -34,7 +34,9 @@ class Running:
         self.circuit = circuit_of(self.model, self.index)
         low = tuning.low_pressure
         rules = pack_rules(self.circuit.area_rod, point.p_supply, low_pressure=low)
-        self.gains = pf.pack_pressure_feedback(rules=rules, **tuning.controller())
+        names = ("tick", "feedback_gain", "washout", "ramp_washout", "off_gain", "low_pressure")
+        given = {name: getattr(tuning, name) for name in names}
+        self.gains = pf.pack_pressure_feedback(rules=rules, **given)
         self.start, self.command = state_of(self.model, point)
         # as the pressures of both ends, behind one washout, behind both: there at rest is nothing
         last = (point.p_head, point.p_rod)

@@ -231,9 +231,11 @@ def test_result_is_plain_feeds_the_controller_and_comes_again(tuned, tmp_path):
     assert back["feedback_gain"] == pytest.approx(tuned.feedback_gain, rel=1e-8)
     assert len(back["points"]) == len(tuned.points)
     assert len(back["points"][0]["curve"]) == len(back["gains"])
-    packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **tuned.controller())
-    assert packed.washout == tuned.washout and packed.off_gain == tuned.off_gain
-    assert packed.feedback_gain[EXTEND_RESISTIVE] == tuned.feedback_gain["extend_resistive"]
+    names = ("tick", "feedback_gain", "washout", "ramp_washout", "off_gain", "low_pressure")
+    given = {name: back[name] for name in names}
+    packed = pack_pressure_feedback(rules=pack_rules(1e-3, 1.6e7), **given)
+    assert packed.washout == back["washout"] and packed.off_gain == back["off_gain"]
+    assert packed.feedback_gain[EXTEND_RESISTIVE] == back["feedback_gain"]["extend_resistive"]
     assert gains(rig(), recipe(phase_margin="30 deg")).as_json() == tuned.as_json()
 
 
