@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor
+from ehbench.config.recipe.sensor import ESTIMATE, WORDS, Sensor, reading_row
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
@@ -114,8 +114,8 @@ class Suggestion:
 
     @property
     def words(self) -> str:
-        """Its changes in a sentence."""
-        return " and ".join(self.changes) or "the recipe as it is"
+        """Its changes in a sentence, the last first: terminals cut the end, which rows share."""
+        return " and ".join(reversed(self.changes)) or "the recipe as it is"
 
     def as_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -521,7 +521,12 @@ class _Trials:
         start = {name: result[name] for name in setup.parameters if name in excited}
         known = {
             (term.channel, term.word): Value(
-                max(term.value(result[term.name]), 0.0 if term.word != "offset" else -math.inf),
+                max(
+                    term.value(result[term.name]),
+                    reading_row(term.channel, term.word).lower
+                    if term.word != "offset"
+                    else -math.inf,
+                ),
                 std=abs(term.per) * term.std,
             )
             for term in logs[0].start.terms

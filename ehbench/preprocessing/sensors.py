@@ -108,7 +108,7 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
                 std = VAGUE[word] * (span if word == "offset" else 1.0)
             elif isinstance(given, Value) and given.std:
                 std = given.std / abs(per)
-            if std > 0.0 or (word in ("lag", "delay") and known > 0.0):
+            if std > 0.0 or (word in ("lag", "delay") and known != 0.0):
                 results.append(Term(sensor.channel, word, known, per, std, sensor.per_log))
     return tuple(results)
 

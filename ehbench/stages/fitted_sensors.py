@@ -67,7 +67,7 @@ def _value(row: Mapping[str, Any], table: Mapping[str, Any]) -> float:
     value, word = float(row["value"]), row["word"]
     if word == "offset":
         return value - ATMOSPHERE * (table.get("pressure") == "absolute")
-    return max(abs(value) if word == "scale" else value, 0.0)
+    return max(abs(value) if word == "scale" else value, reading_row(row["channel"], word).lower)
 
 
 def _shown(rig: Rig, channel: str, word: str, value: float, std: float) -> str:

@@ -62,10 +62,12 @@ def message(key: str, /, **fields: Any) -> Message:
 
 
 def ranked(messages: Iterable[Message]) -> list[Message]:
-    """Messages of one file of the catalogue, each once, in the order of that file."""
+    """Messages of one file of the catalogue, each once, in the order of that file; of those that
+    stand ``as`` one entry, in their own.
+    """
 
     def place(item: Message) -> int:
         part, _, name = item.key.partition(".")
-        return list(templates(part)).index(name)
+        return list(templates(part)).index(templates(part)[name].get("as", name))
 
     return sorted(dict.fromkeys(messages), key=place)

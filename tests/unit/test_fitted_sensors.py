@@ -3,10 +3,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ehbench.config.recipe.sensor import Sensor
-from ehbench.preprocessing.sensors import ATMOSPHERE
+from ehbench.data.record import Record
+from ehbench.preprocessing.sensors import ATMOSPHERE, corrected, terms_of
 from ehbench.stages.fitted_sensors import inherited, tables_of
 from tests.shared import shipped
 
@@ -36,6 +38,7 @@ def run(tmp_path) -> Path:
         row("boom.p_rod", "offset", 2e4, 1e3, log="a"),
         row("boom.sh.command", "scale", -1.05, 0.01),
         row("boom.x", "scale", 1.1, 0.01),
+        row("boom.sr.command", "delay", -0.011, 0.0),  # written late
     ]
     text = json.dumps({"sensors": found} | tables_of(told))
     (tmp_path / "parameters.json").write_text(text)
@@ -53,6 +56,11 @@ def test_what_a_fit_found_of_its_sensors_is_taken_over(run):
     assert by["boom.p_rod"].offset == "estimate" and by["boom.p_rod"].per_log
     assert float(by["boom.sh.command"].scale) == 1.05 and by["boom.sh.command"].sign == -1
     assert float(by["boom.sr.command"].offset) == 0.2 and by["boom.sr.command"].offset.std is None
+    t = np.linspace(0.0, 1.0, 1001)
+    late = Record(t, {"boom.sr.command": np.sin(t)})
+    (early,) = terms_of([by["boom.sr.command"]], [late])
+    command = corrected(late, [early], {})["boom.sr.command"]
+    assert command[:900] == pytest.approx(np.sin(t[:900] + 0.011), abs=1e-6)
     terms = {(n.fields["channel"], n.fields.get("term") or n.fields["terms"]) for n in said}
     assert {
         ("boom.q", "offset 4 ± 0.56 deg"),

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from ehbench.report import terminal
+from ehbench.runs.rundir import plain
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import folded
 from tests.shared import ROOT
 
@@ -48,12 +50,20 @@ def test_a_narrow_terminal_gets_fewer_columns_and_no_broken_line(fitted):
 def test_a_verdict_comes_first_and_in_capitals(judged):
     assert terminal.answer(judged).verdict.startswith("ACCEPTED WITH RESERVATION on 1 held-out")
     table = json.loads((judged / "validation.json").read_text())
-    said = dict(table, accepted=False, verdict="rejected", reasons=["it rings at another rate"])
+    fields = {"channels": "press.servo.command", "ms": 10.0, "names": "late"}
+    remedy = plain(message("faults.written_late", **fields))
+    lean = {"estimate": "bulk_modulus", "instead": "800 MPa", "here": "862 MPa", "remedy": remedy}
+    reasons = ["it rings at another rate", {"key": "", "text": "late", "fields": lean}]
+    said = dict(table, accepted=False, verdict="rejected", reasons=reasons)
     kept = (judged / "validation.json").read_text()
     (judged / "validation.json").write_text(json.dumps(said))
     try:
-        told = terminal.answer(judged).lines(whole=True)
-        assert told[0].startswith("REJECTED") and "- it rings at another rate" in told
+        told = terminal.answer(judged)
+        assert told.verdict.startswith("REJECTED") and "- it rings" in str(told.lines(whole=True))
+        # its cause precedes what the residuals follow, and names the column
+        assert told.steps[0].hint == 'late = "10 ms"' and "press.servo.command" in told.steps[0]
+        (judged / "validation.json").write_text(json.dumps(said | {"reasons": reasons[1:]}))
+        assert "800 MPa, not 862 MPa" in terminal.answer(judged).verdict
     finally:
         (judged / "validation.json").write_text(kept)
 

@@ -17,10 +17,13 @@ WORDS = ("offset", "scale", "lag", "delay")
 
 def reading_row(channel: str, word: str) -> Quantity:
     """The vocabulary row of what may be wrong with a channel's sensor: that of the channel for its
-    ``offset``, rows of their own for ``scale``, ``lag`` and ``delay``.
+    ``offset``, rows of their own for ``scale``, ``lag`` and ``delay``, which is negative of a
+    command that was written late.
     """
     if word == "offset":
         return quantity(channel)
+    if word == "delay" and channel.endswith(".command"):
+        return VOCABULARY["command_delay"]
     return VOCABULARY["sensor_scale" if word == "scale" else word]
 
 
@@ -72,7 +75,7 @@ class Sensor(FileModel):
         except InputError as error:
             more = f'; or "{ESTIMATE}"' if isinstance(raw, str) else ""
             raise ValueError(f"{error}{more}") from None
-        if word != "offset" and float(value) < 0.0 or word == "scale" and float(value) == 0.0:
+        if word == "scale" and float(value) <= 0.0:
             raise ValueError(message("config.not_positive", word=word, raw=raw))
         return value
 

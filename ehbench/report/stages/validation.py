@@ -1,6 +1,6 @@
 """Validation: verdict, reasons, checks, and each log's errors, ringing, correlations."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +114,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
             fits.setdefault(word, []).append(channel["fit_percent"])
     checks = [bool(check["passed"]) for log in logs for check in log.get("checks", [])]
     fields = {"checks": len(checks), "failed": checks.count(False)}
+    fields["doubt"] = next(iter(doubts(table)), {})
     sentence = page.text("sentence", status=status, logs=logs, fits=fits, **fields)
     return SectionContent(status, sentence, parts)
 
@@ -213,8 +214,12 @@ def findings(run: Saved) -> Findings:
         label, about = page.text("worst_fit_label", logs=logs), page.text("worst_fit", **fields)
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [{"kind": "validation", "log": log}, *figures]
-    remedies = [finding["remedy"] for finding in (table.get("structure") or {}).get("findings", [])]
-    steps = [remedy_step(item) for item in dict.fromkeys(filter(None, remedies))][:3]
+    remedies = [doubt["remedy"] for doubt in doubts(table) if "remedy" in doubt]
+    remedies += [item["remedy"] for item in (table.get("structure") or {}).get("findings", [])]
+    first: dict[str, str] = {}  # by what each one changes
+    for remedy in filter(None, remedies):
+        first.setdefault(getattr(remedy, "fields", {}).get("names") or remedy, remedy)
+    steps = [remedy_step(remedy) for remedy in first.values()][:3]
     if not table["accepted"] and not steps:
         checks = (check for log in logs for check in log.get("checks", []))
         failed = dict.fromkeys(check["what"] for check in checks if not check["passed"])
@@ -227,6 +232,12 @@ def findings(run: Saved) -> Findings:
 def held_out(table: Table) -> list[Table]:
     """The logs that a verdict goes by."""
     return [log for log in table["logs"] if log["status"] == "held_out"]
+
+
+def doubts(table: Table) -> list[Mapping[str, Any]]:
+    """The fields of what speaks against a model, reasons for a rejection first."""
+    against = [*table["reasons"], *table.get("reservations", [])]
+    return [getattr(item, "fields", {}) for item in against]
 
 
 def left_over(table: Table) -> list[str]:
