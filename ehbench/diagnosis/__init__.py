@@ -140,7 +140,7 @@ class _Search:
             ),
         )
         results = [self._finding(fault, reached[fault][0], gains[fault]) for fault in shown]
-        additional = self._beside(shown, reached[shown[0]][2], slopes)
+        additional = self._additional(shown, reached[shown[0]][2], slopes)
         kinds = [item.kind for item in results]
         few = [item for i, item in enumerate(results) if kinds[:i].count(item.kind) < OF_A_KIND]
         return [*few[:2], *additional, *few[2:]]
@@ -263,7 +263,7 @@ class _Search:
         ratio = self.count * math.log(of / max(of - gain, 1.0e-12 * of))
         return min(0.5 * gain, ratio) > CERTAIN
 
-    def _beside(
+    def _additional(
         self,
         shown: Sequence[Hypothesis],
         left: list[np.ndarray],

@@ -37,7 +37,7 @@ class Band:
         built = np.column_stack(parts)
         return np.concatenate([np.real(built), np.imag(built)])
 
-    def behind(self, simulated: np.ndarray, recorded: np.ndarray) -> tuple[float, float]:
+    def lateness(self, simulated: np.ndarray, recorded: np.ndarray) -> tuple[float, float]:
         """(by how much a channel's recorded response is behind the simulated one [s], standard
         error), by the slope of their phases' difference, weighted by what is known of each.
         """

@@ -110,7 +110,7 @@ def late_responses(log: Log, simulated: np.ndarray) -> list[str]:
     assert log.band is not None
     results = []
     for channel, built, seen in zip(log.channels, simulated.T, log.recorded.T, strict=True):
-        late, error = log.band.behind(built, seen)
+        late, error = log.band.lateness(built, seen)
         if abs(late) > max(SETTINGS.late * log.record.sample_time, SETTINGS.surely * error):
             fields = {"log": log.name, "channel": channel, "command": log.band.command}
             fields |= {"word": "behind" if late > 0 else "ahead of"}

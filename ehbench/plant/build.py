@@ -110,7 +110,7 @@ class Kept:
         return result[1]
 
 
-def build(rig: Rig, names: Layout, maps: Maps | None = None, kept: Kept | None = None) -> Plant:
+def build(rig: Rig, names: Layout, maps: Maps | None = None, shared: Kept | None = None) -> Plant:
     """The compiled form of a rig.
 
     Args:
@@ -118,31 +118,31 @@ def build(rig: Rig, names: Layout, maps: Maps | None = None, kept: Kept | None =
         names: its layout.
         maps: measured flow maps by edge name (``edge`` or ``cylinder.edge``); they replace the
             edge's analytic law.
-        kept: of other plants of this layout and these maps.
+        shared: of other plants of this layout and these maps.
 
     Raises:
         InputError: an edge asks for a map that is not given.
     """
-    kept = kept or Kept()
+    shared = shared or Kept()
     valve_parts = [valve for _, valve in rig.valves()]
     fixed = [edge for _, edge in rig.fixed_edges()]
-    kind, links, up = kept.of(_mechanism, [rig.mechanism], rig, kept)
-    edge_rows, data = kept.of(_edges, [*valve_parts, *fixed], rig, names, maps or {})
-    valve_rows, elements = kept.of(_valves, [*valve_parts, *rig.dynamics.values()], rig, names)
+    kind, links, up = shared.of(_mechanism, [rig.mechanism], rig, shared)
+    edge_rows, data = shared.of(_edges, [*valve_parts, *fixed], rig, names, maps or {})
+    valve_rows, elements = shared.of(_valves, [*valve_parts, *rig.dynamics.values()], rig, names)
     return Plant(
         kind=kind,
         gravity=float(rig.gravity) * np.array(up),
         links=links,
         cylinders=_cylinders(rig, names, kind, links),
-        nodes=kept.of(_nodes, [rig.supply], rig, names),
+        nodes=shared.of(_nodes, [rig.supply], rig, names),
         valves=valve_rows,
         elements=elements,
         edges=edge_rows,
         maps=data,
-        supply=kept.of(_supply, [rig.supply, rig.oil], rig),
-        forces=kept.of(_forces, [force for c in rig.cylinder for force in c.force], rig, names),
+        supply=shared.of(_supply, [rig.supply, rig.oil], rig),
+        forces=shared.of(_forces, [force for c in rig.cylinder for force in c.force], rig, names),
         lines=_lines(rig, names),
-        at=kept.of(Layout.offsets, [], names),
+        at=shared.of(Layout.offsets, [], names),
     )
 
 
@@ -157,13 +157,13 @@ def load_of(rig: Rig, cylinder: int) -> float:
     return 1.0 / float(_cylinders(rig, layout(rig), kind, links)[cylinder].mobility)
 
 
-def _mechanism(rig: Rig, kept: Kept) -> tuple[int, np.recarray, tuple[float, float, float]]:
+def _mechanism(rig: Rig, shared: Kept) -> tuple[int, np.recarray, tuple[float, float, float]]:
     """(kind, links, the base-frame direction that points up)."""
     body = rig.mechanism
     if isinstance(body, Slide):
         link = arm.pack_slide(float(body.mass), float(body.damping), float(body.incline))
         return arm.SLIDE, table_of([link], arm.LINK), (0.0, 0.0, 1.0)
-    links = table_of([kept.of(_link, [joint], joint) for joint in body.joint], arm.LINK)
+    links = table_of([shared.of(_link, [joint], joint) for joint in body.joint], arm.LINK)
     up = (0.0, 0.0, 1.0) if body.first_axis == "vertical" else (0.0, 1.0, 0.0)
     return arm.CHAIN, links, up
 

@@ -216,11 +216,11 @@ class FmuModel(Model):
 
 
 def model_of(
-    rig: Rig, maps: Maps | None = None, payload: str | None = None, kept: Kept | None = None
+    rig: Rig, maps: Maps | None = None, payload: str | None = None, shared: Kept | None = None
 ) -> Model:
     """What replays recordings of a rig: `Model.of`, or its FMU.
 
     Raises:
         InputError: as `Model.of`.
     """
-    return (Model if rig.model is None else FmuModel).of(rig, maps, payload, kept)
+    return (Model if rig.model is None else FmuModel).of(rig, maps, payload, shared)

@@ -85,19 +85,19 @@ class Model:
         rig: Rig,
         maps: Maps | None = None,
         payload: str | None = None,
-        kept: Kept | None = None,
+        shared: Kept | None = None,
     ) -> Self:
         """The model of a rig carrying ``payload``, its edges on measured ``maps`` where given; what
-        it has in common with others of the same rig, but for its numbers, may be ``kept``.
+        it has in common with others of the same rig, but for its numbers, may be ``shared``.
 
         Raises:
             InputError: no such payload, or an edge without its map.
         """
-        kept = kept or Kept()
-        body = kept.of(Rig.loaded, [rig.mechanism, rig.payload, payload], rig, payload)
+        shared = shared or Kept()
+        body = shared.of(Rig.loaded, [rig.mechanism, rig.payload, payload], rig, payload)
         loaded = rig if payload is None else rig.model_copy(update={"mechanism": body})
-        names = kept.of(layout, [], loaded)
-        return cls(loaded, build(loaded, names, maps, kept), names, rig)
+        names = shared.of(layout, [], loaded)
+        return cls(loaded, build(loaded, names, maps, shared), names, rig)
 
     def start_key(self, moves: bool) -> Hashable:
         """All that its start along a recording depends on (`trim.start_key`)."""

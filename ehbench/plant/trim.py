@@ -191,19 +191,21 @@ def settle_parts(plant: Plant, y: np.ndarray) -> None:
         sway_settle(row, lever * y[plant.at.rates + row.joint], y)
 
 
-def carry(row: np.record, held: tuple[float, float], seen: list[float | None]) -> tuple[float, ...]:
+def carry(
+    row: np.record, balanced: tuple[float, float], seen: list[float | None]
+) -> tuple[float, ...]:
     """(p_head, p_rod) [Pa] as a recording has them, moved as little as possible together until they
-    carry the load that ``held`` carries.
+    carry the load that ``balanced`` carries.
 
     Args:
         row: of the cylinder.
-        held: pressures that carry the load [Pa].
+        balanced: pressures that carry the load [Pa].
         seen: mean pressures of the recording [Pa], None where it has none.
     """
-    force = held[0] * row.area_head - held[1] * row.area_rod
+    force = balanced[0] * row.area_head - balanced[1] * row.area_rod
     p_head, p_rod = seen
     if p_head is None and p_rod is None:
-        return held
+        return balanced
     if p_head is None:
         p_head = (force + p_rod * row.area_rod) / row.area_head
     elif p_rod is None:

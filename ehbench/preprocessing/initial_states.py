@@ -478,7 +478,8 @@ class _Follow:
         """The shifts with which the model follows best, sought from some on."""
         residual = self.residual(shifts)
         for _ in range(SETTINGS.rounds):
-            self.weigh(residual)
+            self.scale = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), self.floor)
+            self.weight = prior_weight([residual / self.scale])
             before = self.cost(shifts, residual)
             move, gain = self.step(shifts, residual)
             result = next(self.tries(shifts, move, before), None)
@@ -510,11 +511,6 @@ class _Follow:
             # a replay that failed says why when it runs again
             failed = replayed is None
             yield self.residual(shifts) if failed else self.residual_by(replayed, shifts)
-
-    def weigh(self, residual: np.ndarray) -> None:
-        """Take scales of the channels and the weight of priors from the residual."""
-        self.scale = np.maximum(np.sqrt(np.mean(residual**2, axis=0)), self.floor)
-        self.weight = prior_weight([residual / self.scale])
 
     def cost(self, shifts: np.ndarray, residual: np.ndarray) -> float:
         """What is minimised."""

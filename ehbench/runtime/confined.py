@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 from ehbench.runtime.landlock import restrict, system_paths
-from ehbench.runtime.memory import held
+from ehbench.runtime.memory import used_memory
 
 _PIPE_BYTES = 1 << 20  # bytes that a pipe hands over at once
 
@@ -129,7 +129,7 @@ def confine(bounds: Bounds) -> None:
         os.dup2(nothing, number)
     seconds = max(round(bounds.seconds), 1)
     for kind, limit in (
-        (resource.RLIMIT_AS, int(held() + bounds.memory)),
+        (resource.RLIMIT_AS, int(used_memory() + bounds.memory)),
         (resource.RLIMIT_CPU, seconds),
         (resource.RLIMIT_FSIZE, int(bounds.memory)),
         (resource.RLIMIT_CORE, 0),

@@ -12,7 +12,7 @@ MOST_ROWS = 10_000_000  # of a trial
 MOST_STEPS = 5e9  # of the integration: hours
 
 
-def held() -> float:
+def used_memory() -> float:
     """Address space [bytes] that this process has taken, 0 where the system does not say."""
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
@@ -36,7 +36,7 @@ def available() -> float:
         import resource
 
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        sizes += [limit - held()] if limit != resource.RLIM_INFINITY else []
+        sizes += [limit - used_memory()] if limit != resource.RLIM_INFINITY else []
     except ImportError:
         pass
     return min(sizes)

@@ -82,7 +82,7 @@ class Arx(NamedTuple):
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a free run may grow beyond all numbers
-def beside(
+def black_boxes(
     results: Sequence[LogResult],
     records: Sequence[Record],
     training: Sequence[tuple[str, Record]] = (),

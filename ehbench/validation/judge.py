@@ -37,7 +37,7 @@ from ehbench.preprocessing.observations import (
 )
 from ehbench.preprocessing.preparation import PreparedLog, prepare
 from ehbench.runtime.cores import cores
-from ehbench.validation.baseline import beside
+from ehbench.validation.baseline import black_boxes
 from ehbench.validation.checks import checks_of, unrequested
 from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
@@ -209,7 +209,7 @@ def run_validation(
             if progress is not None:
                 progress(result.name, len(results) / len(prepared.logs))
     records = [log.log.record for log in prepared.logs]
-    results, black_box, better = beside(results, records, prepared.training)
+    results, black_box, better = black_boxes(results, records, prepared.training)
     reasons = tuple(_reasons(results))
     warnings = tuple(f"{log.name}: {text}" for log in results for text in log.warnings)
     plain = required.model_dump() | {

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ehbench.data.record import Record
-from ehbench.validation.baseline import beside, fit
+from ehbench.validation.baseline import black_boxes, fit
 from ehbench.validation.results import ChannelResult, LogResult
 
 TICK = 1e-3
@@ -34,7 +34,7 @@ def result(name: str, fit_percent: float, status: str = "held_out") -> LogResult
 
 @pytest.mark.parametrize(("noise", "reached"), [(0.0, 99.5), (1.5e4, 90.0)])
 def test_a_linear_channel_is_followed_at_another_level(noise, reached):
-    results, box, _ = beside(
+    results, box, _ = black_boxes(
         [result("b", 50.0)], [log_of(2, noise=noise, level=9e6)], [("a", log_of(1, noise=noise))]
     )
     assert results[0].channels[0].baseline_percent > reached
@@ -51,7 +51,7 @@ def test_a_linear_channel_is_followed_at_another_level(noise, reached):
 )
 def test_the_verdict_counts_it_where_both_had_the_same_logs(fit_percent, status, keys):
     results = [result("a", 90.0, status), result("b", fit_percent)]
-    shown, box, better = beside(results, [log_of(1), log_of(2)])
+    shown, box, better = black_boxes(results, [log_of(1), log_of(2)])
     assert [text.key for text in better] == keys
     assert box.counts == (status == "fitted")
     assert shown[0].channels[0].baseline_percent is None
@@ -68,7 +68,7 @@ def test_the_verdict_counts_it_where_both_had_the_same_logs(fit_percent, status,
     ],
 )
 def test_logs_that_support_none_give_none(training):
-    shown, box, better = beside([result("b", 10.0)], [log_of(2)], [("a", training)])
+    shown, box, better = black_boxes([result("b", 10.0)], [log_of(2)], [("a", training)])
     assert shown[0].channels[0].baseline_percent is None
     assert (box.orders, better) == ({}, [])
 
@@ -86,6 +86,6 @@ def test_a_free_run_that_grows_stays_a_number_or_is_none():
     )
     box = fit("ram.p_head", [growing])
     assert box is not None and max(abs(np.roots([1.0, *-box.poles]))) > 1.0
-    shown, _, better = beside([result("b", 10.0)], [long], [("a", growing)])
+    shown, _, better = black_boxes([result("b", 10.0)], [long], [("a", growing)])
     reached = shown[0].channels[0].baseline_percent
     assert better == [] and (reached is None or math.isfinite(reached))

@@ -235,13 +235,13 @@ def test_beside_the_best_fault_stands_what_explains_most_of_the_rest():
     left = 10.0 * U + 9.0 * V + 12.0 * W
     search = search_of(left)
     slopes = {WEAK: [U], FAR: [W], BOTH: [V + W], BOUND: None}
-    ((fault, size, gain),) = search._beside([], [left], slopes)
+    ((fault, size, gain),) = search._additional([], [left], slopes)
     assert fault is BOTH and size == -9.0  # its bound
     assert gain == pytest.approx(225.0 - (0.0 + 9.0))
-    ((fault, _, gain),) = search._beside([BOTH], [left], slopes)
+    ((fault, _, gain),) = search._additional([BOTH], [left], slopes)
     assert fault is FAR and gain == pytest.approx(144.0 - 9.0)
-    assert search._beside([BOTH, FAR], [8.0 * U + 20.0 * V], slopes) == []  # a seventh
-    assert search._beside([BOTH, FAR, WEAK], [left], slopes) == []
+    assert search._additional([BOTH, FAR], [8.0 * U + 20.0 * V], slopes) == []  # a seventh
+    assert search._additional([BOTH, FAR, WEAK], [left], slopes) == []
 
 
 def test_a_slope_is_a_difference_to_the_side_that_the_bounds_allow(monkeypatch):
