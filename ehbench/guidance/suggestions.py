@@ -512,7 +512,12 @@ class _Trials:
                 )
             )
         best, *others = (self.tried[i] for i in order)
-        setup, result = best.setup, best.numbers[int(np.argmin(best.costs))]
+        setups = self._begun(best), *(item.setup for item in others)
+        return Suggestions(tuple(rows), setups, untried)
+
+    def _begun(self, item: Tried) -> Setup:
+        """A fit that begins where it was tried; what logs do not excite stays as in the rig."""
+        setup, result = item.setup, item.numbers[int(np.argmin(item.costs))]
         logs, problem = self._prepared(setup, None)
         state = evaluate(problem, at_values(problem, result))
         sizes = effects(problem, state, jacobian(problem, state, state.free))
@@ -542,11 +547,7 @@ class _Trials:
             )
             for sensor in setup.options.sensors
         )
-        setups = (
-            replace(setup, options=replace(setup.options, start=start, sensors=sensors)),
-            *(item.setup for item in others),
-        )
-        return Suggestions(tuple(rows), setups, untried)
+        return replace(setup, options=replace(setup.options, start=start, sensors=sensors))
 
 
 def _tried(setup: Setup, folds: Sequence[_Fold]) -> Tried:
