@@ -499,3 +499,51 @@ def test_commands_of_several_sizes_grade_a_valve(small, middle, graded):
     command = np.repeat([0.5, 5.0, 10.0], [small, middle, large])
     assert scales_of(command).graded == graded
     assert scales_of(np.repeat([0.9, 8.1, 10.0], [small, middle, large])).graded is False
+
+
+def searched(left, slopes, monkeypatch):
+    """(findings as name and size, how often models were run) where all is linear in its fault."""
+    search, runs = search_of(left), []
+
+    def at(points):
+        runs.append(len(points))
+        return [[left + delta * slopes[fault]] for fault, delta in points]
+
+    def finding(fault, delta, gain):
+        return diagnosis.Finding(fault.kind, fault.about, "", "", gain, delta)
+
+    monkeypatch.setattr(search, "_at", at)
+    monkeypatch.setattr(search, "_faults", lambda: [*slopes])
+    search._finding = finding
+    return [(item.about, item.size, item.explains) for item in search.findings()], runs
+
+
+def test_of_faults_alike_the_plainer_comes_first_and_what_explains_the_rest_third(monkeypatch):
+    """Gains of 900 cos²: 1 and 0.98 are alike, 0.9 is near, 0.5 is not; 400 lie beside these."""
+
+    def fault(name, rank, kind="gain"):
+        return Hypothesis(Row(kind, low=-9.0, high=9.0, rank=rank), name)
+
+    def along(share):
+        return 10.0 * (math.sqrt(share) * U + math.sqrt(1.0 - share) * V)
+
+    slopes = {
+        fault("first", 5): along(1.0),
+        fault("plainer", 1): along(0.98),
+        fault("near", 0, "lag"): along(0.9),
+        fault("nearest", 6): along(0.95),  # a third of its kind
+        fault("aside", 0, "load"): along(0.5),
+        fault("other", 0, "leakage"): 5.0 * W,
+    }
+    found, _ = searched(30.0 * U + 20.0 * W, slopes, monkeypatch)
+    assert [name for name, _, _ in found] == ["plainer", "first", "other", "near"]
+    sizes = [-3.0 * math.sqrt(0.98), -3.0, -4.0, -3.0 * math.sqrt(0.9)]
+    assert [size for _, size, _ in found] == pytest.approx(sizes)
+    assert [gain for _, _, gain in found] == pytest.approx([882.0, 900.0, 400.0, 810.0])
+
+
+def test_quiet_residuals_are_asked_by_slopes_alone(monkeypatch):
+    """40 residuals whose squares sum to 49 hold no fault; to 54 models are run, in vain."""
+    for size, runs in ((7.0, 1), (7.4, 2)):
+        found, asked = searched(size * U, {WEAK: U}, monkeypatch)
+        assert not found and (len(asked) == 1) == (runs == 1)
