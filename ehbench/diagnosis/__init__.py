@@ -203,9 +203,9 @@ class _Search:
 
     def _promise(self, fault: Hypothesis, slope: list[np.ndarray] | None) -> float:
         """By how much a fault lowers the sum of squares, if what is left is linear in it."""
-        delta = self._size(fault, slope, self.left)
-        if slope is None or delta == 0.0:
+        if slope is None:
             return 0.0
+        delta = self._size(fault, slope, self.left)
         after = [at + delta * by for at, by in zip(self.left, slope, strict=True)]
         return self.now - total(after)
 

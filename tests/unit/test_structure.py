@@ -166,7 +166,7 @@ def test_stroke_and_angle_are_held_against_the_pins():
     off = replace(log, channels=log.channels | {"lift.x": log["lift.x"] + 0.0118})
     first = found(off)[0]
     assert first.kind == "pins" and "disagree with the pins by 1" in first.sentence
-    assert first.size == pytest.approx(0.0118, abs=5e-4)
+    assert first.size == pytest.approx(0.0118, abs=5e-4) and first.explains == 1.0
 
 
 def test_only_what_is_scored_is_asked_and_a_log_without_motion_says_nothing():
@@ -258,9 +258,9 @@ def test_sizes_are_refined_to_both_sides(monkeypatch):
     search = search_of(U)
     misses = lambda points: [[U * (0.1 + (delta - 0.37) ** 2)] for _, delta in points]
     monkeypatch.setattr(search, "_at", misses)
-    for first in (0.5, 0.25):
+    for first, tried in ((0.5, 0.25), (0.25, 0.25), (0.45, 0.45)):
         best = search._best({WEAK: [-U / first]})[WEAK]
-        assert best[0] in (first, 0.5 * first)
+        assert best[0] == pytest.approx(tried)
         found = search._refined({WEAK: best})[WEAK]
         assert abs(found[0] - 0.37) < 0.51 * best[0] * 0.5**5 * 2.0
         assert found[1] == pytest.approx((0.1 + (found[0] - 0.37) ** 2) ** 2)
@@ -547,3 +547,18 @@ def test_quiet_residuals_are_asked_by_slopes_alone(monkeypatch):
     for size, runs in ((7.0, 1), (7.4, 2)):
         found, asked = searched(size * U, {WEAK: U}, monkeypatch)
         assert not found and (len(asked) == 1) == (runs == 1)
+
+
+@pytest.mark.parametrize(
+    ("noise", "gain", "share"), [(0.0, 50.0, 0.5), (20.0, 60.0, 0.75), (60.0, 50.0, 1.0)]
+)
+def test_a_finding_explains_its_share_of_what_exceeds_the_noise(noise, gain, share):
+    search = search_of(10.0 * U, noise)
+    del search._finding
+    search.cases = [Stub(model=Stub(rig=None))]
+    words = {name: lambda rig, delta: f"{delta}" for name in ("sentence", "remedy")}
+    found = search._finding(
+        Stub(kind="gain", about="a", beyond=lambda delta: 2.0 * delta, **words), 0.3, gain
+    )
+    assert (found.explains, found.size, found.beyond) == (share, 0.3, 0.6)
+    assert (found.sentence, found.remedy, found.dominant) == ("0.3", "0.3", share > 0.5)
