@@ -239,6 +239,21 @@ _lines(
     *("t [s]", "p_head [bar]", "angle [deg]"),
 )
 _lines(
+    "Octave",
+    "a.txt",
+    ["# Created by Octave 8.4.0", "# name: data", "# rows: 300", "# columns: 3"]
+    + _rows("t a q", " "),
+    {"column 1": "t", "column 2": "", "column 3": ""},
+    "column 1",
+)
+_lines(
+    "Siglent",
+    "a.csv",
+    ["Vertical Units,CH1:V,CH2:V", "Model,SDS1204", "Second,Volt,Volt", *_rows("t u a")],
+    {"Second": "t", "Volt": "", "Volt 2": ""},
+    "Second",
+)
+_lines(
     "two runs below one another",
     "a.csv",
     ["t [s],pressure [bar]", *_rows("t a"), "", "t [s],pressure [bar],rpm", *_rows("t b count")],

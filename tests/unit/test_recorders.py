@@ -67,6 +67,7 @@ def test_each_column_is_listed_and_what_is_undecided_is_a_remark(style, tmp_path
         ]
         for column, other in zip(table.columns, again.columns):
             np.testing.assert_array_equal(column.values, other.values)
+            assert column.unit == other.unit
     whole = all(name in drafted for name in recording.truth)
     assert ("taken with this map" in text) <= whole
 

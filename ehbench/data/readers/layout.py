@@ -153,7 +153,7 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
     if dialect.skip is not None:
         above = [n for n in range(skip, first) if lines[n].strip(" \t" + separator)][:2]
         below = above[1] if len(above) > 1 else None
-        last = split(lines[above[-1]], separator) if above else []
+        last = split(lines[above[1]], separator) if len(above) > 1 else []
         below = below if titled is None or any(map(_is_unit, last)) else titled
         below = below if dialect.unit_row else None
         return TextLayout(above[0] if above else None, below, first, kinds, rows, clock)
@@ -240,6 +240,7 @@ def _heads(
         ), units
     wide: list[list[str]] = []
     at: list[int] = []
+    below = False  # whether remarks stand below the header, which is none itself then
     for n in reversed(above):
         if not lines[n].strip(" \t" + separator):
             if wide:
@@ -247,9 +248,11 @@ def _heads(
             continue
         cells = _names_in(lines, n, separator, width)[:width]
         filled = [cell for cell in cells if cell.strip("-")]
-        if not (wide or is_row(lines[n], separator)) and len(cells) < width:
-            continue  # a remark below the header
-        if len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
+        is_remark = not is_row(lines[n], separator)
+        if is_remark and len(cells) < width and not wide:
+            below = True
+            continue
+        if (is_remark and below) or len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
             break
         if sum(number(cell) is not None for cell in filled) < 0.5 * len(filled):
             wide.append(filled)
