@@ -516,3 +516,19 @@ def test_no_row_is_lost_or_renamed_by_a_head_amid_numbers(name, tmp_path):
     assert len(tables) == len(truth)
     for table, rows in zip(tables, truth):
         np.testing.assert_array_equal(table.columns[1].values, np.array(rows) + 0.5)
+
+
+def test_percent_of_a_sheet_are_as_shown(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["t [s]", "valve", "duty [%]"])
+    truth = [10.125, -50.0, 100.0, 0.0]
+    for row, value in enumerate(truth, 2):
+        sheet.append([float(row), value / 100.0, value])
+        sheet.cell(row, 2).number_format = "0.0%"
+    book.save(tmp_path / "a.xlsx")
+    (table,) = open_source(tmp_path / "a.xlsx").tables
+    for column in table.columns[1:]:
+        assert column.known_unit == "%" and column.doubt is None
+        np.testing.assert_allclose(column.values, truth, rtol=1e-15)

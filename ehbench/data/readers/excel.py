@@ -44,8 +44,7 @@ def read(path: Path, dialect: Dialect) -> Source:
                 name, cell = (f"{sheet.title}!{at.decode()}" for at in (column, column + row))
                 losses.append(message("data.never_calculated", name=name, cell=cell))
             sheet.reset_dimensions()  # or each row is as wide as the farthest cell
-            rows = sheet.iter_rows(values_only=True)
-            lines = [_TAB.join(_text(cell) for cell in row) for row in rows]
+            lines = [_TAB.join(map(_shown, row)) for row in sheet.iter_rows()]
             try:
                 tables += tables_of(lines, plain, sheet.title)[0]
             except LogError:  # a sheet of words
@@ -53,6 +52,14 @@ def read(path: Path, dialect: Dialect) -> Source:
     finally:
         book.close()
     return Source(tuple(tables), losses=tuple(losses))
+
+
+def _shown(cell: Any) -> str:
+    """A cell as a text file would have it, in percent where the sheet shows it so."""
+    value = cell.value
+    if isinstance(value, (int, float)) and "%" in cell.number_format:
+        return f"{_text(100.0 * value)} %"
+    return _text(value)
 
 
 def _text(cell: Any) -> str:

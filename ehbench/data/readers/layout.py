@@ -252,7 +252,12 @@ def _heads(
         if is_remark and len(cells) < width and not wide:
             below = True
             continue
-        if (is_remark and below) or len(cells) < width or len(filled) < min(width, 2) or len(wide) == _HEADS:
+        if (
+            (is_remark and below)
+            or len(cells) < width
+            or len(filled) < min(width, 2)
+            or len(wide) == _HEADS
+        ):
             break
         if sum(number(cell) is not None for cell in filled) < 0.5 * len(filled):
             wide.append(filled)
