@@ -539,7 +539,7 @@ def _path(
     )
     maximum, sign = widest(circuit, edge, circuit.along[path] * drop), circuit.edges[edge].sign
     passes = _flow(circuit, path, drop, command) >= flow * (1 - 1e-6)
-    saturated = gain == 0.0 and flow > 0.0
+    saturated = gain == 0.0 and flow != 0.0  # or shut, as leakage passes more than the flow
     reachable = passes and not saturated and sign * command <= sign * maximum * (1 + 1e-9)
     return Path(
         int(path),

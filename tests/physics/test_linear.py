@@ -20,7 +20,12 @@ from ehbench.plant.model import Model
 from ehbench.tune.linear import development_model, faster
 from ehbench.tune.loop import Law, close, damping_ratio, dominant
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
-from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS, RETRACT_OVERRUNNING
+from ehbench.vocabulary.codes import (
+    EXTEND_OVERRUNNING,
+    EXTEND_RESISTIVE,
+    FUNCTIONS,
+    RETRACT_OVERRUNNING,
+)
 from ehbench.vocabulary.errors import InputError
 from tests.shared import refused, shipped
 
@@ -265,3 +270,16 @@ def test_refusals():
         operating_point(model, circuit, cross, here, 0, Aim(1e5, 1e5, speed=0.1))
     with pytest.raises(InputError, match="a speed or a share"):
         operating_point(model, circuit, EXTEND_RESISTIVE, here, 0, Aim(1e5, 1e5))
+
+
+def test_a_path_that_leakage_outdoes_is_out_of_reach():
+    leak = 1e-11
+    values = {"lift.leakage_internal": leak}
+    model, index, circuit = machine("crane_proportional", "lift", **values)
+    here = equivalent(model, index, np.array([0.2]))
+    for speed, reached in ((1e-3, False), (0.05, True)):
+        aim = Aim(1e5, 1e5, speed=speed)
+        point = operating_point(model, circuit, EXTEND_OVERRUNNING, here, 0, aim)
+        out = speed * model.plant.cylinders[index].area_rod - leak * (point.p_rod - point.p_head)
+        path = next(path for path in point.paths if path.metering)
+        assert (out > 0.0) == path.reachable == reached

@@ -113,7 +113,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
             word = channel["channel"].rsplit(".", 1)[1]
             fits.setdefault(word, []).append(channel["fit_percent"])
     checks = [bool(check["passed"]) for log in logs for check in log.get("checks", [])]
-    fields = {"checks": len(checks), "failed": checks.count(False)}
+    fields: dict[str, Any] = {"checks": len(checks), "failed": checks.count(False)}
     fields["doubt"] = next(iter(doubts(table)), {})
     sentence = page.text("sentence", status=status, logs=logs, fits=fits, **fields)
     return SectionContent(status, sentence, parts)
