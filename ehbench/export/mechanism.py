@@ -55,7 +55,7 @@ def bodies_of(rig: Rig) -> Iterator[Body]:
         # it never turns, so that its inertia is of no effect
         facts = float(mechanism.mass), np.zeros(3), np.eye(3)
         damping = float(mechanism.damping)
-        yield Body(*names, np.zeros(3), np.eye(3), axis, True, damping, ends.get(0), *facts)
+        yield Body(names[0], np.zeros(3), np.eye(3), axis, True, damping, ends.get(0), *facts)
         return
     position = np.zeros(3)
     twist = np.eye(3) if mechanism.first_axis == "vertical" else _about_x(0.5 * math.pi)

@@ -68,7 +68,7 @@ class FmuMachine:
 
         Raises:
             InputError: it does not begin in the posture.
-            FmuError: it crashes or hangs.
+            FmuError: it crashes or hangs, or gives numbers that are not finite.
         """
         model = self.model
         self._first = Start(model.trim(model.posture(posture), low_side))
@@ -88,13 +88,12 @@ class FmuMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         assert self._process is not None  # it was started
-        given = self.model.commanded(np.asarray(command, dtype=float))
-        rows = self._process.steps(given[None, :], 1.0 / self.rate)
-        if not np.isfinite(rows).all():
-            raise FmuError(message("machines.fmu_not_finite"), file=self.model.binding.fmu.file)
-        return self._sample(rows[0])
+        given = self.model.commanded(self.commands.taken(command))
+        return self._sample(self._process.steps(given[None, :], 1.0 / self.rate)[0])
 
     def _sample(self, row: np.ndarray) -> np.ndarray:
+        if not np.isfinite(row).all():
+            raise FmuError(message("machines.fmu_not_finite"), file=self.model.binding.fmu.file)
         known = self.model.channels_of(row[None, :], self._first)
         return np.array([known[c][0] if c in known else np.nan for c in self.channels])
 

@@ -12,12 +12,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ehbench.machines.rows import Controls, Rows
 from ehbench.parts.edge import edge_flows
 from ehbench.plant.model import Model
 from ehbench.plant.trim import LowSide
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import message
 
 Posture = Mapping[str, str | float] | None
 Advance = Callable[[int, int], int]  # (first row, row after the last) → row at a limit, or −1
@@ -46,6 +48,18 @@ class Inputs(NamedTuple):
             )
         low, high = model.plant.valves.lowest.copy(), model.plant.valves.highest.copy()
         return cls(model.layout.valves, low, high, model.rest_commands(1)[0])
+
+    def taken(self, command: ArrayLike) -> np.ndarray:
+        """A command [V], shape (valves,).
+
+        Raises:
+            InputError: it is not one finite number for each valve.
+        """
+        result = np.asarray(command, dtype=float)
+        if result.shape != self.rest.shape or not np.isfinite(result).all():
+            names = ", ".join(self.names)
+            raise InputError(message("machines.other_command", command=command, valves=names))
+        return result
 
 
 class Stamp(NamedTuple):

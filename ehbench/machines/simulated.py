@@ -161,7 +161,7 @@ class SimulatedMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         sample = np.empty(len(self.channels))
-        sim, fixed = self._running, np.asarray(command, dtype=float)
+        sim, fixed = self._running, self.commands.taken(command)
         if self._pace is None:
             model_tick(sim.y, fixed, sim.plant, sim.line, sim.steps, sim.k, sim.work, sample)
         else:

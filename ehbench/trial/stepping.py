@@ -109,12 +109,15 @@ class RecipeController:
 
 
 def refuse_other(machine: Machine, prepared: Prepared) -> None:
-    """Refuse a user's machine that is not of a trial's rig and rate.
+    """Refuse a user's machine that lacks a part, or is not of a trial's rig and rate.
 
     Raises:
         InputError: says what differs.
     """
-    like = prepared.machine
+    like, parts = prepared.machine, (*Machine.__annotations__, *vars(Machine))
+    missing = [name for name in parts if name[0] != "_" and not hasattr(machine, name)]
+    if missing:
+        raise InputError(message("trial.no_machine", names=", ".join(missing)))
     for name, here, right in (
         ("channels", machine.channels, like.channels),
         ("commands", machine.commands.names, like.commands.names),

@@ -8,7 +8,7 @@ import pytest
 
 import ehbench
 from ehbench.vocabulary.errors import InputError
-from tests.shared import RECIPES
+from tests.shared import RECIPES, refused
 
 RIG = RECIPES / "rigs" / "slide_servo.toml"
 OWN = RECIPES / "trials" / "own_controller.toml"
@@ -115,6 +115,28 @@ def test_a_machine_that_does_not_fit_is_refused(change, key):
     with pytest.raises(InputError) as caught:
         ehbench.run_on(OWN, machine, allow_code=True)
     assert caught.value.key == key and caught.value.hint
+
+
+class Half:
+    """A machine of somebody who stopped reading early."""
+
+    channels, rate = ("press.x",), 1000.0
+
+
+def test_half_a_machine_and_what_is_no_command_are_refused(tmp_path):
+    recipe = tmp_path / "trial.toml"
+    recipe.write_text(f'stage = "trial"\nrig = "{RIG}"\n{LAWS["position"]}')
+    with refused("trial.no_machine", InputError) as error:
+        ehbench.run_on(recipe, Half())
+    missing = error.value.fields["names"].split(", ")
+    expected = ["name", "commands", "strokes", "latency", "check_posture", "start", "tick", "close"]
+    assert missing == expected
+    machine = ehbench.open_machine(RIG)
+    before = machine.start()
+    for wrong in ([], [1.0, 2.0], [[1.0]], [math.nan]):
+        with refused("machines.other_command", InputError):
+            machine.tick(wrong)
+    assert np.isfinite(before).all() and np.isfinite(machine.tick([0.0])).all()
 
 
 def test_what_is_no_sample_or_no_trial_is_refused():

@@ -224,7 +224,7 @@ class VirtualMachine:
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
         sample = np.zeros(len(self.channels))
-        self._tick(np.asarray(command, dtype=float), sample)
+        self._tick(self.commands.taken(command), sample)
         self._must_be_finite()
         return sample
 
