@@ -43,6 +43,7 @@ from ehbench.vocabulary.progress import Progress
 
 SECONDS = 120.0  # of trying, by default
 ROUNDS = 5  # changes on top of one another, at most
+SHOWN = 16  # rows on a terminal
 # no such rig, or no such fit
 IMPOSSIBLE = (EhbenchError, ValueError, ArithmeticError, np.linalg.LinAlgError)
 
@@ -165,6 +166,7 @@ class Suggestions:
             ],
             written,
             {"rows": [row.as_json() for row in self.rows], "untried": self.untried},
+            rows=SHOWN,
         )
 
 

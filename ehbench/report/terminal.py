@@ -8,7 +8,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +33,9 @@ MOST_STEPS, MOST_WORDS = 3, 60  # of an answer; words besides tables
 class Answer:
     """What a command says.
 
-    ``tables``: the most telling first, of it the ``columns`` (none: all). ``steps``: what to do
-    next, the most valuable first. ``notes``: all else worth knowing, and ``details`` of it.
-    ``place``: what was written.
-    ``values``: the same for scripts.
+    ``tables``: the most telling first, of it the ``columns`` (none: all) and the first ``rows``
+    (None: all). ``steps``: what to do next, the most valuable first. ``notes``: all else worth
+    knowing, and ``details`` of it. ``place``: what was written. ``values``: the same for scripts.
     """
 
     verdict: str
@@ -48,6 +47,7 @@ class Answer:
     columns: Sequence[str] = ()
     notes_in: str = "with -v"
     details: Sequence[str] = ()
+    rows: int | None = None
 
     def lines(self, width: int = 100, whole: bool = False) -> list[str]:
         """Verdict, table, numbered next steps, the number of notes, and the place.
@@ -67,7 +67,10 @@ class Answer:
             out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")
         for item in self.tables if whole else self.tables[:1]:
             columns = () if whole else self.columns
-            out += ["", *table_lines(item, columns, sys.maxsize if whole else width), ""]
+            shown = item if whole else replace(item, rows=item.rows[: self.rows])
+            out += ["", *table_lines(shown, columns, sys.maxsize if whole else width)]
+            rest = len(item.rows) - len(shown.rows)
+            out += [f"… {plural(rest, 'more row')} with -v", ""] if rest else [""]
         last = [plural(len(self.notes), "note") + f" {self.notes_in}"] if self.notes else []
         last = [] if whole else last
         last += [] if self.place is None else [str(self.place)]

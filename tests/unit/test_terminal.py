@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from ehbench.report import terminal
+from ehbench.report.blocks import Grid
 from ehbench.runs.rundir import plain
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import folded
@@ -102,3 +103,11 @@ def test_a_long_verdict_ends_with_a_clause():
     assert line.endswith(" %, …") and 20 < len(line.split()) <= 31
     (line,) = terminal.Answer("word " * 40).lines(width=1000)
     assert line.split() == ["word"] * 30 + ["…"]
+
+
+def test_a_long_table_is_cut_and_says_so():
+    rows = [[str(n)] for n in range(30)]
+    answer = terminal.Answer("done", [Grid(["n"], rows)], rows=24)
+    short, whole = answer.lines(), answer.lines(whole=True)
+    assert short[4:-2] == [str(n) for n in range(24)] and "6 more rows with -v" in short[-2]
+    assert whole[4:-1] == [str(n) for n in range(30)]
