@@ -101,7 +101,7 @@ def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     done = inside("identify", "fit.toml", "--suggest", "--out", "new", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     told = done.stdout
-    assert "delay of press.servo and sensor offset of press.p_head" in told
+    assert "sensor offset of press.p_head and delay of press.servo" in told
     assert '[dynamics.press_servo_delay] kind = "delay"' in told and "new/fit.toml" in told
     rows = read_json(tmp_path / "new" / "suggestions.json")
     assert rows[0]["freedom"] == 2
