@@ -201,18 +201,22 @@ class Session:
         with nullcontext() if self.user_code is None else self.user_code.watched():
             try:
                 self._run(log, progress)
-            except BaseException:  # whatever ended the trial, the valves go to rest
-                rest = self.machine.commands.rest
-                ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
-                if (halt := halt_of(self.machine)) is not None:
-                    halt()
-                with unbroken():
-                    for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
-                        try:
-                            self.machine.tick((1.0 - share) * self._sent + share * rest)
-                        except Exception:  # one that fails still gets what follows
-                            continue
+            except BaseException:
+                self._let_valves_rest()
                 raise
+
+    def _let_valves_rest(self) -> None:
+        """Let the valves go to rest by the recipe's ramp, whatever ended the trial."""
+        rest = self.machine.commands.rest
+        ramp = round(float(self.prepared.recipe.limits.ramp) * self.machine.rate)
+        if (halt := halt_of(self.machine)) is not None:
+            halt()
+        with unbroken():
+            for share in np.minimum(np.arange(1.0, ramp + 2) / (ramp + 1), 1.0):
+                try:
+                    self.machine.tick((1.0 - share) * self._sent + share * rest)
+                except Exception:  # a machine that fails still gets the commands that follow
+                    continue
 
     def _run(self, log: LiveLog | None, progress: Callable[[str, float], None] | None) -> None:
         first = 0

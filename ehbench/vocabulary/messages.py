@@ -62,8 +62,8 @@ def message(key: str, /, **fields: Any) -> Message:
 
 
 def ranked(messages: Iterable[Message]) -> list[Message]:
-    """Messages of one file of the catalogue, each once, in the order of that file; of those that
-    stand ``as`` one entry, in their own.
+    """Messages of one file of the catalogue, each once, in the order of that file. An entry with
+    ``as`` ranks with the entry that it names; messages of one rank keep their order.
     """
 
     def place(item: Message) -> int:

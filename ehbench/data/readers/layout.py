@@ -124,10 +124,10 @@ def layout_of(lines: Sequence[str], marks: tuple[str, str], dialect: Dialect) ->
         row += ["holes"] * (len(kinds) - len(row))
         if not titled and kinds[0] == "blank" and row[0] != "holes":
             return False
-        wanted = (
+        counts = (
             index not in slow and kind in ("numbers", "times") for index, kind in enumerate(kinds)
         )
-        requested = list(compress(row, wanted))
+        requested = list(compress(row, counts))
         good = requested.count("numbers") + requested.count("times")
         if requested[:1] == ["words"]:
             return False
