@@ -27,7 +27,8 @@ STEPS = ("quick steps",)
 # [s] of a log: a step out and a step back, in which all faults show but two; and a third of another
 # size
 SHORT, LONG = 1.2, 2.0
-SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "delay", "preload")
+SLIDE = ("gain", "lag", "deadband", "friction", "load", "leakage", "saturation", "preload")
+TIMES = ("delay", "late command")
 
 
 def rig_of(name="slide_servo"):
@@ -41,13 +42,13 @@ def built(kind):
 @cache
 def cured(kind):
     """What is suggested where a fault was built in, and what was told meanwhile."""
-    told, length = [], LONG if kind in ("saturation", "delay") else SHORT
+    told, length = [], LONG if kind in ("saturation", *TIMES) else SHORT
     recipe = recipe_of("slide_servo", rig_of(), built(kind), 7, STEPS, length)
     return suggest(*recipe, lambda text, share: told.append(text), 3600.0, 1), told
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [*SLIDE, "sensor offset", "sensor scale", "sensor lag"])
+@pytest.mark.parametrize("kind", [*SLIDE, *TIMES, "sensor offset", "sensor scale", "sensor lag"])
 def test_the_cure_of_a_built_fault_comes_first(kind):
     found, _ = cured(kind)
     assert right(found, built(kind)), [row.words for row in found.rows[:4]]

@@ -121,8 +121,11 @@ def test_remedies_of_what_was_fitted_and_of_a_late_command():
         assert {row.remedy(given, 0.1).key for row in rows_of(given, "gain")} == {key}
     (delay,) = rows_of(rig, "delay")
     assert delay.remedy(rig, 0.01).key == "faults.free_sensor"
-    assert delay.remedy(rig, -0.01).fields["ms"] == pytest.approx(10.0)
-    assert delay.sentence(rig, -0.01).fields["channels"] == "press.servo.command"
+    (late,) = rows_of(rig, "late command")
+    assert delay.bounds[0] == late.bounds[1] == 0.0  # one is for either sign
+    assert late.remedy(rig, -0.01).key == "faults.written_late"
+    assert late.remedy(rig, -0.01).fields["ms"] == pytest.approx(10.0)
+    assert late.sentence(rig, -0.01).fields["channels"] == "press.servo.command"
 
 
 def test_a_delay_that_the_rig_file_has_is_to_be_freed():
@@ -133,7 +136,8 @@ def test_a_delay_that_the_rig_file_has_is_to_be_freed():
     rig = Rig.model_validate({**tables, "cylinder": [press]})
     (row,) = rows_of(rig, "delay")
     assert row.parameters == ("bus.delay",) and row.remedy(rig, 0.01).key == "faults.free"
-    assert row.remedy(rig, -0.01).key == "faults.written_late"
+    assert row.bounds[0] == pytest.approx(-0.001)
+    assert row.sentence(rig, -0.001).key == "faults.delay_less"
 
 
 @pytest.mark.parametrize(

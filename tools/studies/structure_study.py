@@ -111,6 +111,7 @@ def faults(name: str, rig: Rig) -> Iterator[Fault]:
     yield Fault("damping", "twice the damping", scaled(damping, 2.0))
     yield Fault("saturation", "valve full at 60 %", rig, shut_at_60)
     yield Fault("delay", "15 ms late", rig, lambda u, t: np.interp(t - 0.015, t, u))
+    yield Fault("late command", "15 ms early", rig, lambda u, t: np.interp(t + 0.015, t, u))
     for kind, words, word, change in (
         ("sensor offset", "pressure 3 bar high", "p_head", lambda y: y + 3e5),
         ("sensor scale", "pressure 10 % high", "p_head", lambda y: 1.1 * y),

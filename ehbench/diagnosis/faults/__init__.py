@@ -42,6 +42,7 @@ COMMANDS = (
     Fault("neutral", ("offset",), "command", 0.005, -0.2, 0.2, rank=5),
     Fault("command sign", ("scale",), "unit", 0.0, -2.0, 0.0, (-2.0,), rank=7),
 )
+LATE = Fault("late command", ("delay",), "second", 0.001, -0.05, 0.0, (-0.01, -0.02, -0.04), rank=5)
 DRIFT = Fault("drift", ("drift",), "unit", low=-0.6, high=1.0, rank=6)
 TABLE: dict[type, tuple[Fault, ...]] = {
     Oil: oil.FAULTS,
@@ -256,11 +257,13 @@ class _Rows:
 
     def _times(self, owner: Cylinder, valves: Sequence[Valve]) -> Iterator[Hypothesis]:
         """A delay, and a lag where they have none, between the commands of valves with the same
-        dynamics and their openings: they share it.
+        dynamics and their openings, or commands that were written late: they share it.
         """
         series, about = valves[0].series, _about(owner, valves)
         commands = [f"{owner.name}.{item.name}.command" for item in valves]
         scales = Scales(self.rig, owner, valves[0], self.records)
+        late = tuple((name, LATE.keys[0], 1.0) for name in commands)
+        yield Hypothesis(LATE, about, readings=late, cylinder=owner.name)
         for fault in delay.FAULTS:
             (key,) = fault.keys
             names = [f"{item}.{key}" for item in series if f"{item}.{key}" in self.known]

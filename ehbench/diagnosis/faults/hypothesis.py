@@ -130,7 +130,7 @@ class Hypothesis:
         """The smallest and the largest δ."""
         low, high = self.row.low, self.row.high
         for number in self.numbers:
-            if number.unit > 0.0 and not (number.signed or self.readings):
+            if number.unit > 0.0 and not number.signed:
                 low = max(low, -number.here / number.unit)
         return low, high
 
@@ -242,7 +242,7 @@ class Hypothesis:
         fields = self._fields(rig, delta)
         if self.kind == "drift":
             return message("faults.fit_apart")
-        if self.kind == "delay" and delta <= 0.0:
+        if self.kind == "late command":
             return message("faults.written_late", **fields)
         if self.edits and len(self.readings) != 1:
             return message("faults.add_lines", lines="; ".join(self.rig_lines(rig)))

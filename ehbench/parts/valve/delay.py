@@ -91,7 +91,6 @@ FAULTS = (
         ("delay",),
         unit="second",
         step=0.001,
-        low=-0.05,
         high=0.2,
         trials=(0.005, 0.01, 0.02, 0.04),
         rank=5,
