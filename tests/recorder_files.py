@@ -260,6 +260,27 @@ _lines(
     {"1/t [s]": "t", "1/pressure [bar]": "", "2/t [s]": "t", "2/pressure [bar]": "", "rpm": ""},
     *("1/t [s]", "2/t [s]"),
 )
+_lines(
+    "a listing of a database",
+    "a.txt",
+    [" t [s] | p_rod [bar] | angle [deg] ", *_rows("t b q", " | ")],
+    {"t [s]": "t", "p_rod [bar]": ROD, "angle [deg]": Q},
+    *("t [s]", "p_rod [bar]", "angle [deg]"),
+)
+_lines(
+    "quotients of quantity and unit",
+    "a.csv",
+    ["t/s;p_rod/bar;Winkel/deg;mV/V", *_rows("t b q u", ";")],
+    {"t/s": "t", "p_rod/bar": ROD, "Winkel/deg": Q, "mV/V": ""},
+    *("t/s", "p_rod/bar", "Winkel/deg"),
+)
+_lines(
+    "one name for all sensors",
+    "a.csv",
+    ["time,press,press,press", "s,bar,bar,bar", *_rows("t a b u")],
+    {"time": "t", "press": "", "press 2": "", "press 3": ""},
+    "time",
+)
 
 
 def _mat(style: str, variables: Callable[[], dict], truth: dict[str, str], *required: str) -> None:

@@ -31,7 +31,7 @@ _GROUPING = "\u00a0\u202f\u2009'\u2019"  # spaces and apostrophes, which only ev
 _MINUS = {0x2212: "-"}
 _FORTRAN = {ord("d"): "e", ord("D"): "e"}
 _PADDING = re.compile(rb"\0{4,}\Z")  # of a file that a recorder made larger beforehand
-_QUOTES = re.compile(r'(?:^|[,;\t])\s*"[^"]*(?:""[^"]*)*$')  # a cell that goes on in the next line
+_QUOTES = re.compile(r'(?:^|[,;|\t])\s*"[^"]*(?:""[^"]*)*$')  # a cell that goes on in the next line
 _LINES_OF_A_CELL = 8
 _HOLE = re.compile(r"|[-+]?nan|[-+]?inf(inity)?|n/?a|#n/?a|null|none|-+|[-+]?1\.#\w+", re.I)
 # a mark before three digits: the decimal sign, or what groups them

@@ -127,7 +127,11 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
 
 
 def _guess(name: str, column: SourceColumn, table: SourceTable, rig: Rig | None) -> Guess:
-    unit, words = column.known_unit or column.absolute, words_of(column.name)
+    plain, _, count = column.name.rpartition(" ")
+    again = count.isdigit() and plain in (item.name for item in table.columns)
+    # the number of a name that comes again is that of no port
+    unit = column.known_unit or column.absolute
+    words = words_of(plain if again else column.name)
     if name != column.name:  # the number of a run is that of no port
         words |= {word for word in words_of(table.name) if not word.isdigit()}
     if column.unit.strip("()[]").lower() in DIFFERENTIAL:

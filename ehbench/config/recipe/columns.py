@@ -136,7 +136,7 @@ class Columns(FileModel):
 
     file: str | None = None
     table: str | None = None
-    separator: Literal[",", ";", "tab", "space"] | None = None
+    separator: Literal[",", ";", "|", "tab", "space"] | None = None
     decimal: Literal[".", ","] | None = None
     skip: int | None = Field(default=None, ge=0, le=10**6)
     unit_row: bool | None = None

@@ -83,7 +83,7 @@ def marks_of(lines: Sequence[str], dialect: Dialect) -> tuple[str, str]:
     best, maximum = (",", "."), -1.0
     # between tabs a blank is part of a cell: "1 570" is no number, and not 1
     blank = [] if all("\t" in line for line in shown) else [" "]
-    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", *blank]:
+    for separator in [dialect.separator] if dialect.separator else [",", ";", "\t", "|", *blank]:
         for decimal in [dialect.decimal] if dialect.decimal else [".", ","]:
             if separator == decimal and not any('"' in line for line in shown):
                 continue

@@ -20,6 +20,7 @@ from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import listed, numbered
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
+_PLAIN = "m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm"
 _UNIT_LAST = (
     r"\[([^\[\]]*)\]\s*$",
     r"\(([^()]*)\)(?:\s*$|;|\s*\[)",
@@ -27,23 +28,25 @@ _UNIT_LAST = (
     r"\s(?:/|in)\s+(\S+)\s*$",
     r",\s*(\S+)$",
     # at the end of words only such as are hardly anything else
-    r"[\s_](m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm)$",
-    r"^(?:t|time|zeit)_(m?s|us)$",
+    rf"[\s_]({_PLAIN})$",
+    r"^(?:t|time|zeit)[_/](m?s|us)$",
 )
+_QUOTIENT = re.compile(rf"(?:^|\s)([^\W\d][^\s/]*)/({_PLAIN})$")  # of ISO 80000: p/bar
 _PER_SECOND = re.compile(r"[\s_](deg|rad|[cm]?m)_s$")
 WIDEST = 256  # columns that a matrix may have
 
 
 def unit_in(name: str) -> str:
     """The unit that a column's name ends in, '' where it says none: of ``p [bar]``, ``p (bar)``,
-    ``p / bar``, ``p in bar``, ``p_bar``.
+    ``p / bar``, ``p/bar``, ``p in bar``, ``p_bar``.
     """
     if result := _PER_SECOND.search(name):
         return f"{result[1]}/s"
     for pattern in _UNIT_LAST:
         if (result := re.search(pattern, name)) and (unit := named_unit(result[1])):
             return unit
-    return ""
+    result = _QUOTIENT.search(name)
+    return named_unit(result[2]) if result and not named_unit(result[1]) else ""
 
 
 @dataclass(frozen=True, eq=False)
