@@ -17,7 +17,10 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[1]
@@ -128,6 +131,7 @@ def mutants(seed: int) -> Iterator[Mutant]:
 
 def copied(folder: Path) -> None:
     """The tree, its package and tests as files of their own, with the kernels' machine code."""
+    folder.mkdir()
     for path in ROOT.iterdir():
         if path.name in ("ehbench", "tests", "tools"):
             shutil.copytree(path, folder / path.name, symlinks=True)
@@ -277,25 +281,32 @@ def main(arguments: Sequence[str]) -> None:
     that is killed by package.
     """
     count, minutes, seed = (*map(int, arguments), *(300, 30, 1)[len(arguments) :])
-    all_of, dead = Counter[str](), Counter[str]()
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        copied(folder)
-        runs = Runs(folder)
+    all_of, dead, cores = Counter[str](), Counter[str](), os.cpu_count() or 1
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(cores) as pool:
+        free = SimpleQueue[Path]()
+        for core in range(cores):
+            copied(Path(scratch, str(core)))
+            free.put(Path(scratch, str(core)))
+        runs = Runs(Path(scratch, "0"))
         ends = time.monotonic() + 60.0 * minutes
-        for mutant in mutants(seed):
-            if all_of.total() == count or time.monotonic() > ends:
-                break
-            change = mutant.change()
-            if change is None:
-                continue
-            package = mutant.module.parts[1]
-            gone = kills(mutant, change, folder, runs)
-            all_of[package] += 1
-            dead[package] += gone
-            if not gone:
-                print(f"survives: {mutant.module}:{change.line}", flush=True)
-                print(f"    {change.before}\n    {change.after}", flush=True)
+
+        def is_killed(pair: tuple[Mutant, Change]) -> bool:
+            folder = free.get()
+            try:
+                return kills(*pair, folder, runs)
+            finally:
+                free.put(folder)
+
+        pairs = ((m, change) for m in mutants(seed) if (change := m.change()) is not None)
+        while all_of.total() < count and time.monotonic() < ends:
+            some = list(islice(pairs, min(4 * cores, count - all_of.total())))
+            for (mutant, change), gone in zip(some, pool.map(is_killed, some), strict=True):
+                package = mutant.module.parts[1]
+                all_of[package] += 1
+                dead[package] += gone
+                if not gone:
+                    print(f"survives: {mutant.module}:{change.line}", flush=True)
+                    print(f"    {change.before}\n    {change.after}", flush=True)
     print(f"not asked, as they fail without a change: {', '.join(runs.broken) or 'none'}")
     for package in (*all_of, "all"):
         some, of = (n[package] if package != "all" else n.total() for n in (dead, all_of))
