@@ -12,7 +12,7 @@ from ehbench.report.style import ACCENT, MUTED, canvas, thin
 from ehbench.signals.timestamps import rate_of_rounded
 from ehbench.vocabulary.messages import message
 
-_SEPARATOR_KEYS = {"\t": "tab", " ": "space"}
+_SEPARATOR_KEYS = {"|": "pipe", "\t": "tab", " ": "space"}
 
 
 def drafted(path: Path, source: Source, guesses: dict[str, Guess]) -> str:

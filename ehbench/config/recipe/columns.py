@@ -18,7 +18,7 @@ from ehbench.vocabulary.units import factor, product, split_number, to_si, zero_
 LEAVE_OUT = "leave out"
 READING_WORDS = ("valve", "direction", "trial", "method", "note")  # of flowmeter readings
 ENDING = ".map.toml"
-_SEPARATORS = {"tab": "\t", "space": " "}
+_SEPARATORS = {"pipe": "|", "tab": "\t", "space": " "}
 
 
 class MappedColumn(FileModel):
@@ -136,7 +136,7 @@ class Columns(FileModel):
 
     file: str | None = None
     table: str | None = None
-    separator: Literal[",", ";", "|", "tab", "space"] | None = None
+    separator: Literal[",", ";", "pipe", "tab", "space"] | None = None
     decimal: Literal[".", ","] | None = None
     skip: int | None = Field(default=None, ge=0, le=10**6)
     unit_row: bool | None = None
