@@ -341,3 +341,8 @@ _mat(
     lambda: {"t": T, "p_rod": SIGNALS["b"], "theta": SIGNALS["q"]},
     {"t": "t", "p_rod": "", "theta": ""},
 )
+_mat(
+    "fields of a struct",
+    lambda: {"log": {"t": T, "x": SIGNALS["q"], "y": SIGNALS["a"], "p_rod": SIGNALS["b"]}},
+    {"log.t": "t", "log.x": "", "log.y": "", "log.p_rod": ""},
+)

@@ -85,7 +85,8 @@ def _add_struct(
         return next((v for w in words if isinstance(v := known.get(w), str) and v.strip()), "")
 
     vectors = [field for field, item in content.items() if _is_vector(item)]
-    clocks = np.atleast_1d(np.asarray(known.get("x"), object))
+    clocks = np.atleast_1d(np.asarray(known.get("x"), object))  # of ControlDesk, each Y on its X
+    clocked = clocks.size > 1 and all(hasattr(clock, "_fieldnames") for clock in clocks)
     for field, item in content.items():
         if field == "time" and "signals" in known and _is_vector(item):  # Simulink's, in seconds
             gathered.add(name, f"{name}.{field}", item, "s")
@@ -93,11 +94,11 @@ def _add_struct(
             where, label = place if len(vectors) == 1 else name, text_of(_NAMES)
             if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNIT_FIELDS)):
                 losses.append(message("data.not_read", name=f"{name}.{field}"))
-        elif field.lower() == "y" and clocks.size > 1:  # of ControlDesk, each Y on its X
+        elif field.lower() == "y" and clocked:
             for index, channel in enumerate(np.atleast_1d(np.asarray(item, object)), 1):
                 clock = getattr(channel, "XIndex", 1)
                 _add(gathered, f"{name}.X({clock})", f"{name}.{field}({index})", channel, losses)
-        elif field.lower() == "x" and clocks.size > 1:
+        elif field.lower() == "x" and clocked:
             for index, channel in enumerate(clocks, 1):
                 _add(gathered, f"{name}.X({index})", f"{name}.X({index})", channel, losses)
         else:
