@@ -94,7 +94,7 @@ def _add_struct(
             where, label = place if len(vectors) == 1 else name, text_of(_NAMES)
             if not gathered.add(where, label or f"{name}.{field}", item, text_of(_UNIT_FIELDS)):
                 losses.append(message("data.not_read", name=f"{name}.{field}"))
-        elif field.lower() == "y" and clocked:
+        elif field.lower() == "y" and clocked and not _is_vector(item):
             for index, channel in enumerate(np.atleast_1d(np.asarray(item, object)), 1):
                 clock = getattr(channel, "XIndex", 1)
                 _add(gathered, f"{name}.X({clock})", f"{name}.{field}({index})", channel, losses)
