@@ -1,6 +1,6 @@
 """Whether tests notice wrong code: one change each of cosmic-ray's, drawn at random, in a copy of
-the tree, and the share that the quick tests kill. A line that only slow tests run, or none, lets
-its mutants survive; one that hangs is killed, and named.
+the tree, and the share that the quick tests kill in files that import these packages. A line that
+only others run, or none, lets its mutants survive; one that hangs is killed, and named.
 
 python -m tools.mutate [MUTANTS] [MINUTES] [SEED]
 """
@@ -199,9 +199,15 @@ class Runs:
             (SEEN / "settings").write_text("\n".join(settings), encoding="utf-8")
             words = ["--cov", f"--cov-config={SEEN / 'settings'}", "--cov-context=test"]
             words += ["--cov-report=", "--durations=0", "--durations-min=0.001", "-rfE"]
-            folders = [f"tests/{name}" for name in ("unit", "physics", "recovery", "faults")]
+            uses = re.compile(rf"\behbench\.({'|'.join(PACKAGES)})\b")
+            every = sorted(folder.glob("tests/*/test_*.py"))
+            files = [
+                str(path.relative_to(folder))
+                for path in every
+                if uses.search(path.read_text("utf-8"))
+            ]
             cores = ["-n", str(os.cpu_count()), "--dist", "worksteal"]
-            said.write_text(pytest(folder, [*words, *cores, *folders], None)[1], encoding="utf-8")
+            said.write_text(pytest(folder, [*words, *cores, *files], None)[1], encoding="utf-8")
         text = said.read_text(encoding="utf-8")
         self.broken = set(re.findall(r"^(?:FAILED|ERROR) (\S+)", text, re.MULTILINE))
         self.seconds: defaultdict[str, float] = defaultdict(float)
