@@ -8,12 +8,14 @@ passes near, stands alone: the map goes by the others, and only the intervals ab
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from ehbench.data.flowmeter import FlowmeterData
 from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.readings import (
+    Cells,
     FlowMapOptions,
     Noise,
     Readings,
@@ -25,6 +27,7 @@ from ehbench.flow_maps.readings import (
     sort_readings,
     unbacked,
 )
+from ehbench.flow_maps.shape import SETTINGS as SHAPE
 from ehbench.flow_maps.shape import (
     Deadband,
     Kink,
@@ -62,6 +65,9 @@ class FitSettings:
     lag: float = setting(4.0, "", "standard errors from which a hysteresis is taken off", "chance")
     lag_share: float = setting(5e-4, "", "the same, of the largest command", "drivers")
     leak_gain: float = setting(10.83, "", "−2 log likelihood between two leaks", "χ² at 99.9 %")
+    shift: float = setting(
+        0.05, "", "first step to a shift, of the largest command", "ends at 1/10"
+    )
 
 
 SETTINGS = FitSettings()
@@ -110,6 +116,12 @@ class Fit:
     kinks: tuple[Kink, ...]
     leak: Leak | None = None
     hysteresis: Hysteresis | None = None
+    shift_std: float = 0.0
+
+    @property
+    def used(self) -> Cells:
+        """The cells that do not stand alone."""
+        return self.solution.cells.without(self.solution.lone)
 
     @property
     def residuals(self) -> np.ndarray:
@@ -118,15 +130,16 @@ class Fit:
 
 
 def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit:
-    """The fit of one map to its readings, from whose commands a sure hysteresis is taken off.
+    """The fit of one map to its readings, from whose commands a sure hysteresis, and a sure shift
+    of the deadband with the drop, are taken off.
 
     Raises:
         InsufficientData: as `sort_readings`; fewer than 3 commands that pass flow, or readings that
             no map fits.
     """
-    removed = 0.0
+    removed, shift = 0.0, 0.0
     for _ in range(SETTINGS.lag_turns):
-        readings = sort_readings(who, given, options, removed)
+        readings = sort_readings(who, given, options, removed).shifted(shift)
         leak = _find_leak(readings)
         if leak is None:
             result = _iterate(readings, None)
@@ -145,11 +158,14 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
         if rms > SETTINGS.rms or (result.solution.widening > SETTINGS.lack and rms > limit):
             raise InsufficientData(message("flow_maps.no_map_fits", map=readings.who, rms=rms))
         more, std = _hysteresis_of(result)
-        smallest = SETTINGS.lag_share * float(readings.levels[-1])
+        smallest = SETTINGS.lag_share * float(readings.commands[-1])
         sure = removed + more > max(SETTINGS.lag * std, smallest)
-        if not sure or abs(more) < 0.1 * std:
+        before, (shift, shift_std) = shift, _shift_of(result)
+        result = replace(result, shift_std=shift_std)
+        moved = abs(shift - before) > 0.1 * shift_std
+        if not moved and (not sure or abs(more) < 0.1 * std):
             break
-        removed += more
+        removed += more * sure
     if np.any(readings.sweep):
         return replace(result, hysteresis=Hysteresis(removed + more, std, removed > 0.0))
     return result
@@ -227,7 +243,7 @@ def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.nd
     k = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 0
     k = min(leak.level if leak else k, levels.size - 3)
     if leak:  # what passes no more than the leak is shut; the leak is reported apart from the map
-        shut = r.level < k
+        shut = r.step < k
         r = replace(r, y=r.y - shut * np.polyval(np.polyfit(r.s[shut], r.y[shut], 2), r.s))
     cells = gather_cells(r, noise, np.ones(r.q.size, bool), r.y)
     cells = replace(cells, y=medians(cells.heard, r.cell))
@@ -247,7 +263,7 @@ def _first_shape(r: Readings, leak: Leak | None) -> tuple[Readings, Shape, np.nd
 
 def _find_leak(r: Readings) -> Leak | None:
     """The leak of a valve that passes flow at 0 V, if that was measured and is small; else None."""
-    still = (r.level == 0) & (r.u == 0) & ~r.silent
+    still = (r.level == 0) & (r.command == 0) & ~r.silent
     if still.sum() < 4:
         return None
     middle = float(np.median(r.y[still]))
@@ -256,7 +272,7 @@ def _find_leak(r: Readings) -> Leak | None:
         return None
     passes = medians(medians(r.y, r.cell), r.cell_level) > max(5e-3, 1.5 * middle)
     level = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 1
-    some = (r.level < level) & ~r.silent
+    some = (r.step < level) & ~r.silent
     from scipy.optimize import nnls
 
     s, y = r.s[some], r.y[some]
@@ -273,6 +289,56 @@ def _find_leak(r: Readings) -> Leak | None:
     return Leak(float(parts[0]), float(parts[1]), float(np.sqrt(scatter * spread.sum())), level)
 
 
+def _shift_of(result: Fit) -> tuple[float, float]:
+    """(what the deadband is higher at the largest drop than at none [V], its standard error); 0
+    and 0 where a shift is not far likelier than none, or the valve were open at rest.
+
+    It is sought with a deadband and a smoothing of its own; once there is one, to the last digits
+    with those of the fit."""
+    r, shape, used = result.readings, result.shape, result.used
+    most, step = 2.0 * result.deadband.value, SETTINGS.shift * float(r.commands[-1])
+    end = 0.1 * step
+    if r.one_drop or most <= 0.0:
+        return 0.0, 0.0
+
+    def moved(shift: float) -> Cells:
+        return replace(used, u=used.u - (shift - r.shift) * (used.s**2 - 0.5))
+
+    @cache
+    def anew(shift: float) -> float:
+        """−2 log likelihood of a shift."""
+        if abs(shift) > most:
+            return np.inf
+        plain = replace(shape, kinks=())
+        best = start_deadband(r.shifted(shift), plain, moved(shift), result.solution.widening)
+        return likeliest_smoothing(best, moved(shift), coarse=False)[1]
+
+    def nearby(deadband: float, shift: float) -> float:
+        """The same with this deadband and all else as it is."""
+        above = np.append(shape.above[:-1], r.levels[-1] + step)
+        spline = replace(shape, above=above).spline(deadband)
+        return regression(spline, moved(shift)).solve(shape.smoothing)[1]
+
+    if not r.shift:
+        best = 0.0
+        while step > end:
+            best = min((best, best - step, best + step), key=anew)
+            step *= 0.5 if anew(best) <= min(anew(best - step), anew(best + step)) else 1.0
+        return (best, end) if anew(0.0) - anew(best) > SHAPE.kink_gain else (0.0, 0.0)
+    now, std = np.array([shape.deadband, r.shift]), end
+    away = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+    terms = np.column_stack([away[:, :1] ** 2, away.prod(1), away[:, 1:] ** 2, away, np.ones(9)])
+    for size in (end, 0.25 * end, 0.0625 * end):
+        values = [nearby(*place) for place in now + size * away]
+        xx, xy, yy, x, y, _ = np.linalg.lstsq(terms, values, rcond=None)[0]
+        bend = np.array([[2.0 * xx, xy], [xy, 2.0 * yy]])
+        if not (xx > 0.0 and np.linalg.det(bend) > 0.0):
+            break
+        now = now - size * np.clip(np.linalg.solve(bend, (x, y)), -1.0, 1.0)
+        std = size * float(np.sqrt(2.0 * np.linalg.inv(bend)[1, 1]))
+    return round(float(now[1]), 4), std
+
+
 def _hysteresis_of(result: Fit) -> tuple[float, float]:
     """(the hysteresis [V] that is left, its standard error); 0 and 0 where readings go one way
     only.
@@ -280,7 +346,7 @@ def _hysteresis_of(result: Fit) -> tuple[float, float]:
     A reading on the way up stands at an opening that is lower by half of it: a residual of −½·h
     times the slope of the map."""
     r, solution = result.readings, result.solution
-    step = 1e-3 * float(r.levels[-1])
+    step = 1e-3 * float(r.commands[-1])
     slope = (solution.at(r.u + step, r.s) - solution.at(r.u - step, r.s)) / (2.0 * step)
     slope = np.where(r.u > result.deadband.value, slope, 0.0)
     use = result.keep & ~r.silent & (r.sweep != 0) & ~solution.lone[r.cell]

@@ -97,7 +97,8 @@ class Readings:
     count cells and commands from zero. ``sweep``: 1 for a reading on the way up, −1 on the way
     down, 0 where that is not known. ``one_drop``: taken without pressures. ``drop_std`` is the
     standard error that all drops share, as a share of the largest, ``command_std`` that of all
-    commands [V]."""
+    commands [V]. ``shift`` [V]: what the deadband is higher at the largest drop than at none; ``u``
+    is the command that does the same at half of the largest drop."""
 
     who: str
     show: Units
@@ -120,6 +121,17 @@ class Readings:
     level: np.ndarray
     drop_std: float
     command_std: float
+    shift: float = 0.0
+
+    def shifted(self, shift: float) -> Readings:
+        """The same readings with another ``shift``."""
+        u = self.command - shift * (self.drop / self.drop_max - 0.5) if shift else self.command
+        return replace(self, u=u, shift=shift)
+
+    @property
+    def command(self) -> np.ndarray:
+        """The commands as given [V]."""
+        return self.u + self.shift * (self.drop / self.drop_max - 0.5) if self.shift else self.u
 
     @cached_property
     def drop_max(self) -> float:
@@ -175,14 +187,35 @@ class Readings:
         return results
 
     @cached_property
+    def commands(self) -> np.ndarray:
+        """The commands [V] by level."""
+        return np.bincount(self.level, self.command) / np.bincount(self.level)
+
+    @cached_property
+    def _steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """(openings [V], the first that each reading does not exceed): the commands, of which a
+        shift leaves those out that no reading is at.
+        """
+        if not self.shift:
+            return self.commands, self.level
+        ends = np.append(self.commands[:-1], max(self.commands[-1], self.u.max()))
+        which, step = np.unique(np.searchsorted(ends, self.u), return_inverse=True)
+        return ends[which], step
+
+    @property
     def levels(self) -> np.ndarray:
-        """The commands [V]."""
-        return np.bincount(self.level, self.u) / np.bincount(self.level)
+        """Openings [V] between which the flow begins."""
+        return self._steps[0]
+
+    @property
+    def step(self) -> np.ndarray:
+        """Of each reading the first of ``levels`` that it does not exceed."""
+        return self._steps[1]
 
     @cached_property
     def cell_level(self) -> np.ndarray:
-        """The command of each cell, counted from zero."""
-        return medians(self.level, self.cell).astype(int)
+        """The level of each cell, counted from zero."""
+        return medians(self.step, self.cell).astype(int)
 
     @property
     def spans(self) -> int:

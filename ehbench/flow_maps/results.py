@@ -12,7 +12,7 @@ import numpy as np
 from ehbench.data.flowmeter import FlowmeterData
 from ehbench.flow_maps.fit import Fit, fit_readings
 from ehbench.flow_maps.readings import SETTINGS as READING
-from ehbench.flow_maps.readings import FlowMapOptions, Units
+from ehbench.flow_maps.readings import Cells, FlowMapOptions, Units
 from ehbench.flow_maps.shape import regression
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Spline
@@ -110,7 +110,8 @@ class FlowMapFit:
     ``trial_scatter``: standard error [1] of the mean of the trials' common factors beyond the
     noise. ``residuals`` [m³/s] and ``sigmas`` [1]: one a reading in the order given, NaN at drops
     of zero or less. ``warnings``: messages. Of a table of readings: ``rows`` are behind it, with
-    commands as openings, which the driver gets times ``sign``."""
+    commands as openings, which the driver gets times ``sign``. ``shift`` [V]: what the deadband is
+    higher at the largest drop than at none, with its interval; ``deadband`` is at half of it."""
 
     map: FlowMap
     deadband: float
@@ -131,6 +132,8 @@ class FlowMapFit:
     leakage_interval: tuple[float, float]
     hysteresis: float | None
     hysteresis_interval: tuple[float, float]
+    shift: float
+    shift_interval: tuple[float, float]
     kinks: tuple[tuple[float, float, float], ...]
     falls: float
     trial_scatter: float
@@ -179,7 +182,8 @@ def fit_flow_map(
     leakage, ends = _leakage(result)
     smoothing = result.shape.smoothing / solution.cells.weight.sum()
     low, high = (0.0, 0.0) if lag is None else _interval(lag.value, lag.std)
-    extrapolated = result.window.flows_at_lowest and r.levels[0] > 0
+    half = Z95 * result.shift_std
+    extrapolated = result.window.flows_at_lowest and r.commands[0] > 0
     status = "not_excited" if extrapolated else "at_bound" if deadband.at_bound else "estimated"
     fit = FlowMapFit(
         map=built,
@@ -201,6 +205,8 @@ def fit_flow_map(
         leakage_interval=(rated * ends[0], rated * ends[1]),
         hysteresis=None if lag is None else round(lag.value, 4),
         hysteresis_interval=(round(low, 4), round(high, 4)),
+        shift=r.shift,
+        shift_interval=(round(r.shift - half, 4), round(r.shift + half, 4)),
         kinks=tuple((kink.value, *kink.interval) for kink in result.kinks),
         falls=_fall(built),
         trial_scatter=scatter,
@@ -235,6 +241,8 @@ def _map_of(
         more["rising_to"] = float(knots[rising - 1])
     if result.hysteresis is not None and result.hysteresis.removed:
         more["hysteresis"] = round(result.hysteresis.value, 4)
+    if r.shift:
+        more["shift"] = float(_digits([r.shift / r.drop_max], 6)[0])
     if r.one_drop:
         # 24 spans along the root of the drop: the map rises within the first ones
         increments, low = np.repeat(increments, 24 + 2, axis=1), 0.0 * low
@@ -276,15 +284,13 @@ def _interval(value: float, std: float) -> tuple[float, float]:
 def _hull(result: Fit) -> np.ndarray:
     """Rows commands [V], lowest and highest drop [Pa] read there; neighbouring commands are
     grouped."""
-    r, group = result.readings, result.readings.level
-    if r.levels.size > 2 * SPLINE.spans:
+    r, group, u = result.readings, result.readings.level, result.readings.command
+    if r.commands.size > 2 * SPLINE.spans:
         parts = np.arange(1, SPLINE.spans) / SPLINE.spans
-        group = np.searchsorted(np.quantile(r.u, parts), r.u)
+        group = np.searchsorted(np.quantile(u, parts), u)
     rows = [np.flatnonzero((group == k) & result.keep) for k in np.unique(group)]
-    table = np.array(
-        [(r.u[at].mean(), r.drop[at].min(), r.drop[at].max()) for at in rows if at.size]
-    )
-    table[[0, -1], 0] = r.levels[[0, -1]]
+    table = np.array([(u[at].mean(), r.drop[at].min(), r.drop[at].max()) for at in rows if at.size])
+    table[[0, -1], 0] = r.commands[[0, -1]]
     if table[0, 0] > 0 and not result.window.flows_at_lowest:
         # shut at the lowest command, so shut below it
         table = np.vstack([[0.0, *table[0, 1:]], table])
@@ -317,16 +323,17 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     variance = solution.widening * solution.variance(design)
     flow = design @ solution.coefficients
     # trials' common factors do not average over all where only some of the trials read
-    counts = [np.unique(r.trial[result.keep & (r.level == k)]).size for k in range(r.levels.size)]
+    levels = range(r.commands.size)
+    counts = [np.unique(r.trial[result.keep & (r.level == k)]).size for k in levels]
     trials = np.unique(r.trial[result.keep]).size
-    few = np.sqrt(trials / np.interp(opening, r.levels, np.maximum(counts, 1)))
+    few = np.sqrt(trials / np.interp(opening, r.commands, np.maximum(counts, 1)))
     variance += (scatter * few * flow) ** 2
     variance += _missed(result, opening, root) + _between_drops(result, opening, root)
-    used = solution.cells.without(solution.lone)
     for sides in _uncertain(result):
         low, high = (
-            spline.design(opening, root) @ regression(spline, used).solve(shape.smoothing)[0]
-            for spline in sides
+            spline.design(opening - more * (root**2 - 0.5), root)
+            @ regression(spline, _shifted(result.used, more)).solve(shape.smoothing)[0]
+            for spline, more in sides
         )
         variance += 0.25 * (high - low) ** 2
     scaled = r.delta / r.drop_max  # half of what s and a plain root of the drop differ by
@@ -340,18 +347,27 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     return np.sqrt(variance)
 
 
-def _uncertain(result: Fit) -> Iterator[tuple[Spline, Spline]]:
-    """For the deadband and for each kink, the spline with it a standard error lower and higher."""
+def _shifted(cells: Cells, shift: float) -> Cells:
+    """Cells at openings with a shift [V] more."""
+    return replace(cells, u=cells.u - shift * (cells.s**2 - 0.5)) if shift else cells
+
+
+def _uncertain(result: Fit) -> Iterator[tuple[tuple[Spline, float], tuple[Spline, float]]]:
+    """For the deadband, its shift and each kink, the spline with it a standard error lower and
+    higher, and the shift [V] more.
+    """
     shape, deadband = result.shape, result.deadband
     if deadband.std > 0:
         low = max(deadband.value - deadband.std, 0.0)
-        yield shape.spline(low), shape.spline(deadband.value + deadband.std)
+        yield (shape.spline(low), 0.0), (shape.spline(deadband.value + deadband.std), 0.0)
+    if result.shift_std > 0.0:
+        yield (shape.spline(), -result.shift_std), (shape.spline(), result.shift_std)
     for kink in result.kinks:
         others = tuple(item.value for item in result.kinks if item is not kink)
         low, high = (
             replace(shape, kinks=(*others, kink.value + k * kink.std)).spline() for k in (-1, 1)
         )
-        yield low, high
+        yield (low, 0.0), (high, 0.0)
 
 
 def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -399,7 +415,7 @@ def _outliers(result: Fit) -> tuple[Outlier, ...]:
         Outlier(
             str(r.file[i]),
             int(r.line[i]),
-            float(r.u[i]),
+            float(r.command[i]),
             float(r.drop[i]),
             float(r.q[i]),
             round(float(result.sigmas[i]), 2),
@@ -480,6 +496,9 @@ def _features(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
     if lag and lag.removed:
         low, high = fit.hysteresis_interval
         yield message("flow_maps.hysteresis", value=lag.value, low=low, high=high)
+    if fit.shift:
+        low, high = map(volts, fit.shift_interval)
+        yield message("flow_maps.shift", value=volts(fit.shift), low=low, high=high)
     if result.readings.one_drop:
         yield message("flow_maps.level")
 
@@ -501,7 +520,7 @@ def _warnings(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
             yield message(
                 "flow_maps.lone_cell",
                 count=int(rows.sum()),
-                command=r.show.volts(r.u[rows].mean()),
+                command=r.show.volts(r.command[rows].mean()),
                 drop=r.show.drop(r.drop[rows].mean()),
                 off=r.q[rows].mean() / (r.rated * solution.flow[rows].mean()) - 1.0,
             )
@@ -514,6 +533,6 @@ def _warnings(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
     if solution.widening > 2.0:
         yield message("flow_maps.lack_of_fit", times=solution.widening**0.5)
     if fit.status == "not_excited":
-        yield message("flow_maps.not_excited", command=r.show.volts(r.levels[0]))
+        yield message("flow_maps.not_excited", command=r.show.volts(r.commands[0]))
     if fit.trial_scatter > 2e-3:
         yield message("flow_maps.trial_scatter", share=fit.trial_scatter)

@@ -6,7 +6,9 @@ straight line in s. Its coefficients grow by positive increments along the openi
 zero at zero drop, so the flow is zero there, increases strictly with the opening at every drop, and
 is free to level off or fall with the drop. A valve whose flow falls again above some opening has
 increments of one sign up to there and of the other above; its inverse goes by the rising branch. A
-leak at rest, a function of the drop alone, adds to all of it."""
+leak at rest, a function of the drop alone, adds to all of it. A deadband that shifts with the drop,
+as pressure presses a poppet to its seat, moves the opening: the spline is of the one that does the
+same at half of the largest drop."""
 
 from __future__ import annotations
 
@@ -29,9 +31,9 @@ FORMAT, VERSION = "ehbench flow maps", 1
 FILE_NAME = "flow_maps.json"
 # header of a packed map, then the opening knots, then the polynomial pieces
 _DEADBAND, _RISING, _DELTA, _PER_S, _SPANS_S, _SPANS_U = 0, 1, 2, 3, 4, 5
-_LEAK_ROOT, _LEAK_DROP, _HEADER = 6, 7, 8
+_LEAK_ROOT, _LEAK_DROP, _SHIFT, _HALF, _HEADER = 6, 7, 8, 9, 10
 _PIECE = 12
-_OPTIONAL = {"leakage", "leakage_std", "rising_to", "level", "hysteresis"}
+_OPTIONAL = {"leakage", "leakage_std", "rising_to", "level", "hysteresis", "shift"}
 
 
 @kernel
@@ -68,15 +70,18 @@ def map_flow(pressure_drop, opening, data, at):
     """Flow [m³/s] at a pressure drop [Pa] and an opening [V] of the map that starts at ``data[at]``
     (see ``pack``).
 
-    Zero at zero drop, the leak alone up to the deadband; odd in the drop. Beyond the largest
-    measured opening the flow goes on along its tangent, or stays level if it falls there; beyond
-    the largest drop it grows with s at the rate the whole map shows there, or stays level."""
+    Zero at zero drop, the leak alone at rest and up to the deadband; odd in the drop. Beyond the
+    largest measured opening the flow goes on along its tangent, or stays level if it falls there;
+    beyond the largest drop it grows with s at the rate the whole map shows there, or stays level.
+    """
     drop = abs(pressure_drop)
     if drop == 0.0:
         return 0.0
     i, y = _span(drop, data, at)
     leak = _leak(i + y, data, at)
-    if opening <= data[at + _DEADBAND]:
+    at_rest = opening <= 0.0
+    opening -= data[at + _SHIFT] * (drop - data[at + _HALF])
+    if at_rest or opening <= data[at + _DEADBAND]:
         return math.copysign(leak, pressure_drop)
     spans = int(data[at + _SPANS_U])
     knots = at + _HEADER
@@ -111,8 +116,9 @@ def map_command(pressure_drop, flow, data, at):
     required = abs(flow) - leak
     if leak > 0.0 and required <= 0.0:
         return 0.0
+    shift = data[at + _SHIFT] * (drop - data[at + _HALF])
     if required >= _cubic(data, row + rising * _PIECE, y):
-        return data[knots + rising]
+        return max(data[knots + rising] + shift, 0.0)
     low, high = 0, rising
     while high - low > 1:
         middle = (low + high) >> 1
@@ -127,7 +133,8 @@ def map_command(pressure_drop, flow, data, at):
         _cubic(data, k + 8, y),
     )
     root = slope + math.sqrt(max(slope * slope + 4.0 * curve * more, 0.0))
-    return data[knots + low] + (2.0 * more / root if root > 0.0 else 0.0 * root)
+    opening = data[knots + low] + (2.0 * more / root if root > 0.0 else 0.0 * root)
+    return max(opening + shift, 0.0)
 
 
 @kernel
@@ -199,7 +206,9 @@ class FlowMap:
     their sum. ``rising_to`` [V]: the opening knot up to which the flow grows with the opening;
     above it it falls. ``level``: measured without pressures, so the flow goes by the opening alone.
     ``hysteresis`` [V]: what a rising command lies above a falling one at the same flow, the map
-    being the middle of both; 0 where readings did not show it.
+    being the middle of both; 0 where readings did not show it. ``shift`` [V/Pa]: what the deadband
+    grows by with the drop; ``deadband``, ``opening_knots`` and ``std_command`` are those at half of
+    ``drop_max``.
 
     Raises:
         InputError: the fields do not describe a map, such as an increment that is not positive.
@@ -228,6 +237,7 @@ class FlowMap:
     rising_to: float = math.inf
     level: bool = False
     hysteresis: float = 0.0
+    shift: float = 0.0
 
     def __post_init__(self) -> None:
         def refuse(why: str) -> None:
@@ -259,6 +269,8 @@ class FlowMap:
             refuse("leakage must not be negative")
         if not 0 <= self.hysteresis < math.inf:
             refuse("hysteresis must not be negative")
+        if not math.isfinite(self.shift):
+            refuse("shift must be finite")
         if not (
             0 < self.delta < math.inf
             and 0 < self.drop_max < math.inf
@@ -318,6 +330,7 @@ class FlowMap:
         header[_PER_S] = m / root_drop(self.drop_max, self.delta)
         header[_SPANS_S], header[_SPANS_U] = m, knots.size - 1
         header[_LEAK_ROOT : _LEAK_DROP + 1] = self.leakage
+        header[_SHIFT], header[_HALF] = self.shift, 0.5 * self.drop_max
         return np.concatenate([header, knots, pieces.ravel()])
 
     def flow(self, pressure_drop, command):
@@ -336,7 +349,8 @@ class FlowMap:
     def reachable(self, pressure_drop, flow):
         """True where some command of the rising branch passes ``flow`` [m³/s] at the drop [Pa]."""
         drop, flow = np.asarray(pressure_drop, float), np.asarray(flow, float)
-        maximum = np.asarray(self.flow(np.abs(drop), self.opening_knots[self.rising]))
+        top = self.opening_knots[self.rising] + self._shift_at(np.abs(drop))
+        maximum = np.asarray(self.flow(np.abs(drop), top))
         return (flow == 0.0) | ((flow * drop > 0.0) & (np.abs(flow) <= maximum))
 
     def flow_std(self, pressure_drop, command):
@@ -349,6 +363,7 @@ class FlowMap:
             np.abs(np.asarray(pressure_drop, float)), np.asarray(command, float)
         )
         x = np.clip(root_drop(drop, self.delta), self.std_root[0], self.std_root[-1])
+        command = command - self._shift_at(drop)
         u = np.clip(command, self.std_command[0], self.std_command[-1])
         j, y = _locate(self.std_root, x)
         i, w = _locate(self.std_command, u)
@@ -359,6 +374,10 @@ class FlowMap:
         if self.leakage_std:
             std = np.hypot(std, self.leakage_std * x / self.std_root[-1])
         return std if std.ndim else float(std)
+
+    def _shift_at(self, drop):
+        """What the deadband [V] is higher at a drop [Pa] than at half of the largest."""
+        return self.shift * (drop - 0.5 * self.drop_max)
 
     def inside(self, pressure_drop, command):
         """True where readings surround the point (pressure drop [Pa], command [V])."""

@@ -537,6 +537,26 @@ def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
     assert sum(held) >= 6
 
 
+def pressed(drop, command):
+    """An orifice whose deadband grows by 0.6 V with the drop, which presses it to its seat."""
+    wide = np.maximum(command - 1.4 - 0.6 * drop / 6.5e6, 0.0)
+    return 8 * GPM * wide / 8.6 * np.sqrt(drop / 6.5e6)
+
+
+def test_a_deadband_that_shifts_with_the_drop_is_part_of_the_map():
+    found = fit(readings(pressed, 4))
+    low, high = found.shift_interval
+    assert found.shift == pytest.approx(0.6, abs=0.02) and "shift" in keys(found)
+    assert low < found.shift < high < low + 0.1
+    assert found.deadband == pytest.approx(1.7, abs=0.02)
+    above, drop = np.meshgrid(np.linspace(0.02, 0.6, 30), np.linspace(DROPS[0], DROPS[-1], 30))
+    command = 1.4 + 0.6 * drop / 6.5e6 + above
+    error = np.abs(found.map.flow(drop, command) - pressed(drop, command))
+    assert np.mean(error <= 1.96 * found.map.flow_std(drop, command)) >= 0.9
+    np.testing.assert_allclose(found.map.command(drop, pressed(drop, command)), command, atol=0.05)
+    assert fitted(poppet, 1).shift == 0.0
+
+
 def test_up_and_down_readings_of_a_valve_without_hysteresis_say_so():
     found = fit(swept(poppet, 3, 0.0))
     assert found.hysteresis is not None and found.hysteresis_interval[1] < 0.01

@@ -66,6 +66,23 @@ def test_a_leak_at_rest_adds_to_the_flow_and_is_taken_off_by_the_inverse():
     assert map_flow(1e6, 0.0, data, offsets[0]) == pytest.approx(2.0 * leaky.flow(1e6, 0.0))
 
 
+def test_a_deadband_that_shifts_with_the_drop_moves_the_opening():
+    plain, moved = a_map(), a_map(shift=2e-7)
+    drop, command = np.array([[5e5], [3.25e6], [6e6]]), np.linspace(2.5, 8.0, 9)
+    more = 2e-7 * (drop - 3.25e6)
+    flow = moved.flow(drop, command + more)
+    np.testing.assert_allclose(flow, plain.flow(drop, command), rtol=1e-12)
+    np.testing.assert_allclose(moved.command(drop, flow), command + more, rtol=1e-9)
+    np.testing.assert_allclose(
+        moved.flow_std(drop, command + more), plain.flow_std(drop, command), rtol=1e-12
+    )
+    assert moved.reachable(6e6, plain.flow(6e6, 10.0)) and not moved.reachable(6e6, 1.0)
+    assert FlowMap.from_dict(moved.to_dict()).shift == 2e-7 and "shift" not in plain.to_dict()
+    open_at_rest = a_map(shift=6e-7)  # by the line, at small drops
+    assert open_at_rest.flow(1e5, 0.0) == 0.0 < open_at_rest.flow(1e5, 1e-6)
+    assert open_at_rest.command(1e5, 1e-12) == 0.0
+
+
 def test_a_map_that_falls_is_inverted_up_to_its_largest_flow():
     steps = np.array(a_map().increments)
     steps[8:] *= -0.3

@@ -37,7 +37,13 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import to_si
 
-_SEPARATOR_WORDS = {",": "commas", ";": "semicolons", "|": "pipes", "\t": "tabs", " ": "white space"}
+_SEPARATOR_WORDS = {
+    ",": "commas",
+    ";": "semicolons",
+    "|": "pipes",
+    "\t": "tabs",
+    " ": "white space",
+}
 
 __all__ = ["Draft", "Guess", "draft", "drafted", "guessed"]
 

@@ -269,6 +269,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
             ways.append((item, "leak", [item["leakage"], *item["leakage_interval"]]))
         if item.get("hysteresis") is not None:
             ways.append((item, "hysteresis", [item["hysteresis"], *item["hysteresis_interval"]]))
+        if item.get("shift"):
+            ways.append((item, "shift", [item["shift"], *item["shift_interval"]]))
         ways += [(item, "kink", kink) for kink in item.get("kinks", ())]
         ways += [(item, "falls", [falls]) for falls in [item.get("falls")] if falls]
     tables = {
