@@ -159,7 +159,7 @@ class Names:
 
 
 class Translation:
-    """A whole module of LLVM: its functions as C, static but for the ``entry``, called ``name``.
+    """A whole module of LLVM: its functions as C, all static, the ``entry`` called ``name``.
 
     Args:
         text: of LLVM.
@@ -179,11 +179,10 @@ class Translation:
         self.entry = next(part for part in self.parts if part.name == name)
 
     def source(self) -> str:
-        """The C text of all functions, the entry last."""
-        parts = [part for part in self.parts if part is not self.entry]
-        bodies = [part.source() for part in (*parts, self.entry)]
+        """The C text of all functions."""
+        bodies = [part.source() for part in self.parts]
         tables = [self._table(llvm, short) for llvm, short in self.globals.short.items()]
-        heads = [f"static {part.head};" for part in parts]
+        heads = [f"static {part.head};" for part in self.parts]
         return "\n".join([*tables, *heads, *bodies])
 
     def _table(self, llvm: str, short: str) -> str:
@@ -260,10 +259,8 @@ class Function:
             for kind, names in by_kind.items()
         ]
         ignored = [f"  (void){v};" for _, v in self.parameters if v not in uses]
-        static = "" if self is self.module.entry else "static "
-        return "\n".join(
-            [static + self.head, "{", *self.buffers, *declared, *ignored, text, "}", ""]
-        )
+        head = f"static {self.head}"
+        return "\n".join([head, "{", *self.buffers, *declared, *ignored, text, "}", ""])
 
     def value(self, kind: str, text: str) -> str:
         """A value of a type as a C expression."""
