@@ -231,7 +231,7 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
 
     given = {key: value for key, value in options.items() if value}
     if not source.exists():
-        raise InputError(message("stages.no_file", name=str(source)))
+        raise InputError(message("report.no_file"), file=source)
     recipe = None
     if source.is_file() and kind_of(source) == "recipe":
         recipe = load_recipe(source)
@@ -263,15 +263,15 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
     try:
         return load_recipe(path)
     except EhbenchError as error:
-        withdraw(path, source, error)
+        withdraw(path, None, error)  # an option is wrong
         raise
 
 
-def withdraw(path: Path, source: Path, error: EhbenchError) -> None:
-    """Delete the recipe of an export that failed; its error names the source instead."""
+def withdraw(path: Path, source: Path | None, error: EhbenchError) -> None:
+    """Delete the recipe of an export that failed; its error names the source instead, if any."""
     path.unlink(missing_ok=True)
     if error.file == str(path):
-        error.file, error.line = str(source), None
+        error.file, error.line = source and str(source), None
 
 
 def _relative(file: Path, recipe: Path) -> str:
