@@ -53,6 +53,7 @@ class CampaignStage(Stage[Campaign, PreparedCampaign]):
                     for text in getattr(result, kind):
                         texts.setdefault(text, []).append(name)
                 notes.add("losses", *result.losses)
+                notes.options |= result.options
                 for error in result.errors:
                     notes.add_error(error)
         for kind, texts in shared.items():  # a note of several recipes once, with their names

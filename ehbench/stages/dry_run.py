@@ -81,6 +81,7 @@ class DryRun:
                 raise error
             notes.add_error(error)
         notes.add("losses", *upstream.losses)
+        notes.options |= upstream.options
         name = notes.name_of(path)
         required = (notes.name_of(upstream.recipe.file(item)) for item in upstream.required)
         notes.add("required", *required, name)

@@ -225,6 +225,8 @@ def test_a_trial_needs_no_sensor_of_speed(place, tmp_path):
         ("NANS", None, "plant.fmu_not_finite"),
         ("", ('= "beta"', '= "betta"'), "runtime.fmu_variable"),
         ("", ('= "drag"', '= "u0"'), "runtime.fmu_variable"),
+        ("", ('= "u"', '= "x"'), "runtime.fmu_not_set"),
+        ("", ('"press.x" = "x"', '"press.x" = "pA"'), "runtime.fmu_unit"),
         ("", ('"press.x" = "x"', '"press.y" = "x"'), "config.model_name"),
         ("", ('"press.x" = "x"', '"press.x" = "v"'), None),
         ("", ('"press.servo" = "u"', ""), None),
@@ -304,6 +306,9 @@ def test_foreign_code_runs_only_where_it_is_allowed(fitted, place, tmp_path):
     (step,) = checked.answer(place / "fit.toml").steps
     assert step.fields["options"] == " --allow-code"
     json.dumps(ehbench.check(place / "rig.toml").lines)
+    (place / "all.toml").write_text('stage = "campaign"\nrecipes = ["trial.toml"]\n')
+    (step,) = ehbench.check(place / "all.toml").answer(place / "all.toml").steps
+    assert step.fields["options"] == " --allow-code"
 
 
 @pytest.mark.slow
