@@ -42,7 +42,7 @@ class Binding:
             for given, name in table.items():
                 row = quantity("command" if key == "commands" else given)
                 unit = row.unit if row.name != "number" else None  # that of the FMU
-                self.variables[key].append(self.fmu.variable(name, unit))
+                self.variables[key].append(self.fmu.variable(name, unit, key))
         self._idle: list[FmuProcess] = []
         self._lock = Lock()
 

@@ -44,6 +44,9 @@ class FmuSettings:
 FMU = FmuSettings()
 
 
+BASE = ("kg", "m", "s", "A", "K")  # of the base units those that numbers of rigs have
+
+
 class Variable(NamedTuple):
     """A real number of an FMU: its value reference, and ``SI = factor·value + offset``."""
 
@@ -83,7 +86,8 @@ class Fmu:
             reason = error.strerror or error
             raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
         except Exception as error:  # a zip or an XML may be broken in any way
-            reason = "no zip archive" if isinstance(error, BadZipFile) else error
+            reason = f"modelDescription.xml: {self.plain(error)}"
+            reason = "no zip archive" if isinstance(error, BadZipFile) else reason
             raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
         if (
             self.description.coSimulation is None
@@ -96,11 +100,17 @@ class Fmu:
             fields = {"platform": fmpy.platform, "there": there}
             raise InputError(message("runtime.fmu_platform", **fields), file=file)
 
-    def variable(self, name: str, unit: str | None) -> Variable:
+    def plain(self, problem: object) -> str:
+        """A problem in words that name the FMU's files as the FMU does."""
+        return str(problem).replace(f"{self.folder}{os.sep}", "")
+
+    def variable(self, name: str, unit: str | None, use: str) -> Variable:
         """A variable by name, in the SI unit of what it stands for; without one as the FMU has it.
+        What its ``use`` is: it is a key of `process`, or ``settable`` before the start.
 
         Raises:
-            InputError: there is none, it is no single real number, or not of that dimension.
+            InputError: there is none, it is no single real number, not of that dimension, or cannot
+                be set where it is to be.
         """
         known = {item.name: item for item in self.description.modelVariables}
         item = known.get(name)
@@ -111,18 +121,30 @@ class Fmu:
             )
         if item.type not in ("Real", "Float64") or item.dimensions:
             raise InputError(message("runtime.fmu_not_real", name=name), file=self.file)
+        able = item.causality in ("input", "parameter", "structuralParameter")
+        able |= use != "commands" and item.initial in ("exact", "approx")
+        if use != "channels" and not able:
+            fields = {"name": name, "causality": item.causality}
+            raise InputError(message("runtime.fmu_not_set", **fields), file=self.file)
         declared = item.unit or getattr(item.declaredType, "unit", None)
         if declared is None or unit is None:
             return Variable(item.valueReference, 1.0, 0.0)
         base = {each.name: each.baseUnit for each in self.description.unitDefinitions}.get(declared)
         if base is not None:
-            return Variable(item.valueReference, base.factor, base.offset)
-        try:
-            factor = units.factor(declared.replace(".", "*"), unit)
-        except UnitError as error:
-            fields = {"name": name, "unit": declared, "problem": error.message}
-            raise InputError(message("runtime.fmu_unit", **fields), file=self.file) from None
-        return Variable(item.valueReference, factor, 0.0)
+            powers = {word: power for word in BASE if (power := getattr(base, word))}
+            expected = units.exponents(unit)  # an angle may be a stroke: a rig may slide
+            alike = not powers or not expected or "rad" in expected or powers == expected
+            if alike or use == "commands":
+                return Variable(item.valueReference, base.factor, base.offset)
+            problem: str = message("vocabulary.unit_of_another_kind", unit=declared, si=unit)
+        else:
+            try:
+                factor = units.factor(declared.replace(".", "*"), unit)
+                return Variable(item.valueReference, factor, 0.0)
+            except UnitError as error:
+                problem = error.message
+        fields = {"name": name, "unit": declared, "problem": problem}
+        raise InputError(message("runtime.fmu_unit", **fields), file=self.file)
 
     def process(self, references: Mapping[str, Sequence[int]]) -> FmuProcess:
         """A child that runs it, by the value references of ``start``, ``commands`` and
@@ -203,7 +225,9 @@ class FmuProcess:
             raise FmuError(message("runtime.fmu_crashed", end=name), file=self.fmu.file) from None
         if status != DONE:
             raise FmuError(
-                message("runtime.fmu_failed", problem=answer.decode(errors="replace")),
+                message(
+                    "runtime.fmu_failed", problem=self.fmu.plain(answer.decode(errors="replace"))
+                ),
                 file=self.fmu.file,
             )
         return np.frombuffer(bytes(answer)).reshape(-1, self.width)
