@@ -26,7 +26,9 @@ from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
 from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
     from ehbench.guidance.suggestions import Suggestions
@@ -226,7 +228,7 @@ def machine_of(
     """The machine of a trial's recipe, or the model of a rig file or run folder.
 
     Raises:
-        EhbenchError: no such payload, as `prepared_trial`.
+        EhbenchError: no such payload or rate, as `prepared_trial`.
     """
     from ehbench.machines.fmu import FmuMachine
     from ehbench.machines.simulated import SimulatedMachine
@@ -236,6 +238,7 @@ def machine_of(
 
     if path.is_file() and kind_of(path) == "recipe":
         return prepared_trial(path, session).machine
+    rate = float(read_value(f"{rate} Hz", quantity("rate")))
     rig, maps = load_rig(path), maps_in(path)
     refuse_fmu(rig, session is not None and session.allow_code)
     if rig.model is not None:

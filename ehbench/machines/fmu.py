@@ -87,7 +87,8 @@ class FmuMachine:
 
     def tick(self, command: np.ndarray) -> np.ndarray:
         """As `Machine.tick`."""
-        assert self._process is not None  # it was started
+        if self._process is None:
+            raise InputError(message("machines.fmu_not_started"))
         given = self.model.commanded(self.commands.taken(command))
         return self._sample(self._process.steps(given[None, :], 1.0 / self.rate)[0])
 
@@ -96,6 +97,9 @@ class FmuMachine:
             raise FmuError(message("machines.fmu_not_finite"), file=self.model.binding.fmu.file)
         known = self.model.channels_of(row[None, :], self._first)
         return np.array([known[c][0] if c in known else np.nan for c in self.channels])
+
+    def __deepcopy__(self, memo: object) -> FmuMachine:
+        raise InputError(message("machines.fmu_copied"))
 
     def close(self) -> None:
         """End its process."""

@@ -55,7 +55,10 @@ class Inputs(NamedTuple):
         Raises:
             InputError: it is not one finite number for each valve.
         """
-        result = np.asarray(command, dtype=float)
+        try:
+            result = np.asarray(command, dtype=float)
+        except (TypeError, ValueError):  # no numbers
+            result = np.empty(0)
         if result.shape != self.rest.shape or not np.isfinite(result).all():
             names = ", ".join(self.names)
             raise InputError(message("machines.other_command", command=command, valves=names))

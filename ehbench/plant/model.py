@@ -152,6 +152,7 @@ class Model:
 
         Raises:
             SimulationError: a cylinder has no lever there, so no pressure holds the load.
+            InputError: ``low_side`` is no pressure.
         """
         return starts.trim(self.plant, self.layout, self.rig, q, low_side, command)
 

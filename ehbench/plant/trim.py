@@ -124,6 +124,8 @@ def trim(
     for index, row in enumerate(plant.cylinders):
         name = names.cylinders[index]
         low = low_side.get(name) if isinstance(low_side, Mapping) else low_side
+        if low is not None:
+            read_value(f"{low} Pa", VOCABULARY["p_head"])  # refuses no pressure
         x, lever, _ = linkage_of(row, q[row.joint])
         if abs(lever) < 1e-6:
             raise SimulationError(

@@ -101,7 +101,10 @@ class RecipeController:
         return rows.commands[row].copy()
 
     def _taken(self, sample: np.ndarray) -> np.ndarray:
-        result = np.array(sample, dtype=float)
+        try:
+            result = np.array(sample, dtype=float)
+        except (TypeError, ValueError):  # no numbers
+            result = np.empty(0)
         if result.shape != (len(self.channels),):
             names = ", ".join(self.channels)
             raise InputError(message("trial.other_sample", shape=result.shape, channels=names))

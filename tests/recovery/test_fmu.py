@@ -1,5 +1,6 @@
 """A user's FMU as model and as machine: replayed, fitted, judged, run, and refused."""
 
+import copy
 import json
 import shutil
 from dataclasses import replace
@@ -15,8 +16,9 @@ from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.runtime import fmu
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.errors import EhbenchError, InputError
 from tests.press_fmu import A1, A2, MASS, press, press_fmu
+from tests.shared import refused
 
 pytest.importorskip("fmpy")
 TRUE = {"bulk_modulus": 1.1e9, "carriage.damping": 2400.0}
@@ -201,8 +203,12 @@ def test_a_trial_runs_on_it(place):
     log = ehbench.read_log(run.folder / "log.mcap")
     assert run.code == 0 and log["press.x"].iloc[-1] == pytest.approx(0.16, abs=2e-3)
     machine = ehbench.open_machine(place / "rig.toml", rate=500.0, allow_code=True)
+    with refused("machines.fmu_not_started", InputError):
+        machine.tick([0.0])
     sample = machine.start({"press": "100 mm"})
     assert sample[machine.channels.index("press.x")] == pytest.approx(0.1)
+    with refused("machines.fmu_copied", InputError):
+        copy.deepcopy(machine)
 
 
 def test_a_trial_needs_no_sensor_of_speed(place, tmp_path):

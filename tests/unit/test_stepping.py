@@ -133,16 +133,23 @@ def test_half_a_machine_and_what_is_no_command_are_refused(tmp_path):
     assert missing == expected
     machine = ehbench.open_machine(RIG)
     before = machine.start()
-    for wrong in ([], [1.0, 2.0], [[1.0]], [math.nan]):
+    for wrong in ([], [1.0, 2.0], [[1.0]], [math.nan], ["1 V"], {"press.servo": 1.0}):
         with refused("machines.other_command", InputError):
             machine.tick(wrong)
     assert np.isfinite(before).all() and np.isfinite(machine.tick([0.0])).all()
+    for pressure in (math.nan, -1e7, "9 bar"):
+        with pytest.raises(InputError, match="Pa"):
+            machine.start(None, pressure)
+    for rate in (0.0, -1.0, math.nan, None, "500 Hz"):
+        with pytest.raises(InputError, match="rate"):
+            ehbench.open_machine(RIG, rate=rate)
 
 
 def test_what_is_no_sample_or_no_trial_is_refused():
     controller = ehbench.open_controller(OWN, allow_code=True)
     for take, key in (
         (lambda: controller.start(np.zeros(3)), "trial.other_sample"),
+        (lambda: controller.start("sample"), "trial.other_sample"),
         (lambda: controller.step(np.zeros(len(controller.channels))), "trial.no_step"),
         (
             lambda: ehbench.open_controller(RECIPES / "slide_servo" / "tuning.toml"),
