@@ -141,11 +141,13 @@ class PreparedFromLogs(Prepared):
 
 @dataclass(frozen=True)
 class Work:
-    """Facts for ``run.json`` with ``warnings``, reasons for a code, and the exit code."""
+    """Facts for ``run.json`` with ``warnings``, reasons for a code, the exit code, and what is said
+    of this machine, which no file of the run holds."""
 
     facts: Mapping[str, Any]
     reasons: Sequence[str] = ()
     code: int = DONE
+    here: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -266,7 +268,7 @@ class Stage(Checked[R], Generic[R, P]):
                 progress("drawing figures", 0.95)
             run.save()
             draw(run.path)
-        return Outcome(final, work.code, (*notes, *run.left_over))
+        return Outcome(final, work.code, (*notes, *work.here, *run.left_over))
 
 
 def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:

@@ -103,9 +103,15 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
                 progress(name, i / len(formats))
             written += FORMATS[name](prepared.export, folder)
         write_rig(folder, state.rig, state.flow_maps)
-        rundir.write_json(folder / "export.json", {"written": [item._asdict() for item in written]})
+        rows, times = [], {}
+        for item in written:
+            check, _, time = item.check.partition("; ")  # two runs hold the same bytes
+            rows.append(item._replace(check=check)._asdict())
+            times |= {Path(item.file).stem: f"{Path(item.file).stem}: {time}"} if time else {}
+        rundir.write_json(folder / "export.json", {"written": rows})
         warnings = [item.note for item in written if item.note]
-        return Work({"rig": state.rig.name, "warnings": warnings})
+        here = [message("export.times", times="; ".join(times.values()))] if times else []
+        return Work({"rig": state.rig.name, "warnings": warnings}, here=here)
 
 
 def _refuse(inputs: Inputs, wrong: bool, key: str, **fields: str) -> None:
