@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import select
 import shutil
 import signal
@@ -139,7 +140,8 @@ class Fmu:
             problem: str = message("vocabulary.unit_of_another_kind", unit=declared, si=unit)
         else:
             try:
-                factor = units.factor(declared.replace(".", "*"), unit)
+                # a dot multiplies, but in a number
+                factor = units.factor(re.sub(r"(?<!\d)\.|\.(?!\d)", "*", declared), unit)
                 return Variable(item.valueReference, factor, 0.0)
             except UnitError as error:
                 problem = error.message

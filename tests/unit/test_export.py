@@ -17,6 +17,7 @@ from ehbench.control import LAW_NAMES
 from ehbench.export import FORMATS, Export, c99, compiler
 from ehbench.export.source import write_sources
 from ehbench.plant.model import Model
+from ehbench.runtime.fmu import fmu_of
 from ehbench.vocabulary.errors import EhbenchError
 from tests.shared import RECIPES, shipped
 
@@ -193,6 +194,10 @@ def test_a_unit_equals_the_run_of_the_model(units, version, changed):
         assert base or unit.name.endswith("Pa^0.5)")  # a root has no whole powers
         assert not base or pint.Unit(unit.name).is_compatible_with("*".join(base))
     assert "assumed" in str(about["bulk_modulus"].description)
+    for item in export.components[0].variables:  # as a user's own unit it is read in SI
+        use = "channels" if item.role == "output" else "settable"
+        read = fmu_of(Path(file)).variable(item.name, item.unit or None, use)
+        assert (read.factor, read.offset) == (1.0, 0.0)
     t = np.arange(301) / 1000.0
     volts = np.where(t >= 0.02, 3.0 * np.sin(40.0 * t), 0.0)
     given = np.array(list(zip(t, volts)), dtype=[("time", float), ("press.servo.command", float)])
