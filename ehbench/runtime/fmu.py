@@ -84,7 +84,7 @@ class Fmu:
         except InputError:
             raise
         except OSError as error:
-            reason = error.strerror or error
+            reason = error.strerror or self.plain(error)
             raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
         except Exception as error:  # a zip or an XML may be broken in any way
             reason = f"modelDescription.xml: {self.plain(error)}"
