@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -33,18 +33,10 @@ PLACES = {
 SOURCES = ("fmi.c", "{name}.c")
 
 
-def write_fmu2(export: Export, folder: Path) -> list[Written]:
-    """Write each part as FMU of version 2.0 into ``fmu2``."""
-    return list(_written(export, folder / "fmu2", 2))
-
-
-def write_fmu3(export: Export, folder: Path) -> list[Written]:
-    """Write each part as FMU of version 3.0 into ``fmu3``."""
-    return list(_written(export, folder / "fmu3", 3))
-
-
-def _written(export: Export, folder: Path, version: int) -> Iterator[Written]:
+def write_fmu(export: Export, folder: Path, version: int) -> list[Written]:
+    """Write each part as FMU of a version of the standard into ``fmu<version>``."""
     targets = export.recipe.targets or ((HERE,) if compiler() else ())
+    folder, written = folder / f"fmu{version}", []
     folder.mkdir()
     for part, kernel in zip(export.components, export.kernels, strict=True):
         with TemporaryDirectory() as scratch:
@@ -57,7 +49,8 @@ def _written(export: Export, folder: Path, version: int) -> Iterator[Written]:
                     unit.writestr(about, file.read_bytes(), ZIP_DEFLATED)
         note = "" if targets else message("export.source_only", name=part.name)
         about = f"{part.about}; " + (", ".join(targets) or message("export.no_binary"))
-        yield Written(f"{folder.name}/{part.name}.fmu", about, check, note)
+        written.append(Written(f"{folder.name}/{part.name}.fmu", about, check, note))
+    return written
 
 
 def _content(
@@ -85,8 +78,7 @@ def _content(
         for file in library.parent.iterdir():  # a linker's notes
             if file != library:
                 file.unlink()
-    describe: Callable[..., ElementTree.Element] = {2: describe_2, 3: describe_3}[version]
-    _write_xml(place / "modelDescription.xml", describe(part, token))
+    _write_xml(place / "modelDescription.xml", described(part, token, version))
     if version == 3:
         root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
         files = ElementTree.SubElement(
@@ -104,13 +96,6 @@ def _write_xml(path: Path, root: ElementTree.Element) -> None:
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     write_text(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + text + "\n")
-
-
-def _root(part: Component, version: str, **more: str) -> ElementTree.Element:
-    tool = f"ehbench {metadata.version('ehbench')}"
-    about = {"fmiVersion": version, "modelName": part.name, "description": part.about}
-    about |= {"generationTool": tool, "variableNamingConvention": "flat", **more}
-    return ElementTree.Element("fmiModelDescription", about)
 
 
 def _units(part: Component, root: ElementTree.Element) -> None:
@@ -141,55 +126,40 @@ def _variable_rows(part: Component) -> Iterator[tuple[dict[str, str], dict[str, 
         yield about | kinds[item.role] | {"description": item.about}, values
 
 
-def describe_2(part: Component, token: str) -> ElementTree.Element:
-    """``modelDescription.xml`` of version 2.0."""
-    root = _root(part, "2.0", guid=token)
-    able = dict.fromkeys(("canGetAndSetFMUstate", "canSerializeFMUstate"), "true")
-    simulation = ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=part.name,
-        canHandleVariableCommunicationStepSize="true",
-        **able,
-    )
-    files = ElementTree.SubElement(simulation, "SourceFiles")
-    for file in SOURCES:
-        ElementTree.SubElement(files, "File", name=file.format(name=part.name))
+def described(part: Component, token: str, version: int) -> ElementTree.Element:
+    """``modelDescription.xml`` of a version of the standard."""
+    third, step, add = version == 3, repr(1.0 / part.rate), ElementTree.SubElement
+    about = {"fmiVersion": f"{version}.0", "modelName": part.name, "description": part.about}
+    about |= {"generationTool": f"ehbench {metadata.version('ehbench')}"}
+    about |= {"variableNamingConvention": "flat"}
+    about["instantiationToken" if third else "guid"] = token
+    root = ElementTree.Element("fmiModelDescription", about)
+    about = {"modelIdentifier": part.name, "canHandleVariableCommunicationStepSize": "true"}
+    about |= {"fixedInternalStepSize": step} if third else {}
+    for word in ("canGetAndSetFMU", "canSerializeFMU"):
+        about[word + ("State" if third else "state")] = "true"
+    files = add(root, "CoSimulation", about)
+    if not third:
+        files = add(files, "SourceFiles")
+        for file in SOURCES:
+            add(files, "File", name=file.format(name=part.name))
     _units(part, root)
-    ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(1.0 / part.rate))
-    variables = ElementTree.SubElement(root, "ModelVariables")
+    add(root, "DefaultExperiment", stepSize=step)
+    variables = add(root, "ModelVariables")
     for about, values in _variable_rows(part):
-        row = ElementTree.SubElement(variables, "ScalarVariable", about)
-        ElementTree.SubElement(row, "Real", values)
-    outputs = ElementTree.SubElement(ElementTree.SubElement(root, "ModelStructure"), "Outputs")
-    for number, item in enumerate(part.variables, 1):
-        if item.role == "output":
-            ElementTree.SubElement(outputs, "Unknown", index=str(number))
-    return root
-
-
-def describe_3(part: Component, token: str) -> ElementTree.Element:
-    """``modelDescription.xml`` of version 3.0."""
-    root = _root(part, "3.0", instantiationToken=token)
-    able = dict.fromkeys(("canGetAndSetFMUState", "canSerializeFMUState"), "true")
-    ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=part.name,
-        canHandleVariableCommunicationStepSize="true",
-        fixedInternalStepSize=repr(1.0 / part.rate),
-        **able,
-    )
-    _units(part, root)
-    ElementTree.SubElement(root, "DefaultExperiment", stepSize=repr(1.0 / part.rate))
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    for about, values in _variable_rows(part):
-        ElementTree.SubElement(variables, "Float64", about | values)
-    time = {"name": "time", "valueReference": str(len(part.variables)), "unit": "s"}
-    time |= {"causality": "independent", "variability": "continuous"}
-    ElementTree.SubElement(variables, "Float64", time)
-    structure = ElementTree.SubElement(root, "ModelStructure")
+        if third:
+            add(variables, "Float64", about | values)
+        else:
+            add(add(variables, "ScalarVariable", about), "Real", values)
+    if third:
+        time = {"name": "time", "valueReference": str(len(part.variables)), "unit": "s"}
+        time |= {"causality": "independent", "variability": "continuous"}
+        add(variables, "Float64", time)
+    structure = add(root, "ModelStructure")
+    structure = structure if third else add(structure, "Outputs")
     for number, item in enumerate(part.variables):
-        if item.role == "output":
-            ElementTree.SubElement(structure, "Output", valueReference=str(number))
+        if item.role == "output" and third:
+            add(structure, "Output", valueReference=str(number))
+        elif item.role == "output":
+            add(structure, "Unknown", index=str(number + 1))
     return root

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+from ehbench.config.rig import Rig
 from ehbench.export.content import Export, Written
 from ehbench.export.linear import state_spaces
 from ehbench.export.matlab import matlab_files
-from ehbench.export.mechanism import mjcf, urdf
 from ehbench.runtime.disk import replacing
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
@@ -25,15 +26,11 @@ def write_matlab(export: Export, folder: Path) -> list[Written]:
     return [*others, last._replace(note=note)]
 
 
-def write_urdf(export: Export, folder: Path) -> list[Written]:
-    """Write the mechanism as URDF into ``mechanism``."""
-    files = {f"{export.rig.name}.urdf": urdf(export.carrying)}
-    return _written(folder / "mechanism", files, message("export.about_mechanism"))
-
-
-def write_mjcf(export: Export, folder: Path) -> list[Written]:
-    """Write the mechanism as MJCF into ``mechanism``."""
-    files = {f"{export.rig.name}.xml": mjcf(export.carrying)}
+def write_mechanism(
+    export: Export, folder: Path, ending: str, text: Callable[[Rig], bytes]
+) -> list[Written]:
+    """Write the mechanism, as a ``text`` has it, into ``mechanism``."""
+    files = {f"{export.rig.name}.{ending}": text(export.carrying)}
     return _written(folder / "mechanism", files, message("export.about_mechanism"))
 
 
