@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import re
 import subprocess
@@ -152,10 +151,9 @@ def exported(ticks: int = 3000) -> Iterator[Row]:
     source = RECIPES / "rigs" / "slide_servo.toml"
     with tempfile.TemporaryDirectory() as scratch:
         session = workflow.Session(root=Path(scratch), unvalidated=True)
-        folder = workflow.export(source, {"formats": ("c", "fmu2")}, session).folder
-        written = json.loads((folder / "export.json").read_text())["written"]
-        in_c = re.search(r"took (\S+) us, the longest (\S+) us", written[0]["check"])
-        unit = str(folder / written[1]["file"])
+        done = workflow.export(source, {"formats": ("c", "fmu2")}, session)
+        in_c = re.search(r"took (\S+) us, the longest (\S+) us", " ".join(done.notes))
+        unit = str(done.folder / done.json("export")["written"][1]["file"])
         about = read_model_description(unit)
         slave = FMU2Slave(
             guid=about.guid,
