@@ -10,7 +10,16 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ehbench.links.client import LINK, LinkMachine
-from ehbench.links.responder import ALIVE, ARMED, DONE, REASONS, RUNNING, STOPPED, STOPPING
+from ehbench.links.responder import (
+    ALIVE,
+    ARMED,
+    DISAGREEMENT,
+    DONE,
+    REASONS,
+    RUNNING,
+    STOPPED,
+    STOPPING,
+)
 from ehbench.links.transport import ACKNOWLEDGED, REASON, STATE
 from ehbench.machines.protocol import Advance, Inputs, Posture
 from ehbench.machines.rows import Controls, Rows, violated
@@ -24,12 +33,13 @@ STOPPED_BY = 3  # where the stamp of a row's checks has the machine's reason
 
 class Played(NamedTuple):
     """What a machine says of a table: the ``samples`` after each row, the commands that were
-    ``applied`` [V] in it, both as long as it ran, and the number of the reason that ended it.
+    ``applied`` [V] in it, both as long as it ran, and the number of the reason for which they end
+    before the table.
     """
 
     samples: np.ndarray
     applied: np.ndarray
-    reason: int = DONE
+    reason: int = DISAGREEMENT
 
 
 class Buffered:
@@ -52,13 +62,14 @@ class Buffered:
                 played = self._played = self.play(rows.commands.copy())
             last = len(played.samples)
             for i in range(first, stop):
-                if i == last and played.reason != DONE:
+                if i == last:
                     rows.checks.stamp[STOPPED_BY] = played.reason
                 if violated(rows, i):
                     return i
                 rows.samples[i] = rows.sample
                 k = min(i, last - 1)
-                rows.commands[i], rows.sample[:] = played.applied[k], played.samples[k]
+                rows.sample[:], acted = played.samples[k], played.applied[k]
+                np.copyto(rows.commands[i], acted, where=np.isfinite(acted))
             return -1
 
         return through
@@ -103,8 +114,9 @@ class BufferedLink(Buffered, LinkMachine):
         end = len(table) / self.rate
         self._until(RUNNING, -1, rest, lambda: self.state > RUNNING, end)
         self._until(STOPPING, -1, rest, lambda: self.state == STOPPED)
-        # then its log, row by row
-        reason, rows, requests, log = int(self.newest[REASON]), len(table), {}, {}
+        # then its log, row by row, which says nothing of the link
+        exchanges, reason = self.exchanges.copy(), int(self.newest[REASON])
+        rows, requests, log = len(table), {}, {}
         missing, until = dict.fromkeys(range(rows)), self.now() + LINK.patience + 3.0 * end
         while missing and self.now() < until:
             row = next(iter(missing))
@@ -121,7 +133,8 @@ class BufferedLink(Buffered, LinkMachine):
         if count == 0:
             raise InputError(message("links.no_log", url=self.name))
         samples, applied = (np.array([log[row][k] for row in range(count)]) for k in (0, 1))
-        return Played(samples, applied, reason)
+        self.exchanges = exchanges
+        return Played(samples, applied, reason if reason > DONE else DISAGREEMENT)
 
     def _until(
         self, wish: int, row: int, command: np.ndarray, done: Callable[[], bool], seconds=0.0
@@ -130,9 +143,7 @@ class BufferedLink(Buffered, LinkMachine):
         until = self.now() + LINK.patience + seconds
         while not done():
             self.exchange(wish, np.array([row, *command]))
-            if self.now() > until or (self.state == STOPPED and wish < RUNNING):
-                reason = REASONS[int(self.newest[REASON])]
-                raise InputError(message("links.not_armed", url=self.name, reason=reason))
+            self.refuse_unarmed(self.now() > until or (self.state == STOPPED and wish < RUNNING))
 
 
 class Card(Protocol):

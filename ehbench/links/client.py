@@ -35,7 +35,7 @@ from ehbench.links.transport import (
     WATCHDOG,
     Link,
 )
-from ehbench.machines.protocol import Posture, Stamp
+from ehbench.machines.protocol import Posture, Stamp, reason_of
 from ehbench.plant.trim import LowSide
 from ehbench.trial.preparation import Prepared
 from ehbench.vocabulary.errors import InputError
@@ -43,6 +43,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
 TOKENS = 2**24  # a float32 holds every one
+STATES = dict(enumerate(("idle", "alive", "armed", "running", "stopping", "stopped")))
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class LinkSettings:
     )
     drift: float = setting(2e-4, "", "difference of two clocks' rates", "quartz within 100 ppm")
     rate: float = setting(0.02, "", "difference of the target's rate from the trial's", "jitter")
+    jump: float = setting(0.1, "s", "of a target's clock beyond its count", "five watchdogs")
 
 
 LINK = LinkSettings()
@@ -152,12 +154,19 @@ class LinkMachine:
             problem = "foreign"
         elif numbers[SEQUENCE] <= self.newest[SEQUENCE]:
             problem = "replayed"
+        elif self.row > 0 and self._jumped(numbers):
+            problem = "clock"
         else:
             self.newest = numbers
             self._heard.append(numbers)
             return True
         self.rejected[problem] += 1
         return False
+
+    def _jumped(self, numbers: np.ndarray) -> bool:
+        """Whether a sample's count and clock do not go on together."""
+        apart = numbers[: len(HEADER)] - self.newest[: len(HEADER)]
+        return abs(apart[TIME] - apart[SEQUENCE] / (self.rate * self._every)) > LINK.jump
 
     @property
     def packet(self) -> tuple[float, ...]:
@@ -196,12 +205,14 @@ class LinkMachine:
                 self._refuse_other_layout()
                 counts = ", ".join(f"{n} {why}" for why, n in self.rejected.items()) or "none"
                 raise InputError(message("links.silent", url=self.name, rejected=counts))
-        rate = (self.newest[SEQUENCE] - first) / (self.newest[TIME] - start)
+        rate = (self.newest[SEQUENCE] - first) / max(self.newest[TIME] - start, 1e-9)
         self._every = max(round(rate / self.rate), 1) if self.mode == "setpoint" else 1
         if abs(rate / (self.rate * self._every) - 1.0) > LINK.rate:
             fields = {"url": self.name, "rate": rate, "trial": self.rate}
             raise InputError(message("links.other_rate", **fields))
         self.watchdog = float(self.newest[WATCHDOG])
+        silent = np.flatnonzero(np.isnan(self.sample()))
+        self.unmeasured = tuple(self.channels[i] for i in silent)
 
     def _refuse_other_layout(self) -> None:
         """Ask a target that says nothing for its layout.
@@ -235,19 +246,24 @@ class LinkMachine:
         until, self.row = self.now() + LINK.patience, 0
         while self.state != ARMED:
             self.exchange(ARMED, self._down(self.commands.rest))
-            if self.state >= STOPPING or self.now() > until:
-                reason = REASONS[int(self.newest[REASON])]
-                raise InputError(message("links.not_armed", url=self.name, reason=reason))
-        sample = self.sample()
-        self.unmeasured = tuple(
-            name for name, value in zip(self.channels, sample, strict=True) if np.isnan(value)
-        )
+            self.refuse_unarmed(self.state >= STOPPING or self.now() > until)
         self._epoch, self.row, self.missed = self.newest.copy(), 0, 0
         self._heard = [self.newest]
         self.exchanges.clear()
         self.rejected.clear()
         self.stamp = Stamp(0.0, 0, 0.0)
-        return sample
+        return self.sample()
+
+    def refuse_unarmed(self, over: bool) -> None:
+        """Refuse a target that does not do what was wished, where the time for it is ``over``.
+
+        Raises:
+            InputError: says its state and its reason to stop, or that it fell silent.
+        """
+        if over:
+            state = STATES.get(self.state, self.state) if self._fresh else "silent"
+            fields = {"state": state, "reason": reason_of(self, int(self.newest[REASON]))}
+            raise InputError(message("links.not_armed", url=self.name, **fields))
 
     def _refuse_elsewhere(self, expected: np.ndarray) -> None:
         """Refuse a machine that does not stand where the trial begins.
@@ -287,7 +303,9 @@ class LinkMachine:
         stopped, state = 0, self.state
         starting = state == ARMED and self.row <= max(3.0, self.watchdog * self.rate)
         if self._wish == RUNNING and state != RUNNING and not starting:
-            stopped = int(self.newest[REASON]) if state >= STOPPING else DISAGREEMENT
+            stopped = (int(self.newest[REASON]) if state >= STOPPING else 0) or DISAGREEMENT
+        elif self.rejected["clock"]:
+            stopped = DISAGREEMENT
         at, count = (float(self.newest[k] - self._epoch[k]) for k in (TIME, SEQUENCE))
         age = self.now() - self.newest[TIME] - self._offset
         self.stamp = Stamp(at, int(count) // self._every, max(float(age), 0.0), stopped)

@@ -121,10 +121,10 @@ def open_machine(prepared: Prepared, url: str) -> Machine:
     Raises:
         InputError: as `Address.of` and `Address.link`.
     """
-    address, layout = Address.of(url), Layout.of(prepared.rig)
+    address, layout, name = Address.of(url), Layout.of(prepared.rig), f"machine at {url}"
     if address.scheme not in CARDS:
         kind = BufferedLink if address.mode == "buffered" else LinkMachine
-        return kind(prepared, layout, address.link(layout), address.mode, url)
+        return kind(prepared, layout, address.link(layout), address.mode, name)
     assert address.map is not None  # `Address.of` sees to it
     text, machine = read_text(address.map), prepared.machine
     known = validated(CardMap, table_of(text, address.map), text, address.map)
@@ -142,4 +142,4 @@ def open_machine(prepared: Prepared, url: str) -> Machine:
         card = CARDS[address.scheme](address.host, names, terminals, rest)
     except ImportError as error:
         raise InputError(message("links.extra", extra="daq")) from error
-    return CardMachine(prepared, card, (into, out), address.url)
+    return CardMachine(prepared, card, (into, out), name)

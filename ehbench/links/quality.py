@@ -116,6 +116,6 @@ def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ())
         (float(np.median(trips)), float(np.quantile(trips, 0.999)), float(trips.max())),
         float(np.diff(came).max()),
         float(table[-1, 4]),
-        ticks / float(t[-1] - t[0]),
+        ticks / max(float(t[-1] - t[0]), 1e-9),
         refused,
     )

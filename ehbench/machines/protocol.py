@@ -191,8 +191,6 @@ stamp_of: Callable[[Machine], Stamp | None] = _attribute("stamp")
 packet_of: Callable[[Machine], tuple[float, ...]] = _attribute("packet", ())
 # channels without a sensor, nan in every sample
 unmeasured_of: Callable[[Machine], tuple[str, ...]] = _attribute("unmeasured", ())
-# why it may stop by itself, by the number in its stamp
-reasons_of: Callable[[Machine], tuple[str, ...]] = _attribute("reasons", ())
 # commands [V] that acted in the last tick, where these are not those that were given
 applied_of: Callable[[Machine], np.ndarray | None] = _attribute("applied")
 # how a machine that makes its own commands is stopped
@@ -211,6 +209,13 @@ plays_of: Callable[[Machine], bool] = _attribute("plays", True)
 # be called for every row
 advance_of: Callable[[Machine], Callable[[Rows, Controls | None, bool], Advance] | None]
 advance_of = _attribute("advance")
+
+
+def reason_of(machine: Machine, number: int) -> str:
+    """Why a machine stopped by itself, by the number in its stamp: one of its ``reasons``, or the
+    number of one that is not among them."""
+    reasons = getattr(machine, "reasons", ())
+    return reasons[number] if 0 <= number < len(reasons) else str(number)
 
 
 def heard_of(machine: Machine) -> tuple[np.ndarray, np.ndarray] | None:

@@ -21,7 +21,7 @@ from ehbench.machines.protocol import (
     carry_of,
     hidden_of,
     plays_of,
-    reasons_of,
+    reason_of,
     seeded_of,
     truth_of,
     unmeasured_of,
@@ -262,7 +262,7 @@ class Prepared:
         (value, bound), t = rows.by.tolist(), float(rows.t[row])
         limit, word = LIMITS[which], LIMITS[which]
         if limit == "machine":
-            reason = reasons_of(machine)[int(value)]
+            reason = reason_of(machine, int(value))
             sentence = message("trial.stop_machine", machine=machine.name, reason=reason, t=t)
             return Stop(limit, "", value, bound, t, sentence)
         channel = machine.channels[entry] if entry >= 0 else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -37,6 +37,7 @@ from ehbench.vocabulary.codes import SATURATED
 from ehbench.vocabulary.errors import InputError, SimulationError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
+from ehbench.vocabulary.quantities import quantity
 
 if TYPE_CHECKING:
     from ehbench.plant.build import Maps
@@ -173,24 +174,24 @@ def run(
     Raises:
         EhbenchError: as `run_trial`.
     """
-    with closing(prepared.machine if machine is None else machine) as at_work:
-        session = Session(prepared, at_work, fast, watcher, operator)
-        meta = _meta(prepared, at_work)
-        if log is None:
-            session.run(None, progress)
-            record = _record(session, meta)
-        else:
-            import tomli_w
+    at_work = prepared.machine if machine is None else machine
+    with ExitStack() as logging:
+        with closing(at_work):  # at once, not when all is written
+            session = Session(prepared, at_work, fast, watcher, operator)
+            meta, live = _meta(prepared, at_work), None
+            if log is not None:
+                import tomli_w
 
-            names = list(session.channels(slice(0, 0)))
-            rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
-            files = {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
-            aside = in_real_time(at_work) or watcher is not None
-            with closing(LiveLog(log, names, meta, files, aside)) as live:
-                session.run(live, progress)
-                record = _record(session, meta)
-                live.finish(record)
-        truth, facts = truth_of(at_work), _run_facts(prepared, session, record)
+                names = list(session.channels(slice(0, 0)))
+                rig_file = tomli_w.dumps(prepared.rig.as_toml()).encode()
+                files = {"recipe.toml": prepared.recipe.path.read_bytes(), "rig.toml": rig_file}
+                aside = in_real_time(at_work) or watcher is not None
+                live = logging.enter_context(closing(LiveLog(log, names, meta, files, aside)))
+            session.run(live, progress)
+        record = _record(session, meta)
+        if live is not None:
+            live.finish(record)
+    truth, facts = truth_of(at_work), _run_facts(prepared, session, record)
     if truth is None:
         return Result(record, facts, None)
     # what makes its simulation slow, by its commands and its first payload
@@ -260,11 +261,14 @@ def _on_beats(record: Record, machine: Machine) -> Record:
     after = np.minimum(np.searchsorted(times, t + 0.5 / machine.rate), len(times) - 1)
     known = t <= times[-1]  # a link that is lost says nothing of what acted
     for i, name in enumerate(machine.channels):
-        if name in channels:
-            channels[name] = np.interp(t, times, sent[:, i])
+        row = quantity(name)
+        sound = (row.lower <= sent[:, i]) & (sent[:, i] <= row.upper)
+        if name in channels and sound.any():
+            channels[name] = np.interp(t, times[sound], sent[sound, i])
     for i, valve in enumerate(machine.commands.names, len(machine.channels)):
         name = f"{valve}.command"
-        channels[name] = np.where(known, sent[after, i], channels[name])
+        acted = sent[after, i]
+        channels[name] = np.where(known & np.isfinite(acted), acted, channels[name])
     return replace(record, t=t, channels=channels)
 
 

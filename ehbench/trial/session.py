@@ -232,6 +232,7 @@ class Session:
             stopped_at, upto = self._through(first, until)
             if stopped_at >= 0:
                 self._halt(stopped_at)
+            self._fill(first, upto)
             if log is not None:
                 log.add(self.rows.t[first:upto], self.channels(slice(first, upto)))
             first = upto
@@ -240,6 +241,16 @@ class Session:
             slow = self._pace(first, time.monotonic() - begun)
             if progress is not None:
                 progress(slow, first / self.end)
+
+    def _fill(self, first: int, stop: int) -> None:
+        """Repeat the value before where a sensor gave no plausible number."""
+        if self._truth is None:
+            samples, (lowest, highest) = self.rows.samples, self._plausible
+            part = samples[first:stop]
+            gaps = self.rows.checks.measured & ~((lowest <= part) & (part <= highest))
+            for i, j in zip(*np.nonzero(gaps), strict=True):
+                samples[first + i, j] = samples[first + i - 1, j]
+            self.gaps += gaps.sum(axis=0)
 
     def _pace(self, done: int, seconds: float) -> str:
         """Words on a class that is slow to answer; refuses one that would take for ever.
@@ -295,11 +306,6 @@ class Session:
         if violated(rows, i):
             return True
         rows.samples[i] = rows.sample
-        lowest, highest = self._plausible
-        gaps = rows.checks.measured & ~((lowest <= rows.sample) & (rows.sample <= highest))
-        if gaps.any():
-            rows.samples[i, gaps] = rows.samples[i - 1, gaps]
-            self.gaps += gaps
         if self._known is not None:
             self._known.read(rows.commands[i], rows.truth[i])
         if self.stamps is not None:
@@ -310,8 +316,8 @@ class Session:
         rows.sample[:] = self.machine.tick(rows.commands[i])
         stamp, applied = stamp_of(self.machine), applied_of(self.machine)
         self._packet = packet_of(self.machine)
-        if applied is not None:
-            rows.commands[i] = applied
+        if applied is not None:  # what it does not say acted as given
+            np.copyto(rows.commands[i], applied, where=np.isfinite(applied))
         if stamp is not None:
             step = stamp.sequence - rows.checks.stamp[1]
             self.missed = max(step - 1.0, 0.0)
@@ -347,11 +353,13 @@ class Session:
         shut = np.where(self.prepared.shut_at_once(self.stop, before), 1.0, share)
         rows.commands[row:] = (1.0 - shut) * before + shut * rest
         self._halted, self._next_look = row, min(row + 1 + ramp + self._stretch, self.end)
+        (lowest, highest), sample = self._plausible, rows.sample
+        sound = ((lowest <= sample) & (sample <= highest) | ~rows.checks.measured).all()
         for law in self.laws:
             # the last estimates and the desired stroke stay, nothing is asked for any more
             last = min(row, len(law.telemetry) - 1)
-            retained = law.telemetry[last]
-            retained = np.where(np.isfinite(retained), retained, law.telemetry[max(last - 1, 0)])
+            retained, known = law.telemetry[last], law.telemetry[max(last - 1, 0)]
+            retained = np.where(np.isfinite(retained) & sound, retained, known)
             after = np.tile(retained, (self.end - row, 1))
             law.telemetry = np.concatenate([law.telemetry[:row], after])
             for column, name in enumerate(law.channels):

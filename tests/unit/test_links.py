@@ -31,7 +31,7 @@ from ehbench.links.responder import (
     Target,
 )
 from ehbench.links.serve import ServedTarget
-from ehbench.links.transport import STATE, TOKEN
+from ehbench.links.transport import STATE, TIME
 from ehbench.trial import prepare, run, running
 from ehbench.validation import validate_rig
 from ehbench.vocabulary.errors import InputError
@@ -237,33 +237,39 @@ def test_references_at_a_tenth_of_the_targets_rate_do_as_well():
     assert errors[0] < 1.3 * errors[1]
 
 
-def nan_sample(numbers, machine):
-    if machine.row > 100:
-        numbers[len(HEADER) + LAYOUT.channels.index("press.p_head")] = math.nan
-    return numbers
-
-
-def rebooted(numbers, machine):
-    if machine.row > 100:
-        numbers[STATE] = IDLE
-    return numbers
-
-
-def other_session(numbers, machine):
-    if machine.row > 100:
-        numbers[TOKEN] += 1
-    return numbers
+UP = (*HEADER, *LAYOUT.up)
 
 
 @pytest.mark.parametrize(
-    ("change", "limit"),
-    [(nan_sample, "finite"), (rebooted, "machine"), (other_session, "sample_age")],
+    ("wrong", "limit"),
+    [
+        ({"press.p_head": math.nan}, "finite"),
+        ({"press.x": math.inf}, "finite"),
+        ({"press.p_head": 1e300}, "pressure_range"),
+        ({"state": IDLE}, "machine"),
+        ({"state": STOPPED + 4}, "machine"),
+        ({"state": STOPPING, "reason": 99.0}, "machine"),
+        ({"time": 1e6}, "machine"),
+        ({"time": -3.0}, "machine"),
+        ({"sequence": 1e300}, "machine"),
+        ({"sequence": 1.0}, "sample_age"),
+        ({"token": 0.0}, "sample_age"),
+        ({"press.servo.command": math.nan}, None),
+    ],
 )
-def test_a_host_stops_when_samples_or_states_are_wrong(change, limit):
+def test_a_host_stops_when_samples_or_states_are_wrong(wrong, limit):
+    def change(numbers, machine):
+        if machine.row > 100:
+            numbers[[UP.index(name) for name in wrong]] = list(wrong.values())
+        return numbers
+
     result, machine, item = over_link(trial(), on_sample=change)
-    assert result.facts.stop.limit == limit
-    assert 0.4 <= result.facts.stop.t <= 0.45
     assert item.applied == [0.0] and item.state == STOPPED
+    assert (np.diff(result.record.t) < 0.1).all()
+    if limit is None:
+        assert result.facts.stop is None
+    else:
+        assert result.facts.stop.limit == limit and 0.4 <= result.facts.stop.t <= 0.45
 
 
 def test_replayed_and_torn_packets_do_not_count_at_the_host():
@@ -342,13 +348,32 @@ STEP = {
 OPEN = {"motion": None, "controller": None, "duration": "1 s", "command": (STEP,)}
 
 
-def buffered(served, lose=0.0, **keys):
+def buffered(served, lose=0.0, answers=lambda numbers: True, **keys):
+    """(result, target) of a table over a link that loses a share, and answers that are not so."""
     item = ServedTarget(served, watchdog=0.1)
     link, dice = VirtualLink(item), np.random.default_rng(1)
-    send = link.send
+    send, receive = link.send, link.receive
     link.send = lambda numbers: None if dice.random() < lose else send(numbers)
+    link.receive = lambda timeout: [n for n in map(np.copy, receive(timeout)) if answers(n)]
     prepared = trial("model", **OPEN, **keys)
-    return run(prepared, BufferedLink(prepared, LAYOUT, link, "buffered", "virtual")), item
+    machine = BufferedLink(prepared, LAYOUT, link, "buffered", "virtual")
+    result = run(prepared, machine)
+    assert estimated(machine.exchanges)["sample_delay"][2] < 0.1
+    return result, item
+
+
+def test_a_missing_sensor_and_rows_that_do_not_come_are_not_made_up():
+    times = []
+
+    def answers(numbers):
+        numbers[UP.index("press.qd")] = math.nan
+        times.extend([numbers[TIME]] if numbers[STATE] == RUNNING else [])
+        return numbers[STATE] != RUNNING or numbers[TIME] < times[0] + 0.3
+
+    result, _ = buffered(trial(**OPEN), answers=answers)
+    assert result.facts.stop.limit == "machine" and result.facts.stop.t == pytest.approx(
+        0.3, abs=0.01
+    )
 
 
 @pytest.mark.parametrize("lose", [0.0, 0.1])
@@ -590,13 +615,19 @@ def test_a_log_over_a_link_identifies_as_any_other(tmp_path, mode, kind):
         assert validate_rig(rig, [("steps", read(log))]).accepted is accepted
 
 
-def test_a_log_alone_gives_clocks_and_delays(tmp_path):
-    """As the packets of the trial do, for a link whose target's clock began at another time."""
+def test_a_log_alone_gives_clocks_and_delays(tmp_path, monkeypatch):
+    """As the packets of the trial do, for a link whose target's clock began at another time; the
+    target is at rest before the log is finished."""
+    states, finish = [], running.LiveLog.finish
+    monkeypatch.setattr(
+        running.LiveLog, "finish", lambda *log: (states.append(item.state), finish(*log))
+    )
     item, prepared = ServedTarget(trial()), trial("model")
     for _ in range(250):
         item.tick(item.sequence / item.rate)
     machine = LinkMachine(prepared, LAYOUT, VirtualLink(item), "stream", "virtual")
     run(prepared, machine, log=tmp_path / "log.mcap", fast=False)
+    assert states == [STOPPED]
     record = read(tmp_path / "log.mcap")
     known = estimated(exchanges_in(record))
     for name in ("clock_offset", "command_delay", "sample_delay"):

@@ -158,8 +158,8 @@ def findings(run: Saved) -> Findings:
     against = [page.text("stopped", name=run.title, reason=stopped)] if stopped else []
     value, payload = f"{number(facts['duration'])} s", load_name(facts.get("payload", "none"))
     numbers = [Headline(OFTEN, f"Trial on the {facts['on']}", value, payload)]
-    step = message("steps.stopped" if stopped else "steps.fit_log", **names(run))
-    return Findings(numbers, [{"kind": "trial"}], against, [step])
+    key = "stopped" if stopped else "fit_machine" if "link" in facts else "fit_log"
+    return Findings(numbers, [{"kind": "trial"}], against, [message(f"steps.{key}", **names(run))])
 
 
 REPORT = StageReport(
