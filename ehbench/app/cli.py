@@ -729,15 +729,13 @@ def main() -> None:
     try:
         app()
     except BaseException as error:
-        requested = ended()
+        requested, notes = ended(), getattr(error, "__notes__", [])
         if requested and isinstance(error, (Terminated, Exception)):
-            if requested == signal.SIGINT:
-                print(message("app.interrupted"), file=sys.stderr)
-            for note in getattr(error, "__notes__", []):
-                print(note, file=sys.stderr)
+            first = [message("app.interrupted")] if requested == signal.SIGINT else []
+            print(*first, *notes, sep="\n", end="\n" if first or notes else "", file=sys.stderr)
             sys.exit(128 + requested)
         if isinstance(error, EhbenchError):
-            print(f"error: {error}", file=sys.stderr)
+            print(f"error: {error}", *notes, sep="\n", file=sys.stderr)
             sys.exit(error.exit_code)
         if isinstance(error, OSError) and error.errno in _OUTSIDE:
             where = f"{shortened_path(error.filename)}: " if error.filename else ""

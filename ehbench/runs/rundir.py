@@ -221,7 +221,9 @@ def open_run(
         if error.errno not in FULL:
             raise
         text = message("runs.not_written", reason=error.strerror)
-        raise InputError(text, file=final) from None
+        full = InputError(text, file=final)
+        full.__notes__ = getattr(error, "__notes__", [])
+        raise full from None
     except EhbenchError as error:  # of a file that is gone by the time the message is read
         if error.file is None or scratch not in Path(error.file).parents:
             raise
@@ -400,28 +402,39 @@ def _remove(before: Path, final: Path) -> list[Message]:
 
 def clear_left(folder: Path) -> tuple[str, ...]:
     """Remove what dead processes left, keep logs with samples in ``salvaged``; a message each."""
-    from ehbench.data import read
-
     messages = []
     for left in sorted(folder.glob(".*.part")):
         match = _PART.fullmatch(left.name)
         if match is None or not left.is_dir() or not _abandoned(left, int(match["pid"])):
             continue
-        retained = _unused(folder / "salvaged" / f"{match['name']}_{match['pid']}")
-        for path in sorted(left.rglob("*.mcap")):
-            try:
-                samples = read(path, check=False).t.size
-            except EhbenchError:
-                samples = 0
-            if not samples:
-                continue
-            target = retained / path.relative_to(left)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with suppress(FileNotFoundError):  # another process was quicker
-                os.replace(path, target)
-                messages.append(message("runs.salvaged", name=match["name"], target=str(target)))
+        messages += salvage(left)
         shutil.rmtree(left, ignore_errors=True)
     return tuple(messages)
+
+
+def salvage(left: Path) -> list[Message]:
+    """Move the logs with samples of a run that was not finished to ``salvaged`` beside it; a
+    message each.
+    """
+    from ehbench.data import read
+
+    match, messages = _PART.fullmatch(left.name), []
+    if match is None:
+        return messages
+    retained = _unused(left.parent / "salvaged" / f"{match['name']}_{match['pid']}")
+    for path in sorted(left.rglob("*.mcap")):
+        try:
+            samples = read(path, check=False).t.size
+        except EhbenchError:
+            samples = 0
+        if not samples:
+            continue
+        target = retained / path.relative_to(left)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileNotFoundError):  # another process was quicker
+            os.replace(path, target)
+            messages.append(message("runs.salvaged", name=match["name"], target=str(target)))
+    return messages
 
 
 def _unused(place: Path) -> Path:

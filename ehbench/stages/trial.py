@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ehbench.config.recipe import AnyTuning, ArcTuneRecipe, TrialRecipe, load_recipe
 from ehbench.runs import rundir
+from ehbench.runtime.interrupts import unbroken
 from ehbench.stages.base import DONE, STOPPED, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, NamedFiles, RigState
 from ehbench.vocabulary.errors import InputError
@@ -101,7 +102,13 @@ class TrialStage(Stage[TrialRecipe, PreparedOne]):
             else:
                 from ehbench.links.arming import run_remote
 
-                remote = run_remote(ready, on, prepared.ask, log, progress, view, view)
+                try:
+                    remote = run_remote(ready, on, prepared.ask, log, progress, view, view)
+                except BaseException as error:  # a machine moved, perhaps: its log stays
+                    with unbroken():
+                        for note in rundir.salvage(folder):
+                            error.add_note(note)
+                    raise
                 result, late = remote.result, remote.warnings
                 more = {"link": remote.link, "dry_run": remote.dry_run}
         write_rig(folder, state.rig, state.flow_maps)

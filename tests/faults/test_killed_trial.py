@@ -17,7 +17,9 @@ from ehbench.config.recipe import load_recipe
 from ehbench.data import read
 from ehbench.data.logs import LogWriter, write_log
 from ehbench.data.record import Record
+from ehbench.links import arming
 from ehbench.runs import rundir
+from ehbench.runtime.interrupts import Terminated
 from ehbench.vocabulary.errors import InputError
 from tests.shared import RIGS
 
@@ -147,7 +149,7 @@ def test_a_killed_trial_keeps_all_but_its_last_second(lived, undrawn, monkeypatc
     assert left.name.endswith(f".{process.pid}.part")
     assert before > 200
     notes = workflow.run("open.toml").notes
-    (note,) = [note for note in notes if "killed" in note]
+    (note,) = [note for note in notes if "not finished" in note]
     (log,) = Path("reports/salvaged").rglob("log.mcap")
     assert log.parent.name.endswith(f"_{process.pid}") and str(log) in note
     assert not left.exists()
@@ -169,7 +171,7 @@ def test_what_is_said_of_the_killed_is_not_in_the_run(place, undrawn, gone):
     write_log(left / "log.mcap", Record(np.arange(3.0), {"press.x": np.zeros(3)}))
     again = workflow.run("open.toml")
     assert (again.folder / "run.json").read_bytes() == kept
-    assert any("killed" in note for note in again.notes) and not first.notes
+    assert any("not finished" in note for note in again.notes) and not first.notes
 
 
 def test_two_logs_of_one_name_are_both_kept(tmp_path, gone):
@@ -179,7 +181,7 @@ def test_two_logs_of_one_name_are_both_kept(tmp_path, gone):
         x = np.arange(float(size))
         write_log(left / "logs" / "case.mcap", Record(x, {"press.x": x / 10}))
         (said,) = rundir.clear_left(tmp_path)
-        assert "run of 'a' was killed" in said and not left.exists()
+        assert "run of 'a' was not finished" in said and not left.exists()
     sizes = [
         read(tmp_path / "salvaged" / name / "logs" / "case.mcap").t.size
         for name in (f"a_{gone}", f"a_{gone}_2")
@@ -220,3 +222,19 @@ def test_an_error_leaves_nothing(place):
     ):
         workflow.run(load_recipe("slow.toml").path, workflow.Session(allow_code=True))
     assert not list(Path().glob("reports/*"))
+
+
+def test_an_end_of_a_trial_on_a_machine_leaves_its_log(place, monkeypatch):
+    """However it ends: what a machine did is not to be had again."""
+
+    def broken_off(prepared, url, ask, log, *others):
+        write_log(log, Record(np.arange(3.0), {"press.x": np.zeros(3)}))
+        raise Terminated(signal.SIGINT)
+
+    monkeypatch.setattr(arming, "run_remote", broken_off)
+    Path("open.toml").write_text(OPEN.replace("RIG", "slide.toml") + 'on = "udp://127.0.0.1:1"')
+    Path("slide.toml").write_bytes((RIGS / "slide_servo.toml").read_bytes())
+    with pytest.raises(Terminated) as ending:
+        workflow.run("open.toml")
+    (log,) = (path for path in Path("reports").rglob("*") if path.is_file())
+    assert str(log) in ending.value.__notes__[0] and read(log).t.size == 3
