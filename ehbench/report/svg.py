@@ -106,7 +106,8 @@ def _shrunk(element: ElementTree.Element, used: dict[str, str], places: int) -> 
                 value = used.get(value, "")
             value = re.sub(r"(?<=url\(#)[^)]+", lambda match: used[match[0]], value)
             if name == _LINK:
-                name, value = "href", f"#{used[value[1:]]}"
+                name = "href"
+                value = f"#{used[value[1:]]}" if value.startswith("#") else value.replace(" ", "")
             if value:
                 attributes[name] = value
         inner = _shrunk(item, used, 2 if tag == "defs" else places)

@@ -342,10 +342,11 @@ def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch)
         ax.plot(t, 1e-3 * walk, label="a < b & c")
         ax.plot(t[::40], np.cos(t[::40]), "o", label="marks")
         ax.fill_between(t, -np.sin(t), np.sin(t), alpha=0.2)
+        ax.imshow([[0.0, 1.0]], extent=(0.0, 1.0, 0.0, 1.0), aspect="auto")
         ax.annotate("turned\nthrice", (3.0, 0.5), rotation=30)
         ax.legend()
     short = (tmp_path / "a.svg").read_text()
-    assert len(short) < 0.5 * len(whole[0])
+    assert len(short) < 0.5 * len(whole[0]) and 'href="data:image/png;base64,iVBOR' in short
     words, want = (re.findall(r">([^<>\s][^<>]*)</text>", one) for one in (short, whole[0]))
     assert words == want
     assert short.count("<use ") == whole[0].count("<use ") and "font-family=" in short

@@ -276,6 +276,7 @@ def test_inputs_matter_by_ten_samples_or_more(count, rows):
     [
         ({"channel": "boom.v", "unit": "mm/s"}, "mm/s", False, 1500.0),
         ({"channel": "boom.v", "since": "stop"}, "mm/s", True, 1500.0),
+        ({"channel": "boom.v", "stopped": True}, "mm/s", True, 1500.0),
         ({"result": "stop.boom.x"}, "mm", True, 1500.0),
         ({"result": "tracking.gain_margin"}, "", False, 1.5),
         ({"result": "what.nobody.knows"}, "", False, 1.5),

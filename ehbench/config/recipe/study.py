@@ -118,9 +118,10 @@ class Measure(FileModel):
     """A measure of a sample: by the ``result``'s name, or taken of a ``channel`` of a trial's log.
 
     ``take`` says what of the channel, less the channel ``minus`` where that is given, ``since`` the
-    start of the trial or the tick at which a limit stopped it. ``over``: another result that it is
-    divided by. ``inside``: 1 where an interval, the
-    result, holds the value that the key of that name has in the sample, else 0."""
+    start of the trial or the tick at which a limit stopped it; ``stopped`` counts it of samples
+    that a limit stopped as well. ``over``: another result that it is divided by. ``inside``: 1
+    where an interval, the result, holds the value that the key of that name has in the sample, else
+    0."""
 
     name: str = ""
     result: str | None = None
@@ -128,6 +129,7 @@ class Measure(FileModel):
     minus: str | None = None
     take: Literal["max", "min", "mean", "rms", "final", "range", "largest"] = "largest"
     since: Literal["start", "stop"] = "start"
+    stopped: bool = False
     over: str | None = None
     inside: str | None = None
     unit: str | None = None
