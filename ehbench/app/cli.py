@@ -27,7 +27,7 @@ from ehbench.runtime.cores import cores
 from ehbench.runtime.disk import write_text
 from ehbench.runtime.interrupts import Terminated, ended, listen
 from ehbench.vocabulary.commands import COMMANDS, Command
-from ehbench.vocabulary.errors import EhbenchError
+from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened_path
 
@@ -601,6 +601,8 @@ def _run_recipe(
         from ehbench.app.linking import moved_to
 
         recipe = moved_to(recipe, on)
+    if settings.get("ask") is not None and "://" not in getattr(recipe, "on", ""):
+        raise InputError(message("links.no_machine"), file=file)
     _say_first(says.quiet)
     # to draw a bar would hold up a machine in real time, and a live view draws itself
     timed = settings.get("live") is not None or "://" in getattr(recipe, "on", "")

@@ -5,6 +5,7 @@ distance that fits the margin, a link that keeps time, and a person who says so.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -19,11 +20,18 @@ from ehbench.links.clock import estimated, exchanges_in
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import QUALITY, measure
 from ehbench.runtime.realtime import punctual
-from ehbench.trial.operator import OperatorInput, Rehearsal, levers_of, refuse_unmanned
+from ehbench.trial.operator import (
+    OperatorInput,
+    Replayed,
+    both_ends,
+    levers_of,
+    logged,
+    refuse_unmanned,
+)
 from ehbench.trial.preparation import RUN_OUT, Prepared
 from ehbench.trial.running import Result, run
 from ehbench.trial.session import SESSION, Watcher
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, SimulationError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 
@@ -86,9 +94,8 @@ def rehearsed(prepared: Prepared, watchdog: float) -> tuple[Result, dict[str, fl
     """
     recipe, levers, operator = prepared.recipe, levers_of(prepared), None
     if levers:
-        operator = Rehearsal([*levers.values()])
-        count = operator.ticks
-        prepared = replace(prepared, t=prepared.t[:count], table=prepared.table[:count])
+        given = both_ends([*levers.values()])
+        prepared, operator = _as_long(prepared, len(given)), Replayed(given)
     dry = run(prepared, fast=False, operator=operator)
     if dry.facts.stopped:
         raise InputError(message("links.dry_run", stopped=dry.facts.stopped), **recipe.at("limits"))
@@ -103,6 +110,11 @@ def rehearsed(prepared: Prepared, watchdog: float) -> tuple[Result, dict[str, fl
             problem = message("links.stopping", cylinder=cylinder, **fields)
             raise InputError(problem, **recipe.at("limits", "stroke_margin"))
     return dry, distances
+
+
+def _as_long(prepared: Prepared, rows: int) -> Prepared:
+    """A trial of so many rows at most."""
+    return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 
 def _permit(prepared: Prepared, url: str, distance: float, ask: Ask | None) -> None:
@@ -140,10 +152,14 @@ def run_remote(
         operator: holds the levers of the trial's motions.
 
     Raises:
-        InputError: what `rehearsed` refuses; a link that does not keep time; the wrong token.
+        InputError: what `rehearsed` refuses; a link that does not keep time; the wrong token; what
+            a recipe can change on a simulation alone.
     """
     refuse_unmanned(prepared, operator)
-    address = Address.of(url)
+    address, recipe = Address.of(url), prepared.recipe
+    for key in ("payload_change", "fault", "machine"):
+        if getattr(recipe, key):
+            raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
     machine, watchdog = open_machine(prepared, url), 0.0
     if isinstance(machine, LinkMachine):
         if not address.virtual:
@@ -174,8 +190,11 @@ def run_remote(
         "not_allowed": list(refused),
         **counted,
     }
-    # what an operator does, no dry run knows
-    compared = {"differences": {}} if levers_of(prepared) else compare(dry.record, result.record)
+    if levers := levers_of(prepared):  # what an operator does is known now
+        given = logged(result.record, levers)
+        with suppress(SimulationError):
+            dry = run(_as_long(prepared, len(given)), fast=False, operator=Replayed(given))
+    compared = compare(dry.record, result.record)
     compared["stopping_distance"] = distances
     compared["tracking"] = dry.facts.measures.get("tracking", {})
     return Remote(result, link, compared, warnings)

@@ -238,9 +238,6 @@ class LinkMachine:
         Raises:
             InputError: as `connect`; it stands elsewhere; it does not arm.
         """
-        if self.prepared.payloads:
-            fields = {"machine": self.name}
-            raise InputError(message("trial.payload_by_hand", **fields))
         self.connect()
         self._refuse_elsewhere(self.prepared.machine.start(posture, low_side))
         until, self.row = self.now() + LINK.patience, 0

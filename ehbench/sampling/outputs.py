@@ -42,7 +42,9 @@ class MeasureColumn:
         if row is not None and not item.unit and rig is not None:
             unit = rig.unit_of(row.name)
         first = (item.result or "").split(".")[0]
-        stops = item.stopped or item.since == "stop" or first in ("stop", "after", "stopped", "code")
+        stops = (
+            item.stopped or item.since == "stop" or first in ("stop", "after", "stopped", "code")
+        )
         return cls(item.label, "" if unit == "dimensionless" else unit, row, stops)
 
     @property

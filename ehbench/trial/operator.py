@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ehbench.control.trajectory import ORDERS, A, V, X
-from ehbench.trial.lever import Lever
+from ehbench.data.record import Record
+from ehbench.trial.lever import LEVER_CHANNELS, Lever
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 
@@ -80,27 +81,40 @@ class Operator:
         return self._ends and self._moved and given is None and bool(still)
 
 
-class Rehearsal:
-    """Full deflections, one lever after the other, each until its cylinder has gone to both ends:
-    what a dry run does in place of the operator.
+class Replayed:
+    """Who holds the levers as a list says.
 
     Args:
-        levers: of the trial.
+        given: what each `read` gives; after the last, the dead-man switch is let go.
     """
 
-    def __init__(self, levers: Sequence[Lever]) -> None:
-        ticks = [
-            round(((i.high - i.low) / i.speed + i.speed / i.acceleration) / i.tick) for i in levers
-        ]
-        rows, number = 2 * np.array(ticks), np.arange(len(ticks))
-        each = np.repeat(number, rows)
-        way = np.concatenate([np.repeat([1.0, -1.0], count) for count in ticks])
-        self._given = iter(np.where(each[:, None] == number, way[:, None], 0.0).tolist())
-        self.ticks = int(rows.sum())
+    def __init__(self, given: Iterable[Sequence[float] | None]) -> None:
+        self._given = iter(given)
 
     def read(self) -> Sequence[float] | None:
-        """As `OperatorInput.read`; at its end the dead-man switch is let go."""
+        """As `OperatorInput.read`."""
         return next(self._given, None)
+
+
+def both_ends(levers: Sequence[Lever]) -> list[list[float]]:
+    """Full deflections, one lever after the other, each until its cylinder has gone to both ends:
+    what a dry run does in place of the operator.
+    """
+    ticks = [
+        round(((i.high - i.low) / i.speed + i.speed / i.acceleration) / i.tick) for i in levers
+    ]
+    each = np.repeat(np.arange(len(ticks)), 2 * np.array(ticks))
+    way = np.concatenate([np.repeat([1.0, -1.0], count) for count in ticks])
+    return np.where(each[:, None] == np.arange(len(ticks)), way[:, None], 0.0).tolist()
+
+
+def logged(record: Record, cylinders: Iterable[str]) -> list[list[float] | None]:
+    """What an operator gave in a log, for `Replayed`."""
+    tables = [
+        np.column_stack([record[f"{c}.{name}"] for c in cylinders]) for name in LEVER_CHANNELS
+    ]
+    rows = zip(*(table.tolist() for table in tables), strict=True)
+    return [levers if all(held) else None for levers, held in rows]
 
 
 def levers_of(prepared: Prepared) -> dict[str, Lever]:

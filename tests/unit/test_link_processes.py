@@ -136,9 +136,10 @@ def conversation(port):
 
 def test_a_trial_is_moved_to_a_machine_by_an_option(trial):
     assert moved_to(load_recipe(trial), "udp://rig:1").on == "udp://rig:1"
-    line = [sys.executable, "-m", "ehbench", "run-trial", str(trial), "--on", "tcp://rig", "--arm"]
-    done = subprocess.run(line, capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 2 and "tcp://rig" in done.stderr
+    line = [sys.executable, "-m", "ehbench", "run-trial", str(trial), "--arm"]
+    for words, problem in ((["--on", "tcp://rig"], "tcp://rig"), ([], "simulation")):
+        done = subprocess.run([*line, *words], capture_output=True, text=True, cwd=ROOT)
+        assert done.returncode == 2 and problem in done.stderr
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a compiler")

@@ -533,6 +533,7 @@ def test_a_trial_runs_with_the_token_of_rig_recipe_and_link(monkeypatch):
     [
         (None, {}, "links.unarmed"),
         (lambda about, token: "000000", {}, "links.wrong_token"),
+        (None, {"fault": (Fault.model_validate({"kind": "link_lost"}),)}, "links.simulated"),
         (None, {"limits": {}}, "links.no_margin"),
         (None, {"limits": {"stroke_margin": "1 mm"}}, "links.stopping"),
         (None, {"limits": {"stroke_margin": "20 mm", "speed_max": "50 mm/s"}}, "links.dry_run"),

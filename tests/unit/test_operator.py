@@ -12,9 +12,10 @@ import pytest
 
 from ehbench import workflow
 from ehbench.config.recipe import TrialRecipe, load_recipe
-from ehbench.links.arming import rehearsed
+from ehbench.links.arming import rehearsed, run_remote
 from ehbench.links.client import LinkMachine
 from ehbench.links.layout import Layout
+from ehbench.links.opening import Address
 from ehbench.links.serve import ServedTarget
 from ehbench.live.joystick import Joystick, follow_stick
 from ehbench.live.view import View, facts_of
@@ -162,6 +163,15 @@ def test_an_operator_over_a_link_moves_the_machine_as_here(mode):
         np.testing.assert_array_equal(there.record[name], here.record[name])
     x = here.record["press.x"]
     np.testing.assert_allclose(there.record["press.x"], x, atol=2e-3 * np.ptp(x))
+
+
+def test_a_machine_is_compared_with_the_model_under_the_same_hand(monkeypatch):
+    link = VirtualLink(ServedTarget(trial()))
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: link)
+    url = "udp://here:1?clock=virtual"
+    remote = run_remote(trial(), url, lambda about, token: token, operator=Hand())
+    apart = remote.dry_run["differences"]["press.x"]["largest"]
+    assert 0.0 < apart < 0.02 * np.ptp(remote.result.record["press.x"])
 
 
 def test_a_dry_run_goes_to_both_ends_at_full_speed():
