@@ -49,6 +49,11 @@ class Buffered:
 
     _played: Played | None = None
 
+    @property
+    def ends(self) -> int | None:
+        """As `ends_of` says."""
+        return None if self._played is None else len(self._played.samples)
+
     def play(self, table: np.ndarray) -> Played:
         """Play commands [V], shape (rows, valves)."""
         raise NotImplementedError
@@ -67,8 +72,7 @@ class Buffered:
                 if violated(rows, i):
                     return i
                 rows.samples[i] = rows.sample
-                k = min(i, last - 1)
-                rows.sample[:], acted = played.samples[k], played.applied[k]
+                rows.sample[:], acted = played.samples[i], played.applied[i]
                 np.copyto(rows.commands[i], acted, where=np.isfinite(acted))
             return -1
 
@@ -115,7 +119,7 @@ class BufferedLink(Buffered, LinkMachine):
         self._until(RUNNING, -1, rest, lambda: self.state > RUNNING, end)
         self._until(STOPPING, -1, rest, lambda: self.state == STOPPED)
         # then its log, row by row, which says nothing of the link
-        exchanges, reason = self.exchanges.copy(), int(self.newest[REASON])
+        exchanges, stopped = self.exchanges.copy(), self.newest
         rows, requests, log = len(table), {}, {}
         missing, until = dict.fromkeys(range(rows)), self.now() + LINK.patience + 3.0 * end
         while missing and self.now() < until:
@@ -133,7 +137,8 @@ class BufferedLink(Buffered, LinkMachine):
         if count == 0:
             raise InputError(message("links.no_log", url=self.name))
         samples, applied = (np.array([log[row][k] for row in range(count)]) for k in (0, 1))
-        self.exchanges = exchanges
+        self.exchanges, self.newest = exchanges, stopped
+        reason = int(stopped[REASON])
         return Played(samples, applied, reason if reason > DONE else DISAGREEMENT)
 
     def _until(

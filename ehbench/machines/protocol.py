@@ -193,6 +193,8 @@ packet_of: Callable[[Machine], tuple[float, ...]] = _attribute("packet", ())
 unmeasured_of: Callable[[Machine], tuple[str, ...]] = _attribute("unmeasured", ())
 # commands [V] that acted in the last tick, where these are not those that were given
 applied_of: Callable[[Machine], np.ndarray | None] = _attribute("applied")
+# after how many rows a machine that has played a table has no more
+ends_of: Callable[[Machine], int | None] = _attribute("ends")
 # how a machine that makes its own commands is stopped
 halt_of: Callable[[Machine], Callable[[], None] | None] = _attribute("halt")
 # whether it goes on while its controller thinks; a simulation waits

@@ -23,6 +23,7 @@ from ehbench.machines.protocol import (
     advance_of,
     applied_of,
     carry_of,
+    ends_of,
     halt_of,
     hidden_of,
     in_real_time,
@@ -338,6 +339,8 @@ class Session:
         rate, rest = self.machine.rate, self.machine.commands.rest
         ramp = round(float(self.prepared.recipe.limits.ramp) * rate)
         self.end = row + 1 + ramp + round(RUN_OUT * rate)
+        if (ends := ends_of(self.machine)) is not None:
+            self.end = min(self.end, ends)
         more = max(self.end - self.rows.t.size, 0)
         tables = {
             name: np.concatenate([table[: self.end], np.zeros((more, *table.shape[1:]))])
@@ -382,11 +385,12 @@ class Session:
         stop = self.stop
         doubted = stop is not None and stop.limit in doubting and stop.channel.endswith(".x")
         sound = bool(np.isfinite(self.rows.sample[speeds]).all()) and not late and not doubted
+        sound &= row > self._halted
         if still and sound:
             self.end = row
         self._next_look = min(row + self._stretch, self.end)
         if row == self.end:
-            span = slice(self._halted, self.end)
+            span = slice(min(self._halted, self.end - 1), self.end)
             known = still if sound else None
             self.after = self.prepared.aftermath(self.machine, self.rows, span, known)
 
