@@ -119,7 +119,7 @@ class BufferedLink(Buffered, LinkMachine):
         self._until(RUNNING, -1, rest, lambda: self.state > RUNNING, end)
         self._until(STOPPING, -1, rest, lambda: self.state == STOPPED)
         # then its log, row by row, which says nothing of the link
-        exchanges, stopped = self.exchanges.copy(), self.newest
+        before = self.exchanges.copy(), self.newest, self.missed
         rows, requests, log = len(table), {}, {}
         missing, until = dict.fromkeys(range(rows)), self.now() + LINK.patience + 3.0 * end
         while missing and self.now() < until:
@@ -137,8 +137,8 @@ class BufferedLink(Buffered, LinkMachine):
         if count == 0:
             raise InputError(message("links.no_log", url=self.name))
         samples, applied = (np.array([log[row][k] for row in range(count)]) for k in (0, 1))
-        self.exchanges, self.newest = exchanges, stopped
-        reason = int(stopped[REASON])
+        self.exchanges, self.newest, self.missed = before
+        reason = int(self.newest[REASON])
         return Played(samples, applied, reason if reason > DONE else DISAGREEMENT)
 
     def _until(

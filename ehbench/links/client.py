@@ -83,9 +83,8 @@ class LinkMachine:
         self, prepared: Prepared, layout: Layout, link: Link, mode: Mode, name: str
     ) -> None:
         design = prepared.machine
-        self.name, self.prepared, self.layout, self.link, self.mode = (
-            *(name, prepared, layout, link, mode),
-        )
+        self.name, self.prepared, self.layout = name, prepared, layout
+        self.link, self.mode = link, mode
         self.channels, self.commands = layout.channels, layout.commands
         self.strokes, self.rate = design.strokes, design.rate
         self.real_time = not link.virtual
@@ -96,12 +95,8 @@ class LinkMachine:
         self._begin()
 
     def _begin(self) -> None:
-        self.token, self.sequence, self.missed, self.row = (
-            secrets.randbelow(TOKENS - 1) + 1,
-            0,
-            0,
-            0,
-        )
+        self.token = secrets.randbelow(TOKENS - 1) + 1
+        self.sequence = self.missed = self.row = 0
         self.newest, self._offset, self._wish = np.zeros(self._up), math.inf, RUNNING
         self._epoch, self._clock, self._fresh = np.zeros(self._up), 0.0, False
         self.stamp, self.watchdog, self._every = Stamp(0.0, 0, 0.0), 0.0, 1
@@ -121,15 +116,9 @@ class LinkMachine:
         self.sequence += 1
         tick = 1.0 / self.rate
         self._clock += tick
-        header = np.zeros(len(HEADER))
-        header[[LAYOUT, TOKEN, SEQUENCE, TIME]] = (
-            self._number,
-            self.token,
-            self.sequence,
-            self.now(),
-        )
+        header, sent = np.zeros(len(HEADER)), self.now()
+        header[[LAYOUT, TOKEN, SEQUENCE, TIME]] = self._number, self.token, self.sequence, sent
         header[[ACKNOWLEDGED, STATE, REASON]] = self.newest[SEQUENCE], wish, reason
-        sent = self.now()
         self.link.send(np.concatenate([header, values]))
         deadline, due, fresh = sent + 2.0 * tick, self.newest[SEQUENCE] + self._every, False
         while self.newest[SEQUENCE] < due:

@@ -122,14 +122,13 @@ class Session:
         self.prepared, self.machine, self.watcher = prepared, machine, watcher
         self._truth, self._hidden = truth_of(machine), hidden_of(machine)
         self._known = self._truth or self._hidden
+        self.rows = prepared.first_rows(machine)
+        measured, turns = self.rows.checks.measured, prepared.rig.mechanism.kind != "slide"
         self._logged = [
             (i, name)
             for i, name in enumerate(machine.channels)
-            if prepared.rig.mechanism.kind != "slide" or not name.endswith((".q", ".qd"))
+            if measured[i] and (turns or not name.endswith((".q", ".qd")))
         ]
-        self.rows = prepared.first_rows(machine)
-        measured = self.rows.checks.measured
-        self._logged = [item for item in self._logged if measured[item[0]]]
         self.gaps = np.zeros(len(machine.channels), dtype=int)  # samples that no log takes
         known = [quantity(name) for name in machine.channels]
         self._plausible = np.array([(row.lower, row.upper) for row in known]).T
