@@ -4,7 +4,7 @@ distance that fits the margin, a link that keeps time, and a person who says so.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -19,6 +19,7 @@ from ehbench.links.client import LinkMachine
 from ehbench.links.clock import estimated, exchanges_in
 from ehbench.links.opening import Address, open_machine
 from ehbench.links.quality import QUALITY, measure
+from ehbench.machines.protocol import Machine, unmeasured_of
 from ehbench.runtime.realtime import punctual
 from ehbench.trial.operator import (
     OperatorInput,
@@ -117,18 +118,45 @@ def _as_long(prepared: Prepared, rows: int) -> Prepared:
     return replace(prepared, t=prepared.t[:rows], table=prepared.table[:rows])
 
 
-def _permit(prepared: Prepared, url: str, distance: float, ask: Ask | None) -> None:
-    """Let a person say that a machine may move; ``distance`` [m] is what a lost link costs.
+def _permit(
+    prepared: Prepared, url: str, distance: float, ask: Ask | None, blind: Sequence[str]
+) -> None:
+    """Let a person say that a machine may move; ``distance`` [m] is what a lost link costs,
+    ``blind`` are strokes without a sensor.
 
     Raises:
         InputError: nobody is there, or the wrong token.
     """
     token, shown = token_of(prepared, url), prepared.rig.shown("x", distance)
     about = message("links.about", rig=prepared.rig.name, url=url, distance=shown)
+    if blind:
+        about += "; " + message("links.blind", channels=", ".join(blind))
     if ask is None:
         raise InputError(message("links.unarmed", about=about, token=token))
     if ask(about, token).strip().upper() != token:
         raise InputError(message("links.wrong_token", token=token))
+
+
+def _reached(prepared: Prepared, address: Address) -> tuple[Machine, float]:
+    """The machine of a trial, which sends samples, and its watchdog's time [s].
+
+    Raises:
+        InputError: as `run_remote`, before the dry run.
+    """
+    recipe = prepared.recipe
+    for key in ("payload_change", "fault", "machine"):
+        if getattr(recipe, key):
+            raise InputError(message("links.simulated", key=key, url=address.url), **recipe.at(key))
+    machine = open_machine(prepared, address.url)
+    if not isinstance(machine, LinkMachine):
+        return machine, 0.0
+    if not address.virtual:
+        with punctual() as refused:
+            quality = measure(address.link(), address.url, PROBE, tuple(refused))
+        for problem in quality.problems():
+            raise InputError(problem)
+    machine.reach(prepared.posture, prepared.low_side)
+    return machine, machine.watchdog
 
 
 def run_remote(
@@ -156,21 +184,11 @@ def run_remote(
             a recipe can change on a simulation alone.
     """
     refuse_unmanned(prepared, operator)
-    address, recipe = Address.of(url), prepared.recipe
-    for key in ("payload_change", "fault", "machine"):
-        if getattr(recipe, key):
-            raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
-    machine, watchdog = open_machine(prepared, url), 0.0
-    if isinstance(machine, LinkMachine):
-        if not address.virtual:
-            with punctual() as refused:
-                quality = measure(address.link(), url, PROBE, tuple(refused))
-            for problem in quality.problems():
-                raise InputError(problem)
-        machine.connect()
-        watchdog = machine.watchdog
+    address = Address.of(url)
+    machine, watchdog = _reached(prepared, address)
     dry, distances = rehearsed(prepared, watchdog)
-    _permit(prepared, url, max(distances.values(), default=0.0), ask)
+    blind = [name for name in unmeasured_of(machine) if name.endswith(".x")]
+    _permit(prepared, url, max(distances.values(), default=0.0), ask, blind)
     fast = address.mode == "buffered"
     with punctual() as refused:
         result = run(prepared, machine, log, progress, fast, watcher, operator)

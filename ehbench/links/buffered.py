@@ -99,8 +99,7 @@ class BufferedLink(Buffered, LinkMachine):
             InputError: as `LinkMachine.start`; a closed loop.
         """
         refuse_loop(self.prepared)
-        self.connect()
-        self._refuse_elsewhere(self.prepared.machine.start(posture, low_side))
+        self.reach(posture, low_side)
         self._played = None
         return self.sample()
 

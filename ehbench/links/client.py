@@ -227,8 +227,7 @@ class LinkMachine:
         Raises:
             InputError: as `connect`; it stands elsewhere; it does not arm.
         """
-        self.connect()
-        self._refuse_elsewhere(self.prepared.machine.start(posture, low_side))
+        self.reach(posture, low_side)
         until, self.row = self.now() + LINK.patience, 0
         while self.state != ARMED:
             self.exchange(ARMED, self._down(self.commands.rest))
@@ -251,12 +250,14 @@ class LinkMachine:
             fields = {"state": state, "reason": reason_of(self, int(self.newest[REASON]))}
             raise InputError(message("links.not_armed", url=self.name, **fields))
 
-    def _refuse_elsewhere(self, expected: np.ndarray) -> None:
-        """Refuse a machine that does not stand where the trial begins.
+    def reach(self, posture: Posture = None, low_side: LowSide = None) -> None:
+        """Let the target send samples; it stands where the trial begins.
 
         Raises:
-            InputError: names the cylinder and both strokes.
+            InputError: as `connect`; names the cylinder and both strokes.
         """
+        self.connect()
+        expected = self.prepared.machine.start(posture, low_side)
         places = [i for i, name in enumerate(self.channels) if name.endswith(".x")]
         for place, stroke in zip(places, self.strokes, strict=True):
             x, begin = self.sample()[place], expected[place]

@@ -529,12 +529,35 @@ def test_a_trial_runs_with_the_token_of_rig_recipe_and_link(monkeypatch):
     assert dry["differences"]["press.x"]["largest"] < 5e-3
 
 
+def test_a_person_hears_of_a_stroke_that_no_sensor_gives(monkeypatch):
+    item, asked = ServedTarget(trial()), []
+    link, place = VirtualLink(item), UP.index("press.x")
+    receive = link.receive
+
+    def blind(timeout):
+        vectors = [numbers.copy() for numbers in receive(timeout)]
+        for numbers in vectors:
+            numbers[place] = math.nan
+        return vectors
+
+    link.receive = blind
+    monkeypatch.setattr(Address, "link", lambda self, layout=None: link)
+    with pytest.raises(InputError) as error:
+        run_remote(
+            trial("model", controller={"kind": "open_loop"}),
+            "udp://here:1?clock=virtual",
+            lambda about, token: asked.append(about) or "no",
+        )
+    assert error.value.key == "links.wrong_token" and "press.x" in asked[0]
+
+
 @pytest.mark.parametrize(
     ("ask", "keys", "key"),
     [
         (None, {}, "links.unarmed"),
         (lambda about, token: "000000", {}, "links.wrong_token"),
         (None, {"fault": (Fault.model_validate({"kind": "link_lost"}),)}, "links.simulated"),
+        (None, {"motion": {**MOTION, "waypoints": ["90 mm", "120 mm"]}}, "links.stands"),
         (None, {"limits": {}}, "links.no_margin"),
         (None, {"limits": {"stroke_margin": "1 mm"}}, "links.stopping"),
         (None, {"limits": {"stroke_margin": "20 mm", "speed_max": "50 mm/s"}}, "links.dry_run"),
