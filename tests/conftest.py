@@ -160,25 +160,35 @@ def unlocused(monkeypatch) -> None:
 
 
 @pytest.fixture
-def inside(monkeypatch, capsys) -> Iterator[Callable[..., subprocess.CompletedProcess]]:
-    """Runs the command by its entry point without a process of its own, which costs seconds."""
+def door(monkeypatch) -> Iterator[Callable[..., int]]:
+    """The command by its entry point in this process, which saves seconds: its exit code."""
     from ehbench.app import cli
 
-    for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
-        monkeypatch.setenv(name, value)
     monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # the door sets it, and the signal
     before, collects = signal.getsignal(signal.SIGTERM), gc.get_threshold()
 
-    def run(*words: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+    def enter(folder: str | Path, *words: str | Path) -> int:
         monkeypatch.setattr(sys, "argv", ["ehbench", *map(str, words)])
-        monkeypatch.chdir(cwd)
+        monkeypatch.chdir(folder)
         with pytest.raises(SystemExit) as left:
             cli.main()
-        return subprocess.CompletedProcess(words, left.value.code or 0, *capsys.readouterr())
+        return int(left.value.code or 0)
 
-    yield run
+    yield enter
     signal.signal(signal.SIGTERM, before)
     gc.set_threshold(*collects)
+
+
+@pytest.fixture
+def inside(door, monkeypatch, capsys) -> Callable[..., subprocess.CompletedProcess]:
+    """The command with what it prints on a plain terminal."""
+    for name, value in {"COLUMNS": "100", "NO_COLOR": "1", "TERM": "dumb"}.items():
+        monkeypatch.setenv(name, value)
+
+    def run(*words: str | Path, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+        return subprocess.CompletedProcess(words, door(cwd, *words), *capsys.readouterr())
+
+    return run
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,12 +16,17 @@ from ehbench.vocabulary.errors import InputError
 RIG, STEP = b"r\xfeg.toml", b"st\xfdp.toml"
 
 
-def ehbench(folder: bytes, *words: bytes | str) -> bytes:
+@pytest.fixture
+def ehbench(door, capfdbinary, unpainted) -> Callable[..., bytes]:
     """What a command prints; it ends well."""
-    line = [sys.executable, "-m", "ehbench.app.cli", *words]
-    done = subprocess.run(line, cwd=folder, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+
+    def run(folder: bytes, *words: bytes | str) -> bytes:
+        code = door(os.fsdecode(folder), *map(os.fsdecode, words))
+        printed = capfdbinary.readouterr()
+        assert code == 0, printed.err
+        return printed.out
+
+    return run
 
 
 @pytest.fixture
@@ -44,7 +50,7 @@ def workspace(tmp_path) -> bytes:
 
 
 @pytest.mark.slow
-def test_a_fit_its_verdict_and_their_report_are_saved_whole(workspace):
+def test_a_fit_its_verdict_and_their_report_are_saved_whole(ehbench, workspace):
     fit, verdict, page = b"i\xfcd", b"v\xfca", b"p\xfcg"
     assert (
         ehbench(workspace, "identify", "recipes/identify.toml", "-q", "--out", fit) == fit + b"\n"
@@ -65,7 +71,7 @@ def test_a_fit_its_verdict_and_their_report_are_saved_whole(workspace):
     assert os.fsencode(noted["inputs"][0]) == os.path.realpath(workspace) + b"/" + RIG
 
 
-def test_a_trial_and_its_log_in_each_form_keep_their_names(workspace):
+def test_a_trial_and_its_log_in_each_form_keep_their_names(ehbench, workspace):
     out, log = b"o\xfct", b"l\xfag"
     assert ehbench(workspace, "run-trial", b"recipes/" + STEP, "--out", out, "-q") == out + b"\n"
     os.rename(workspace + b"/" + out + b"/log.mcap", workspace + b"/" + log + b".mcap")
@@ -77,14 +83,15 @@ def test_a_trial_and_its_log_in_each_form_keep_their_names(workspace):
     ehbench(workspace, "check", log + b".map.toml")
 
 
-def test_a_recipe_with_other_bytes_that_are_no_text_is_refused_with_its_line(workspace):
+def test_a_recipe_with_other_bytes_that_are_no_text_is_refused_with_its_line(
+    door, capfdbinary, workspace
+):
     recipe = workspace + b"/bad.toml"
     for line in (b'title = "caf\xe9"\n', b"# caf\xe9\n", b'rig = "none\xe9.toml"\n'):
         with open(recipe, "wb") as file:
             file.write(b'stage = "trial"\n' + line)
-        words = [sys.executable, "-m", "ehbench.app.cli", "check", recipe]
-        done = subprocess.run(words, capture_output=True, check=False)
-        assert done.returncode == 2 and b"bad.toml:2: " in done.stderr
+        assert door(os.fsdecode(workspace), "check", os.fsdecode(recipe)) == 2
+        assert b"bad.toml:2: " in capfdbinary.readouterr().err
 
 
 def test_a_terminal_of_ascii_gets_every_word_it_can(workspace):
