@@ -15,9 +15,13 @@ from ehbench.diagnosis import Finding, Structure
 from ehbench.plant.model import Model
 from ehbench.preprocessing.observations import noise_of
 from ehbench.signals import series
-from ehbench.validation import validate_rig
 from ehbench.validation.checks import _ringing_check, beyond_noise, checks_of, unrequested
-from ehbench.validation.judge import _reasons, _unexplained
+from ehbench.validation.judge import (
+    _reasons,
+    _unexplained,
+    prepare_validation,
+    run_validation,
+)
 from ehbench.validation.residuals import pair_of
 from ehbench.validation.results import (
     ChannelResult,
@@ -45,9 +49,11 @@ STRICT = Thresholds(
 )
 
 
-def judged(name, rig, log, thresholds=None):
+def judged(name, rig, log, thresholds=None, diagnose=False):
+    """The verdict on a log: by its checks, and by what the residuals say where they are asked."""
     channels = CHANNELS.get(name, ("q", "qd", "p_head", "p_rod"))
-    return validate_rig(rig, [("log", log)], channels, thresholds)
+    prepared = prepare_validation(rig, [("log", log)], channels)
+    return run_validation(prepared, thresholds, diagnose=diagnose)
 
 
 def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
@@ -62,7 +68,7 @@ def held(name: str, kind: str, every: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("kind", ["steps", "sine", "chirp", "ramps"])
 def test_the_exact_model_is_accepted_whatever_the_command(name, kind):
     rig = shipped(name)
-    verdict = judged(name, rig, noisy(clean_log(name, rig, kind), 1), STRICT)
+    verdict = judged(name, rig, noisy(clean_log(name, rig, kind), 1), STRICT, diagnose=True)
     assert verdict.accepted, verdict.reasons
 
 
@@ -84,7 +90,7 @@ def test_a_command_in_small_stairs_makes_no_ringing(kind, every):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DRIVES)
 def test_wrong_models_are_rejected(name):
-    """Oil 20 % off, twice the damping, a gain a fifth off: the steps tell each of them."""
+    """Oil 20 % off, twice the damping, a gain a fourth off: the checks of the steps tell each."""
     rig = shipped(name)
     known = rig.parameters()
     damping = [n for n in known if n.endswith((".damping", ".joint_damping"))]
@@ -230,7 +236,8 @@ def test_a_channel_that_nobody_asked_for_is_not_missed():
     bare = [("log", replace(log, channels=kept))]
 
     def missing(*channels):
-        notes = validate_rig(rig, bare, *channels).logs[0].warnings
+        prepared = prepare_validation(rig, bare, *channels)
+        notes = run_validation(prepared, diagnose=False).logs[0].warnings
         key = "validation.channel_missing"
         return [note.fields["channel"] for note in notes if getattr(note, "key", "") == key]
 
