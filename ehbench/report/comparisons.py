@@ -13,18 +13,16 @@ from ehbench.report.style import MUTED, RECORDED, SIMULATED, Look, canvas, key, 
 from ehbench.report.template import Template
 from ehbench.report.words import axis, number, pretty, shown, title_of, unit_of, words
 
+_FAR_OFF = 0.1  # share of a channel's range
 _TWINS = {"x": "q", "v": "qd"}  # a joint's angle and its cylinder's stroke say the same
 
 
-def draw_comparisons(
-    run: Saved, index: FigureIndex, log: str, kind: str, lead: str, off: float = 0.1
-) -> None:
+def draw_comparisons(run: Saved, index: FigureIndex, log: str, kind: str, lead: str) -> None:
     """A figure for each cylinder of a log, recorded against simulated.
 
     Args:
         kind: of the figure: ``fit`` leaves a stroke out where its joint's angle is there.
         lead: what the title begins with.
-        off: share of a channel's range that is far off.
     """
     series = run.series(log)
     if series is None:
@@ -37,8 +35,8 @@ def draw_comparisons(
         caption = page.text(
             "caption",
             simulated=any(channel in series.simulated for channel in channels),
-            lasting=lasting(series, channels, off),
-            off=off,
+            lasting=lasting(series, channels),
+            off=_FAR_OFF,
         )
         title = f"{lead}: {words(log)}" + (f", {cylinder}" if cylinder else "")
         about = {"log": log, "cylinder": cylinder}
@@ -62,23 +60,21 @@ def draw_responses(
     draw_sweeps(index.add(key, title, caption, kind, log=log), run.rig, result, limit)
 
 
-def lasting(
-    series: Series, channels: Sequence[str], off: float = 0.1, long: float = 0.2
-) -> list[tuple[str, float]]:
-    """(channel, time [s]) where a simulation lies to one side for a share ``long`` of the log."""
+def lasting(series: Series, channels: Sequence[str]) -> list[tuple[str, float]]:
+    """(channel, time [s]) where a simulation is far off to one side for a fifth of the log."""
     lasting, t = [], series.t
     for channel in channels:
         if channel not in series.recorded or channel not in series.simulated:
             continue
         recorded = series.recorded[channel]
         error = series.simulated[channel] - recorded
-        limit = off * float(np.ptp(recorded[np.isfinite(recorded)], axis=0))
+        limit = _FAR_OFF * float(np.ptp(recorded[np.isfinite(recorded)], axis=0))
         longest = 0.0
         for beyond in (error > limit, -error > limit):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
             spans = t[np.minimum(edges[1::2], t.size - 1)] - t[edges[::2]]
             longest = max(longest, float(np.max(spans, initial=0.0)))
-        if limit > 0.0 and longest >= long * float(t[-1] - t[0]):
+        if limit > 0.0 and longest >= 0.2 * float(t[-1] - t[0]):
             lasting.append((channel, longest))
     return lasting
 

@@ -141,13 +141,11 @@ def savings_of(cases: Sequence[Case]) -> list[Saving]:
     return [Saving(s.case, s.ledger, s.limits, valves.get(s.motion)) for s in savings]
 
 
-def saved_caption(
-    rig: Rig, savings: Sequence[Saving], controller: str, telling: float = 0.01
-) -> str:
+def saved_caption(rig: Rig, savings: Sequence[Saving], controller: str) -> str:
     """What one controller saved over all its cycles, what its bound is, and what ate the
-    difference: the three largest causes above a share ``telling`` of what was drawn, at their
-    worst.
+    difference: the three largest causes at their worst.
     """
+    telling = 0.01  # share of what was drawn
     against = [s.saved for s in savings if s.saved is not None and not s.is_spool]
     names = dict.fromkeys(name for saving in savings for name in saving.causes)
     worst = [(name, max(savings, key=lambda s, n=name: s.causes.get(n, 0.0))) for name in names]
@@ -190,9 +188,9 @@ def passes_caption(rig: Rig, savings: Sequence[Saving]) -> str:
     )
 
 
-def open_caption(rig: Rig, cases: Sequence[Case], same: float = 0.02) -> str:
-    """That no saving is stated for ways that end with the oil in another state; empty where none
-    does. ``same``: share by which ways out and in may differ where a motion came back.
+def open_caption(rig: Rig, cases: Sequence[Case]) -> str:
+    """That no saving is stated for motions that came back, ways out and in alike to 2 %, with the
+    oil in another state; empty where none does.
     """
     retained = []
     for case in cases:
@@ -201,7 +199,7 @@ def open_caption(rig: Rig, cases: Sequence[Case], same: float = 0.02) -> str:
             if bound["closed"] or bound.get("retained") is None:
                 continue
             ways = (bound["travel_out"], bound["travel_in"])
-            if abs(ways[0] - ways[1]) <= same * max(ways):
+            if abs(ways[0] - ways[1]) <= 0.02 * max(ways):
                 retained.append(bound["retained"])
     return Template("energy", rig).text("open", retained=retained) if retained else ""
 

@@ -64,13 +64,13 @@ class Chapter:
         return (self.run.folder / "rig.toml").is_file()
 
 
-def first_screen(chapters: Sequence[Chapter], maximum: int = 4) -> list[Block]:
-    """Cards, verdict, figure and next steps; at most so many reasons and steps."""
+def first_screen(chapters: Sequence[Chapter]) -> list[Block]:
+    """Cards, verdict, figure and next steps; at most four reasons and steps."""
     cards = cards_of(chapters)
     blocks: list[Block] = [Cards(cards)] if cards else []
-    blocks += _verdict(chapters, maximum)
+    blocks += _verdict(chapters, 4)
     blocks += _figure(chapters)
-    if steps := next_steps(chapters)[:maximum]:
+    if steps := next_steps(chapters)[:4]:
         texts = [f"{capital(step)}: {step.hint}" if step.hint else sentence(step) for step in steps]
         blocks += [Text(_PAGE.text("next_head"), "head"), Bullets(texts)]
     return blocks
@@ -97,8 +97,8 @@ def overview(chapters: Sequence[Chapter]) -> Grid:
     return Grid(["run", "stage", "status", "in short"], rows, look="stack")
 
 
-def cards_of(chapters: Sequence[Chapter], maximum: int = 5) -> list[Card]:
-    """One number of each rank, preferring machines and runs others build on, then the rest."""
+def cards_of(chapters: Sequence[Chapter]) -> list[Card]:
+    """Five numbers: one of each rank, of machines and runs others build on first, then others."""
     inputs = [i for c in chapters if c.run.what == "validation" for i in c.run.facts["inputs"]]
     used = {Path(item["path"]).name for item in inputs}
     best: dict[int, tuple[tuple[bool, bool, int], Chapter, Headline]] = {}
@@ -113,7 +113,7 @@ def cards_of(chapters: Sequence[Chapter], maximum: int = 5) -> list[Card]:
     chosen = [(chapter, item) for _, (_, chapter, item) in sorted(best.items())]
     several = len({chapter.run.rig.name for chapter in chapters if chapter.has_rig}) > 1
     cards = []
-    for chapter, item in (chosen + others)[:maximum]:
+    for chapter, item in (chosen + others)[:5]:
         rig = f"{words(chapter.run.rig.name)}: " if several and chapter.has_rig else ""
         cards.append(Card(item.label, item.value, rig + item.about, f"#{chapter.anchor}"))
     return cards
@@ -164,8 +164,9 @@ def logs_judged(run: Saved) -> set[str]:
     }
 
 
-def _figure(chapters: Sequence[Chapter], prefix: str = "first-") -> list[Block]:
+def _figure(chapters: Sequence[Chapter]) -> list[Block]:
     """The first figure of the furthest run with one, preferring machines, with other ids."""
+    prefix = "first-"
     order = [chapter for chapter in chapters if chapter.findings.figures]
     machine = [c for c in order if not any(number.on_model for number in c.findings.numbers)]
     for chapter in [*reversed(machine), *reversed(order)]:

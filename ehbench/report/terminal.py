@@ -202,10 +202,8 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
     return [dict(zip(grid.head, row, strict=True)) for row in rows]
 
 
-def table_lines(
-    grid: Grid, columns: Sequence[str] = (), width: int = 100, readable: int = 20
-) -> Iterator[str]:
-    """A table in columns, named ones or all, as many as fit; words may be cut."""
+def table_lines(grid: Grid, columns: Sequence[str] = (), width: int = 100) -> Iterator[str]:
+    """A table in columns, named ones or all, as many as fit; words may be cut to 20 letters."""
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))
     cells = [[grid.head[i] for i in places]] if any(grid.head) else []
@@ -214,7 +212,7 @@ def table_lines(
     digits = [look <= {"number"} for look in looks]
     wide = [max(map(len, column)) for column in zip(*cells, strict=True)]
     while (over := sum(wide) + len(GAP) * (len(wide) - 1) - width) > 0 and len(wide) > 1:
-        if not digits[len(wide) - 1] and wide[-1] - over >= readable:
+        if not digits[len(wide) - 1] and wide[-1] - over >= 20:
             wide[-1] -= over
         elif len(wide) == 2:
             break

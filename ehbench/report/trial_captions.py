@@ -79,28 +79,17 @@ def trajectory_caption(rig: Rig, case: Case, record: Record) -> str:
     )
 
 
-def estimates_caption(
-    rig: Rig,
-    case: Case,
-    record: Record,
-    within: float = 0.1,
-    since: float = 1.0,
-    rounding: float = 1e-9,
-) -> str:
-    """Where the estimates ended, beside what they should be where that is known.
-
-    Args:
-        within: share of a change of payload that an estimate may still miss.
-        since: [s] after a change of payload, before which an estimate is not judged.
-        rounding: share of its bounds by which a logged estimate may lie outside.
-    """
+def estimates_caption(rig: Rig, case: Case, record: Record) -> str:
+    """Where the estimates ended, beside what they should be where that is known."""
+    within = 0.1  # share of a change of payload that an estimate may still miss
+    since = 1.0  # [s] after a change of payload, before which an estimate is not judged
     first = f"{case.cylinder}."
     ends = {word: float(record[first + word][-1]) for word in ESTIMATES if first + word in record}
     bounds, outside, at_end = case.row.get("estimate_bounds", {}), [], []
     bounded = [word for word in ends if word in bounds]
     for word in bounded:
         values, (low, high) = record[first + word], bounds[word]
-        room = rounding * (high - low)
+        room = 1e-9 * (high - low)  # of rounding
         if values.min() < low - room or values.max() > high + room:
             outside.append(words(word))
         elif values[-1] <= low + room or values[-1] >= high - room:
@@ -189,24 +178,12 @@ def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
         )
 
 
-def standstill_caption(
-    rig: Rig,
-    cases: Sequence[Case],
-    records: Sequence[Record],
-    swing: float = 0.1,
-    chatter: float = 0.2,
-    window: float = 0.1,
-    changes: int = 4,
-) -> str:
+def standstill_caption(rig: Rig, cases: Sequence[Case], records: Sequence[Record]) -> str:
     """Sentences on what trials do after a stop, at standstill and with their commands; empty if
-    there is nothing to report.
-
-    Args:
-        swing: share of the requested speed from which a swing after a stop is reported.
-        chatter: share of the largest command from which its swinging is reported.
-        window: [s] in which a command swings.
-        changes: of the working function at standstill from which they are reported.
+    there is nothing to report: no swing beyond a tenth of the requested speed, fewer than four
+    changes of function, no command that swings by a fifth of its largest.
     """
+    window = 0.1  # [s], in which a command swings
     known = [(case, record) for case, record in zip(cases, records, strict=True) if case.fit]
     swings: list[tuple[float, float]] = []
     often: dict[str, int] = {}
@@ -215,16 +192,16 @@ def standstill_caption(
         law = words(case.row["controller"])
         seen = swing_after(case, record)
         requested = max((abs(step["speed"]) for step in case.steps), default=0.0)
-        if seen is not None and requested > 0.0 and seen[0] > swing * requested:
+        if seen is not None and requested > 0.0 and seen[0] > 0.1 * requested:
             swings.append(seen)
         names = f"{case.cylinder}.function", f"{case.cylinder}.v_desired"
         if all(name in record for name in names):
             function, idle = record[names[0]].round(), record[names[1]] == 0.0
             count = int(np.sum((np.diff(function) != 0.0) & idle[1:] & idle[:-1]))
-            often |= {law: count} if count >= changes else {}
+            often |= {law: count} if count >= 4 else {}
         for name in () if case.steps else _command_names(case, record):
             size = _chatter(case, record, record[name], window)
-            if size > max(worst[0], chatter * float(np.abs(record[name]).max())):
+            if size > max(worst[0], 0.2 * float(np.abs(record[name]).max())):
                 worst = (size, name.removesuffix(".command").rpartition(".")[2], law)
     return Template("trial", rig).text(
         "standstill",
@@ -240,9 +217,9 @@ def standstill_caption(
     )
 
 
-def swing_after(case: Case, record: Record, soon: float = 0.15) -> tuple[float, float] | None:
+def swing_after(case: Case, record: Record) -> tuple[float, float] | None:
     """(largest speed after the last stop of the desired speed, largest in the last tenth of the
-    time from there) [m/s], from ``soon`` [s] after it on; None where the trial does not end at
+    time from there) [m/s], from 0.15 s after it on; None where the trial does not end at
     standstill.
     """
     name = f"{case.cylinder}.v"
@@ -251,7 +228,7 @@ def swing_after(case: Case, record: Record, soon: float = 0.15) -> tuple[float, 
     moving = np.flatnonzero(np.abs(record[f"{name}_desired"]) > 0.0)
     if not moving.size or moving[-1] + 1 >= record.t.size:
         return None
-    after = record.t > record.t[moving[-1]] + soon
+    after = record.t > record.t[moving[-1]] + 0.15
     speed = np.abs(record[name][after])
     if speed.size < 10:
         return None

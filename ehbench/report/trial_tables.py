@@ -66,8 +66,8 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
     return tables
 
 
-def _steps_table(page: Template, cases: Sequence[Case], runs: str, stands: float = 1e-3) -> Grid:
-    """A row a step; one that misses less than ``stands`` of its speed to stand still, stands."""
+def _steps_table(page: Template, cases: Sequence[Case], runs: str) -> Grid:
+    """A row a step; one that misses less than 0.1 % of its speed to stand still, stands."""
     doubts = dict.fromkeys(doubt for case in cases for s in case.steps if (doubt := damping(s)[1]))
     places = {doubt: place for place, doubt in enumerate(doubts, 1)}
     rows = [
@@ -75,7 +75,7 @@ def _steps_table(page: Template, cases: Sequence[Case], runs: str, stands: float
             "case": case,
             "step": step,
             "place": place,
-            "stands": abs(1.0 + step["steady_error"]) <= stands,
+            "stands": abs(1.0 + step["steady_error"]) <= 1e-3,
             "ratio": "damping_ratio_fitted" if "damping_ratio_fitted" in step else "damping_ratio",
             "mark": f" ({places[step['ringing']]})" if step["ringing"] else "",
         }

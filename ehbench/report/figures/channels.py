@@ -15,8 +15,8 @@ from ehbench.vocabulary.quantities import GAUGES
 _PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
 
 
-def live(rig: Rig, record: Record, travel: float = 0.01) -> dict[str, list[str]]:
-    """Channels by cylinder that is commanded or travels a share of its stroke, else all."""
+def live(rig: Rig, record: Record) -> dict[str, list[str]]:
+    """Channels by cylinder that is commanded or travels 1 % of its stroke, else all."""
     groups: dict[str, list[str]] = {}
     for channel in record.channels:
         if "." in channel:
@@ -27,7 +27,7 @@ def live(rig: Rig, record: Record, travel: float = 0.01) -> dict[str, list[str]]
         stroke = f"{name}.x"
         commanded = any(c.endswith(".command") and np.ptp(record[c]) > 0.0 for c in groups[name])
         return commanded or (
-            stroke in record and np.ptp(record[stroke]) > travel * strokes.get(name, 0.0)
+            stroke in record and np.ptp(record[stroke]) > 0.01 * strokes.get(name, 0.0)
         )
 
     moved = [name for name in groups if moves(name)]

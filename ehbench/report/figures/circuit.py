@@ -85,8 +85,8 @@ def _draw_edge(ax, edge: Table, nth: int) -> None:
         _draw_arrow(ax, near, far, colour)
 
 
-def _pipe(ends: tuple[str, str], nth: int, gap: float = 0.6) -> list[Place]:
-    """The corners of an edge's pipe; ``gap`` between pipes of the same two nodes."""
+def _pipe(ends: tuple[str, str], nth: int) -> list[Place]:
+    """The corners of an edge's pipe, the ``nth`` between its two nodes."""
     if set(ends) == set(_PORTS):
         first, last = (_PORTS[end] for end in ends)
         near, far = (x + (0.5 if x < _SIZE[0] / 2 else -0.5) for x, _ in (first, last))
@@ -95,7 +95,7 @@ def _pipe(ends: tuple[str, str], nth: int, gap: float = 0.6) -> list[Place]:
     port = next(end for end in ends if end in _PORTS)
     rail = next(end for end in ends if end not in _PORTS)
     outward = -1.0 if port == "head" else 1.0
-    x = _PORTS[port][0] + outward * ((0.0 if rail == "tank" else 2.0) - gap * nth)
+    x = _PORTS[port][0] + outward * ((0.0 if rail == "tank" else 2.0) - 0.6 * nth)
     points = [_PORTS[port], (x, _PORTS[port][1]), (x, _RAILS[rail])]
     return points if ends[0] == port else points[::-1]
 

@@ -103,15 +103,15 @@ def _locus(ax, item: Table, frame: Frame) -> None:
     ax.grid(False)
 
 
-def zeros(values: np.ndarray, poles: np.ndarray, nothing: float = 1e-6) -> np.ndarray:
+def zeros(values: np.ndarray, poles: np.ndarray) -> np.ndarray:
     """Where the branches of a root locus end as its parameter grows [rad/s]: the roots of what the
     parameter multiplies; none where the characteristic polynomial is not linear in it.
 
     Args:
         values: of the parameter, shape (n,), from the least to the largest.
         poles: at each of them [rad/s], shape (n, m).
-        nothing: share of the linear part that a polynomial may have besides it.
     """
+    nothing = 1e-6  # share of the linear part that a polynomial may have besides it
     scale, maximum = float(np.median(np.abs(poles))) or 1.0, float(np.abs(values).max())
     if values.size < 3 or maximum == 0.0:
         return np.empty(0)
@@ -125,9 +125,9 @@ def zeros(values: np.ndarray, poles: np.ndarray, nothing: float = 1e-6) -> np.nd
 
 
 def refined(
-    values: np.ndarray, poles: np.ndarray, top: float = math.inf, between: int = 7
+    values: np.ndarray, poles: np.ndarray, top: float = math.inf
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(values, poles) of a root locus with so many points more in every interval, each column one
+    """(values, poles) of a root locus with 7 points more in every interval, each column one
     branch; 60 where a pole goes farther than a share of ``top`` [rad/s], as where two part.
 
     Between saved points the characteristic polynomial, at most of second degree in the parameter,
@@ -144,7 +144,7 @@ def refined(
         near = slice(first, first + 3)
         inside = (np.abs(poles[i : i + 2]) < 4.0 * top).all(axis=0)
         way = float(np.abs(np.diff(poles[i : i + 2], axis=0))[:, inside].max(initial=0.0))
-        count = between if way < 0.02 * top else 60
+        count = 7 if way < 0.02 * top else 60
         steps = np.linspace(values[i], values[i + 1], count + 2)[1:]
         through = krogh_interpolate(values[near], polynomials[near], steps[:-1])
         roots = [scale * np.roots(row) for row in through]
@@ -155,12 +155,10 @@ def refined(
     return np.array(fine), np.array(rows)
 
 
-def crossing(
-    poles: Sequence[Sequence[float]], top: float, nothing: float = 1e-3
-) -> list[Sequence[float]]:
+def crossing(poles: Sequence[Sequence[float]], top: float) -> list[Sequence[float]]:
     """Of the poles at the stability limit the pair with next to no damping."""
-    near = [pole for pole in poles if abs(pole[0]) < nothing * top]
-    return [pole for pole in near if abs(pole[0]) < nothing * abs(pole[1])] or near[-1:]
+    near = [pole for pole in poles if abs(pole[0]) < 1e-3 * top]
+    return [pole for pole in near if abs(pole[0]) < 1e-3 * abs(pole[1])] or near[-1:]
 
 
 def _poles(ax, poles, frame: Frame, **look) -> None:

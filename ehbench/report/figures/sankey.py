@@ -64,8 +64,9 @@ class _Account:
     small: float  # energy below which a row is drawn together with others
 
     @classmethod
-    def of(cls, ledger: Ledger, share: float = 0.012) -> Self:
-        """A ledger with the cylinders and rows above a share of all energy."""
+    def of(cls, ledger: Ledger) -> Self:
+        """A ledger with the cylinders and rows above 1.2 % of all energy."""
+        share = 0.012
         rows = ledger["rows"]
         named = {row["name"]: row for row in rows}
         cylinders = dict.fromkeys(row["cylinder"] for row in rows if row["cylinder"] is not None)
@@ -172,10 +173,10 @@ def _leaf(row: Mapping[str, Any], account: _Account) -> _Flow | None:
     return _Flow(start, end, abs(energy), group, label, half_of(row))
 
 
-def _fit(sizes: Sequence[float], lines: Sequence[float], gap: float = 0.012) -> float:
+def _fit(sizes: Sequence[float], lines: Sequence[float]) -> float:
     """Height per energy at which slots of max(size, line) and their gaps fill the picture."""
     low, high = 0.0, 0.94 / max(sum(sizes), 1e-12)
-    room = 1.0 - gap * max(len(sizes) - 1, 0)
+    room = 1.0 - 0.012 * max(len(sizes) - 1, 0)
     for _ in range(60):
         middle = 0.5 * (low + high)
         filled = sum(max(s * middle, line) for s, line in zip(sizes, lines, strict=True))

@@ -37,12 +37,12 @@ Named = tuple[str, Case, Record]  # (controller, its trial, the log)
 _DESIRED: Look = {"color": INK, "linewidth": 0.9, "linestyle": (0, (1, 1.2)), "zorder": 6}
 
 
-def wide_panels(cases: Sequence[Named], far_apart: float = 8.0) -> dict[str, float]:
-    """Panels and their heights; errors ``far_apart`` by ratio have a strip each."""
+def wide_panels(cases: Sequence[Named]) -> dict[str, float]:
+    """Panels and their heights; errors of which one is 8 times another have a strip each."""
     errors = [case.row["tracking"]["max_error"] for _, case, _ in cases]
     if cases[0][1].steps:
         panels = {"v": 1.7, "x": 1.0}
-    elif max(errors) > far_apart * max(min(errors), 1e-12):
+    elif max(errors) > 8.0 * max(min(errors), 1e-12):
         panels = {"x": 1.0, **{f"error {i}": 0.62 for i in range(len(cases))}, "v": 1.0}
     else:
         panels = {"x": 1.0, "error": 1.7, "v": 1.0}
@@ -52,12 +52,12 @@ def wide_panels(cases: Sequence[Named], far_apart: float = 8.0) -> dict[str, flo
     return panels
 
 
-def compare_controllers(path: Path, rig: Rig, cases: Sequence[Named], commands_of: int = 3) -> None:
-    """Several controllers on one motion: motion, pressures, functions, few ones' commands."""
+def compare_controllers(path: Path, rig: Rig, cases: Sequence[Named]) -> None:
+    """Several controllers on one motion: motion, pressures, functions, commands of up to three."""
     # the first line is the widest, so that those below are seen
     widths = np.linspace(2.6, 1.0, len(cases)) if len(cases) > 1 else [2.6]
     looks = [cycled(i, linewidth=float(width)) for i, width in enumerate(widths)]
-    panels, commands = wide_panels(cases), len(cases) <= commands_of
+    panels, commands = wide_panels(cases), len(cases) <= 3
     heights = [*panels.values(), *[1.1] * commands]
     size = (7.4, 1.15 * sum(heights) + 0.3 * len(heights) + 0.6)
     columns = len(cases) if commands else 1
@@ -163,8 +163,6 @@ def energy_map(
     loads: Sequence[str],
     speeds: Sequence[str],
     unit: str,
-    columns: int = 2,
-    darkest: float = 1.0,
 ) -> None:
     """Cells of load × speed: the energy, and in per cent how far it lies above the least that any
     controller takes there, which is its shade.
@@ -174,14 +172,12 @@ def energy_map(
         panels: (controller, energies as shown, shape (loads, speeds), NaN where there is none).
         loads, speeds: what rows and columns are of.
         unit: of the energies.
-        columns: of panels.
-        darkest: share above the minimum from which a cell is as dark as can be.
     """
     minimum = np.fmin.reduce([energies for _, energies in panels])
-    rows = math.ceil(len(panels) / columns)
+    rows, darkest = math.ceil(len(panels) / 2), 1.0  # the share above the least that is darkest
     size = (7.4, rows * (0.42 * len(loads) + 0.75) + 0.5)
     shape = {"sharex": True, "sharey": True, "squeeze": False}
-    with canvas(path, rows, columns, size, **shape) as (_, axes):
+    with canvas(path, rows, 2, size, **shape) as (_, axes):
         for ax in axes.flat[len(panels) :]:
             ax.set_visible(False)
         for ax, (title, energies) in zip(axes.flat, panels, strict=False):

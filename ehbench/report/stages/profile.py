@@ -82,7 +82,6 @@ REPORT = StageReport(
     "profile likelihood",
     section,
     draw,
-    standing=0,
     shows=("Profile",),
     numbers=("profile.json", ()),
 )

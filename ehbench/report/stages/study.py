@@ -123,14 +123,13 @@ def draw_scatter(
     y: np.ndarray,
     inputs: Sequence[tuple[str, np.ndarray]],
     marks: np.ndarray,
-    maximum: int = 3000,
 ) -> None:
-    """A measure over each input; ``marks`` are samples to point out, ``maximum`` of the dots."""
+    """A measure over each input, 3000 dots at most; ``marks`` are samples to point out."""
     columns = min(3, len(inputs))
     rows = -(-len(inputs) // columns)
     size = (7.2, 2.4 * rows + 0.3)
     look = {"squeeze": False, "sharey": True}
-    step = max(1, y.size // maximum)
+    step = max(1, y.size // 3000)
     dot = 2.5 if y.size > 200 else 5.0
     with canvas(path, rows, columns, size, **look) as (figure, axes):
         for ax, (name_of, x) in zip(axes.flat, inputs, strict=False):
@@ -238,10 +237,10 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     return SectionContent("done", sentence, [part for part in parts if part.inside])
 
 
-def _group_tables(page: Template, study: Table, maximum: int = 60) -> list[Block]:
-    """Medians and upper quantiles of each combination of listed values, up to a maximum of rows."""
+def _group_tables(page: Template, study: Table) -> list[Block]:
+    """Medians and upper quantiles of each combination of listed values, of up to 60."""
     groups = study["groups"]
-    if not groups or len(groups) > maximum:
+    if not groups or len(groups) > 60:
         return []
     ways = [(", median", "median"), (", 95 %", "q95"), (", maximum", "maximum")]
     ways = ways if study["points"] > 1 else [("", "median")]
@@ -255,7 +254,7 @@ def _group_tables(page: Template, study: Table, maximum: int = 60) -> list[Block
     return [page.table("groups", groups, **fields)]
 
 
-def findings(run: Saved, lost: Sequence[str] = ("failed", "refused", "late")) -> Findings:
+def findings(run: Saved) -> Findings:
     study, page = run.json("study.json"), Template("headlines")
     numbers = []
     for target in study["targets"]:
@@ -273,6 +272,7 @@ def findings(run: Saved, lost: Sequence[str] = ("failed", "refused", "late")) ->
             numbers.append(Headline(OFTEN, label, f"{number(quantiles[0.5], 3)}{unit}", about))
     figures = [{"kind": "spread", "case": name} for name in aimed] + [{"kind": "map"}]
     figures += [{"kind": "spread", "case": item["name"]} for item in spread]
+    lost = ("failed", "refused", "late")
     ended = {word: n for word, n in study["status"].items() if word in lost}
     samples = study["samples"]
     against = [

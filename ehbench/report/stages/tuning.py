@@ -164,8 +164,9 @@ def draw_equivalents(
             above.spines["top"].set_visible(False)
 
 
-def damping_over_gain(path: Path, rig: Rig, tuning: Table, low: float = -0.08) -> None:
+def damping_over_gain(path: Path, rig: Rig, tuning: Table) -> None:
     """Minimum damping ratio over K_p by operating point, target and choice."""
+    low = -0.08  # end of the frame
     gains = np.array(tuning["gains"], float)
     positive = gains > 0.0
     x = shown(rig, "feedback_gain", gains)[positive]
