@@ -20,7 +20,7 @@ from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
-from tests.shared import RIGS, shipped
+from tests.shared import RIGS, judged, shipped
 
 MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
@@ -299,7 +299,7 @@ def test_a_gap_is_named(tmp_path):
     gap = part(crane(), np.delete(np.arange(1501), np.arange(700, 708)))
     says = r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"
     refused(says, lambda: identify(rig(), [("log", gap)], CRANE), LogError)
-    assert "9 ms pass after t = 0.699 s" in validate_rig(rig(), [("log", gap)]).logs[0].failure
+    assert "9 ms pass after t = 0.699 s" in judged(rig(), [("log", gap)]).logs[0].failure
     write_log(tmp_path / "gap.mcap", gap)
     found = inspection.check(tmp_path / "gap.mcap")
     assert found.code == 3 and any("9 ms after t = 0.699 s" in line for line in found.lines)
@@ -513,7 +513,7 @@ def test_a_threshold_of_the_ringing_can_be_switched_off(tmp_path, key):
 
     def checks(text):
         (tmp_path / "v.toml").write_text(VERDICT + "fit_percent = { p_head = 1 }\n" + text)
-        result = validate_rig(
+        result = judged(
             stiffer, [("log", crane())], thresholds=load_recipe(tmp_path / "v.toml").thresholds
         )
         return [check.what for check in result.logs[0].checks]

@@ -16,9 +16,8 @@ from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit, run_fit
 from ehbench.plant.model import Model, simulate
-from ehbench.validation import validate_rig
 from ehbench.vocabulary.quantities import GAUGES
-from tests.shared import RIGS, shipped
+from tests.shared import RIGS, judged, shipped
 
 MASS, DAMPING = 250.0, 800.0
 T = np.arange(1601) * 1e-3
@@ -113,7 +112,7 @@ def test_a_gauge_tells_the_oil_where_no_chamber_has_one(word):
 def test_a_gauge_is_judged_by_the_thresholds_of_pressures():
     soft = slide().with_values({"bulk_modulus": 3.0e8, "press.friction_coulomb": 180.0})
     true = slide().with_values({"bulk_modulus": 7.5e8, "press.friction_coulomb": 180.0})
-    good, bad = (validate_rig(one, logged("load_pressure")[:1]) for one in (true, soft))
+    good, bad = (judged(one, logged("load_pressure")[:1]) for one in (true, soft))
     assert good.verdict == "accepted"
     assert any(check.what == "press.load_pressure fit" for check in good.logs[0].checks)
     assert bad.verdict == "rejected"
@@ -138,7 +137,7 @@ def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
         assert fit[name].std < 0.5 * without[name].std  # pyright: ignore[reportOperatorIssue]
     limits = Thresholds(fit_percent={"v": 50.0, "opening": 90.0})
     good, bad = (
-        validate_rig(one, [("a", log)], channels=("v", "opening"), thresholds=limits)
+        judged(one, [("a", log)], channels=("v", "opening"), thresholds=limits)
         for one in (true, slide().with_values({"spool.natural_frequency": 2.0 * np.pi * 8.0}))
     )
     assert good.verdict == "accepted"

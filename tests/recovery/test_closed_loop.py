@@ -17,9 +17,9 @@ from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, without_noise
 from ehbench.preprocessing.sensors import lagged
 from ehbench.runs.rundir import read_json
-from ehbench.validation import prepare_validation, run_validation
+from ehbench.validation import prepare_validation
 from ehbench.vocabulary.errors import InputError
-from tests.shared import RIGS, shipped
+from tests.shared import RIGS, judged, shipped
 from tools.studies.closed_loop_study import SLOPE, TRUE, closed_loop_log, fitted, rigs
 
 STIFF, LEAKS = "bulk_modulus", "press.leakage_internal"
@@ -171,18 +171,18 @@ def test_a_model_is_judged_by_what_is_not_tied():
     wrong = machine.with_values({STIFF: 1.5 * TRUE[STIFF]})
     for how, channels in (("position", {"v", "p_head", "p_rod"}), ("motion", {"p_head", "p_rod"})):
         given = [("a", tied(loaded(), how))]
-        right = run_validation(prepare_validation(machine, given, ("x", "v", "p_head", "p_rod")))
+        right = judged(machine, given, ("x", "v", "p_head", "p_rod"))
         assert {one.channel.partition(".")[2] for one in right.logs[0].channels} == channels
         assert right.accepted, right.reasons
         assert f"preprocessing.{how}_replayed" in {note.key for note in right.logs[0].warnings}
-    off = run_validation(prepare_validation(wrong, given)).logs[0].channels
+    off = judged(wrong, given).logs[0].channels
     assert off[0].fit_percent < right.logs[0].channels[0].fit_percent - 5.0
     # an unknown load does not count where the motion is given
     known = rigs("load")[0].with_values(
         {name: float(machine.parameters()[name]) for name in machine.parameters() if "gain" in name}
         | TRUE
     )
-    assert SLOPE > 0.0 and run_validation(prepare_validation(known, given)).accepted
+    assert SLOPE > 0.0 and judged(known, given).accepted
 
 
 def test_recipes_say_what_is_tied(tmp_path, inside, undrawn):

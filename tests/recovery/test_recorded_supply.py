@@ -17,8 +17,7 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
 from ehbench.plant.model import Model
 from ehbench.plant.ties import RECORDED, SUPPLY
-from ehbench.validation import validate_rig
-from tests.shared import RIGS, shipped
+from tests.shared import RIGS, judged, shipped
 
 VOLUMES = ("volume_head", "volume_rod")
 STIFF, LOSS = "bulk_modulus", "carriage.damping"
@@ -107,7 +106,7 @@ def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_would_move_it():
 
 
 def test_a_validation_says_that_the_supply_is_another():
-    found = validate_rig(rig(), [("own", log()), ("given", log(RECORDED))])
+    found = judged(rig(), [("own", log()), ("given", log(RECORDED))])
     own, given = found.logs
     assert any("p_supply is up to" in text for text in own.warnings)
     assert not any("p_supply is up to" in text for text in given.warnings)

@@ -130,7 +130,8 @@ def test_only_the_scored_part_is_judged(log, rig):
 
     def judged(scored):
         log_ = prepare_log("odd", odd, model, scored=scored)
-        return run_validation(PreparedValidation(rig, channels, (log_,))).logs[0]
+        prepared = PreparedValidation(rig, channels, (log_,))
+        return run_validation(prepared, diagnose=False).logs[0]
 
     whole, late = judged(None), judged((2.0, float("inf")))
     assert late.scored == pytest.approx((2.0, 4.0)) and whole.scored is None

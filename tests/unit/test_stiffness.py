@@ -9,9 +9,8 @@ from ehbench.identification.hydraulics import prepare_fit, simulator_of
 from ehbench.plant.model import Model, Start
 from ehbench.plant.stiffness import stiffness_of
 from ehbench.trial import prepare, run
-from ehbench.validation.judge import validate_rig
 from ehbench.vocabulary.fields import Value
-from tests.shared import RIGS, ROOT
+from tests.shared import RIGS, ROOT, judged
 
 SLIDE = load_rig(RIGS / "slide_servo.toml")
 SMALL = {"press.volume_head": 2.0e-6, "press.volume_rod": 2.0e-6}
@@ -68,7 +67,7 @@ def test_a_validation_says_so_of_its_log(case):
     values, state, kind = CASES[case]
     model, start, record = stepped(values)
     replayed = model.replay(record, start=start)
-    [log] = validate_rig(model.rig, [("one", replayed)]).logs
+    [log] = judged(model.rig, [("one", replayed)]).logs
     notes = [text for text in log.warnings if getattr(text, "key", "") == "plant.short_steps"]
     assert [note.fields["state"] for note in notes] == [state] * (state is not None)
     assert [note.fields["cause"].key for note in notes] == [f"plant.stiff_{kind}"] * len(notes)

@@ -18,9 +18,8 @@ from ehbench.validation import (
     run_validation,
     validate_rig,
 )
-from ehbench.validation.judge import CHANNELS
 from ehbench.vocabulary.errors import InputError
-from tests.shared import shipped
+from tests.shared import judged, shipped
 from tools.virtual_logs import noisy
 
 NOISE = {"q": 4e-4, "qd": 2e-3, "x": 1e-4, "v": 1e-3, "p_head": 8e3, "p_rod": 8e3, "command": 0.0}
@@ -41,12 +40,6 @@ def keys(notes) -> set[str]:
 def without(record: Record, *words: str) -> Record:
     kept = {n: v for n, v in record.channels.items() if n.rsplit(".", 1)[-1] not in words}
     return Record(record.t, kept, record.meta)
-
-
-def judged(rig, logs, channels=CHANNELS, thresholds=None, fitted_on=()) -> Validation:
-    """The verdict by the checks alone, without a diagnosis of what is left."""
-    prepared = prepare_validation(rig, logs, channels, fitted_on=fitted_on)
-    return run_validation(prepared, thresholds, diagnose=False)
 
 
 BOOM = {"boom.hepc": 4.0, "boom.rect": 8.0}
