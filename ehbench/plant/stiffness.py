@@ -24,7 +24,7 @@ class StiffnessSettings:
     steps: float = setting(
         2.0e4, "1/s", "steps a second above which their cause is told", "shipped rigs take 4 100"
     )
-    asked: int = setting(100, "", "steps that are asked for their cause", "a share to 10 %")
+    examined: int = setting(100, "", "steps that are examined for their cause", "a share to 10 %")
 
 
 SETTINGS = StiffnessSettings()
@@ -61,7 +61,7 @@ def stiffness_of(model: Model, record: Record, start: Start) -> Stiffness | None
         derivatives(state, command, plant, rates, work)
         return rates
 
-    for i in np.linspace(0, len(steps) - 1, SETTINGS.asked).astype(int):
+    for i in np.linspace(0, len(steps) - 1, SETTINGS.examined).astype(int):
         y, command, d = log[samples[i]], commands[samples[i]], 2.0 * tick / pace.units * steps[i]
         first = slope(y, command)
         second = slope(y + 0.5 * d * first, command)
@@ -71,7 +71,7 @@ def stiffness_of(model: Model, record: Record, start: Start) -> Stiffness | None
         errors = pace.weights * np.abs(last - end)
         limited[model.layout.state_names[int(np.nanargmax(errors))]] += 1
     state, times = limited.most_common(1)[0]
-    return Stiffness(count, state, times / SETTINGS.asked)
+    return Stiffness(count, state, times / SETTINGS.examined)
 
 
 def short_steps(model: Model, record: Record, start: Start) -> Iterator[Message]:

@@ -195,10 +195,9 @@ class Case:
 
 def run_cases(
     cases: Sequence[Case],
-    prepared: Sequence[Prepared] = (),
+    prepared: Sequence[Prepared],
     *,
     logs: Path | None = None,
-    allow_code: bool = False,
     workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[CaseResult]:
@@ -207,9 +206,8 @@ def run_cases(
 
     Args:
         cases: what to run.
-        prepared: what `Case.prepare` gave for each; without, each is prepared when it is its turn.
+        prepared: what `Case.prepare` gave for each.
         logs: the folder of their logs, each under its `file_names`; none are written by default.
-        allow_code: as in `run_trial`.
         workers: threads; by default one a core.
         progress: told which case is done and the share done.
 
@@ -221,9 +219,7 @@ def run_cases(
 
     def run_case(index: int) -> CaseResult:
         log = None if logs is None else logs / f"{names[index]}.mcap"
-        case = cases[index]
-        ready = prepared[index] if prepared else case.prepare(allow_code=allow_code)
-        return case.run(ready, log)
+        return cases[index].run(prepared[index], log)
 
     with ThreadPoolExecutor(workers or cores()) as pool:
         jobs = [pool.submit(run_case, index) for index in range(len(cases))]

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,7 @@ class Guard:
         self.longest = CODE.start
         self._since = 0.0
 
-    def __call__(self, function: Callable[..., Any], *given: Any, **named: Any) -> Any:
+    def __call__(self, function: Callable[..., Any], *given: Any) -> Any:
         """What the function gives.
 
         Raises:
@@ -81,7 +82,7 @@ class Guard:
         leave, os._exit = os._exit, _no_exit
         self._since = time.monotonic()
         try:
-            return function(*given, **named)
+            return function(*given)
         finally:
             self._since = 0.0
             os._exit = leave
@@ -233,17 +234,14 @@ class UserCode:
 
     def _take(self, answer: Any, t: float, command: np.ndarray) -> None:
         """Write an answer of the class, a dict by valve or a row of volts, into ``command``."""
+        unlike = (TypeError, ValueError)
         try:
-            unknown = self.code.guard(self._write, answer, command)
-        except (TypeError, ValueError):
+            unknown = self.code.call("'s answer", self._write, answer, command, t=t, passing=unlike)
+        except unlike:
             names, fields = self.design.valves, {"label": self.label, "t": t}
             fields |= {"count": len(names), "valves": ", ".join(names)}
             fields["answer"] = shortened(answer, 80)
             raise self.code.error(message("trial.no_commands", **fields)) from None
-        except BaseException as error:
-            if is_users(error):
-                raise
-            raise self.code.raised("'s answer", error, t) from error
         for name in unknown:
             what = "unused by the recipe" if name in self.design.valves else "no valve"
             fields = {"label": self.label, "name": shortened(name, 60), "what": what}
@@ -265,16 +263,13 @@ class UserCode:
         return ()
 
     def _note(self, row: np.ndarray, t: float) -> None:
+        unlike = (AttributeError, TypeError, ValueError)
+        numbers = lambda: np.asarray(self.object.note, float).reshape(row.shape)
         try:
-            row[:] = self.code.guard(lambda: np.asarray(self.object.note, float).reshape(row.shape))
-        except (AttributeError, TypeError, ValueError):
-            raise self.code.error(
-                message("trial.note_count", label=self.label, count=row.size)
-            ) from None
-        except BaseException as error:
-            if is_users(error):
-                raise
-            raise self.code.raised(".note", error, t) from error
+            row[:] = self.code.call(".note", numbers, t=t, passing=unlike)
+        except unlike:
+            text = message("trial.note_count", label=self.label, count=row.size)
+            raise self.code.error(text) from None
         for (name, quantity_row), value in zip(self.noted, row.tolist(), strict=True):
             if not quantity_row.lower <= value <= quantity_row.upper or math.isinf(value):
                 fields = {key: getattr(quantity_row, key) for key in ("unit", "lower", "upper")}
@@ -311,7 +306,7 @@ class _Code:
 
     def make(self, gains: Mapping[str, Any]) -> Any:
         """An object of the class, with the methods of the protocol."""
-        controller = self.call("()", self._load(), **gains)
+        controller = self.call("()", partial(self._load(), **gains))
         for method in ("start", "step"):
             if not callable(self.call(f".{method}", getattr, controller, method, None)):
                 raise self.error(message("trial.no_method", label=self.label, method=method))
@@ -367,12 +362,13 @@ class _Code:
         function: Callable[..., Any],
         *given: Any,
         t: float | None = None,
-        **named: Any,
+        passing: tuple[type[Exception], ...] = (),
     ) -> Any:
+        """What a function of the user's gives; errors but those ``passing`` point into the file."""
         try:
-            return self.guard(function, *given, **named)
+            return self.guard(function, *given)
         except BaseException as error:
-            if is_users(error):
+            if isinstance(error, passing) or is_users(error):
                 raise
             raise self.raised(what, error, t) from error
 

@@ -535,7 +535,8 @@ def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
     assert [c.name for c in cases][:3] == [f"no load {name}" for name in names]
     assert len(cases) == 8 and cases[-1].recipe.payload == "50 lb"
     assert cases[0].recipe.payload is None
-    serial, parallel = run_cases(cases, workers=1), run_cases(cases, workers=4)
+    prepared = [case.prepare() for case in cases]
+    serial, parallel = (run_cases(cases, prepared, workers=workers) for workers in (1, 4))
     for (a, own_a), (b, own_b) in zip(serial, parallel, strict=True):
         assert all(np.array_equal(a[name], b[name]) for name in a.channels) and own_a == own_b
     rows = table_rows(cases, serial)
@@ -550,12 +551,16 @@ def test_a_set_is_the_product_in_order_and_its_bytes_do_not_depend_on_threads():
     assert rows[0]["energy"]["source"].startswith("estimated")
 
 
-def test_a_case_that_fails_stops_the_set():
-    bad = recipe(OPEN, strokes("boom", 0.06, 0.3, speed=0.08))
-    with refused("trial.leaves_stroke"):
-        run_cases(
-            [Case("good", recipe(FEEDBACK), ARM, None), Case("bad", bad, ARM, None)], workers=2
-        )
+def test_a_case_that_fails_stops_the_set(tmp_path):
+    methods = "def start(self, *_): pass", "def step(self, *_): return 1 / 0"
+    lines = "class Bad:", "channels = ['boom.x']", *methods
+    (tmp_path / "mine.py").write_text("\n    ".join(lines) + "\n")
+    bad = recipe({"class": "mine:Bad"}, path=tmp_path / "trial.toml", on="model")
+    good = recipe(FEEDBACK)
+    cases = [Case(name, one, ARM, None) for name, one in (("good", good), ("bad", bad))]
+    prepared = [case.prepare(allow_code=True) for case in cases]
+    with refused("trial.code_raised"):
+        run_cases(cases, prepared, workers=2)
 
 
 def test_notes_have_the_columns_they_are_named_by():

@@ -320,11 +320,15 @@ def test_a_mistake_in_a_recipes_map_names_the_recipes_line(tmp_path):
         load_recipe(tmp_path / "r.toml")
 
 
-def test_the_map_is_an_input_of_the_run(undrawn, tmp_path):
-    """Its content goes into the run's hash."""
+def test_the_map_is_an_input_of_the_run_and_each_gap_is_listed_with_v_alone(undrawn, tmp_path):
+    """The map's content goes into the run's hash."""
     from ehbench import workflow
+    from ehbench.report.terminal import answer
 
     raw_log(tmp_path / "raw.csv")
+    lines = (tmp_path / "raw.csv").read_text(encoding="cp1252").split("\n")
+    del lines[100:102]
+    (tmp_path / "raw.csv").write_text("\n".join(lines), encoding="cp1252")
     (tmp_path / "my.map.toml").write_text("[names]\n" + MAP)
     (tmp_path / "r.toml").write_text(
         f'stage = "response"\nrig = "{RIG}"\ndata = ["raw.csv"]\ncolumns = "my.map.toml"\n'
@@ -333,19 +337,6 @@ def test_the_map_is_an_input_of_the_run(undrawn, tmp_path):
     run = workflow.run(tmp_path / "r.toml", workflow.Session(root=tmp_path / "reports"))
     roles = {entry["role"]: entry["path"] for entry in run.json("run")["inputs"]}
     assert roles["columns"].endswith("my.map.toml")
-
-
-def test_each_gap_of_a_log_is_listed_with_v_alone(undrawn, tmp_path):
-    from ehbench import workflow
-    from ehbench.report.terminal import answer
-
-    raw_log(tmp_path / "raw.csv")
-    lines = (tmp_path / "raw.csv").read_text(encoding="cp1252").split("\n")
-    del lines[100:102]
-    (tmp_path / "raw.csv").write_text("\n".join(lines), encoding="cp1252")
-    text = f'stage = "response"\nrig = "{RIG}"\ndata = ["raw.csv"]\n{RECIPES["response"]}'
-    (tmp_path / "r.toml").write_text(f"{text}[columns.names]\n{MAP}")
-    run = workflow.run(tmp_path / "r.toml", workflow.Session(root=tmp_path / "reports"))
     shown = answer(run.folder)
     assert len(shown.details) == 2  # by the reader, and where it is bridged
     for whole in (True, False):

@@ -140,8 +140,8 @@ def _overview(
             column, guess = table.columns[names[name][1]], guesses[name]
             text = range_of(column) + _bad_text(column, rows[name], table)
             still = guess.channel == "t" or guess.channel.endswith(".command")
-            found = [] if still else oddities(column.values)
-            odd = [item._asdict() | {"where": _where(table, item.first)} for item in found]
+            seen = [] if still else oddities(column.values)
+            odd = [item._asdict() | {"where": _where(table, item.first)} for item in seen]
             text += "".join(message("app.odd_samples", **fields) for fields in odd)
             columns.append((name, text, _guess_text(guess)))
             lines.append("  {:<{wide}}  {}  → {}".format(*columns[-1], wide=wide))
