@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-CONFIDENCE = 0.95
+TAIL = 0.5 * (1.0 - 0.95)  # on each side of a 95 % interval
 QUANTILES = (0.05, 0.5, 0.95, 0.99)
 
 
@@ -21,21 +21,19 @@ class Quantile(NamedTuple):
     high: float | None
 
 
-def quantile(values: np.ndarray, share: float, confidence: float = CONFIDENCE) -> Quantile:
+def quantile(values: np.ndarray, share: float) -> Quantile:
     """A quantile with a distribution-free interval from order statistics: the number of samples
     below the quantile is binomial (Conover, Practical Nonparametric Statistics, 3.2).
 
     Args:
         values: finite, shape (samples,), at least one.
         share: of the quantile, from 0 to 1.
-        confidence: that the interval holds it, at least.
     """
     from scipy.stats import binom
 
     ordered, n = np.sort(values), values.size
-    tail = 0.5 * (1.0 - confidence)
-    # P(X_(r) ≤ q) = P(B ≥ r): the largest r with P(B ≤ r − 1) ≤ tail, and so at the upper end
-    first, last = int(binom.ppf(tail, n, share)), int(binom.isf(tail, n, share)) + 1
+    # P(X_(r) ≤ q) = P(B ≥ r): the largest r with P(B ≤ r − 1) ≤ TAIL, and so at the upper end
+    first, last = int(binom.ppf(TAIL, n, share)), int(binom.isf(TAIL, n, share)) + 1
     low = float(ordered[first - 1]) if first >= 1 else None
     high = float(ordered[last - 1]) if last <= n else None
     return Quantile(share, float(np.quantile(ordered, share)), low, high)
@@ -51,15 +49,14 @@ class Share(NamedTuple):
     high: float
 
 
-def share(count: int, of: int, confidence: float = CONFIDENCE) -> Share:
+def share(count: int, of: int) -> Share:
     """A share with its exact interval (Clopper and Pearson 1934)."""
     from scipy.special import betaincinv
 
     if not of:
         return Share(0, 0, math.nan, 0.0, 1.0)
-    tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if count == 0 else float(betaincinv(count, of - count + 1, tail))
-    high = 1.0 if count == of else float(betaincinv(count + 1, of - count, 1.0 - tail))
+    low = 0.0 if count == 0 else float(betaincinv(count, of - count + 1, TAIL))
+    high = 1.0 if count == of else float(betaincinv(count + 1, of - count, 1.0 - TAIL))
     return Share(count, of, count / of, low, high)
 
 

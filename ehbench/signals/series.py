@@ -208,8 +208,8 @@ def correlation_time(x: np.ndarray) -> float:
     return float(max(1.0, total[beyond[0]] if beyond.size else np.max(total)))
 
 
-def autocorrelation_band(x: np.ndarray, lags: int, level: float = 0.95) -> np.ndarray:
-    """Half-width within which r(k), k = 0 … lags, stays with probability ``level`` if x is
+def autocorrelation_band(x: np.ndarray, lags: int) -> np.ndarray:
+    """Half-width within which r(k), k = 0 … lags, stays in 95 of 100 cases if x is
     uncorrelated from lag k on.
 
     Bartlett's formula for a moving average, ``var r(k) = (1 + 2 Σ_{0<i<k} r(i)²)/n`` (Box & Jenkins
@@ -217,11 +217,11 @@ def autocorrelation_band(x: np.ndarray, lags: int, level: float = 0.95) -> np.nd
     is the white band 1.96/√n."""
     r = autocorrelation(x, lags)
     tail = np.concatenate([[0.0, 0.0], np.cumsum(r[1:-1] ** 2)])[: lags + 1]
-    return _quantile(level) * np.sqrt((1.0 + 2.0 * tail) / len(x))
+    return _two_sided() * np.sqrt((1.0 + 2.0 * tail) / len(x))
 
 
-def correlation_band(x: np.ndarray, u: np.ndarray, level: float = 0.95) -> float:
-    """Half-width within which r_xu(k) stays with probability ``level`` if x and u are independent,
+def correlation_band(x: np.ndarray, u: np.ndarray) -> float:
+    """Half-width within which r_xu(k) stays in 95 of 100 cases if x and u are independent,
     whatever their colour.
 
     Bartlett's formula ``var r_xu = Σ_i ρ_x(i) ρ_u(i) / n``, the sum tapered and cut where it has
@@ -236,13 +236,14 @@ def correlation_band(x: np.ndarray, u: np.ndarray, level: float = 0.95) -> float
     total = 1.0 + 2.0 * np.cumsum(both)
     beyond = np.flatnonzero(np.arange(1, maximum + 1) >= 5.0 * np.maximum(total, 1.0))
     spread = max(1.0, float(total[beyond[0]] if beyond.size else np.max(total)))
-    return float(_quantile(level) * math.sqrt(spread / n))
+    return float(_two_sided() * math.sqrt(spread / n))
 
 
-def _quantile(level: float) -> float:
+def _two_sided() -> float:
+    """Standard deviations on each side that hold 95 % of a normal distribution."""
     from statistics import NormalDist
 
-    return NormalDist().inv_cdf(0.5 + 0.5 * level)
+    return NormalDist().inv_cdf(0.975)
 
 
 def ringing(
