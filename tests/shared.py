@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
+from ehbench.data.record import Record
 from ehbench.vocabulary.errors import EhbenchError
 
 if TYPE_CHECKING:
@@ -29,6 +33,29 @@ def shipped(name: str) -> Rig:
 def refused(key: str, kind: type[EhbenchError] = EhbenchError):
     """An error of the catalogue's key is expected."""
     return pytest.raises(kind, check=lambda error: error.key == key)
+
+
+def measured(
+    record: Record,
+    seed: int,
+    noise: Mapping[str, float],
+    drop: Collection[str] = (),
+    pole: float = 0.0,
+    before: int = 0,
+) -> Record:
+    """What sensors would say of a simulation: no flows or openings, nothing of ``drop``, and noise
+    of a size by word, white or of first order with ``pole``, begun so many samples ``before``.
+    """
+    from scipy.signal import lfilter
+
+    rng, channels = np.random.default_rng(seed), {}
+    for name, values in record.channels.items():
+        word = name.rsplit(".", 1)[-1]
+        if word not in ("flow", "opening", "flow_supply", *drop):
+            white = rng.standard_normal(values.size + before)
+            coloured = np.asarray(lfilter([math.sqrt(1.0 - pole**2)], [1.0, -pole], white))
+            channels[name] = values + noise.get(word, 0.0) * coloured[before:]
+    return Record(record.t, channels, record.meta)
 
 
 def judged(rig: Rig, logs, channels=(), thresholds=None, fitted_on=()) -> Validation:

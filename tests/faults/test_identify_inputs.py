@@ -20,9 +20,8 @@ from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
-from tests.shared import RIGS, judged, shipped
+from tests.shared import RIGS, judged, measured, shipped
 
-MEASURED = ("q", "qd", "x", "v", "p_head", "p_rod", "p_supply", "p_tank", "command")
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
 CRANE = ["bulk_modulus", "arm.joint_damping"]
 
@@ -49,12 +48,7 @@ def logged(machine, valve, volts, payload=None, samples=1501, posture=None):
     seconds = (samples - 1) / 1000.0
     volts = {valve: steps(samples, *volts)}
     made = simulate(machine, volts, seconds, payload=payload, posture=posture)
-    rng, channels = np.random.default_rng(samples), {}
-    for name, values in made.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word in MEASURED:
-            channels[name] = values + NOISE.get(word, 0.0) * rng.standard_normal(values.size)
-    return Record(made.t, channels, made.meta)
+    return measured(made, samples, NOISE)
 
 
 @cache
@@ -72,12 +66,6 @@ def changed(record, **edits):
         if (whole := name.replace(".", "_")) in edits and whole != word:
             channels[name] = edits[whole]
     return replace(record, channels=channels)
-
-
-def part(record, rows):
-    """Some samples of a log."""
-    channels = {name: values[rows] for name, values in record.channels.items()}
-    return replace(record, t=record.t[rows], channels=channels)
 
 
 def taken(record, machine=None):
@@ -296,7 +284,7 @@ def test_time_in_another_unit_is_refused_at_once(scale, says):
 
 
 def test_a_gap_is_named(tmp_path):
-    gap = part(crane(), np.delete(np.arange(1501), np.arange(700, 708)))
+    gap = crane().at(np.delete(np.arange(1501), np.arange(700, 708)))
     says = r"log: not evenly sampled: 9 ms pass after t = 0.699 s, 1 ms elsewhere"
     refused(says, lambda: identify(rig(), [("log", gap)], CRANE), LogError)
     assert "9 ms pass after t = 0.699 s" in judged(rig(), [("log", gap)]).logs[0].failure
@@ -334,7 +322,7 @@ def test_jitter_is_resampled_and_told(tmp_path):
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_samples_are_counted(count):
-    short = [("log", part(crane(), slice(count)))]
+    short = [("log", crane().at(slice(count)))]
     for work in (lambda: identify(rig(), short, CRANE), lambda: validate_rig(rig(), short)):
         refused(f"has only {count} samples", work)
 
@@ -374,7 +362,7 @@ def test_a_cylinder_that_stands_still_has_no_stuck_sensor():
 def test_a_log_that_begins_in_motion_is_told():
     on = "lift.spool.command is already on at the first sample (5 V)"
     for first, said in ((200, [on, "lift already moves at the first sample"]), (50, [])):
-        told = taken(part(crane(), slice(first, None)))[1]
+        told = taken(crane().at(slice(first, None)))[1]
         assert len(told) == len(said), told
         assert all(any(text.startswith(start) for text in told) for start in said), told
 

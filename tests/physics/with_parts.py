@@ -22,7 +22,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import acting_commands
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
-from tests.shared import shipped
+from tests.shared import measured, shipped
 
 LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
 NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
@@ -111,13 +111,7 @@ def books(rig: Rig, record: Record, *names: str, share: float = 1e-3, closed: fl
 
 def noisy(record: Record, seed: int) -> Record:
     """What sensors would say of a simulated log."""
-    rng, channels = np.random.default_rng(seed), {}
-    for name, values in record.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word not in ("flow", "opening", "flow_supply", "p_line_head", "p_line_rod"):
-            size = NOISE.get(word, 0.0)
-            channels[name] = values + size * rng.standard_normal(values.size)
-    return Record(record.t, channels, record.meta)
+    return measured(record, seed, NOISE, drop=("p_line_head", "p_line_rod"))
 
 
 def steps(levels: tuple[float, ...] | np.ndarray, hold: int = 150) -> np.ndarray:

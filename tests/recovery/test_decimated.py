@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.record import BlockAverages, Record
+from ehbench.data.record import BlockAverages
 from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
@@ -18,7 +18,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.time_base import parts_of
 from ehbench.vocabulary.errors import InputError
-from tests.shared import RIGS, shipped
+from tests.shared import RIGS, measured, shipped
 
 NOISE = {"v": 2e-3, "p_head": 1.5e4, "p_rod": 1.5e4, "x": 1e-5, "p_supply": 6e3}
 TRUTH = {"bulk_modulus": 9e8, "carriage.damping": 800.0}
@@ -43,17 +43,8 @@ def clean(payload=None, seconds=1.0003):
 
 def noisy(record, seed, time=0.0):
     """What sensors would say, with noise that is white or of a correlation ``time`` [s]."""
-    from scipy.signal import lfilter
-
-    rng, channels = np.random.default_rng(seed), {}
     pole = math.exp(-1.0 / (RATE * time)) if time else 0.0
-    for name, y in record.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word in ("opening", "flow", "flow_supply"):
-            continue
-        noise = lfilter([math.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal(y.size + 500))
-        channels[name] = y + NOISE.get(word, 0.0) * noise[500:]  # pyright: ignore[reportOperatorIssue]
-    return Record(record.t, channels, record.meta)
+    return measured(record, seed, NOISE, pole=pole, before=500)
 
 
 def logs(seed=1, time=0.0):

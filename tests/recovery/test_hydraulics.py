@@ -3,12 +3,11 @@
 import json
 import math
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
-from ehbench.data.record import Record
 from ehbench.identification.hydraulics import (
     CHANNELS,
     FitOptions,
@@ -24,7 +23,7 @@ from ehbench.plant.model import Model, simulate
 from ehbench.runs import rundir
 from ehbench.signals.series import ringing
 from ehbench.vocabulary.errors import InputError, InsufficientData
-from tests.shared import shipped
+from tests.shared import measured, shipped
 
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
 SLIDE = ["bulk_modulus", "carriage.damping"]
@@ -52,19 +51,7 @@ def clean(name, payload=None, drive=None, samples=801):
     return simulate(shipped(name), commands, (samples - 1) / 1000.0, payload=payload)
 
 
-def noisy(record, seed, pole=0.0, share=1.0):
-    """The measurable channels with noise, white or of first order with ``pole``."""
-    from scipy.signal import lfilter
-
-    rng, channels = np.random.default_rng(seed), {}
-    for name, values in record.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word in ("flow", "opening", "flow_supply"):
-            continue
-        white = rng.standard_normal(values.size + 200)
-        noise = np.asarray(lfilter([math.sqrt(1 - pole**2)], [1, -pole], white))[200:]
-        channels[name] = values + share * NOISE.get(word, 0.0) * noise
-    return Record(record.t, channels, record.meta)
+noisy = partial(measured, noise=NOISE, before=200)
 
 
 SERVO = (("press.servo", (3.0, -3.0)),)
@@ -86,7 +73,7 @@ TRUE = {"bulk_modulus": 9e8, "carriage.damping": 800.0}  # of the slide
 def slide_logs(seed=0, pole=0.0, count=2, samples=801):
     loads = [None, "100 kg"]
     made = [clean("slide_servo", loads[i % 2], SERVO, samples) for i in range(count)]
-    return [(f"log {i}", noisy(one, 100 * seed + i, pole)) for i, one in enumerate(made)]
+    return [(f"log {i}", noisy(one, 100 * seed + i, pole=pole)) for i, one in enumerate(made)]
 
 
 def edited(logs, change):

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from ehbench import workflow
-from ehbench.data.record import Record
 from ehbench.guidance.profile import LEVEL_95, profile
 from ehbench.identification.hydraulics import FitOptions, prepare_fit
 from ehbench.plant.model import simulate
 from ehbench.vocabulary.errors import InputError
-from tests.shared import ROOT, shipped
+from tests.shared import ROOT, measured, shipped
 
 NOISE = {"v": 1e-3, "p_head": 6e4, "p_rod": 6e4, "x": 1e-5, "p_supply": 6e3}
 
@@ -21,13 +20,7 @@ def prepared():
     rig = shipped("slide_servo")
     u = np.zeros(801)
     u[60:240], u[440:640] = 3.0, -3.0
-    made, rng = simulate(rig, {"press.servo": u}, 0.8), np.random.default_rng(4)
-    channels = {
-        name: y + NOISE.get(name.rsplit(".", 1)[-1], 0.0) * rng.standard_normal(y.size)
-        for name, y in made.channels.items()
-        if not name.endswith(("flow", "opening"))
-    }
-    log = Record(made.t, channels, made.meta)
+    log = measured(simulate(rig, {"press.servo": u}, 0.8), 4, NOISE)
     names = ["bulk_modulus", "press.volume_head", "carriage.damping"]
     return prepare_fit(rig, [("log", log)], names, FitOptions(workers=1))
 

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -18,27 +18,14 @@ from ehbench.preprocessing.initial_states import (
 )
 from ehbench.preprocessing.plausibility import moving_at_first
 from ehbench.signals.series import first_of, fit_percent, rms
-from tests.shared import shipped
+from tests.shared import measured, shipped
 
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
 SLIDE = ["bulk_modulus", "carriage.damping"]
 COMPARED = ["press.v", "press.p_head", "press.p_rod"]
 
 
-def measured(record, seed, drop=()):
-    """The record as sensors would have it: noise, no flows or openings, nothing of ``drop``."""
-    rng, channels = np.random.default_rng(seed), {}
-    for name, values in record.channels.items():
-        word = name.rsplit(".", 1)[-1]
-        if word not in ("flow", "opening", "flow_supply", *drop):
-            channels[name] = values + NOISE.get(word, 0.0) * rng.standard_normal(values.size)
-    return Record(record.t, channels, record.meta)
-
-
-def cut(record, first):
-    """The record from sample ``first`` on."""
-    channels = {name: values[first:] for name, values in record.channels.items()}
-    return replace(record, t=record.t[first:], channels=channels)
+noisy = partial(measured, noise=NOISE)
 
 
 @cache
@@ -54,7 +41,10 @@ def driven(kind):
 @pytest.mark.parametrize("drop", [(), ("v", "qd")])
 def test_a_log_that_begins_in_motion_is_followed(kind, drop):
     made, first = driven(kind)
-    record, model = cut(measured(made, 1, drop), first), Model.of(shipped("slide_servo"))
+    record, model = (
+        noisy(made, 1, drop=drop).at(slice(first, None)),
+        Model.of(shipped("slide_servo")),
+    )
     rest = model.replay(record)
     start = follow_recording(model, record, ["press"], COMPARED).start
     followed = model.replay(record, start=start)
@@ -68,7 +58,7 @@ def test_a_log_that_begins_in_motion_is_followed(kind, drop):
 
 def test_parameters_come_back_from_logs_that_begin_in_motion():
     logs = [
-        (kind, cut(measured(made, seed), first))
+        (kind, noisy(made, seed).at(slice(first, None)))
         for seed, kind in enumerate(("steps", "sine"))
         for made, first in [driven(kind)]
     ]
@@ -92,7 +82,7 @@ def test_a_rest_that_drifts_does_not_bias():
     y = model.trim(model.posture({}), 2e6)
     names = [model.layout.state(f"p_{side}", 0) for side in ("head", "rod")]
     made = model.record(t, table, model.run(y, table), {"rig": "slide_servo", "payload": "none"})
-    record = measured(made, 3)
+    record = noisy(made, 3)
     mean = model.rest_start(record).y
     found = follow_recording(model, record, ["press"], COMPARED).start.y
     assert np.abs(mean - y)[names].max() > 2e4
@@ -120,8 +110,8 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
     """Begun from no speed at all the model rings by as much as the load sinks."""
     pump, t = shipped("pump_cylinder"), np.arange(1601) * 1e-3
     command = 4.0 * ((t > 0.9) & (t < 1.2)) - 3.0 * (t > 1.3)
-    made = cut(simulate(pump, {"lift.drive": command}, 1.6), 600)
-    record, model = measured(made, 4, drop), Model.of(pump)
+    made = simulate(pump, {"lift.drive": command}, 1.6).at(slice(600, None))
+    record, model = noisy(made, 4, drop=drop), Model.of(pump)
     compared = ["lift.v", "lift.p_head", "lift.p_rod"]
     rest = model.replay(record)
     followed = model.replay(record, start=follow_recording(model, record, ["lift"], compared).start)
@@ -131,7 +121,7 @@ def test_a_load_that_sinks_before_the_first_command_does_not_ring(drop):
 
 
 def test_a_start_is_as_sure_as_its_samples():
-    record = measured(driven("steps")[0], 2)
+    record = noisy(driven("steps")[0], 2)
     start = initial_state_of(Model.of(shipped("slide_servo")), record, ["press"], COMPARED)
     assert "press.qd" not in {number.name for number in start.uncertain}
     noise = np.random.default_rng(6).standard_normal((300, 200))
@@ -150,7 +140,7 @@ def test_a_start_is_as_sure_as_its_samples():
 
 def test_a_slide_with_a_position_sensor_only_keeps_its_motion():
     logs = [
-        (f"log {seed}", measured(driven("steps")[0], seed, ("v", "qd", "q"))) for seed in (6, 7)
+        (f"log {seed}", noisy(driven("steps")[0], seed, drop=("v", "qd", "q"))) for seed in (6, 7)
     ]
     given = FitOptions(start={"bulk_modulus": 5e8, "carriage.damping": 1500.0})
     fit = identify_hydraulics(shipped("slide_servo"), logs, SLIDE, given)
@@ -163,7 +153,7 @@ def test_what_a_log_lacks_is_left_wide():
     """A compared pressure is held loosely, one that is not recorded hardly at all."""
     made = driven("steps")[0]
     model = Model.of(shipped("slide_servo"))
-    lacking = measured(made, 8, ("p_rod", "p_supply"))
+    lacking = noisy(made, 8, drop=("p_rod", "p_supply"))
     start = initial_state_of(model, lacking, ["press"], ["press.v", "press.p_head"])
     std = {number.name: number.std for number in start.uncertain}
     assert set(std) == {"press.p_head", "press.p_rod", "press.q"}
@@ -173,10 +163,10 @@ def test_what_a_log_lacks_is_left_wide():
 def test_a_tank_is_as_sure_as_the_mean_of_its_sensor():
     """As noisy as the supply's it is as much in number; one typed in, without noise, is not."""
     made, model = driven("steps")[0], Model.of(shipped("slide_servo"))
-    seen = measured(made, 8)
+    seen = noisy(made, 8)
     noise = seen["p_supply"] - made["p_supply"]
-    noisy = replace(seen, channels=seen.channels | {"p_tank": 2e5 + noise})
-    start, known = (initial_state_of(model, one, ["press"], COMPARED) for one in (noisy, seen))
+    felt = replace(seen, channels=seen.channels | {"p_tank": 2e5 + noise})
+    start, known = (initial_state_of(model, one, ["press"], COMPARED) for one in (felt, seen))
     assert "p_tank" not in {number.name for number in known.uncertain}
     std = {number.name: number.std for number in start.uncertain}
     assert std["p_tank"] == pytest.approx(std["p_supply"])
@@ -197,7 +187,7 @@ def test_a_mean_tank_pressure_that_is_off_is_in_the_interval():
     one = one.with_values({name: 5e5})
     t = np.arange(2001) * 1e-3
     command = 3.0 * ((t > 0.1) & (t < 0.8)) - 3.0 * ((t > 1.0) & (t < 1.7))
-    seen = measured(simulate(one, {"press.servo": command}, 2.0), 3)
+    seen = noisy(simulate(one, {"press.servo": command}, 2.0), 3)
     noise = 8e3 * np.random.default_rng(4).standard_normal(t.size)
     off = 2.0 * mean_error(noise, 100) - np.mean(noise[:100])
     record = replace(seen, channels=seen.channels | {"p_tank": seen["p_tank"] + noise + off})
