@@ -130,7 +130,7 @@ def steps(levels: tuple[float, ...]) -> Callable[[float], float]:
     return lambda t: (0.0, *levels)[int(np.searchsorted(TIMES, t + 1e-9))]
 
 
-def logs_of(name: str) -> dict[str, str]:
+def logs_of(name: str, seconds: float = 2.8) -> dict[str, str]:
     """The logs of a machine by file name; the last one is for the judgement."""
     results = {}
     if name == "press":  # a position loop, whose setpoint steps [m]
@@ -139,13 +139,15 @@ def logs_of(name: str) -> dict[str, str]:
         for k, levels in enumerate(moves, 1):
             wished = steps(levels)
             law = lambda t, x, wished=wished: 250.0 * (0.1 + wished(t) - x)
-            results[f"run_{k}.csv"] = PRESS.recorded(law, 2.8, k)
+            results[f"run_{k}.csv"] = PRESS.recorded(law, seconds, k)
     else:  # an operator's lever [V]
         moves = (3.0, -2.5, 0.0, 4.0, -3.0), (-2.0, 2.5, 4.5, -3.5, 1.6)
         moves = (*moves, (2.2, -3.2, 3.5, 0.0, -2.4))
         for k, levels in enumerate(moves, 1):
             lever = steps(levels)
-            results[f"run_{k}.csv"] = LOADER.recorded(lambda t, x, lever=lever: lever(t), 2.8, k)
+            results[f"run_{k}.csv"] = LOADER.recorded(
+                lambda t, x, lever=lever: lever(t), seconds, k
+            )
     return results
 
 

@@ -204,10 +204,10 @@ coherence_min = 0.3
 
 
 @pytest.fixture
-def folder(tmp_path, workspace):
+def folder(tmp_path):
     write_log(tmp_path / "log.mcap", log(1)[1])
-    rig = workspace / "recipes" / "rigs" / "thesis_arm.toml"
-    (tmp_path / "response.toml").write_text(TEXT.format(rig=rig), encoding="utf-8")
+    text = TEXT.format(rig=RIGS / "thesis_arm.toml")
+    (tmp_path / "response.toml").write_text(text, encoding="utf-8")
     return tmp_path
 
 
