@@ -73,21 +73,6 @@ def test_the_same_campaign_twice_gives_the_same_bytes(slide_runs, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_pump_cylinder_is_identified_and_accepted(undrawn, tmp_path):
-    """From the logs of its virtual rig slip and damping are found; the held-out log follows."""
-    made = workflow.run(
-        ROOT / "recipes" / "pump_cylinder" / "campaign.toml", workflow.Session(root=tmp_path)
-    )
-    assert made.code == workflow.DONE
-    (judged,) = tmp_path.glob("validation_*/validation.json")
-    assert json.loads(judged.read_text())["accepted"]
-    (found,) = tmp_path.glob("hydraulics_*/parameters.json")
-    by_name = {row["name"]: row for row in json.loads(found.read_text())["parameters"]}
-    for name in ("bulk_modulus", "table.damping", "lift.pump.slip"):
-        assert by_name[name]["status"] == "estimated"
-
-
-@pytest.mark.slow
 def test_a_run_that_stands_is_kept_and_a_damaged_one_is_made_again(slide_runs, undrawn, tmp_path):
     recipe = ROOT / "recipes" / "slide_servo" / "validation.toml"
     (stands,) = slide_runs.glob("hydraulics_*")
