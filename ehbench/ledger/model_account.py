@@ -56,7 +56,7 @@ def states_of(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
     return states, commands
 
 
-def ledger_of_model(model: Model, record: Record) -> Ledger:
+def ledger_of_model(model: Model, record: Record, step: float = STEP) -> Ledger:
     """The ledger of a trial on the model: every tick is integrated anew from its logged state, and
     the powers with it.
 
@@ -64,6 +64,7 @@ def ledger_of_model(model: Model, record: Record) -> Ledger:
         model: with the rig, payload and maps that made the record.
         record: as `Model.record` gives it: states, commands, openings, at any rate that has every
             change of the commands.
+        step: longest integration step [s].
 
     Raises:
         LogError: a channel is missing, or its flows are not those of this model.
@@ -86,7 +87,7 @@ def ledger_of_model(model: Model, record: Record) -> Ledger:
         out = Integrated(
             flows[rows], ticks[rows.start : rows.stop - 1], ends[rows.start : rows.stop - 1]
         )
-        integrate(t[rows], states[rows], commands[rows], loaded, line, sheet.owner, STEP, out)
+        integrate(t[rows], states[rows], commands[rows], loaded, line, sheet.owner, step, out)
     np.cumsum(ticks, axis=0, out=spent[1:])
     channels = [*(f"{name}.flow" for name in model.layout.edges), "flow_supply"]
     for i, channel in enumerate(channels):  # are they those at the record's states?
