@@ -49,6 +49,7 @@ from ehbench.flow_maps.shape import (
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
+from ehbench.vocabulary.terms import Z95
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,12 @@ class Fit:
     leak: Leak | None = None
     hysteresis: Hysteresis | None = None
     shift_std: float = 0.0
+
+    @property
+    def shift_interval(self) -> tuple[float, float]:
+        """95 % interval [V] of the shift of the deadband."""
+        shift, half = self.readings.shift, Z95 * self.shift_std
+        return round(shift - half, 4), round(shift + half, 4)
 
     @property
     def used(self) -> Cells:

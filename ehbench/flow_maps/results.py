@@ -3,7 +3,7 @@ and the notes that people read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
@@ -175,14 +175,12 @@ def fit_flow_map(
     r, solution, deadband = result.readings, result.solution, result.deadband
     rated, residual, lag = r.rated, result.residuals, result.hysteresis
     scatter, outliers = _trial_scatter(result), _outliers(result)
-    sentences = tuple(outlier.sentence(r.show) for outlier in outliers)
-    built = _map_of(result, scatter, valve, direction, sentences)
+    built = _map_of(result, scatter, valve, direction, outliers)
     residuals, sigmas = np.full((2, r.size), np.nan)
     residuals[r.row], sigmas[r.row] = rated * residual, result.sigmas
     leakage, ends = _leakage(result)
     smoothing = result.shape.smoothing / solution.cells.weight.sum()
     low, high = (0.0, 0.0) if lag is None else _interval(lag.value, lag.std)
-    half = Z95 * result.shift_std
     extrapolated = result.window.flows_at_lowest and r.commands[0] > 0
     status = "not_excited" if extrapolated else "at_bound" if deadband.at_bound else "estimated"
     fit = FlowMapFit(
@@ -206,7 +204,7 @@ def fit_flow_map(
         hysteresis=None if lag is None else round(lag.value, 4),
         hysteresis_interval=(round(low, 4), round(high, 4)),
         shift=r.shift,
-        shift_interval=(round(r.shift - half, 4), round(r.shift + half, 4)),
+        shift_interval=result.shift_interval,
         kinks=tuple((kink.value, *kink.interval) for kink in result.kinks),
         falls=_fall(built),
         trial_scatter=scatter,
@@ -220,7 +218,7 @@ def fit_flow_map(
 
 
 def _map_of(
-    result: Fit, scatter: float, valve: str, direction: str, outliers: tuple[str, ...]
+    result: Fit, scatter: float, valve: str, direction: str, outliers: Sequence[Outlier]
 ) -> FlowMap:
     """The map with its standard errors."""
     r, leak, deadband = result.readings, result.leak, result.deadband
@@ -264,7 +262,7 @@ def _map_of(
         std=_digits(r.rated * _flow_std(result, fine_u, fine_s, scatter), 4),
         rated_flow=r.rated,
         samples=int(result.keep.sum()),
-        outliers=outliers,
+        outliers=tuple(outlier.sentence(r.show) for outlier in outliers),
         source=", ".join(name for name in np.unique(r.file).tolist() if name),
         **more,
     )

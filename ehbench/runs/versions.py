@@ -31,7 +31,7 @@ _SIMULATED = ("logs", "plant")
 _TRIAL = (*_SIMULATED, "bench", "control", "trial", "ledger")
 # by stage: its schema and the methods that it uses
 STAGES: Mapping[str, tuple[int, tuple[str, ...]]] = {
-    "flow_map": (2, (*_SIMULATED, "flow_maps")),
+    "flow_map": (3, (*_SIMULATED, "flow_maps")),
     "hydraulics": (3, (*_SIMULATED, "output_error", "log_decrement", "frequency_response")),
     "profile": (1, (*_SIMULATED, "output_error")),
     "response": (2, (*_SIMULATED, "frequency_response")),

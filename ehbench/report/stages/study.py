@@ -226,6 +226,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     worst = page.table("worst", study["worst"], inputs=inputs, measures=measures)
     parts = [
         Part("Results", results),
+        Part("By case", _case_tables(run, page, study["measures"])),
         Part("By swept values", [*_group_tables(page, study), *pictures(kind="map")]),
         Part("Spread", [*pictures(kind="spread")]),
         Part("What moves them", [*moves, *pictures(kind="moves")]),
@@ -235,6 +236,32 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     ended = sum(study["status"].get(word, 0) for word in _ENDED)
     sentence = page.text("sentence", study=study, ended=ended)
     return SectionContent("done", sentence, [part for part in parts if part.inside])
+
+
+def _case_tables(run: Saved, page: Template, measures: Sequence[Table]) -> list[Block]:
+    """How the samples of each named case ended, their measures, and what ended the first that was
+    not completed; empty without cases.
+    """
+    import pandas as pd
+
+    samples = pd.read_csv(run.folder / "samples.csv", low_memory=False, keep_default_na=False)
+    if "case" not in samples:
+        return []
+    rows = []
+    for name, group in samples.groupby("case", sort=False):
+        ended = ", ".join(f"{words(str(k))} {n}" for k, n in group["status"].value_counts().items())
+        broken = [str(text) for text in group["message"] if text]
+        heads = [_head(measure["name"], measure["unit"]) for measure in measures]
+        of = [pd.Series(pd.to_numeric(group[h], errors="coerce"), dtype=float) for h in heads]
+        numbers = [{"median": column.median(), "maximum": column.max()} for column in of]
+        first = broken[0].partition(";")[0] if broken else ""
+        rows.append({"case": name, "ended": ended, "measures": numbers, "first": first})
+    ways = [
+        (place, f"{_label(measure)}, {way}", way)
+        for place, measure in enumerate(measures)
+        for way in ("median", "maximum")
+    ]
+    return [page.table("cases", rows, measures=ways)]
 
 
 def _group_tables(page: Template, study: Table) -> list[Block]:
