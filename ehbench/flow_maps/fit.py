@@ -63,7 +63,7 @@ class FitSettings:
     turns: int = setting(40, "", "largest number of turns of noise, fit and outliers", "few needed")
     settle: int = setting(20, "", "turns after which no reading comes back", "half of the turns")
     lag_turns: int = setting(4, "", "largest number of turns for the hysteresis", "few needed")
-    lag: float = setting(4.0, "", "standard errors from which a hysteresis is taken off", "chance")
+    lag: float = setting(4.0, "", "standard errors of a hysteresis or shift", "chance")
     lag_share: float = setting(5e-4, "", "the same, of the largest command", "drivers")
     leak_gain: float = setting(10.83, "", "−2 log likelihood between two leaks", "χ² at 99.9 %")
     shift: float = setting(
@@ -144,7 +144,7 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
         InsufficientData: as `sort_readings`; fewer than 3 commands that pass flow, or readings that
             no map fits.
     """
-    removed, shift = 0.0, 0.0
+    removed, shift, may_shift = 0.0, 0.0, True
     for _ in range(SETTINGS.lag_turns):
         readings = sort_readings(who, given, options, removed).shifted(shift)
         leak = _find_leak(readings)
@@ -167,7 +167,8 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
         more, std = _hysteresis_of(result)
         smallest = SETTINGS.lag_share * float(readings.commands[-1])
         sure = removed + more > max(SETTINGS.lag * std, smallest)
-        before, (shift, shift_std) = shift, _shift_of(result)
+        before, (shift, shift_std) = shift, _shift_of(result) if may_shift else (0.0, 0.0)
+        may_shift &= shift != 0.0 or not before  # one that did not last is sought no more
         result = replace(result, shift_std=shift_std)
         moved = abs(shift - before) > 0.1 * shift_std
         if not moved and (not sure or abs(more) < 0.1 * std):
@@ -331,7 +332,8 @@ def _shift_of(result: Fit) -> tuple[float, float]:
         while step > end:
             best = min((best, best - step, best + step), key=anew)
             step *= 0.5 if anew(best) <= min(anew(best - step), anew(best + step)) else 1.0
-        return (best, end) if anew(0.0) - anew(best) > SHAPE.kink_gain else (0.0, 0.0)
+        none = min(anew(0.0), nearby(shape.deadband, 0.0))
+        return (best, end) if none - anew(best) > SHAPE.kink_gain else (0.0, 0.0)
     now, std = np.array([shape.deadband, r.shift]), end
     away = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
     terms = np.column_stack([away[:, :1] ** 2, away.prod(1), away[:, 1:] ** 2, away, np.ones(9)])
@@ -343,7 +345,7 @@ def _shift_of(result: Fit) -> tuple[float, float]:
             break
         now = now - size * np.clip(np.linalg.solve(bend, (x, y)), -1.0, 1.0)
         std = size * float(np.sqrt(2.0 * np.linalg.inv(bend)[1, 1]))
-    return round(float(now[1]), 4), std
+    return (round(float(now[1]), 4), std) if abs(now[1]) > SETTINGS.lag * std else (0.0, 0.0)
 
 
 def _hysteresis_of(result: Fit) -> tuple[float, float]:
