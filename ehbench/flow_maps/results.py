@@ -333,7 +333,7 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
             @ regression(spline, _shifted(result.used, more)).solve(shape.smoothing)[0]
             for spline, more in sides
         )
-        variance += 0.25 * (high - low) ** 2
+        variance += ((high - low) / (2.0 * Z95)) ** 2
     scaled = r.delta / r.drop_max  # half of what s and a plain root of the drop differ by
     drop = root * np.sqrt(0.5 * root**2 + np.sqrt(0.25 * root**4 + scaled**2))
     variance += (0.5 * flow * (np.sqrt(drop) / np.maximum(root, 1e-12) - 1.0)) ** 2
@@ -351,19 +351,21 @@ def _shifted(cells: Cells, shift: float) -> Cells:
 
 
 def _uncertain(result: Fit) -> Iterator[tuple[tuple[Spline, float], tuple[Spline, float]]]:
-    """For the deadband, its shift and each kink, the spline with it a standard error lower and
-    higher, and the shift [V] more.
+    """For the deadband, its shift and each kink, the spline with it at either end of its interval,
+    and the shift [V] more; for a soft start the one at the lower end, and the map's.
     """
     shape, deadband = result.shape, result.deadband
-    if deadband.std > 0:
-        low = max(deadband.value - deadband.std, 0.0)
-        yield (shape.spline(low), 0.0), (shape.spline(deadband.value + deadband.std), 0.0)
-    if result.shift_std > 0.0:
-        yield (shape.spline(), -result.shift_std), (shape.spline(), result.shift_std)
+    if half := Z95 * deadband.std:
+        low = max(deadband.value - half, 0.0)
+        yield (shape.spline(low), 0.0), (shape.spline(deadband.value + half), 0.0)
+    if deadband.interval[0] < deadband.value:
+        yield (shape.spline(deadband.interval[0], soft=True), 0.0), (shape.spline(), 0.0)
+    if half := Z95 * result.shift_std:
+        yield (shape.spline(), -half), (shape.spline(), half)
     for kink in result.kinks:
         others = tuple(item.value for item in result.kinks if item is not kink)
         low, high = (
-            replace(shape, kinks=(*others, kink.value + k * kink.std)).spline() for k in (-1, 1)
+            replace(shape, kinks=(*others, kink.value + k * kink.std)).spline() for k in (-Z95, Z95)
         )
         yield (low, 0.0), (high, 0.0)
 
