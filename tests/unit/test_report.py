@@ -16,7 +16,8 @@ from ehbench.report.blocks import inline, prose
 from ehbench.report.compare import Shift, answer, compare, rig_of
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table, read_points, read_series
-from ehbench.report.stages import hydraulics, study
+from ehbench.report.stages import hydraulics
+from ehbench.report.stages import study as studies
 from ehbench.report.style import canvas, spread, thin
 from ehbench.report.svg import shrink
 from ehbench.report.template import Template
@@ -336,16 +337,16 @@ def points(path: str) -> list[tuple[float, float]]:
 def test_a_study_says_of_each_case_how_it_ended(tmp_path):
     lines = ["sample,status,case,error [mm],message", "0,done,sound,1.5,", "1,stopped,stuck,9.0,"]
     lines[2] += '"no sample, at 0.9 s; at rest"'
-    folder, measures = made(tmp_path, "study"), [{"name": "error", "unit": "mm"}]
+    folder = made(tmp_path, "study")
+    study = {"measures": [{"name": "error", "unit": "mm"}], "inputs": [{"key": "case"}]}
     (folder / "samples.csv").write_text("\n".join([*lines, "2,stopped,stuck,7.0,later"]))
     facts(folder, "study", title="Faults", warnings=[])
     run = Saved(folder)
-    (grid,) = study._case_tables(run, Template("study"), measures)
+    (grid,) = studies._case_tables(run, Template("study"), study)
     sound, stuck = ([getattr(cell, "text", cell) for cell in row] for row in grid.rows)
     assert sound == ["sound", "done 1", "1.5", "1.5", ""]
     assert stuck == ["stuck", "stopped 2", "8", "9", "no sample, at 0.9 s"]
-    (folder / "samples.csv").write_text("sample,status,error [mm],message\n0,done,1.5,")
-    assert study._case_tables(run, Template("study"), measures) == []
+    assert studies._case_tables(run, Template("study"), study | {"inputs": []}) == []
 
 
 def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch):

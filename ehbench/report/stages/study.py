@@ -226,7 +226,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     worst = page.table("worst", study["worst"], inputs=inputs, measures=measures)
     parts = [
         Part("Results", results),
-        Part("By case", _case_tables(run, page, study["measures"])),
+        Part("By case", _case_tables(run, page, study)),
         Part("By swept values", [*_group_tables(page, study), *pictures(kind="map")]),
         Part("Spread", [*pictures(kind="spread")]),
         Part("What moves them", [*moves, *pictures(kind="moves")]),
@@ -238,16 +238,16 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     return SectionContent("done", sentence, [part for part in parts if part.inside])
 
 
-def _case_tables(run: Saved, page: Template, measures: Sequence[Table]) -> list[Block]:
+def _case_tables(run: Saved, page: Template, study: Table) -> list[Block]:
     """How the samples of each named case ended, their measures, and what ended the first that was
     not completed; empty without cases.
     """
     import pandas as pd
 
-    samples = pd.read_csv(run.folder / "samples.csv", low_memory=False, keep_default_na=False)
-    if "case" not in samples:
+    if all(item["key"] != "case" for item in study["inputs"]):
         return []
-    rows = []
+    samples = pd.read_csv(run.folder / "samples.csv", low_memory=False, keep_default_na=False)
+    rows, measures = [], study["measures"]
     for name, group in samples.groupby("case", sort=False):
         ended = ", ".join(f"{words(str(k))} {n}" for k, n in group["status"].value_counts().items())
         broken = [str(text) for text in group["message"] if text]
