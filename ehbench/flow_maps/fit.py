@@ -310,7 +310,7 @@ def _shift_of(result: Fit) -> tuple[float, float]:
         return 0.0, 0.0
 
     def moved(shift: float) -> Cells:
-        return replace(used, u=used.u - (shift - r.shift) * (used.s**2 - 0.5))
+        return used.shifted(shift - r.shift)
 
     @cache
     def anew(shift: float) -> float:

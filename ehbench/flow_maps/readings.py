@@ -443,6 +443,10 @@ class Cells:
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, Cells) and self._bytes == other._bytes)
 
+    def shifted(self, shift: float) -> Cells:
+        """The same cells at the openings of a deadband that shifts by so much more [V]."""
+        return replace(self, u=self.u - shift * (self.s**2 - 0.5)) if shift else self
+
     def without(self, out: np.ndarray) -> Cells:
         """The same cells, of which some have no weight."""
         return replace(self, weight=np.where(out, 0.0, self.weight)) if out.any() else self

@@ -12,7 +12,7 @@ import numpy as np
 from ehbench.data.flowmeter import FlowmeterData
 from ehbench.flow_maps.fit import Fit, fit_readings
 from ehbench.flow_maps.readings import SETTINGS as READING
-from ehbench.flow_maps.readings import Cells, FlowMapOptions, Units
+from ehbench.flow_maps.readings import FlowMapOptions, Units
 from ehbench.flow_maps.shape import regression
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Spline
@@ -330,7 +330,7 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     for sides in _uncertain(result):
         low, high = (
             spline.design(opening - more * (root**2 - 0.5), root)
-            @ regression(spline, _shifted(result.used, more)).solve(shape.smoothing)[0]
+            @ regression(spline, result.used.shifted(more)).solve(shape.smoothing)[0]
             for spline, more in sides
         )
         variance += ((high - low) / (2.0 * Z95)) ** 2
@@ -343,11 +343,6 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
         if std > 0.0:
             variance += (std * np.asarray(np.gradient(flow, places, axis=axis))) ** 2
     return np.sqrt(variance)
-
-
-def _shifted(cells: Cells, shift: float) -> Cells:
-    """Cells at openings with a shift [V] more."""
-    return replace(cells, u=cells.u - shift * (cells.s**2 - 0.5)) if shift else cells
 
 
 def _uncertain(result: Fit) -> Iterator[tuple[tuple[Spline, float], tuple[Spline, float]]]:
@@ -497,8 +492,8 @@ def _features(result: Fit, fit: FlowMapFit) -> Iterator[Message]:
         low, high = fit.hysteresis_interval
         yield message("flow_maps.hysteresis", value=lag.value, low=low, high=high)
     if fit.shift:
-        low, high = map(volts, fit.shift_interval)
-        yield message("flow_maps.shift", value=volts(fit.shift), low=low, high=high)
+        value, low, high = (show.volts(round(x, 3)) for x in (fit.shift, *fit.shift_interval))
+        yield message("flow_maps.shift", value=value, low=low, high=high)
     if result.readings.one_drop:
         yield message("flow_maps.level")
 
