@@ -53,7 +53,8 @@ class Axis(NamedTuple):
     ``cylinder`` is its row of `ehbench.parts.cylinder.CYLINDER`. ``spool`` [functions] is 1 for
     each working function whose two edges hang on one command, and for hold if there is such a
     function. ``onset`` [V] of each of the cylinder's edges: where it begins to pass oil, 0
-    where its valve has other edges as well."""
+    where its valve has other edges as well. Forces from outside push the rod out by ``push``
+    [N] at stroke 0, by ``stiffness`` [N/m] less with each metre."""
 
     circuit: Circuit
     mechanism: Mechanism
@@ -61,14 +62,16 @@ class Axis(NamedTuple):
     cylinder: np.record
     spool: np.ndarray
     onset: np.ndarray
+    push: float
+    stiffness: float
 
 
 class Load(NamedTuple):
     """What a cylinder moves, seen at its rod, of the rig without payload.
 
-    Equivalent mass ``m0 = D_jj/l²`` [kg], ``gravity`` force c/l [N], joint ``damping`` b/l²
-    [N·s/m], ``curve`` κ/v² [1/m] of the linkage's own acceleration ``κ = l′ q̇²``, ``pull`` G
-    [N/kg] of 1 kg at the tip, ``lever`` l [m/rad]."""
+    Equivalent mass ``m0 = D_jj/l²`` [kg], ``gravity`` force c/l [N] less the push from outside,
+    joint ``damping`` b/l² [N·s/m], ``curve`` κ/v² [1/m] of the linkage's own acceleration
+    ``κ = l′ q̇²``, ``pull`` G [N/kg] of 1 kg at the tip, ``lever`` l [m/rad]."""
 
     mass: float
     gravity: float
@@ -91,13 +94,13 @@ def inertias(axis, angles, work):
 def load_at(axis, q, inertia, work):
     """The `Load` at joint coordinate q, after `inertias`, which turned the other joints."""
     j, mechanism = axis.cylinder.joint, axis.mechanism
-    _, lever, curve = linkage_of(axis.cylinder, q)
+    x, lever, curve = linkage_of(axis.cylinder, q)
     torque = work[work.shape[0] - mechanism.links.shape[0] :]
     per = 1.0 / lever
     turn_joint(mechanism.links, j, q, work)
     plumb(mechanism.kind, mechanism.links, mechanism.gravity, work)
     weigh_turned(mechanism.kind, mechanism.links, mechanism.gravity, j, torque, work)
-    fixed = torque[j] * per
+    fixed = torque[j] * per - axis.push + axis.stiffness * x
     weigh_turned(mechanism.kind, axis.tip, mechanism.gravity, j, torque, work)
     return Load(
         inertia * per * per,
@@ -109,13 +112,16 @@ def load_at(axis, q, inertia, work):
     )
 
 
-def axis_of(circuit: Circuit, mechanism: Mechanism, cylinder: np.record) -> Axis:
+def axis_of(
+    circuit: Circuit, mechanism: Mechanism, cylinder: np.record, forces: np.ndarray
+) -> Axis:
     """The axis of one cylinder.
 
     Args:
         circuit: the cylinder's, `ehbench.control.functions.circuit`.
         mechanism: of the design model.
         cylinder: its row of the plant.
+        forces: all of the plant, of `ehbench.parts.load.FORCE`.
 
     Raises:
         InputError: parts that do not fit each other, or a number that is not finite.
@@ -137,12 +143,18 @@ def axis_of(circuit: Circuit, mechanism: Mechanism, cylinder: np.record) -> Axis
         min(cylinder.volume_head, cylinder.volume_rod, cylinder.bulk_modulus) > 0.0
     ):
         raise InputError(message("control.axis_not_finite"))
+    own = forces[forces["cylinder"] == circuit.cylinder]
+    cylinder = cylinder.copy()
+    # what a force takes from a moving rod in either direction acts as Coulomb friction does
+    cylinder.friction_coulomb += 0.5 * float((own["retracting"] - own["extending"]).sum())
+    push = 0.5 * (own["extending"] + own["retracting"]) + own["stiffness"] * own["free_length"]
     tip, onset = _tip(mechanism.kind, mechanism.links), np.zeros(circuit.count)
     for i in range(circuit.count):
         edge = circuit.edges[circuit.first + i]
         if np.count_nonzero(circuit.edges.valve == edge.valve) == 1:
             onset[i] = edge_onset(edge, circuit.maps)
-    return Axis(circuit, mechanism, tip, cylinder, spool, onset)
+    stiffness = float(own["stiffness"].sum())
+    return Axis(circuit, mechanism, tip, cylinder, spool, onset, float(push.sum()), stiffness)
 
 
 def _tip(kind: int, links: np.ndarray) -> np.ndarray:
@@ -185,4 +197,4 @@ def hydraulic_frequency(axis: Axis, load: Load | None = None) -> float:
     spring = head**2 / chamber_oil(cylinder, 0, x) + rod**2 / chamber_oil(cylinder, 1, x)
     if cylinder.mount_state >= 0:
         spring /= 1.0 + cylinder.bulk_modulus * spring / cylinder.mount_stiffness
-    return math.sqrt(cylinder.bulk_modulus * spring / load.mass)
+    return math.sqrt((cylinder.bulk_modulus * spring + axis.stiffness) / load.mass)

@@ -24,7 +24,9 @@ from ehbench.control.records import constants
 from ehbench.control.sensor_checks import SCORES, SENSORS, Sensors, sensors_of, wrong_sensor
 from ehbench.parts.cylinder import chamber_oil
 from ehbench.parts.edge import edge_flow
+from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.sample import OF, entry
+from ehbench.parts.supply import rail_pressure
 from ehbench.runtime.compiled import kernel
 from ehbench.vocabulary.codes import HOLD
 from ehbench.vocabulary.settings import setting
@@ -121,6 +123,8 @@ def _expected(valve, opening, p, circuit):
         at = (p.supply, p.tank, p.head, p.rod)
         start = at[edge.from_node - end + 2 if edge.from_node >= end else edge.from_node]
         stop = at[edge.to_node - end + 2 if edge.to_node >= end else edge.to_node]
+        if edge.from_node == SUPPLY:
+            start = rail_pressure(start, stop, circuit.supply[0])
         flow = edge_flow(start - stop, opening, edge, circuit.maps)
         head += flow if edge.to_node == end else (-flow if edge.from_node == end else 0.0)
         rod += flow if edge.to_node == end + 1 else (-flow if edge.from_node == end + 1 else 0.0)

@@ -82,8 +82,8 @@ def required_flow(
         rules: of function selection.
     """
     cylinder, v = axis.cylinder, np.ascontiguousarray(motion.v)
-    _, lever = linkage_arrays(cylinder, motion.q)
-    load = motion.torque / lever + cylinder.friction_viscous * v
+    x, lever = linkage_arrays(cylinder, motion.q)
+    load = motion.torque / lever - axis.push + axis.stiffness * x + cylinder.friction_viscous * v
     load += cylinder.friction_coulomb * np.sign(v)
     out = np.empty(v.shape)
     _flows(v, load, line, tick, axis.circuit, rules, out)

@@ -104,7 +104,7 @@ def sensors_of(axis: Axis, tank: float, payload: float, steady: bool, tick: floa
         tick: between samples [s].
     """
     supply, joints = axis.circuit.supply[0], axis.mechanism.links.shape[0]
-    fixed = supply.margin == supply.rail == supply.gas_volume == 0.0
+    fixed = supply.margin == supply.gas_volume == 0.0
     return Sensors(
         np.zeros(joints),
         np.zeros(work_size(joints) + joints),

@@ -31,7 +31,7 @@ def design_point_of(
     """
     plant, row = model.plant, model.plant.cylinders[circuit.cylinder]
     mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, q)
-    axis = axis_of(circuit, mechanism, row)
+    axis = axis_of(circuit, mechanism, row, plant.forces)
     numbers = range(circuit.first, circuit.first + circuit.count)
     shut = np.isin(plant.edges.valve[numbers.start : numbers.stop], still)
     axis = axis._replace(onset=np.where(shut, 0.0, axis.onset))  # they stay shut

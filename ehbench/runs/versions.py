@@ -20,7 +20,7 @@ METHODS: Mapping[str, int] = {
     "frequency_response": 1,
     "diagnosis": 5,
     "validation": 4,
-    "control": 2,  # controllers and their monitor
+    "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it
     "ledger": 2,

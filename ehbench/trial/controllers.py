@@ -271,9 +271,6 @@ def compiled(
         packed = law.pack(point, gains, rules, shaping)
     channels, monitor = sample_size(len(design.model.layout.cylinders)), None
     if chosen.monitor:
-        if design.model.plant.supply.rail > 0.0:
-            text = message("trial.monitor_of_rails")
-            raise InputError(text, **recipe.at(*chosen.where, "monitor"))
         tank, times = design.model.plant.tank_pressure, (point.tick, point.valve_lag)
         known = not point.unmodelled
         load = tank, point.payload if known else math.inf, known and not recipe.payload_change

@@ -237,10 +237,8 @@ def planned(
     line = Pressures(low, low, float(plant.supply.pressure), float(plant.tank_pressure))
     required = np.zeros(len(q))
     for item, rule in zip(driven, rules, strict=True):
-        axis, joint = (
-            axis_of(item.design.circuit, mechanism, item.design.row),
-            int(item.design.row.joint),
-        )
+        row = item.design.row
+        axis, joint = axis_of(item.design.circuit, mechanism, row, plant.forces), int(row.joint)
         motion = Motion(item.references.table[:, V], torque[:, joint], q[:, joint])
         required += required_flow(axis, motion, line, tick, rule)
     limit = float(plant.supply.flow_limit)

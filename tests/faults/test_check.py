@@ -219,15 +219,15 @@ def test_a_rig_that_is_not_validated_is_told(recipes):
 def test_bandwidths_are_not_chosen_where_no_trial_would_take_them(recipes):
     """Margins of a law whose model lacks a part of the rig were said to be met."""
     rig = recipes / "rigs" / "slide_servo.toml"
-    force = '[[cylinder.force]]\nkind = "constant"\nforce = "100 N"\n\n[[cylinder.valve]]'
-    pushed = rig.read_text().replace("[[cylinder.valve]]", force, 1)
-    (recipes / "rigs" / "pushed.toml").write_text(pushed)
+    mount = '[cylinder.mount]\nstiffness = "50 kN/mm"\ndamping = "4 kN*s/m"\n\n[[cylinder.valve]]'
+    soft = rig.read_text().replace("[[cylinder.valve]]", mount, 1)
+    (recipes / "rigs" / "soft.toml").write_text(soft)
     tune = recipes / "tune.toml"
-    tune.write_text('stage = "tune"\nwhat = "arc"\nrig = "rigs/pushed.toml"\n')
+    tune.write_text('stage = "tune"\nwhat = "arc"\nrig = "rigs/soft.toml"\n')
     found = inspection.check(tune)
     assert found.code == 2 and found.errors[0].key == "control.arc_lacks_part"
     assert "tune.toml:2" in str(found.errors[0])
-    tune.write_text('stage = "tune"\nrig = "rigs/pushed.toml"\n')
+    tune.write_text('stage = "tune"\nrig = "rigs/soft.toml"\n')
     assert inspection.check(tune).code == 0
 
 

@@ -94,7 +94,9 @@ def axis_of(model, number, posture, measured=None):
     mechanism = Mechanism(
         plant.kind, plant.gravity, plant.links, plant.cylinders.joint, model.posture(posture)
     )
-    return make_axis(circuit_of(model, number, measured), mechanism, plant.cylinders[number])
+    return make_axis(
+        circuit_of(model, number, measured), mechanism, plant.cylinders[number], plant.forces
+    )
 
 
 def valve_lag(model, number):

@@ -2,18 +2,20 @@
 
 import numpy as np
 import pytest
-from with_parts import books, jacobian, moved, point_of, recovered, slide, swing
+from closed_loop import axis_of, gains_of, run_model
+from with_parts import books, jacobian, moved, point_of, recovered, shipped, slide, swing
 
 from ehbench.config.rig import Force, Rig
-from ehbench.control.law import DesignPoint
-from ehbench.control.registry import LAWS
+from ehbench.control.functions import pack_rules
+from ehbench.control.measured import Pressures
+from ehbench.control.required_flow import Motion, required_flow
+from ehbench.control.trajectory import point_to_point
 from ehbench.ledger import ledger_of_model
 from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.vocabulary.errors import InputError, LogError
-from tests.shared import refused
 
 CONSTANT = {"kind": "constant", "force": "4 kN"}
 DIRECTION = {"kind": "by_direction", "force_extending": "-900 N", "force_retracting": "500 N"}
@@ -105,16 +107,66 @@ def test_the_ledger_closes_with_a_force_on_the_rod(force):
         assert given == pytest.approx(-newtons * (x[-1] - x[0]), abs=1e-5 * ledger.pump)
 
 
-def test_without_forces_there_are_no_rows_and_a_law_of_the_cylinder_refuses_them():
+def test_without_forces_there_are_no_rows():
     record = simulate(slide(), {"press.servo": 2.0}, 0.1)
     names = {row.name for row in ledger_of_model(Model.of(slide()), record).rows}
     assert not names & {"press.external_force", "press.load_spring"}
-    # Said in one sentence, before anything of the site is used
-    lacking = pushed(CONSTANT).cylinder[0].unmodelled
-    site = DesignPoint(None, 1e-3, 1e7, 1e-3, 0.0, unmodelled=lacking)
-    with refused("control.arc_lacks_part"):
-        LAWS["arc"].pack(site, {}, None, None)
-    assert slide().cylinder[0].unmodelled == ()
+
+
+STIFF = {"kind": "spring", "stiffness": "40 kN/m", "free_length": "150 mm"}
+
+
+@pytest.mark.parametrize("force", [CONSTANT, DIRECTION, STIFF, AGAINST])
+def test_a_law_that_knows_the_force_tracks_as_without_one(force):
+    """Without adaptation its errors are then those of a free rod; a law that does not know the
+    force is several times as far off."""
+    given = {"speed": 0.07, "acceleration": 0.5, "jerk": 5.0, "hold": [0.3, 0.5, 0.5]}
+    reference = point_to_point([0.05, 0.3, 0.05], tick=1e-3, profile="seventh", **given)
+
+    def error(machine, design):
+        axis = axis_of(design, 0, {"press": "0.175 m"})
+        gains = gains_of(design, axis, adapt=False)
+        run = run_model(machine, axis, gains, reference, {"press": "0.05 m"})
+        return np.abs(run.telemetry["x_error"]).max()
+
+    free, loaded = Model.of(slide()), Model.of(pushed(force))
+    least = error(free, free)
+    assert error(loaded, loaded) < 1.2 * least
+    assert error(loaded, free) > 5.0 * least
+
+
+def test_the_flow_that_a_motion_takes_knows_the_force():
+    """A force that pushes the rod out acts as a load which is lighter by as much: the boom goes
+    over to the working functions of a lowered load, as if its joint carried less."""
+    rig = shipped("thesis_arm")
+    push = {"kind": "constant", "force": "30 kN"}
+    boom = rig.cylinder_named("boom").model_copy(update={"force": (Force.model_validate(push),)})
+    forced = rig.model_copy(
+        update={"cylinder": tuple(boom if c.name == "boom" else c for c in rig.cylinder)}
+    )
+    design = Model.of(rig)
+    q = np.full(200, design.posture({"boom": "120 mm"})[design.plant.cylinders[1].joint])
+    v = np.full(200, 0.1)
+    line = Pressures(5e5, 5e5, 1.0e7, 0.0)
+    nudged = np.array([q[0] - 1e-6, q[0] + 1e-6])
+    low, high = (design_stroke(design, angle) for angle in nudged)
+    lever = (high - low) / 2e-6
+    flows = []
+    for model, carried_by_joint in ((Model.of(forced), 2e4), (design, 2e4 - 3e4), (design, 2e4)):
+        axis = axis_of(model, 1, {"boom": "120 mm"})
+        rules = pack_rules(axis.circuit.area_rod, 1e7)
+        motion = Motion(v, np.full(200, carried_by_joint * lever), q)
+        flows.append(required_flow(axis, motion, line, 1e-3, rules))
+    assert np.array_equal(flows[0], flows[1]) and not np.array_equal(flows[0], flows[2])
+
+
+def design_stroke(model: Model, angle: float) -> float:
+    """Stroke [m] of the boom at its joint's angle, from the triangle of its pins."""
+    row = model.plant.cylinders[1]
+    squared = (
+        row.l_a**2 + row.l_b**2 - 2.0 * row.l_a * row.l_b * np.cos(row.side * angle + row.phase)
+    )
+    return float(np.sqrt(squared) - row.retracted_length)
 
 
 @pytest.mark.slow

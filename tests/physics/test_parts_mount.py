@@ -51,7 +51,7 @@ def test_oil_and_mount_are_springs_in_series():
     assert np.abs(exact.imag).max() == pytest.approx(series, rel=1e-3)
     plant, q = model.plant, model.posture(None)
     mechanism = Mechanism(plant.kind, plant.gravity, plant.links, plant.cylinders.joint, q)
-    axis = axis_of(circuit_of(model, 0), mechanism, plant.cylinders[0])
+    axis = axis_of(circuit_of(model, 0), mechanism, plant.cylinders[0], plant.forces)
     assert hydraulic_frequency(axis) == pytest.approx(series, rel=1e-9)
 
 

@@ -11,7 +11,7 @@ from ehbench.config.recipe import (
     TrialRecipe,
     load_recipe,
 )
-from ehbench.config.recipe.trial import Controller
+from ehbench.config.recipe.trial import Controller, OtherSupply
 from ehbench.control.sensor_checks import RESIDUALS, SCORES, Sensors, _score
 from ehbench.trial.preparation import prepare
 from ehbench.trial.running import run
@@ -20,9 +20,13 @@ from ehbench.vocabulary.errors import InputError
 from tests.shared import ROOT, shipped
 
 START = 2.0  # s: the boom rises at full speed
+TWO_RAILS = {"low_rail": {"rail_pressure": "500 psi", "rail_margin": "100 psi"}}
+SUPPLIES = pytest.mark.parametrize("supply", [{}, TWO_RAILS], ids=["one pressure", "two rails"])
 
 
-def result_of(payload: str | None = None, gains=None, hold="1 s", top="200 mm", **changes):
+def result_of(
+    payload: str | None = None, gains=None, hold="1 s", top="200 mm", supply=None, **changes
+):
     loaded = load_recipe(ROOT / "recipes/trials/arc_fast_bench.toml")
     assert isinstance(loaded, TrialRecipe)
     motion = Motion.model_validate(
@@ -38,10 +42,12 @@ def result_of(payload: str | None = None, gains=None, hold="1 s", top="200 mm", 
     )
     controller = Controller.model_validate({"kind": "arc", "monitor": True, "gains": gains or {}})
     updates = {"motion": motion, "controller": controller, "payload": payload, **changes}
+    updates["supply"] = OtherSupply.model_validate(supply or {})
     recipe = loaded.model_copy(update=updates)
     return run(prepare(recipe, shipped("thesis_arm"))).facts
 
 
+@SUPPLIES
 @pytest.mark.parametrize(
     ("valve", "kind", "stays", "within", "largest"),
     [
@@ -53,10 +59,12 @@ def result_of(payload: str | None = None, gains=None, hold="1 s", top="200 mm", 
         ("regen", "stuck_open", "open", 0.2, None),
     ],
 )
-def test_a_valve_that_fails_is_named_and_the_others_go_on(valve, kind, stays, within, largest):
+def test_a_valve_that_fails_is_named_and_the_others_go_on(
+    valve, kind, stays, within, largest, supply
+):
     """By the true stroke of the virtual bench, whose valves are not the design model's."""
     fault = {"start": f"{START} s", "kind": kind, "target": f"boom.{valve}"}
-    facts = result_of("50 lb", fault=(Fault.model_validate(fault),))
+    facts = result_of("50 lb", supply=supply, fault=(Fault.model_validate(fault),))
     found = facts.measures["valve_fault"]
     assert (found["valve"], found["stays"]) == (f"boom.{valve}", stays)
     assert START < found["t"] < START + within
@@ -66,6 +74,7 @@ def test_a_valve_that_fails_is_named_and_the_others_go_on(valve, kind, stays, wi
         assert facts.measures["tracking_true"]["max_error"] < largest
 
 
+@SUPPLIES
 @pytest.mark.parametrize(
     ("fault", "channel", "within", "largest"),
     [
@@ -82,8 +91,9 @@ def test_a_valve_that_fails_is_named_and_the_others_go_on(valve, kind, stays, wi
     ],
     ids=str,
 )
-def test_a_wrong_sensor_stops_the_trial_and_is_named(fault, channel, within, largest):
-    facts = result_of("50 lb", fault=(Fault.model_validate({"start": f"{START} s", **fault}),))
+def test_a_wrong_sensor_stops_the_trial_and_is_named(fault, channel, within, largest, supply):
+    given = Fault.model_validate({"start": f"{START} s", **fault})
+    facts = result_of("50 lb", supply=supply, fault=(given,))
     assert (facts.stop.limit, facts.stop.channel) == ("monitor", channel)
     assert START < facts.stop.t < START + within
     assert facts.measures["tracking_true"]["max_error"] < largest
@@ -108,10 +118,11 @@ def test_noise_of_the_assumed_deviation_is_no_fault():
     [{}, {"flow": 0.8}, {"valve_lag": 2.0}, {"bulk_modulus": 0.5}, {"friction": 3.0}],
     ids=str,
 )
+@SUPPLIES
 @pytest.mark.parametrize("payload", [None, "50 lb"])
-def test_a_sound_machine_is_not_blamed(payload, change):
+def test_a_sound_machine_is_not_blamed(payload, change, supply):
     machine = MachineChange.model_validate(change)
-    facts = result_of(payload, machine=machine)
+    facts = result_of(payload, machine=machine, supply=supply)
     assert "valve_fault" not in facts.measures
     assert facts.stop is None and np.isfinite(facts.measures["tracking"]["max_error"])
 

@@ -46,8 +46,7 @@ def cases(root: Path) -> Iterator[Case]:
 def monitored(case: Case) -> Case | None:
     """The same trial with a monitor, where its controllers can have one."""
     controller = case.recipe.controller
-    rails = case.recipe.supply.low_rail or case.rig.supply.low_rail
-    if controller is None or controller.kind is None or rails:
+    if controller is None or controller.kind is None:
         return None
     changed = controller.model_copy(update={"monitor": True})
     recipe = case.recipe.model_copy(update={"controller": changed})

@@ -185,7 +185,7 @@ class Cylinder(FileModel):
     @property
     def unmodelled(self) -> tuple[str, ...]:
         """Its tables that a controller's model of a cylinder does not have."""
-        lists = tuple(f"[[cylinder.{key}]]" for key in ("force", "line") if getattr(self, key))
+        lists = ("[[cylinder.line]]",) if self.line else ()
         single = (key for key in ("mount", "sway") if getattr(self, key) is not None)
         return (*lists, *(f"[cylinder.{key}]" for key in single))
 
