@@ -3,7 +3,7 @@ and the notes that people read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
@@ -326,7 +326,7 @@ def _flow_std(result: Fit, u: np.ndarray, s: np.ndarray, scatter: float) -> np.n
     trials = np.unique(r.trial[result.keep]).size
     few = np.sqrt(trials / np.interp(opening, r.commands, np.maximum(counts, 1)))
     variance += (scatter * few * flow) ** 2
-    variance += _missed(result, opening, root) + _between_drops(result, opening, root)
+    variance += _missed(result, opening, root) + _between(result, opening, root)
     for sides in _uncertain(result):
         low, high = (
             spline.design(opening - more * (root**2 - 0.5), root)
@@ -381,26 +381,44 @@ def _missed(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.maximum(near @ square - sure * (near @ (1.0 / cells.weight[some])), 0.0)
 
 
-def _between_drops(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Variance [rated²] of where a map that bends sharply does so between the drops measured.
+def _between(result: Fit, u: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Variance [rated²] of what a map does between the places measured: where one that bends
+    sharply does so between the drops, and how the flow starts between the commands.
 
     A kink that changes the slope by κ inside a gap h leaves the chord by κ·h·w·(1 − w) at most, w
-    from 0 to 1 in the gap; taken as two standard errors, κ the largest over this gap or its
-    neighbours."""
-    roots = result.readings.roots
-    if roots.size < 4:
-        return np.zeros(u.size)
-    gap = np.clip(np.searchsorted(roots, s, side="right") - 1, 0, roots.size - 2)
-    each, row = np.unique(u, return_inverse=True)
-    flow = result.solution.at(np.repeat(each, roots.size), np.tile(roots, each.size))
-    turn = np.diff(np.diff(flow.reshape(each.size, roots.size), axis=1) / np.diff(roots), axis=1)
-    turn = np.pad(turn, ((0, 0), (1, 1)))
-    turn = np.abs(turn[:, 1:] + turn[:, :-1])  # a kink inside a gap shows half at either end
-    width = np.diff(roots)[gap]
-    part = np.clip((s - roots[gap]) / width, 0.0, 1.0)
-    kink = np.max([turn[row, np.clip(gap + k, 0, roots.size - 2)] for k in (-1, 0, 1)], axis=0)
+    from 0 to 1 in the gap; taken as two standard errors. Along the drops κ is the largest over this
+    gap or its neighbours. Along the commands only the gaps on either side of the lowest one that
+    passes flow count: farther up the smoothing tells."""
+    r, at, first = result.readings, result.solution.at, result.window.opens
+    roots = _chord(lambda root, opening: at(opening, root), r.roots, s, u, 1)
+    start = _chord(at, r.levels, u, s, 0)
+    start *= (r.levels[max(first - 1, 0)] <= u) & (u <= r.levels[first + 1])
     sure = 0.5 if result.shape.along_s.kink else 0.25
-    return (sure * kink * width * part * (1.0 - part)) ** 2
+    return (sure * roots) ** 2 + (0.25 * start) ** 2
+
+
+def _chord(
+    flow: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    places: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    reach: int,
+) -> np.ndarray:
+    """κ·h·w·(1 − w) of `_between` at points (x, y), κ the largest over so many gaps to either side
+    of that of x between ``places``."""
+    if places.size < 4:
+        return np.zeros(x.size)
+    gap = np.clip(np.searchsorted(places, x, side="right") - 1, 0, places.size - 2)
+    each, row = np.unique(y, return_inverse=True)
+    table = flow(np.tile(places, each.size), np.repeat(each, places.size))
+    slopes = np.diff(table.reshape(each.size, places.size), axis=1) / np.diff(places)
+    turn = np.pad(np.diff(slopes, axis=1), ((0, 0), (1, 1)))
+    turn = np.abs(turn[:, 1:] + turn[:, :-1])  # a kink inside a gap shows half at either end
+    width = np.diff(places)[gap]
+    part = np.clip((x - places[gap]) / width, 0.0, 1.0)
+    near = range(-reach, reach + 1)
+    kink = np.max([turn[row, np.clip(gap + k, 0, places.size - 2)] for k in near], axis=0)
+    return kink * width * part * (1.0 - part)
 
 
 def _outliers(result: Fit) -> tuple[Outlier, ...]:

@@ -430,19 +430,36 @@ def test_a_kink_between_two_drops_is_in_the_standard_error(bends, share):
     roots = np.array([0.1, 0.2, 0.3, 0.5, 0.6, 0.7, 0.8])
     kinked = lambda u, s: u + 2.0 * np.maximum(s - 0.37, 0.0)
     result = SimpleNamespace(
-        readings=SimpleNamespace(roots=roots),
+        readings=SimpleNamespace(roots=roots, levels=np.arange(4.0)),
         solution=SimpleNamespace(at=kinked),
         shape=SimpleNamespace(along_s=SimpleNamespace(kink=bends)),
+        window=SimpleNamespace(opens=1),
     )
     s = np.array([0.3, 0.37, 0.45, 0.55, 0.65, 0.75, 0.95])
-    std = np.sqrt(results._between_drops(result, np.full(s.size, 3.0), s))
+    std = np.sqrt(results._between(result, np.full(s.size, 3.0), s))
     inside = np.array([0.0, 0.35 * 0.65, 0.75 * 0.25])
     assert std[:3] == pytest.approx(share * 2.0 * 0.2 * inside)
     assert std[3] == pytest.approx(share * 2.0 * 0.1 * 0.25)  # its neighbour may hold it
     assert std[4] == pytest.approx(share * 0.7 * 0.1 * 0.25)  # 1.3 and 2 before and behind 0.5
     assert std[5:] == pytest.approx(0.0, abs=1e-12)
     result.readings.roots = roots[:3]
-    assert not results._between_drops(result, s, s).any()
+    assert results._between(result, s, s) == pytest.approx(0.0, abs=1e-20)
+
+
+def test_how_a_flow_starts_between_two_commands_is_in_the_standard_error():
+    """Flow 2 a volt from 1.4 V on: its slope is 1.2 from 1 to 2 V and 2 beyond, so a kink of 2 in
+    the gap below 2 V, one of 0.8 in that above, and none farther up, where another kink lies."""
+    starts = lambda u, s: 2.0 * np.maximum(u - 1.4, 0.0) + 5.0 * np.maximum(u - 4.0, 0.0)
+    result = SimpleNamespace(
+        readings=SimpleNamespace(roots=np.array([0.2, 0.5]), levels=np.arange(7.0)),
+        solution=SimpleNamespace(at=starts),
+        shape=SimpleNamespace(along_s=SimpleNamespace(kink=False)),
+        window=SimpleNamespace(opens=2),
+    )
+    u = np.array([0.5, 1.0, 1.4, 2.0, 2.5, 3.5, 4.5])
+    std = np.sqrt(results._between(result, u, np.full(u.size, 0.3)))
+    held = [0.0, 0.0, 2.0 * 0.4 * 0.6, 0.0, 0.8 * 0.25, 0.0, 0.0]
+    assert std == pytest.approx(0.25 * np.array(held), abs=1e-12)
 
 
 def test_a_miss_beyond_chance_is_in_the_standard_error():
