@@ -570,15 +570,22 @@ def serve_machine(
         typer.Option("--rate", help="Of the target [Hz].", min=1.0, max=1e6, show_default=False),
     ] = None,
     watchdog: Annotated[
-        float, typer.Option("--watchdog", help="Silence after which it stops, in ms.", min=1.0)
-    ] = 20.0,
+        float | None,
+        typer.Option(
+            "--watchdog",
+            help="Silence after which it stops, in ms. Default: 20, or four samples.",
+            min=1.0,
+            show_default=False,
+        ),
+    ] = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Serve a model or the virtual bench as a machine by itself, in real time, with watchdog,
     clamps and the trial's faults: what a target must do."""
     from ehbench.app import linking
 
-    linking.serve(file, at, on, rate, 1e-3 * watchdog, allow_code)
+    silence = None if watchdog is None else 1e-3 * watchdog
+    linking.serve(file, at, on, rate, silence, allow_code)
 
 
 def _run_recipe(

@@ -67,7 +67,11 @@ def measured(url: str, seconds: float) -> tuple[Answer, int]:
 
 
 def served(
-    file: Path, on: str | None, rate: float | None, watchdog: float, allow_code: bool = False
+    file: Path,
+    on: str | None,
+    rate: float | None,
+    watchdog: float | None = None,
+    allow_code: bool = False,
 ) -> tuple[Prepared, ServedTarget]:
     """A trial's machine, or that of a bench file, as a target; the trial beside it.
 
@@ -92,7 +96,12 @@ def served(
 
 
 def serve(
-    file: Path, url: str, on: str | None, rate: float | None, watchdog: float, allow_code: bool
+    file: Path,
+    url: str,
+    on: str | None,
+    rate: float | None,
+    watchdog: float | None,
+    allow_code: bool,
 ) -> None:
     """Serve a trial's machine, or that of a bench file, until a signal ends it.
 

@@ -68,16 +68,22 @@ class Address:
             parts = urlsplit(url)
             port = parts.port
         except ValueError as error:
-            raise InputError(message("links.url", url=url, known=known)) from error
+            why = message("links.url_scheme", known=known)
+            raise InputError(message("links.url", url=url, why=why)) from error
         given = dict(parse_qsl(parts.query, keep_blank_values=True))
         card = parts.scheme in CARDS
         mode: Any = given.pop("mode", "buffered" if card else "stream")
         clock, place = given.pop("clock", "real"), given.pop("map", None)
-        sound = mode in get_args(Mode) and clock in ("real", "virtual") and not given
-        sound &= place is not None or parts.scheme in ("udp", "modbus")
-        sound &= mode != "buffered" or card or parts.scheme == "udp"
-        if not sound or parts.scheme not in (*PORTS, *CARDS) or not parts.hostname:
-            raise InputError(message("links.url", url=url, known=known))
+        mapped, scheme = place is not None, parts.scheme
+        sound = {
+            "links.url_scheme": scheme in (*PORTS, *CARDS) and bool(parts.hostname),
+            "links.url_option": not given,
+            "links.url_mode": mode in get_args(Mode) and clock in ("real", "virtual"),
+            "links.url_map": mapped or scheme in ("udp", "modbus"),
+            "links.url_buffered": mode != "buffered" or card or scheme == "udp",
+        }
+        for key in (key for key, is_sound in sound.items() if not is_sound):
+            raise InputError(message("links.url", url=url, why=message(key, known=known)))
         return cls(
             url,
             parts.scheme,

@@ -23,6 +23,7 @@ class QualitySettings:
 
     late: float = setting(0.01, "", "share of late ticks that is refused", "twice an ordinary one")
     gap: float = setting(0.5, "", "longest gap, as a share of the watchdog's time", "half of it")
+    samples: float = setting(4.0, "", "in a watchdog's time, at least", "one may be late")
     answer: float = setting(2.0, "s", "until a target must answer", "a hundred watchdogs")
 
 
@@ -59,7 +60,8 @@ class Quality:
             reasons.append(message("links.late", share=self.late_share, most=QUALITY.late))
         if self.gap > QUALITY.gap * self.watchdog:
             fields = {"gap": 1e3 * self.gap, "most": 1e3 * QUALITY.gap * self.watchdog}
-            reasons.append(message("links.gap", **fields))
+            longer = max(self.gap / QUALITY.gap, QUALITY.samples / self.rate)
+            reasons.append(message("links.gap", longer=1e3 * longer, **fields))
         return reasons
 
     def rows(self) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ehbench.config.recipe import Fault
 from ehbench.links.layout import REFERENCES, Layout
+from ehbench.links.quality import QUALITY
 from ehbench.links.responder import RUNNING, STOPPED, Target
 from ehbench.links.transport import ACKNOWLEDGED, LARGEST, SEQUENCE, VirtualClock
 from ehbench.machines.faults import FaultyMachine
@@ -81,10 +82,11 @@ class ServedTarget(Target):
         prepared: the trial whose machine is served, whose posture it stands in and whose laws close
             the loop in mode ``setpoint``.
         faults: of the link.
-        watchdog: time [s] without a command after which it stops."""
+        watchdog: time [s] without a command after which it stops; None for 20 ms, or the few
+            samples that a sound link needs if these take longer."""
 
     def __init__(
-        self, prepared: Prepared, faults: Sequence[Fault] = (), watchdog: float = 0.02
+        self, prepared: Prepared, faults: Sequence[Fault] = (), watchdog: float | None = None
     ) -> None:
         layout, self.served = Layout.of(prepared.rig), Served(prepared)
         count = len(layout.commands.names)
@@ -100,6 +102,7 @@ class ServedTarget(Target):
             if peak is not None:  # the host's limit comes first
                 limits += [(entry(c, p), -np.inf, 1.2 * float(peak)) for p in (OF.p_head, OF.p_rod)]
         ramp, rate = float(prepared.recipe.limits.ramp), self.served.machine.rate
+        watchdog = watchdog or max(0.02, QUALITY.samples / rate)
         super().__init__(self.served, layout.clamps(), modes, rate, watchdog, ramp, limits)
         self.faults, self._late, self._held = faults, deque[tuple[int, bytes]](), b""
         self._table: dict[int, list[float]] = {}

@@ -305,12 +305,22 @@ def test_a_responder_that_is_filled_in_stays(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "url", ["tcp://x:1", "udp://", "udp://x:port", "udp://x?mode=fast", "can://x/y", "udp://x?a=1"]
+    ("url", "why"),
+    [
+        ("tcp://x:1", "scheme"),
+        ("udp://", "scheme"),
+        ("udp://x:port", "scheme"),
+        ("udp://x?a=1", "option"),
+        ("udp://x?mode=fast", "mode"),
+        ("can://x/y", "map"),
+        ("modbus://x?mode=buffered", "buffered"),
+    ],
 )
-def test_an_address_that_is_none_is_refused(url):
+def test_an_address_that_is_none_is_refused(url, why):
     with pytest.raises(InputError) as error:
         Address.of(url)
     assert error.value.key == "links.url"
+    assert error.value.fields["why"].key == f"links.url_{why}"
 
 
 @pytest.mark.parametrize(

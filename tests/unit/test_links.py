@@ -583,6 +583,15 @@ def test_a_link_is_refused_by_late_ticks_and_gaps(late, gap, keys):
     assert [p.key for p in quality.problems()] == ["links.late", "links.gap"][:keys]
 
 
+@pytest.mark.parametrize(("rate", "expected"), [(1000.0, 0.02), (100.0, 0.04), (50.0, 0.08)])
+def test_a_slow_target_waits_long_enough_for_a_sound_link(rate, expected):
+    """20 ms, or four samples: half of it is the longest gap that a trial is armed with."""
+    target = ServedTarget(trial("model", rate=f"{rate} Hz"))
+    assert target.watchdog == pytest.approx(expected)
+    quality = Quality("x", 1000, 0, 0, (0.0, 0.0, 0.0), 1.9 / rate, target.watchdog, rate)
+    assert not quality.problems()
+
+
 def test_clocks_and_delays_are_estimated_with_intervals_that_hold_the_truth():
     """Exchanges drawn by hand: an offset, a drift, a delay each way."""
     draw = np.random.default_rng(3)
