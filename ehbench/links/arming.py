@@ -5,7 +5,7 @@ distance that fits the margin, a link that keeps time, and a person who says so.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -137,26 +137,21 @@ def _permit(
         raise InputError(message("links.wrong_token", token=token))
 
 
-def _reached(prepared: Prepared, address: Address) -> tuple[Machine, float]:
-    """The machine of a trial, which sends samples, and its watchdog's time [s].
+def _watchdog_of(machine: Machine, prepared: Prepared, address: Address) -> float:
+    """The watchdog time [s] of a machine that sends samples and stands where the trial begins.
 
     Raises:
-        InputError: as `run_remote`, before the dry run.
+        InputError: it does not, or the link does not keep time.
     """
-    recipe = prepared.recipe
-    for key in ("payload_change", "fault", "machine"):
-        if getattr(recipe, key):
-            raise InputError(message("links.simulated", key=key, url=address.url), **recipe.at(key))
-    machine = open_machine(prepared, address.url)
     if not isinstance(machine, LinkMachine):
-        return machine, 0.0
+        return 0.0
     if not address.virtual:
         with punctual() as refused:
             quality = measure(address.link(), address.url, PROBE, tuple(refused))
         for problem in quality.problems():
             raise InputError(problem)
     machine.reach(prepared.posture, prepared.low_side)
-    return machine, machine.watchdog
+    return machine.watchdog
 
 
 def run_remote(
@@ -184,11 +179,17 @@ def run_remote(
             a recipe can change on a simulation alone.
     """
     refuse_unmanned(prepared, operator)
-    address = Address.of(url)
-    machine, watchdog = _reached(prepared, address)
-    dry, distances = rehearsed(prepared, watchdog)
-    blind = [name for name in unmeasured_of(machine) if name.endswith(".x")]
-    _permit(prepared, url, max(distances.values(), default=0.0), ask, blind)
+    address, recipe = Address.of(url), prepared.recipe
+    for key in ("payload_change", "fault", "machine"):
+        if getattr(recipe, key):
+            raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
+    machine = open_machine(prepared, url)
+    with ExitStack() as refusal:
+        refusal.callback(machine.close)
+        dry, distances = rehearsed(prepared, _watchdog_of(machine, prepared, address))
+        blind = [name for name in unmeasured_of(machine) if name.endswith(".x")]
+        _permit(prepared, url, max(distances.values(), default=0.0), ask, blind)
+        refusal.pop_all()
     fast = address.mode == "buffered"
     with punctual() as refused:
         result = run(prepared, machine, log, progress, fast, watcher, operator)

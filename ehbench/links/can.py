@@ -110,12 +110,13 @@ def serve(
 ) -> None:
     """Serve a target on a CAN bus, on its own clock."""
     up, down = (Frames(way, n, path) for way, n in zip(FRAMES, names, strict=True))
-    bus, due = open_bus(interface, channel), time.monotonic()
-    while True:
-        while (frame := bus.recv(max(due - time.monotonic(), 0.0))) is not None:
-            if (numbers := down.take(frame)) is None:
-                continue
-            target.receive(datagram_of(numbers, target), time.monotonic())
-        if datagram := target.tick(time.monotonic()):
-            up.send(bus, np.frombuffer(datagram, "<f8"))
-        due = max(due + 1.0 / target.rate, time.monotonic() - 0.1)
+    with open_bus(interface, channel) as bus:
+        due = time.monotonic()
+        while True:
+            while (frame := bus.recv(max(due - time.monotonic(), 0.0))) is not None:
+                if (numbers := down.take(frame)) is None:
+                    continue
+                target.receive(datagram_of(numbers, target), time.monotonic())
+            if datagram := target.tick(time.monotonic()):
+                up.send(bus, np.frombuffer(datagram, "<f8"))
+            due = max(due + 1.0 / target.rate, time.monotonic() - 0.1)

@@ -312,9 +312,8 @@ class LinkMachine:
 
     def close(self) -> None:
         """As `Machine.close`: the target lets its valves go to rest."""
-        if not self._open:
-            return
-        self._open, until = False, self.now() + 0.5
+        moved, self._open = self._open, False
+        until = self.now() + 0.5 if moved else 0.0
         while self.state != STOPPED and self.now() < until:
             self.exchange(STOPPING, np.empty(0), DONE)
         self.link.close()

@@ -564,9 +564,14 @@ def test_a_person_hears_of_a_stroke_that_no_sensor_gives(monkeypatch):
     ],
 )
 def test_nothing_moves_before_dry_run_margin_and_token(monkeypatch, ask, keys, key):
+    closed = []
+    monkeypatch.setattr(VirtualLink, "close", lambda self: closed.append(self))
     with pytest.raises(InputError) as error:
         remote(monkeypatch, ask, **keys)
     assert error.value.key == key
+    assert bool(closed) != (
+        key == "links.simulated"
+    )  # nothing is opened before the recipe is sound
 
 
 def test_the_stopping_distance_grows_with_the_watchdog():
