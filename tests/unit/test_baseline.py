@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ehbench.data.record import Record
-from ehbench.validation.baseline import black_boxes, fit
+from ehbench.validation.baseline import Arx, black_boxes, fit
 from ehbench.validation.results import ChannelResult, LogResult
 
 TICK = 1e-3
@@ -89,3 +89,24 @@ def test_a_free_run_that_grows_stays_a_number_or_is_none():
     shown, _, better = black_boxes([result("b", 10.0)], [long], [("a", growing)])
     reached = shown[0].channels[0].baseline_percent
     assert better == [] and (reached is None or math.isfinite(reached))
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_a_free_run_is_its_own_recursion_from_the_first_samples(order):
+    """``y(k) = Σ a(i) y(k − i) + Σ b(i) u⁺(k − i) + b⁻(i) u⁻(k − i) + c``, step by step."""
+    rng = np.random.default_rng(order)
+    poles = rng.uniform(-0.2, 0.2, order)
+    inputs = rng.standard_normal(2 * (order + 1) + 1)
+    t, u = np.arange(60) * TICK, rng.standard_normal(60)
+    u[:10] = 0.0
+    y = 3.0 + rng.standard_normal(60)
+    box = Arx("ram.p_head", ("ram.spool.command",), TICK, poles, inputs)
+    run = box.run(Record(t, {"ram.p_head": y, "ram.spool.command": u}))
+    level = y[:10].mean()
+    expected = list(y[:order] - level)
+    for k in range(order, 60):
+        value = sum(poles[i] * expected[k - 1 - i] for i in range(order)) + inputs[-1]
+        for i in range(order + 1):
+            value += inputs[2 * i] * max(u[k - i], 0.0) + inputs[2 * i + 1] * min(u[k - i], 0.0)
+        expected.append(value)
+    assert run == pytest.approx(level + np.array(expected), rel=1e-9)

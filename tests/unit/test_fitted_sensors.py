@@ -8,7 +8,8 @@ import pytest
 
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.data.record import Record
-from ehbench.preprocessing.sensors import ATMOSPHERE, corrected, terms_of
+from ehbench.identification.results import SensorFit
+from ehbench.preprocessing.sensors import ATMOSPHERE, Term, corrected, terms_of
 from ehbench.stages.fitted_sensors import inherited, tables_of
 from tests.shared import shipped
 
@@ -78,3 +79,11 @@ def test_a_table_of_the_recipe_goes_before_it_and_none_is_none(run, tmp_path):
     assert not any("boom.q" in one for one in said)
     assert inherited(tmp_path / "none", own, CHANNELS, rig) == (own, ())
     assert tables_of(()) == {}
+
+
+def test_a_number_of_a_sensor_has_the_standard_error_of_its_bias():
+    """5 Pa a unit of bias, from 2 Pa on: bias 3 ± 0.4 is 17 ± 2 Pa, in 95 % ± 1.96 times that."""
+    term = Term("boom.p_head", "offset", 2.0, -5.0, 0.6, False)
+    found = SensorFit.of(term, "log", -3.0, 0.4, 1.96)
+    assert (found.value, found.std, found.known, found.prior) == (17.0, 2.0, 2.0, 3.0)
+    assert found.interval == pytest.approx((17.0 - 3.92, 17.0 + 3.92))

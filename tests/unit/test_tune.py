@@ -3,17 +3,21 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from closed_loop import circuit_of
 
 from ehbench.config.recipe import TuneRecipe, load_recipe
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
+from ehbench.plant.model import Model
 from ehbench.report.saved import Table
 from ehbench.report.stages.tuning import parameter_rows
 from ehbench.runs import rundir
 from ehbench.tune import gains as module
+from ehbench.tune import operating_point
 from ehbench.tune.draws import draw_parameters
 from ehbench.tune.gains import locus, tune_pressure_feedback
 from ehbench.tune.loop import (
@@ -25,6 +29,7 @@ from ehbench.tune.loop import (
     speed_of,
     violations,
 )
+from ehbench.tune.results import functions_of
 from ehbench.tune.study import prepare_tuning
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS
 from ehbench.vocabulary.errors import InputError
@@ -285,3 +290,34 @@ def test_recipe_file(tmp_path):
     path.write_text('stage = "tune"\nrig = "x"\nwashot = "0.6 Hz"\n')
     with pytest.raises(InputError, match="did you mean 'washout'"):
         load_recipe(path)
+
+
+@pytest.mark.parametrize(("name", "number"), [("boom_four_valve", 0), ("thesis_arm", 1)])
+def test_the_edges_of_a_working_function_carry_the_oil_of_the_chambers(name, number):
+    """Into the head end flows A1 v, into the rod end −A2 v, and out of the supply what it draws;
+    a shut edge carries nothing."""
+    rig = shipped(name)
+    model = Model.of(rig)
+    circuit = circuit_of(model, number)
+    uses = functions_of(rig, circuit)
+    assert len(uses) == np.count_nonzero(circuit.able[1:])
+    for use in uses:
+        into = dict.fromkeys(("supply", "tank", "head", "rod"), 0.0)
+        for edge in use.edges:
+            flow = edge.shares[0] * circuit.area_head + edge.shares[1] * circuit.area_rod
+            assert (edge.way == 0) == (edge.shares == (0, 0))
+            into[edge.ends[0]] -= edge.way * flow
+            into[edge.ends[1]] += edge.way * flow
+        assert into["head"] == pytest.approx(use.direction * circuit.area_head, abs=1e-15)
+        assert into["rod"] == pytest.approx(-use.direction * circuit.area_rod, abs=1e-15)
+        assert -into["supply"] == pytest.approx(use.draws, abs=1e-15)
+        assert sum(edge.meters for edge in use.edges) == 1
+
+
+@pytest.mark.parametrize("v", [0.0, 1e-3, -0.4])
+def test_the_slope_of_outer_forces_is_their_derivative(v):
+    """Of ``5 v³ − 700 v``; the step is a small share of the speed, or of that at which friction
+    turns."""
+    motion = SimpleNamespace(push=lambda v: 5.0 * v**3 - 700.0 * v)
+    slope = operating_point._Motion.push_slope(motion, v)  # type: ignore[arg-type]
+    assert slope == pytest.approx(15.0 * v * v - 700.0, rel=1e-9)
