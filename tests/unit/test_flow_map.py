@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 
 from ehbench.flow_maps import results
 from ehbench.flow_maps import shape as shapes
+from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
 from ehbench.flow_maps.spline import Axis, OneColumn, Spline, full, pivoted
 from ehbench.flow_maps.tables import fitted_flow
 from ehbench.physics.flow_map import (
@@ -422,6 +423,17 @@ def test_a_reading_is_compared_on_its_side_of_the_hysteresis():
 
 
 # --- standard errors in closed form
+
+
+def test_readings_open_by_less_where_the_deadband_is_higher():
+    """With 0.4 V between no drop and the largest: −0.2 V there, +0.2 V at none, and back."""
+    command, drop = np.repeat([2.0, 3.0, 4.0, 5.0], 5), np.tile([1e5, 1e6, 2e6, 4e6, 8e6], 4)
+    data = readings_table(command, drop, 1e-4 * command * np.sqrt(drop / 8e6))
+    plain = sort_readings("v", data, FlowMapOptions(), 0.0)
+    moved = plain.shifted(0.4)
+    assert plain.u - moved.u == pytest.approx(0.4 * (plain.drop / 8e6 - 0.5))
+    assert moved.command == pytest.approx(plain.command)
+    assert moved.shifted(0.0).u == pytest.approx(plain.u)
 
 
 @pytest.mark.parametrize(("bends", "share"), [(True, 0.5), (False, 0.25)])
