@@ -56,7 +56,7 @@ class SensorSettings:
     still: float = setting(0.05, "s", "after which a pressure that stays is doubted", "it is noisy")
     usual: float = setting(5.0, "", "by which it stays for longer than ever before", "chosen")
     memory: float = setting(3.0, "rad/s", "decay of what tells two pressures apart", "chosen")
-    carried: float = setting(1.0, "rad/s", "low-pass of the payload that is carried", "chosen")
+    carried: float = setting(0.1, "rad/s", "low-pass of the carried payload", "a drift shows")
 
 
 SCORES, SENSORS = constants(ScoreSettings()), constants(SensorSettings())
