@@ -116,7 +116,7 @@ class _Search:
     def findings(self) -> list[Finding]:
         """The faults that explain the residuals, the likeliest first."""
         slopes = self._slopes(self._faults())
-        promises = {fault: self._promise(fault, slope) for fault, slope in slopes.items()}
+        promises = {fault: self._promise(fault, by, self.left)[0] for fault, by in slopes.items()}
         ranked = sorted(slopes, key=lambda fault: -promises[fault])
         quiet = self.now < QUIET * sum(left.size for left in self.left)
         tried = [fault for fault in ranked[:TRIED] if promises[fault] > 0.0]
@@ -201,13 +201,17 @@ class _Search:
             ]
         return results
 
-    def _promise(self, fault: Hypothesis, slope: list[np.ndarray] | None) -> float:
-        """By how much a fault lowers the sum of squares, if what is left is linear in it."""
+    def _promise(
+        self, fault: Hypothesis, slope: list[np.ndarray] | None, left: list[np.ndarray]
+    ) -> tuple[float, float]:
+        """(by how much a fault lowers the sum of squares of what is left, if that is linear in it;
+        its size δ).
+        """
         if slope is None:
-            return 0.0
-        delta = self._size(fault, slope, self.left)
-        after = [at + delta * by for at, by in zip(self.left, slope, strict=True)]
-        return self.now - total(after)
+            return 0.0, 0.0
+        delta = self._size(fault, slope, left)
+        after = [at + delta * by for at, by in zip(left, slope, strict=True)]
+        return total(left) - total(after), delta
 
     @staticmethod
     def _size(fault: Hypothesis, slope: list[np.ndarray] | None, left: list[np.ndarray]) -> float:
@@ -270,18 +274,14 @@ class _Search:
         slopes: dict[Hypothesis, list[np.ndarray] | None],
     ) -> list[Finding]:
         """What explains most of what the best fault leaves, if something does."""
-        now, best = total(left), (0.0, None, 0.0)
-        for fault, slope in slopes.items():
-            if fault in shown or slope is None:
-                continue
-            delta = self._size(fault, slope, left)
-            after = total([at + delta * by for at, by in zip(left, slope, strict=True)])
-            if now - after > best[0]:
-                best = (now - after, fault, delta)
-        gain, fault, delta = best
-        if fault is None or gain < BESIDE * now or not self._counts(gain, now):
+        now, rest = total(left), [fault for fault in slopes if fault not in shown]
+        promises = {fault: self._promise(fault, slopes[fault], left) for fault in rest}
+        best = max(promises, key=lambda fault: promises[fault][0], default=None)
+        if best is None:
             return []
-        return [self._finding(fault, delta, gain)]
+        gain, delta = promises[best]
+        counts = gain > BESIDE * now and self._counts(gain, now)
+        return [self._finding(best, delta, gain)] if counts else []
 
     def _finding(self, fault: Hypothesis, delta: float, gain: float) -> Finding:
         rig = self.cases[0].model.rig

@@ -332,7 +332,14 @@ class Function:
         rest = _WORDS.sub("", f" {rest}").strip()
         rule: Callable[..., tuple[str, str] | list[str]] | None = getattr(self, f"_do_{word}", None)
         if word in BINARY or word in SIGNED:
-            kind, expression = self._binary(word, rest)
+            first, other = split(rest)
+            kind, text = typed(first)
+            if word in SIGNED:
+                a, b = self.signed(kind, text), self.signed(kind, other)
+                expression = f"({C_TYPES[kind]})({a} {SIGNED[word]} {b})"
+            else:
+                expression = f"{self.value(kind, text)} {BINARY[word]} {self.value(kind, other)}"
+                expression = expression if kind == "double" else cut(kind, expression)
         elif rule is None:
             raise refuse(line)
         elif isinstance(done := rule(rest, result, block), list):
@@ -341,15 +348,6 @@ class Function:
             kind, expression = done
         self.types[result] = kind
         return [f"  {result} = {expression};"]
-
-    def _binary(self, word: str, rest: str) -> tuple[str, str]:
-        first, other = split(rest)
-        kind, text = typed(first)
-        if word in SIGNED:
-            a, b = self.signed(kind, text), self.signed(kind, other)
-            return kind, f"({C_TYPES[kind]})({a} {SIGNED[word]} {b})"
-        expression = f"{self.value(kind, text)} {BINARY[word]} {self.value(kind, other)}"
-        return kind, expression if kind == "double" else cut(kind, expression)
 
     def _do_phi(self, rest: str, result: str, block: str) -> list[str]:
         self.types[result] = rest.partition(" ")[0]

@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
@@ -110,20 +108,11 @@ def _unit_key(unit: str) -> dict[str, str]:
     return {} if unit in ("", "dimensionless") else {"unit": unit}
 
 
-def _variable_rows(part: Component) -> Iterator[tuple[dict[str, str], dict[str, str]]]:
-    """(what it is, its numbers) of each variable."""
-    kinds: dict[str, dict[str, Any]] = {
-        "input": {"variability": "continuous"},
-        "output": {"variability": "continuous", "initial": "exact"},
-        "parameter": {"variability": "tunable", "initial": "exact"},
-    }
-    for number, item in enumerate(part.variables):
-        about = {"name": item.name, "valueReference": str(number), "causality": item.role}
-        values = _unit_key(item.unit) | {"start": repr(item.start)}
-        if item.role == "parameter":
-            bounds = {"min": item.lower, "max": item.upper}
-            values |= {key: repr(end) for key, end in bounds.items() if math.isfinite(end)}
-        yield about | kinds[item.role] | {"description": item.about}, values
+_KINDS = {
+    "input": {"variability": "continuous"},
+    "output": {"variability": "continuous", "initial": "exact"},
+    "parameter": {"variability": "tunable", "initial": "exact"},
+}
 
 
 def described(part: Component, token: str, version: int) -> ElementTree.Element:
@@ -146,7 +135,13 @@ def described(part: Component, token: str, version: int) -> ElementTree.Element:
     _units(part, root)
     add(root, "DefaultExperiment", stepSize=step)
     variables = add(root, "ModelVariables")
-    for about, values in _variable_rows(part):
+    for number, item in enumerate(part.variables):
+        about = {"name": item.name, "valueReference": str(number), "causality": item.role}
+        about |= _KINDS[item.role] | {"description": item.about}
+        values = _unit_key(item.unit) | {"start": repr(item.start)}
+        if item.role == "parameter":
+            bounds = {"min": item.lower, "max": item.upper}
+            values |= {key: repr(end) for key, end in bounds.items() if math.isfinite(end)}
         if third:
             add(variables, "Float64", about | values)
         else:

@@ -64,25 +64,19 @@ def kernels_of(components: Sequence[Component]) -> list[Kernels]:
         for item in components
         if not places[item.name].is_file()
     }
-    if jobs:
-        _in_a_process(jobs)
+    if jobs:  # in a process whose compiler knows a plain processor only
+        paths = os.pathsep.join(path for path in sys.path if path)
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", __name__],
+            input=pickle.dumps(jobs),
+            capture_output=True,
+            env={**os.environ, **PLAIN, "PYTHONPATH": paths},
+            check=False,
+        )
+        if done.returncode:
+            lines = done.stderr.decode(errors="replace").strip().splitlines() or ["?"]
+            raise EhbenchError(message("export.not_compiled", reason=lines[-1]))
     return [Kernels(**json.loads(places[item.name].read_text())) for item in components]
-
-
-def _in_a_process(jobs: dict[str, Any]) -> None:
-    """Translate in a process whose compiler knows a plain processor only."""
-    command = [sys.executable, "-P", "-m", __name__]
-    paths = os.pathsep.join(path for path in sys.path if path)
-    done = subprocess.run(
-        command,
-        input=pickle.dumps(jobs),
-        capture_output=True,
-        env={**os.environ, **PLAIN, "PYTHONPATH": paths},
-        check=False,
-    )
-    if done.returncode:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["?"]
-        raise EhbenchError(message("export.not_compiled", reason=lines[-1]))
 
 
 def translate(module: str, name: str, *arguments: Any) -> Kernels:

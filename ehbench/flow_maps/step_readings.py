@@ -75,7 +75,13 @@ def step_readings(
     for index, cylinder in enumerate(model.layout.cylinders):
         if any(f"{cylinder}.p_{side}" not in record for side in SIDES):
             continue
-        for trial, window in enumerate(_stretches(model, index, record, settle)):
+        minimum = least_changes(model.rig.cylinder[index], record)
+        if not minimum:
+            continue
+        commands = np.column_stack([record[channel] for channel in minimum])
+        standing = transients(record.t, commands, minimum=np.array([*minimum.values()]))
+        for trial, window in enumerate(standing):
+            window = slice(window.start + round(settle / record.sample_time), window.stop)
             for block in _steady_blocks(model, index, record, window, span):
                 rows += [
                     (*reading, trial, block.first + 1)
@@ -87,17 +93,6 @@ def step_readings(
     columns = {"valve": valve, "direction": way, "trial": trial, "line": line, "file": name}
     table = readings_table(command, drop, flow, method="cylinder", **columns)
     return replace(table, warnings=tuple(f"{name}: {text}" for text in notes))
-
-
-def _stretches(model: Model, index: int, record: Record, settle: float) -> Iterator[slice]:
-    """Where the commands of a cylinder's valves stand, after they have settled."""
-    minimum = least_changes(model.rig.cylinder[index], record)
-    if not minimum:
-        return
-    table = np.column_stack([record[channel] for channel in minimum])
-    skip = round(settle / record.sample_time)
-    for window in transients(record.t, table, minimum=np.array([*minimum.values()])):
-        yield slice(window.start + skip, window.stop)
 
 
 def _steady_blocks(

@@ -161,7 +161,8 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
         for block, item in zip(blocks, solved, strict=True)
     ]
     scores = [np.einsum("tci,tc->ti", j, b.residuals) for j, b in zip(free, blocks, strict=True)]
-    reaches = [_reach(score) for score in scores]
+    times = [max(map(correlation_time, score.T), default=0.0) for score in scores]
+    reaches = [min(len(s) // 4, math.ceil(4.0 * t)) for s, t in zip(scores, times, strict=True)]
     prior_parts = [prior.weight**2 * item.gain.T @ item.gain for item in solved]
     meats = [
         _weighed(score, 1.0 - np.arange(reach + 1) / (reach + 1.0)) + known
@@ -256,12 +257,6 @@ def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
     """The step to the minimum of least squares by their normal matrix and gradient."""
     root = _inverse_root(normal)
     return -root @ (root.T @ pull)
-
-
-def _reach(score: np.ndarray) -> int:
-    """Lags that the long-run covariance of a series of scores takes in."""
-    longest = max((correlation_time(column) for column in score.T), default=0.0)
-    return min(len(score) // 4, math.ceil(4.0 * longest))
 
 
 def _weighed(series: np.ndarray, weights: np.ndarray) -> np.ndarray:

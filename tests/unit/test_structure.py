@@ -216,7 +216,7 @@ def test_a_fault_has_the_size_of_its_projection_within_its_bounds():
         (WEAK, None, 0.0, 0.0),
     ):
         assert search._size(fault, slope, search.left) == pytest.approx(size)
-        assert search._promise(fault, slope) == pytest.approx(promise)
+        assert search._promise(fault, slope, search.left) == pytest.approx((promise, size))
 
 
 @pytest.mark.parametrize(

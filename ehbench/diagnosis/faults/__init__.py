@@ -194,15 +194,13 @@ class _Rows:
     ) -> Hypothesis | None:
         """A row of a part; None where it does not apply."""
         names = tuple(f"{prefix}{key}" for key in fault.keys)
-        if isinstance(part, Edge | FixedEdge) and not self._applies(fault, prefix, part):
+        if not self._applies(fault, prefix, part, scales):
             return None
         adds = bool(fault.adds)
         present = [name for name in names if name in self.known]
         if not adds and len(present) < len(names):
             return None
         if adds and (scales.empty or (fault.table and getattr(part, fault.table) is not None)):
-            return None
-        if isinstance(part, Valve) and not self._is_of(fault, part, scales):
             return None
         numbers = tuple(
             Number.of(fault, key, name, self.known.get(name), scales)
@@ -231,19 +229,20 @@ class _Rows:
         alike = [row for row in rows if f"{prefix}{row.keys[0]}" in self.known]
         return names[0] if len(alike) > 1 and not fault.joined else prefix.removesuffix(".")
 
-    def _is_of(self, fault: Fault, part: Valve, scales: Scales) -> bool:
-        """Whether a row is of a valve: what its drive gives where commands of several sizes show
-        it, an overlap of a spool that opens to both sides by laws with deadbands.
+    def _applies(self, fault: Fault, prefix: str, part: Any, scales: Scales) -> bool:
+        """Whether a row is of a part: of the law that an edge goes by; of a valve what its drive
+        gives where commands of several sizes show it, an overlap of a spool that opens to both
+        sides by laws with deadbands.
         """
-        if fault not in valve.SPOOL:
+        if isinstance(part, Valve) and fault not in valve.SPOOL:
             return scales.graded
-        names = [f"{scales.cylinder.name}.{part.edge_name(edge)}" for edge in part.edge]
-        laws = all(edge_law(edge.law).has_deadband for edge in part.edge)
-        mapped = any(map_of(self.maps, name) is not None for name in names)
-        return laws and not mapped and len({edge.sign for edge in part.edge}) == 2
-
-    def _applies(self, fault: Fault, prefix: str, part: Edge | FixedEdge) -> bool:
-        """Whether a row is of the law that an edge goes by."""
+        if isinstance(part, Valve):
+            names = [f"{scales.cylinder.name}.{part.edge_name(edge)}" for edge in part.edge]
+            laws = all(edge_law(edge.law).has_deadband for edge in part.edge)
+            mapped = any(map_of(self.maps, name) is not None for name in names)
+            return laws and not mapped and len({edge.sign for edge in part.edge}) == 2
+        if not isinstance(part, Edge | FixedEdge):
+            return True
         name = prefix.removesuffix(".")
         law = "map" if map_of(self.maps, name) is not None else part.law
         key, rules = fault.keys[0], edge_law(law)
