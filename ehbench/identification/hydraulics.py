@@ -42,7 +42,7 @@ from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.observations import payload_of
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.signals.series import correlation_time
-from ehbench.vocabulary.errors import InputError, InsufficientData
+from ehbench.vocabulary.errors import InputError, InsufficientData, placed
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY, meant
@@ -168,11 +168,8 @@ def prepare_fit(
     _refuse_options(records, requested, search, terms, where)
     logs, closed = [], []
     for index, (name, record) in enumerate(records):
-        try:
+        with placed(where("data", index), name):
             rig.with_payload(payload_of(record))
-        except InputError as error:
-            text = f"{name}: {error.message}"
-            raise InputError(text, **where("data", index), hint=error.hint) from None
         model = model_of(rig, flow_maps, payload_of(record))
         log = prepare(model, record, name, requested.channels, terms, decimate, requested.cutoff)
         free = any(name.endswith(("deadband", "overlap")) for name in parameters)

@@ -13,7 +13,7 @@ from ehbench.config.recipe.sensor import reading_row
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.preprocessing.sensors import Term
 from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, placed
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import Quantity
@@ -220,7 +220,5 @@ def _number(raw: str | float, name: str, at: Mapping[str, Any], check: bool = Tr
     if not isinstance(raw, str):
         return float(raw)
     row = parameter_row(name)
-    try:
+    with placed(at):
         return units.parse(raw, row if check else replace(row, lower=-math.inf, upper=math.inf))
-    except InputError as error:
-        raise type(error)(error.message, **at, hint=error.hint) from None

@@ -16,7 +16,7 @@ from ehbench.config.rig import Rig
 from ehbench.machines.protocol import Machine, Posture, Stamp
 from ehbench.parts.sample import OF, entry
 from ehbench.plant.trim import LowSide
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, placed
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -128,10 +128,8 @@ class FaultyMachine:
             if fault.value is not None:
                 word = "command" if kind.place == "valve" else fault.target.rsplit(".", 1)[-1]
                 row = VOCABULARY["sensor_scale" if fault.kind == "scale" else word]
-                try:  # a difference has no range
+                with placed(where):  # a difference has no range
                     size = float(read_value(fault.value, replace(row, lower=-math.inf)))
-                except InputError as error:
-                    raise InputError(error.message, **where, hint=error.hint) from None
             elif kind.needs:
                 raise InputError(message("machines.fault_value", kind=fault.kind), **where)
             self._failures.append(Failure(fault, index, size, 1.0 / self.rate, rest, high))

@@ -13,7 +13,7 @@ from ehbench.machines.simulated import SimulatedMachine
 from ehbench.machines.variation import varied
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.build import Maps
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import placed
 
 MACHINES: dict[str, Callable[[TrialRecipe, Rig, Maps | None], Machine]] = {
     "model": lambda recipe, rig, maps: (SimulatedMachine if rig.model is None else FmuMachine).of(
@@ -34,10 +34,8 @@ def open_machine(recipe: TrialRecipe, rig: Rig, maps: Maps | None = None) -> Mac
     Raises:
         InputError: no such payload, or a bench file that does not fit the rig.
     """
-    try:
+    with placed(recipe.at("payload")):
         rig.with_payload(recipe.payload)
-    except InputError as error:
-        raise InputError(error.message, **recipe.at("payload"), hint=error.hint) from None
     change = recipe.machine
     machine = (
         MACHINES.get(recipe.on, SimulatedMachine.of)(recipe, rig, maps)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from ehbench.config.recipe import BenchRecipe, validated
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.sampling.design import Factor
-from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.errors import InputError, UnitError, placed
 from ehbench.vocabulary.fields import read_value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import split_number
@@ -97,10 +97,8 @@ def changed_rig(rig: Rig, changes: Mapping[str, Any]) -> Rig:
             if isinstance(raw, Factor):
                 given = float(raw) * float(old)
                 given = given if row.unit == "dimensionless" else f"{given!r} {row.unit}"
-            try:
+            with placed({}, f"rig.{name}"):
                 new = read_value(given, row)
-            except UnitError as error:
-                raise InputError(f"rig.{name}: {error.message}", hint=error.hint) from None
             number = float(new)
             lower = old.lower if old.lower is not None and old.lower <= number else None
             upper = old.upper if old.upper is not None and old.upper >= number else None

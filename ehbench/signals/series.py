@@ -202,9 +202,14 @@ def correlation_time(x: np.ndarray) -> float:
 
     Summed to the first lag beyond five times the sum so far (Sokal 1997), at most a quarter of the
     series."""
-    maximum = max(1, len(x) // 4)
-    total = 1.0 + 2.0 * np.cumsum(autocorrelation(x, maximum)[1:])
-    beyond = np.flatnonzero(np.arange(1, maximum + 1) >= 5.0 * np.maximum(total, 1.0))
+    return _settled_sum(autocorrelation(x, max(1, len(x) // 4))[1:])
+
+
+def _settled_sum(terms: np.ndarray) -> float:
+    """``1 + 2 Σ`` of terms at lags 1, 2, …, to the first lag beyond five times the sum so far; at
+    least 1."""
+    total = 1.0 + 2.0 * np.cumsum(terms)
+    beyond = np.flatnonzero(np.arange(1, terms.size + 1) >= 5.0 * np.maximum(total, 1.0))
     return float(max(1.0, total[beyond[0]] if beyond.size else np.max(total)))
 
 
@@ -233,10 +238,7 @@ def correlation_band(x: np.ndarray, u: np.ndarray) -> float:
         * autocorrelation(u, maximum)[1:]
         * (1.0 - np.arange(1, maximum + 1) / n)
     )
-    total = 1.0 + 2.0 * np.cumsum(both)
-    beyond = np.flatnonzero(np.arange(1, maximum + 1) >= 5.0 * np.maximum(total, 1.0))
-    spread = max(1.0, float(total[beyond[0]] if beyond.size else np.max(total)))
-    return float(_two_sided() * math.sqrt(spread / n))
+    return float(_two_sided() * math.sqrt(_settled_sum(both) / n))
 
 
 def _two_sided() -> float:

@@ -37,7 +37,7 @@ from ehbench.stages.inputs import Inputs
 from ehbench.stages.sample_files import load_study, run_samples, write_sample
 from ehbench.stages.samples import Plan, Sampler, upstream_recipes
 from ehbench.stages.trial import PreparedOne
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.errors import EhbenchError, InputError, placed
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
@@ -262,11 +262,9 @@ def _fitted(recipe: StudyRecipe, inputs: Inputs) -> tuple[Fitted | None, Path | 
 def _refuse_size(recipe: StudyRecipe, design: Design) -> None:
     """Refuse a table that memory does not hold, before its first sample is made."""
     columns = len(design.columns) + len(recipe.measures) + 2
-    try:
-        needed = 8.0 * SETTINGS.cells * columns * design.size
+    needed = 8.0 * SETTINGS.cells * columns * design.size
+    with placed(recipe.at("samples")):
         refuse_beyond(needed, f"a table of {design.size} samples")
-    except InputError as error:
-        raise InputError(error.message, **recipe.at("samples"), hint=error.hint) from None
 
 
 def _try_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs) -> None:
@@ -368,10 +366,8 @@ def _target(recipe: StudyRecipe, index: int, measures: tuple[MeasureColumn, ...]
         if isinstance(raw, str):
             if column.row is None:
                 raise InputError(message("stages.no_unit", name=column.name), **where)
-            try:
+            with placed(where):
                 ends[key] = float(column.shown(parse(raw, column.row)))
-            except EhbenchError as error:
-                raise InputError(error.message, **where, hint=error.hint) from None
         elif raw is not None:
             ends[key] = float(raw)
     return {"measure": item.measure, "unit": column.unit, **ends}

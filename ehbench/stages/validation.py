@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -195,7 +194,17 @@ def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]
 
 def _note_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:
     """Note the logs of this recipe that the recipes upstream fit its rig to."""
-    fits = [(by, entry, rundir.sha256(log)) for by, entry, log in _fit_logs(recipe)]
+    fits: list[tuple[Path, DataFile, str]] = []
+    upstream: Recipe = recipe
+    while (rig := getattr(upstream, "rig", None)) is not None:
+        by = upstream.file(rig)
+        if not by.is_file() or kind_of(by) != "recipe":
+            break
+        upstream = load_recipe(by)
+        for entry in upstream.data if isinstance(upstream, HydraulicsRecipe) else ():
+            log = upstream.file(entry.path)
+            if log.is_file() and log.suffix != ".toml":
+                fits.append((by, entry, rundir.sha256(log)))
     for item in recipe.data:
         path = recipe.file(item.path)
         if not path.is_file():
@@ -208,18 +217,3 @@ def _note_fitted(recipe: ValidateRecipe, inputs: Inputs) -> None:
                 fit = inputs.notes.name_of(by)
                 inputs.notes.add("remarks", message("stages.fitted_to", name=item.path, recipe=fit))
                 break
-
-
-def _fit_logs(recipe: ValidateRecipe) -> Iterator[tuple[Path, DataFile, Path]]:
-    """(recipe, its entry, log) of every log that upstream recipes fit its rig to."""
-    upstream: Recipe = recipe
-    while (rig := getattr(upstream, "rig", None)) is not None:
-        path = upstream.file(rig)
-        if not path.is_file() or kind_of(path) != "recipe":
-            return
-        upstream = load_recipe(path)
-        if isinstance(upstream, HydraulicsRecipe):
-            logs = ((item, upstream.file(item.path)) for item in upstream.data)
-            yield from (
-                (path, item, log) for item, log in logs if log.is_file() and log.suffix != ".toml"
-            )

@@ -194,9 +194,17 @@ def _swaying(row: Any, point: OperatingPoint, names: Sequence[str], a: np.ndarra
     a[z + 1] = -pull / row.sway_mass
 
 
+def write_delay(a: np.ndarray, at: int, delay: float) -> tuple[float, float]:
+    """Write the two states of a delay T [s] into ``a`` from ``at`` on, in Padé form: e^(−sT) ≈ 1 −
+    2 a1 s/(s² + a1 s + a0), a1 = 6/T, a0 = 12/T²; (how its input drives the second of them, what
+    the output has of that besides the input)."""
+    root, twice = math.sqrt(12.0) / delay, 12.0 / delay
+    a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
+    return root, -twice / root
+
+
 def with_delays(linear: LinearModel, model: Model) -> LinearModel:
-    """The model with the delays of its valves before them, in Padé form: e^(−sT) ≈ 1 − 2 a1 s/(s² +
-    a1 s + a0), a1 = 6/T, a0 = 12/T². Their states stand last."""
+    """The model with the delays of its valves before them. Their states stand last."""
     late = model.plant.valves.delay[list(linear.valves)]
     size, fixed = linear.a.shape[0], 2 * int(np.count_nonzero(late))
     if not fixed:
@@ -206,10 +214,8 @@ def with_delays(linear: LinearModel, model: Model) -> LinearModel:
     names = list(linear.states)
     for i, delay in zip(np.flatnonzero(late), late[late > 0.0], strict=True):
         at = len(names)
-        root, twice = math.sqrt(12.0) / delay, 12.0 / delay
-        a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
-        b[at + 1, i] = root
-        a[:size, at + 1] = -twice / root * linear.b[:, i]
+        b[at + 1, i], share = write_delay(a, at, delay)
+        a[:size, at + 1] = share * linear.b[:, i]
         names += [f"{model.layout.valves[linear.valves[i]]}.late_{k}" for k in (1, 2)]
     e = np.append(linear.e, np.zeros(fixed))
     return LinearModel(tuple(names), linear.valves, a, b, e, 2.5 / float(late.max()))

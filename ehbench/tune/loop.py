@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ehbench.control.functions import HEAD, METERED, PATH_FLOWS, RAISED, Circuit, coupled
-from ehbench.tune.linear import LinearModel, are_rates, first_valve
+from ehbench.tune.linear import LinearModel, are_rates, first_valve, write_delay
 from ehbench.tune.operating_point import FED, INTO, OperatingPoint
 from ehbench.tune.results import Margins
 from ehbench.tune.stability import OpenLoop, gain_margin, phase_margin
@@ -155,17 +155,13 @@ def _seen(a: np.ndarray, sources: Sequence[int], size: int, delay: float) -> np.
     """Pressures as the controller has them, of head, rod and a supply that follows them, over all
     states, shape (sources, states); ``sources`` are their own states.
 
-    A delay [s] is written into ``a``: the states from ``size`` on are those of its Padé form,
-    ``e^(−sT) ≈ 1 − 2 a1 s/(s² + a1 s + a0)`` with a1 = 6/T, a0 = 12/T²."""
+    A delay [s] is written into ``a``, with states from ``size`` on."""
     seen = np.zeros((len(sources), a.shape[0]))
     seen[range(len(sources)), sources] = 1.0
     if delay > 0:
-        root, twice = math.sqrt(12.0) / delay, 12.0 / delay
         for k, source in enumerate(sources):
             at = size + 2 * k
-            a[at, at + 1], a[at + 1, at], a[at + 1, at + 1] = root, -root, -0.5 * twice
-            a[at + 1, source] = root
-            seen[k, at + 1] = -twice / root
+            a[at + 1, source], seen[k, at + 1] = write_delay(a, at, delay)
     return seen
 
 

@@ -43,7 +43,7 @@ from ehbench.validation.residuals import Pair, compare_channel, pair_of
 from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
-from ehbench.vocabulary.errors import EhbenchError, FmuError, InputError, LogError
+from ehbench.vocabulary.errors import EhbenchError, FmuError, InputError, LogError, placed
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import GAUGES
@@ -284,11 +284,8 @@ def models_of(
     if not logs:
         raise InputError(message("validation.no_logs"))
     for index, (name, record) in enumerate(logs):
-        try:
+        with placed(where("data", index), name):
             rig.with_payload(payload_of(record))
-        except InputError as error:
-            text = f"{name}: {error.message}"
-            raise InputError(text, **where("data", index), hint=error.hint) from None
     for channel in channels:
         if channel not in _KNOWN:
             known = ", ".join(_KNOWN)

@@ -1,6 +1,9 @@
 """The error tree. Every error a user can cause says what, where and what would be right."""
 
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from ehbench.vocabulary.messages import Message
 
@@ -39,6 +42,21 @@ class EhbenchError(Exception):
         place = f"{self.file}:{self.line}" if self.line else self.file
         where = "" if self.file is None else f"{place}: "
         return where + self.message + (f" ({self.hint})" if self.hint else "")
+
+
+@contextmanager
+def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:
+    """A block whose input errors get a place.
+
+    Args:
+        where: file and line, as `Recipe.at` gives them.
+        about: what goes before the message.
+    """
+    try:
+        yield
+    except InputError as error:
+        text = f"{about}: {error.message}" if about else error.message
+        raise type(error)(text, **where, hint=error.hint) from None
 
 
 def one_line(text: str) -> str:

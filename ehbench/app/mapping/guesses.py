@@ -392,6 +392,9 @@ def holds_readings(source: Source) -> bool:
     return len(source.tables) == 1 and has("flow") and not log
 
 
+_SIDES = ("upstream_pressure", "downstream_pressure")
+
+
 def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
     """A guess for each column by name; what several may be, none of them is for sure."""
     table, results = source.tables[0], {}
@@ -399,7 +402,16 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
         results[name] = _reading_guess(name, table.columns[j], rig)
     given = [guess.channel for guess in results.values() if guess.sure]
     if given.count("pressure_drop") == 0:
-        results = {name: _drop_of(guess, given) for name, guess in results.items()}
+        sides = [side in given for side in _SIDES]
+        for name, guess in results.items():  # alone it is the drop; a side needs the other
+            if guess.channel == "pressure" and any(sides):
+                note = message("app.which_side")
+                results[name] = Guess("pressure_drop", guess.unit, UNDECIDED, note)
+            elif guess.channel == "pressure":
+                results[name] = Guess("pressure_drop", guess.unit, CERTAIN)
+            elif guess.channel in _SIDES and not all(sides):
+                note = message("app.needs_both_sides")
+                results[name] = Guess(guess.channel, guess.unit, UNDECIDED, note)
         given = [guess.channel for guess in results.values() if guess.sure]
     for name, guess in results.items():
         if guess.sure and given.count(guess.channel) > 1:
@@ -410,19 +422,6 @@ def reading_guesses(source: Source, rig: Rig | None) -> dict[str, Guess]:
         what = next((item for item in READING_WORDS if words_of(name) & WORDS[item]), "")
         results[name] = Guess(what, "", CERTAIN if what else UNDECIDED, "words")
     return results
-
-
-def _drop_of(guess: Guess, given: list[str]) -> Guess:
-    """A pressure that stands alone is the drop; one of two sides without the other is open."""
-    sides = ("upstream_pressure", "downstream_pressure")
-    if guess.channel == "pressure":
-        alone = not any(side in given for side in sides)
-        if not alone:
-            return Guess("pressure_drop", guess.unit, UNDECIDED, message("app.which_side"))
-        return Guess("pressure_drop", guess.unit, CERTAIN)
-    if guess.channel in sides and not all(side in given for side in sides):
-        return Guess(guess.channel, guess.unit, UNDECIDED, message("app.needs_both_sides"))
-    return guess
 
 
 def _reading_guess(name: str, column: SourceColumn, rig: Rig | None) -> Guess:

@@ -28,7 +28,7 @@ from ehbench.parts.valve.second_order import SecondOrder, second_order
 from ehbench.plant.layout import Layout
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, placed
 from ehbench.vocabulary.fields import Value, read_value
 from ehbench.vocabulary.quantities import VOCABULARY
 
@@ -65,18 +65,12 @@ def true_rig(recipe: BenchRecipe, rig: Rig) -> Rig:
     """The rig as the bench has it: its own parameters, an analytic law in place of a map."""
     values = {}
     for name, text in recipe.truth.items():
-        try:
-            values[name] = float(read_value(text, VOCABULARY[name.rsplit(".", 1)[-1]]))
-        except KeyError:
-            values[name] = 0.0  # `with_values` says that there is no such parameter
-        except InputError as error:
-            raise InputError(
-                f"truth.{name}: {error.message}", **recipe.at("truth", name), hint=error.hint
-            ) from None
-    try:
+        row = VOCABULARY.get(name.rsplit(".", 1)[-1])
+        with placed(recipe.at("truth", name), f"truth.{name}"):
+            # of an unknown parameter `with_values` says that there is none
+            values[name] = 0.0 if row is None else float(read_value(text, row))
+    with placed(recipe.at("truth"), "truth"):
         rig = rig.with_values(values)
-    except InputError as error:
-        raise InputError(f"truth: {error.message}", **recipe.at("truth"), hint=error.hint) from None
 
     def edge(edge: Edge, valve: Valve) -> Edge:
         if edge.law != "map":
