@@ -215,10 +215,8 @@ def settle(problem: Problem, state: State, tolerance: float) -> tuple[State, boo
 
 def constrained(problem: Problem, state: State, i: int, theta: float) -> tuple[State, float]:
     """(the minimum with a parameter fixed at a search coordinate, its cost), from a state."""
-    free = state.free
-    fixed = replace(state.moved(i, theta), free=tuple(k for k in free if k != i))
-    fixed, _ = solve(problem, fixed, 1e-7)
-    return replace(fixed, free=free), cost(problem, fixed)
+    fixed, _ = solve(problem, state.moved(i, theta).fixed(i), 1e-7)
+    return replace(fixed, free=state.free), cost(problem, fixed)
 
 
 def _share(problem: Problem) -> float:

@@ -107,11 +107,8 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
             break
         state = _over_ranges(problem, state, lost)
         for i in set(near) - set(lost):
-            state = replace(
-                state.moved(i, near[i]),
-                free=tuple(k for k in state.free if k != i),
-                at_bound=(*state.at_bound, i),
-            )
+            state = state.moved(i, near[i]).fixed(i)
+            state = replace(state, at_bound=(*state.at_bound, i))
         state, converged = settle(problem, state, 1e-6)
     else:
         state = evaluate(problem, state)
@@ -176,8 +173,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
                 ends, rise, value = _interval_ends(problem, state, i, points, rises)
                 better = _better(problem, state, i, rise, value)
                 if better is None:
-                    free = tuple(k for k in state.free if k != i)
-                    state = replace(state, free=free, ranges={**state.ranges, i: ends})
+                    state = replace(state.fixed(i), ranges={**state.ranges, i: ends})
                     continue
             state = better
         state = replace(state, ranges=ranges)
@@ -205,7 +201,7 @@ def _rises(problem: Problem, state: State, i: int, points: np.ndarray) -> tuple[
     """(by how much the cost is higher with a parameter at some points than here, the others
     following to first order; its largest effect, as `effects`).
     """
-    others = replace(state, free=tuple(k for k in state.free if k != i))
+    others = state.fixed(i)
     blocks = linearised(problem, others, others.free)
     rises, effect = np.zeros(len(points)), 0.0
     residuals, here = scaled(problem, state), cost(problem, state)

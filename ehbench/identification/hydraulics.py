@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.config.recipe.sensor import Sensor
-from ehbench.config.rig import Cylinder, Rig
+from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.frequency_response.response import Averaging
 from ehbench.identification.estimate import estimate
@@ -349,12 +349,8 @@ def with_each_dynamics(rig: Rig, variants: Sequence[str]) -> dict[str, Rig]:
         names = ", ".join(variants)
         raise InputError(message("identification.unused_dynamics", rig=rig.name, names=names))
 
-    def changed(cylinder: Cylinder, name: str) -> Cylinder:
-        valves = (valve.with_dynamics(variants, name) for valve in cylinder.valve)
-        return cylinder.model_copy(update={"valve": tuple(valves)})
-
     return {
-        name: rig.model_copy(update={"cylinder": tuple(changed(c, name) for c in rig.cylinder)})
+        name: rig.with_valves(lambda _, valve, name=name: valve.with_dynamics(variants, name))
         for name in variants
     }
 

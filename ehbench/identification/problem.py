@@ -229,6 +229,10 @@ class State:
         assert self.point is not None
         return self.point
 
+    def fixed(self, i: int) -> State:
+        """The state with a parameter that is not free."""
+        return replace(self, free=tuple(k for k in self.free if k != i))
+
     def moved(self, i: int, theta: float) -> State:
         """The state with one parameter elsewhere."""
         moved = self.theta.copy()

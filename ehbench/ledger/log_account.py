@@ -27,7 +27,7 @@ class Measured(NamedTuple):
     """What a log gave: model, payload, readings; states, flows, powers; energies [J] of rows."""
 
     model: Model
-    payload: str
+    payload: str | None
     readings: Readings
     states: np.ndarray
     flows: np.ndarray
@@ -240,7 +240,7 @@ def ledger_of_log(
     flows = account.flows(model, readings, states)
     power = account.power(model, readings, states, flows)
     base = account.energies(model, readings, states, power)
-    result = Measured(model, payload, readings, states, flows, power, base)
+    result = Measured(model, load, readings, states, flows, power, base)
     std, sources = np.zeros_like(base), {}
     if accuracy is not None:
         effects, more = _effects(rig, maps, account, result, accuracy)
@@ -261,12 +261,12 @@ def _effects(
     """(effect of one standard error of each source on the energies [J], assumptions)."""
     model, readings, states = result.model, result.readings, result.states
     flows, power, base = result.flows, result.power, result.energies
-    load = None if result.payload in ("none", "") else result.payload
     effects: dict[str, np.ndarray] = {}
     lags: dict[str, np.ndarray] = {}
 
     def effect(name: str, value: float) -> np.ndarray:
-        return account(Model.of(rig.with_values({name: value}), maps, load), readings) - base
+        doubted = Model.of(rig.with_values({name: value}), maps, result.payload)
+        return account(doubted, readings) - base
 
     parameters = rig.parameters()
     for name, value in parameters.items():

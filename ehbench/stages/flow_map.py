@@ -108,8 +108,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
                     for name in map(valve.edge_name, valve.edge)
                     if edge.edge in (name, f"{cylinder.name}.{name}")
                 )
-                maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-                command = ERRORS.command * maximum if volts is None else float(volts)
+                command = ERRORS.command * valve.largest if volts is None else float(volts)
                 more = {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
             part, given = replace(prepared.readings, edges=(edge,)), replace(options, **more)
             try:

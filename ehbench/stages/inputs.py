@@ -24,7 +24,7 @@ from ehbench.config.recipe import (
     load_rig,
     whole_map,
 )
-from ehbench.config.rig import Edge, Rig, Valve
+from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.runs import rundir
 from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import InputError
@@ -359,19 +359,15 @@ def with_orifices(rig: Rig, maps: FlowMaps | None) -> tuple[Rig, tuple[str, ...]
     if not missing:
         return rig, ()
 
-    def edge_of(cylinder: str, valve: Valve, edge: Edge) -> Edge:
-        if f"{cylinder}.{valve.edge_name(edge)}" not in missing:
-            return edge
-        maximum = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
-        full = maximum * math.sqrt(float(rig.supply.pressure))
-        gain = Value(float(rig.supply.flow_limit) / full)
-        return edge.model_copy(update={"law": "orifice", "flow_gain": gain})
-
-    cylinders = []
-    for c in rig.cylinder:
-        valves = tuple(
-            v.model_copy(update={"edge": tuple(edge_of(c.name, v, e) for e in v.edge)})
-            for v in c.valve
+    def changed(cylinder: Cylinder, valve: Valve) -> Valve:
+        full = valve.largest * math.sqrt(float(rig.supply.pressure))
+        orifice = {"law": "orifice", "flow_gain": Value(float(rig.supply.flow_limit) / full)}
+        edges = (
+            e.model_copy(update=orifice)
+            if f"{cylinder.name}.{valve.edge_name(e)}" in missing
+            else e
+            for e in valve.edge
         )
-        cylinders.append(c.model_copy(update={"valve": valves}))
-    return rig.model_copy(update={"cylinder": tuple(cylinders)}), tuple(missing)
+        return valve.model_copy(update={"edge": tuple(edges)})
+
+    return rig.with_valves(changed), tuple(missing)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -443,16 +443,19 @@ class Rig(FileModel):
                     hint="there are " + (", ".join(known) or "none"),
                 )
 
-        def changed(cylinder: Cylinder) -> Cylinder:
-            valves = tuple(
-                valve.model_copy(update={"dynamics": name})
-                if (name := by_valve.get(f"{cylinder.name}.{valve.name}"))
-                else valve
-                for valve in cylinder.valve
-            )
-            return cylinder.model_copy(update={"valve": valves})
+        def changed(cylinder: Cylinder, valve: Valve) -> Valve:
+            name = by_valve.get(f"{cylinder.name}.{valve.name}")
+            return valve.model_copy(update={"dynamics": name}) if name else valve
 
-        return self.model_copy(update={"cylinder": tuple(map(changed, self.cylinder))})
+        return self.with_valves(changed)
+
+    def with_valves(self, changed: Callable[[Cylinder, Valve], Valve]) -> Rig:
+        """This rig with each valve as ``changed(cylinder, valve)`` has it."""
+        cylinders = (
+            c.model_copy(update={"valve": tuple(changed(c, valve) for valve in c.valve)})
+            for c in self.cylinder
+        )
+        return self.model_copy(update={"cylinder": tuple(cylinders)})
 
     def as_toml(self) -> dict[str, Any]:
         """The rig as nested plain values for a TOML writer; read back, they give the same rig."""

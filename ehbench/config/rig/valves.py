@@ -253,6 +253,11 @@ class Valve(FileModel):
         return self
 
     @property
+    def largest(self) -> float:
+        """The largest size of its command [V]."""
+        return max(abs(float(self.command_min)), abs(float(self.command_max)))
+
+    @property
     def given(self) -> tuple[float, float]:
         """The lowest and the highest command [V] that its drive passes on."""
         maximum = math.inf if self.drive_limit is None else float(self.drive_limit)

@@ -75,34 +75,17 @@ def true_rig(recipe: BenchRecipe, rig: Rig) -> Rig:
     def edge(edge: Edge, valve: Valve) -> Edge:
         if edge.law != "map":
             return edge
-        nominal = float(rig.supply.flow_limit) / max(
-            abs(float(valve.command_max)), abs(float(valve.command_min))
-        )
-        gain = edge.compensated_gain or edge.flow_gain
-        law = (
-            "orifice"
-            if edge.compensated_gain is None and edge.flow_gain is not None
-            else "compensated"
-        )
-        update = (
-            {"law": law} if gain is not None else {"law": law, "compensated_gain": Value(nominal)}
-        )
+        update: dict[str, Any] = {"law": "compensated"}
+        if edge.compensated_gain is None and edge.flow_gain is not None:
+            update["law"] = "orifice"
+        elif edge.compensated_gain is None:
+            update["compensated_gain"] = Value(float(rig.supply.flow_limit) / valve.largest)
         return edge.model_copy(update=update)
 
-    return rig.model_copy(
-        update={
-            "cylinder": tuple(
-                c.model_copy(
-                    update={
-                        "valve": tuple(
-                            v.model_copy(update={"edge": tuple(edge(e, v) for e in v.edge)})
-                            for v in c.valve
-                        )
-                    }
-                )
-                for c in rig.cylinder
-            )
-        }
+    return rig.with_valves(
+        lambda _, valve: valve.model_copy(
+            update={"edge": tuple(edge(item, valve) for item in valve.edge)}
+        )
     )
 
 
@@ -125,7 +108,7 @@ def check_names(recipe: BenchRecipe, names: Layout) -> None:
 
 def _curve(given: _Given, edge: Edge, valve: Valve, rng: np.random.Generator) -> np.record:
     """One direction of an edge. All is drawn, so that giving one value leaves the others."""
-    full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+    full = valve.largest
     compensated = edge.law in ("compensated", "flow_control")
     low, high = (
         np.array([0.85, 0.03, 0.9, 0.97, 1.4, 1.2, 0.10]),
@@ -281,7 +264,7 @@ def _edges(of: _Seeded) -> tuple[np.recarray, np.recarray]:
             row.cracking_pressure *= second
             continue
         edge, valve = metering[index]
-        full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+        full = valve.largest
         row.blocked, row.null_width = edge.reverse == "blocked", 0.05 * full
         row.cracking_pressure = float(edge.cracking_pressure)
         curves[row.forward] = forward = _curve(given, edge, valve, rng)
@@ -307,7 +290,7 @@ def _valves(
     ):
         row = valves[index]
         given, rng = _Given(recipe.valve, name), _draws(of.seed, name)
-        full = max(abs(float(valve.command_min)), abs(float(valve.command_max)))
+        full = valve.largest
         width, gain, offset, faster, damper = rng.uniform(
             [0.002, 0.97, -0.003, 0.93, 0.9], [0.006, 1.03, 0.003, 1.07, 1.1]
         )
