@@ -58,6 +58,23 @@ def measured(
     return Record(record.t, channels, record.meta)
 
 
+def identify(rig: Rig, logs, parameters, flow_maps=None, where=None, **options):
+    """A fit of hydraulics with these options."""
+    from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
+
+    places = {} if where is None else {"where": where}
+    return identify_hydraulics(rig, logs, parameters, FitOptions(**options), flow_maps, **places)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """The bytes of each file of a run or more, but for those that differ from run to run."""
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.name != "volatile.json"
+    }
+
+
 def judged(rig: Rig, logs, channels=(), thresholds=None, fitted_on=()) -> Validation:
     """The verdict on logs by their checks alone: to diagnose what is left takes most of one."""
     from ehbench.validation import prepare_validation, run_validation

@@ -11,7 +11,7 @@ import pytest
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.stages.dry_run import DryRun
-from tests.shared import ROOT
+from tests.shared import ROOT, contents
 
 RECIPES = sorted((ROOT / "recipes").rglob("*.toml"))
 
@@ -52,14 +52,6 @@ def test_every_recipe_of_the_docs_is_there():
         for name in re.findall(r"(?<![\w/])(recipes/[\w/]+\.toml)", page.read_text()):
             places = (ROOT / name, ROOT / "ehbench" / "workspace" / name)
             assert any(place.is_file() for place in places), f"{page.name} names {name}"
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        p.relative_to(folder).as_posix(): p.read_bytes()
-        for p in sorted(folder.rglob("*"))
-        if p.is_file() and p.name != "volatile.json"
-    }
 
 
 @pytest.mark.slow

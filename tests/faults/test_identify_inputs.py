@@ -13,22 +13,16 @@ from ehbench.app import inspection
 from ehbench.config.recipe import load_recipe
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
-from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
-from tests.shared import RIGS, judged, measured, shipped
+from tests.shared import RIGS, identify, judged, measured, shipped
 
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
 CRANE = ["bulk_modulus", "arm.joint_damping"]
-
-
-def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: {}, **options):
-    given = FitOptions(**options)
-    return identify_hydraulics(machine, logs, parameters, given, flow_maps, where=where)
 
 
 @cache

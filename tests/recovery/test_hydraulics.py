@@ -10,8 +10,6 @@ import pytest
 
 from ehbench.identification.hydraulics import (
     CHANNELS,
-    FitOptions,
-    identify_hydraulics,
     prepare_fit,
     ranked,
     run_fit,
@@ -23,15 +21,10 @@ from ehbench.plant.model import Model, simulate
 from ehbench.runs import rundir
 from ehbench.signals.series import ringing
 from ehbench.vocabulary.errors import InputError, InsufficientData
-from tests.shared import measured, shipped
+from tests.shared import identify, measured, shipped
 
 NOISE = {"qd": 4e-3, "v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "q": 1e-4, "x": 1e-5, "p_supply": 6e3}
 SLIDE = ["bulk_modulus", "carriage.damping"]
-
-
-def identify(machine, logs, parameters, flow_maps=None, where=lambda *location: {}, **options):
-    given = FitOptions(**options)
-    return identify_hydraulics(machine, logs, parameters, given, flow_maps, where=where)
 
 
 def pulses(samples, *spans):

@@ -70,22 +70,27 @@ def test_what_others_do_when_a_number_is_freed_is_the_least_squares_of_all():
     assert found.follow == pytest.approx(truth[:2] - held)
 
 
+SLIDE = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
+
+
+def without_law(kind):
+    """A slide with a law of friction that its model lacks, and what a fit leans on."""
+    rig = rig_of("slide_servo").with_values({"press.friction_coulomb": 200.0})
+    log = virtual_log("slide_servo", rig, "steps", 3)
+    rows = hypotheses(rig, ["press"], ["press.v"], [log])
+    machine = next(row for row in rows if row.kind == kind).rig(rig, 0.02)
+    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
+    return machine, identify_hydraulics(rig, logs, SLIDE).leans[0]
+
+
 def test_a_law_of_friction_that_the_rig_file_does_not_have_is_named():
     """The slide takes more force to start than to move: its Coulomb friction, which is fitted,
     comes out too large.
     """
-    rig = rig_of("slide_servo").with_values({"press.friction_coulomb": 200.0})
-    log = virtual_log("slide_servo", rig, "steps", 3)
-    rows = hypotheses(rig, ["press"], ["press.v"], [log])
-    law = next(row for row in rows if row.kind == "friction law")
-    machine = law.rig(rig, 0.02)
+    machine, lean = without_law("friction law")
     static, coulomb = (
         float(machine.parameters()[f"press.friction_{word}"]) for word in ("static", "coulomb")
     )
-    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
-    names = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
-    fit = identify_hydraulics(rig, logs, names)
-    lean = fit.leans[0]
     assert lean.name == "press.friction_static" and lean.there == pytest.approx(static, rel=0.1)
     assert lean.sentence.key == "identification.absent_fixed"
     moved = {item.name: item for item in lean.moved}["press.friction_coulomb"]
@@ -98,9 +103,7 @@ def of_slide(machine, rig, payload=None, seed=11):
     for k, load in enumerate((None, payload)):
         simulated = clean_log("slide_servo", machine.with_payload(load), "quick steps", 2.0)
         logs.append((f"log {k}", noisy(simulated, seed + k, load)))
-    return identify_hydraulics(
-        rig, logs, ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
-    )
+    return identify_hydraulics(rig, logs, SLIDE)
 
 
 def test_a_payload_that_weighs_other_than_written_is_named():
@@ -114,13 +117,7 @@ def test_a_payload_that_weighs_other_than_written_is_named():
 
 def test_bristles_that_stick_at_rest_are_named_as_the_law_of_lugre():
     """The machine's friction has a state more than the model's, before the supply's."""
-    rig = rig_of("slide_servo").with_values({"press.friction_coulomb": 200.0})
-    log = virtual_log("slide_servo", rig, "steps", 3)
-    rows = hypotheses(rig, ["press"], ["press.v"], [log])
-    machine = next(row for row in rows if row.kind == "sticking").rig(rig, 0.02)
-    logs = [(kind, virtual_log("slide_servo", machine, kind, 3)) for kind in ("steps", "sine")]
-    names = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
-    lean = identify_hydraulics(rig, logs, names).leans[0]
+    _, lean = without_law("sticking")
     assert lean.name == "press.friction_static" and lean.explains > 0.7
     assert "lugre" in lean.remedy.fields["lines"]
     assert lean.sentence.key == "identification.absent_fixed"

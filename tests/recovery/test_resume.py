@@ -11,7 +11,7 @@ from ehbench import workflow
 from ehbench.identification import journal as journals
 from ehbench.identification.journal import Journal, journal_of, place_of
 from ehbench.vocabulary.errors import InsufficientData
-from tests.shared import ROOT
+from tests.shared import ROOT, contents
 
 RECIPE = f"""
 stage = "identify"
@@ -48,14 +48,6 @@ def breaking(monkeypatch, count):
     return made
 
 
-def bytes_of(folder):
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "volatile.json"
-    }
-
-
 @pytest.mark.slow
 def test_a_stopped_search_goes_on_and_ends_with_the_same_bytes(recipe, monkeypatch):
     written = breaking(monkeypatch, 0)
@@ -77,7 +69,7 @@ def test_a_stopped_search_goes_on_and_ends_with_the_same_bytes(recipe, monkeypat
             again = breaking(patch, 0)
             workflow.run(recipe, workflow.Session(out=fit, resume=True))
         assert len(again) <= steps - at + 2  # what had been done is not done again
-        assert bytes_of(fit) == bytes_of(Path("whole"))
+        assert contents(fit) == contents(Path("whole"))
         assert not left.exists()
 
 

@@ -25,6 +25,7 @@ from tests.shared import shipped
 from tests.unit.report_runs import fill_reported
 
 FOLLOWS = {"follows": []}
+RESULTS = ("parameters.json", "validation.json")
 
 
 def findings_of(folder: Path) -> Findings:
@@ -47,6 +48,14 @@ def words_of(html: str) -> str:
 def folders(made_once):
     root = made_once("reported", fill_reported)
     return [root / "fit", root / "judged"]
+
+
+def changed(run: Path, into: Path, **entries) -> Path:
+    """A copy of a run, with these entries in its result."""
+    shutil.copytree(run, into)
+    (file,) = (into / name for name in RESULTS if (into / name).is_file())
+    write_json(file, json.loads(file.read_text()) | entries)
+    return into
 
 
 def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(folders):
@@ -183,31 +192,23 @@ def test_a_rigs_table_has_the_interval_of_the_fit_that_a_value_came_from(tmp_pat
 
 
 def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
-    folder = tmp_path / "judged"
-    shutil.copytree(folders[1], folder)
-    table = json.loads((folder / "validation.json").read_text())
     cures = [{"remedy": text} for text in ("free the gain of hect", "free the gain of hect", "b")]
-    write_json(folder / "validation.json", table | {"structure": {"findings": cures}})
+    folder = changed(folders[1], tmp_path / "judged", structure={"findings": cures})
     steps = findings_of(folder).next
     assert [step.fields["remedy"] for step in steps] == ["free the gain of hect", "b"]
 
 
 def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folders, tmp_path):
-    folder = tmp_path / "judged"
-    shutil.copytree(folders[1], folder)
-    table = json.loads((folder / "validation.json").read_text())
     found = [
         {"sentence": "boom.p_head reads low", "remedy": "add an offset", "explains": 0.46},
         {"sentence": "lag", "remedy": "add a lag", "explains": 0.3},
     ]
     cause = "46 % of the residual has one likely cause: boom.p_head reads low; add an offset"
-    judged = table | {"accepted": True, "reasons": []}
-    write_json(folder / "validation.json", judged | {"structure": {"findings": found} | FOLLOWS})
-    assert list(findings_of(folder).against) == [cause]
-    assert list(terminal.answer(folder).notes) == [cause]
-    write_json(folder / "validation.json", judged | {"structure": {"findings": []} | FOLLOWS})
-    assert not findings_of(folder).against
-    assert not terminal.answer(folder).notes
+    for name, findings, against in (("one", found, [cause]), ("two", [], [])):
+        more = {"accepted": True, "reasons": [], "structure": {"findings": findings} | FOLLOWS}
+        folder = changed(folders[1], tmp_path / name, **more)
+        assert list(findings_of(folder).against) == against
+        assert list(terminal.answer(folder).notes) == against
 
 
 LEAN = {"name": "late.delay", "remedy": 'add "late.delay" to parameters'}
@@ -217,10 +218,8 @@ LEAN |= {"moved": [{"name": name, "halves": halves} for name, halves in MOVED.it
 
 
 def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):
-    folder = tmp_path / "fit"
-    shutil.copytree(folders[0], folder)
-    table, before = json.loads((folder / "parameters.json").read_text()), findings_of(folder)
-    write_json(folder / "parameters.json", table | {"leans": [LEAN]})
+    before = findings_of(folders[0])
+    folder = changed(folders[0], tmp_path / "fit", leans=[LEAN])
     found = findings_of(folder)
     assert list(found.against) == [LEAN["sentence"], *before.against]
     assert found.next[0].hint == '"late.delay",'
@@ -233,31 +232,23 @@ def test_what_a_fit_leans_on_stands_first_against_it(folders, tmp_path):
 
 
 def test_a_sensitive_fit_gives_a_reservation(folders, tmp_path):
-    folder = tmp_path / "judged"
-    shutil.copytree(folders[1], folder)
-    table = json.loads((folder / "validation.json").read_text())
     reserves = {"accepted": True, "reasons": [], "reservations": [LEAN["sentence"]]}
-    write_json(folder / "validation.json", table | reserves)
+    folder = changed(folders[1], tmp_path / "judged", **reserves)
     told = terminal.answer(folder).lines(200, whole=True)
     assert told[0].startswith("ACCEPTED WITH RESERVATION on ") and f"- {LEAN['sentence']}" in told
     assert findings_of(folder).against[0] == LEAN["sentence"]
     glance = words_of(section(build([folder]), "glance"))
     assert "that it was not fitted to, with reservation: " in glance
-    fit = tmp_path / "fit"  # in a report with the fit behind it, told of that alone
-    shutil.copytree(folders[0], fit)
-    fitted = json.loads((fit / "parameters.json").read_text())
-    write_json(fit / "parameters.json", fitted | {"leans": [LEAN]})
+    # in a report with the fit behind it, told of that alone
+    fit = changed(folders[0], tmp_path / "fit", leans=[LEAN])
     both = words_of(section(build([fit, folder]), "glance"))
     assert both.count("and these logs would have 2.5 ms") == 1 == glance.count("have 2.5 ms")
 
 
 def test_what_a_fit_leaves_over_speaks_against_it(folders, tmp_path):
-    folder = tmp_path / "fit"
-    shutil.copytree(folders[0], folder)
-    table = json.loads((folder / "parameters.json").read_text())
-    before = findings_of(folder)
+    before = findings_of(folders[0])
     said = "the model leaves 27 % of boom.p_rod in a, 3 times its noise"
-    write_json(folder / "parameters.json", table | {"left_over": f"{said}: something is missing"})
-    found = findings_of(folder)
+    left = f"{said}: something is missing"
+    found = findings_of(changed(folders[0], tmp_path / "fit", left_over=left))
     assert list(found.against) == [said, *before.against]
     assert "--suggest" in found.next[0].hint and list(found.next[1:]) == list(before.next)

@@ -61,6 +61,12 @@ def test_a_fit_says_so_of_each_log_with_the_cause(case):
         assert note.fields["cause"].key == f"plant.stiff_{kind}"
 
 
+def check_notes(warnings, state, kind):
+    notes = [text for text in warnings if getattr(text, "key", "") == "plant.short_steps"]
+    assert [note.fields["state"] for note in notes] == [state] * (state is not None)
+    assert [note.fields["cause"].key for note in notes] == [f"plant.stiff_{kind}"] * len(notes)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["shipped", "a small supply line"])
 def test_a_validation_says_so_of_its_log(case):
@@ -68,9 +74,7 @@ def test_a_validation_says_so_of_its_log(case):
     model, start, record = stepped(values)
     replayed = model.replay(record, start=start)
     [log] = judged(model.rig, [("one", replayed)]).logs
-    notes = [text for text in log.warnings if getattr(text, "key", "") == "plant.short_steps"]
-    assert [note.fields["state"] for note in notes] == [state] * (state is not None)
-    assert [note.fields["cause"].key for note in notes] == [f"plant.stiff_{kind}"] * len(notes)
+    check_notes(log.warnings, state, kind)
 
 
 @pytest.mark.parametrize(
@@ -82,6 +86,4 @@ def test_a_trial_says_so(case, on):
     assert isinstance(recipe, TrialRecipe)
     changes = {"on": on, "bench": None, "duration": Value(2.0)}
     trial = prepare(recipe.model_copy(update=changes), SLIDE.with_values(values))
-    notes = [text for text in run(trial).facts.warnings if text.key == "plant.short_steps"]
-    assert [note.fields["state"] for note in notes] == [state] * (state is not None)
-    assert [note.fields["cause"].key for note in notes] == [f"plant.stiff_{kind}"] * len(notes)
+    check_notes(run(trial).facts.warnings, state, kind)
