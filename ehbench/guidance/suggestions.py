@@ -248,13 +248,25 @@ class _Trials:
     def run(self, rounds: int) -> Suggestions:
         """All rounds, and the table."""
         self.report("suggest: fitting the recipe as it is", 0.0)
-        now, untried = self._first(), ()
+        now, untried = self._first(), list[str]()
         for _ in range(rounds):
             levels = self._levels(now).items()
             noise = {c: self.noise[c] + (self.fine * self.spread[c]) ** 2 for c, _ in levels}
             if all(size <= self.quiet * noise[c] for c, size in levels):
                 break  # it leaves little more than white noise, or than what does not matter
-            reached, untried = self._round(now)
+            # what promises most is tried first; what costs much, and on the recipe itself what
+            # promises nothing, only where that did not help: a promise is to first order
+            left = self._changes(now)
+            promised, untried = self._promised(now, [c for c in left if not c.row.costly])
+            reached = self._tries(now, promised, untried, self.hope)
+            if not self._any_better(reached, now):
+                costly, late = self._promised(now, [c for c in left if c.row.costly])
+                untried += late
+                reached += self._tries(now, costly, untried)
+            if now is self.tried[0] and not self._any_better(reached, now):
+                rest = [item for item in promised if item[0] > (1.0 - self.worth) ** self.hope]
+                reached += self._tries(now, rest, untried)
+            self.tried += reached
             better = [item for item in reached if self._better(item, now)]
             if not better:
                 break
@@ -265,25 +277,7 @@ class _Trials:
             retained = [item for item in results if self._not_worse(item, best)]
             now = min(retained, key=lambda entry: self._misfit(entry, best), default=best)
         self.report("suggest: done", 1.0)
-        return self._table(untried)
-
-    def _round(self, now: Tried) -> tuple[list[Tried], tuple[str, ...]]:
-        """(changes on top of a fit; the names of those that there was no time for). What promises
-        most is tried first; what costs much, and on the recipe itself what promises nothing, only
-        where that did not help: a promise is to first order.
-        """
-        left = self._changes(now)
-        promised, untried = self._promised(now, [c for c in left if not c.row.costly])
-        reached = self._tries(now, promised, untried, self.hope)
-        if not self._any_better(reached, now):
-            costly, late = self._promised(now, [c for c in left if c.row.costly])
-            untried += late
-            reached += self._tries(now, costly, untried)
-        if now is self.tried[0] and not self._any_better(reached, now):
-            rest = [item for item in promised if item[0] > (1.0 - self.worth) ** self.hope]
-            reached += self._tries(now, rest, untried)
-        self.tried += reached
-        return reached, tuple(untried)
+        return self._table(tuple(untried))
 
     def _tries(
         self,

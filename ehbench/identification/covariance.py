@@ -174,14 +174,13 @@ def covariance_of(blocks: Sequence[Block], prior: Prior) -> Covariance:
     hac = np.sum(meats, axis=0) + known
     acf = _by_autocovariance(free, blocks) + np.sum(prior_parts, axis=0) + known
     b = float(np.mean([r / len(s) for r, s in zip(reaches, scores, strict=True)]))
-    pulls = [item.gradient for item in solved]
     informed = np.maximum(np.diag(total), 1e-300)
     ideal = np.sum(known_starts**2, axis=1) / np.maximum(np.diag(inverse), 1e-300)
     return Covariance(
         inverse @ hac @ inverse,
         inverse @ acf @ inverse,
         inverse @ (_by_counts(free, blocks) + np.sum(prior_parts, axis=0) + known) @ inverse,
-        _jackknife(solved, root) if _disagree(pulls, meats) else None,
+        _jackknife(solved, meats, root),
         len(blocks),
         np.sqrt(np.maximum(np.diag(hac), 0.0)) / informed,
         1.96 + 2.97 * b + 0.416 * b**2,
@@ -333,31 +332,28 @@ def _flat_top(series: Sequence[np.ndarray]) -> np.ndarray:
     return total[: len(lags)] / count * np.minimum(1.0, 2.0 - lags / last)
 
 
-def _disagree(pulls: Sequence[np.ndarray], meats: Sequence[np.ndarray]) -> bool:
-    """Whether the gradients of three logs or more, which sum to nothing at the solution, are larger
-    than their covariances explain.
+def _jackknife(
+    solved: Sequence[Eliminated], meats: Sequence[np.ndarray], root: np.ndarray
+) -> np.ndarray | None:
+    """Covariance by leaving out one log at a time, where the gradients of three logs or more, which
+    sum to nothing at the solution, are larger than their covariances explain; ``root`` is a square
+    root of the inverse of the normal matrix.
     """
     from scipy.special import chdtri
 
-    if len(pulls) < 3:
-        return False
+    if len(solved) < 3:
+        return None
     size = np.sqrt(np.maximum(np.diag(np.sum(meats, axis=0)), 1e-300))
-    total, freedom = 0.0, 0
-    for pull, meat in zip(pulls, meats, strict=True):
+    total, freedom = 0.0, -len(size)
+    for item, meat in zip(solved, meats, strict=True):
         values, vectors = np.linalg.eigh(meat / np.outer(size, size))
         some = values > 1e-6 * max(values[-1], 1e-300)
-        along = vectors[:, some].T @ (pull / size)
+        along = vectors[:, some].T @ (item.gradient / size)
         total += float(np.sum(along**2 / values[some]))
         freedom += int(np.count_nonzero(some))
-    freedom -= len(size)
     # noise alone would make them do so in one case of a hundred
-    return freedom > 0 and total > float(chdtri(freedom, 0.01))
-
-
-def _jackknife(solved: Sequence[Eliminated], root: np.ndarray) -> np.ndarray:
-    """Covariance by leaving out one log at a time; ``root`` is a square root of the inverse of the
-    normal matrix.
-    """
+    if freedom <= 0 or total <= float(chdtri(freedom, 0.01)):
+        return None
     count, p = len(solved), len(root)
     moves = np.empty((count, p))
     for k, item in enumerate(solved):

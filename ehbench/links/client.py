@@ -137,13 +137,16 @@ class LinkMachine:
 
     def _take(self, numbers: np.ndarray) -> bool:
         """Take a vector that came; whether it is a new sample of this session."""
+        newest = self.newest
         if numbers.size != self._up or not np.isfinite(numbers[: len(HEADER)]).all():
             problem = "malformed" if numbers.size <= self._up else "oversized"
         elif numbers[LAYOUT] != self._number or numbers[TOKEN] != self.token:
             problem = "foreign"
-        elif numbers[SEQUENCE] <= self.newest[SEQUENCE]:
+        elif (count := numbers[SEQUENCE] - newest[SEQUENCE]) <= 0.0:
             problem = "replayed"
-        elif self.row > 0 and self._jumped(numbers):
+        elif self.row > 0 and (
+            abs(numbers[TIME] - newest[TIME] - count / (self.rate * self._every)) > LINK.jump
+        ):
             problem = "clock"
         else:
             self.newest = numbers
@@ -151,11 +154,6 @@ class LinkMachine:
             return True
         self.rejected[problem] += 1
         return False
-
-    def _jumped(self, numbers: np.ndarray) -> bool:
-        """Whether a sample's count and clock do not go on together."""
-        apart = numbers[: len(HEADER)] - self.newest[: len(HEADER)]
-        return abs(apart[TIME] - apart[SEQUENCE] / (self.rate * self._every)) > LINK.jump
 
     @property
     def packet(self) -> tuple[float, ...]:

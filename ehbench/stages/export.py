@@ -73,7 +73,14 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
         source, trial = _trial_of(recipe, inputs, state)
         law = trial.controller
         if recipe.parts != "model" and law is not None:
-            _refuse(inputs, not _is_tuned(source, trial, inputs), "untuned")
+            name = law.gains_from
+            place = None if name is None else inputs.run_folder(source.file(name))
+            facts = None if place is None else place / "run.json"
+            # of a dry run none has been tuned yet
+            tuned = name is not None and (
+                facts is None or facts.is_file() and rundir.read_json(facts).get("validated")
+            )
+            _refuse(inputs, not tuned, "untuned")
         at_trial = replace(inputs, recipe=source)
         _, files, prepared = prepared_case("", trial, state, at_trial)
         contents = recipe.parts or ("model" if law is None else "both")
@@ -119,18 +126,6 @@ def _refuse(inputs: Inputs, wrong: bool, key: str, **fields: str) -> None:
     if wrong and not inputs.unvalidated:
         text = message(f"export.{key}", **fields)
         inputs.notes.refuse(ModelRejected(text, file=inputs.recipe.path), text)
-
-
-def _is_tuned(source: Recipe, trial: TrialRecipe, inputs: Inputs) -> bool:
-    """Whether the gains of a trial are those of a tuning on a validated rig."""
-    name = trial.controller.gains_from if trial.controller is not None else None
-    if name is None:
-        return False
-    place = inputs.run_folder(source.file(name))
-    if place is None:
-        return True  # a dry run has none yet
-    facts = place / "run.json"
-    return facts.is_file() and bool(rundir.read_json(facts).get("validated"))
 
 
 def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Recipe, TrialRecipe]:

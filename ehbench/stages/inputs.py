@@ -229,7 +229,7 @@ class Inputs:
         for (index, item, place), name in zip(available, names, strict=True):
             path = place / "log.mcap" if (place / "log.mcap").is_file() else place
             whole, others = self._read(item, index, path, path is not place, maps)
-            record = self._replayed(_window(whole, item, path), item, index)
+            record = self._taken(whole, item, index, path)
             scored = getattr(item, "scored", None)
             parts, texts = parts_of(name, record, driven=driven, within=scored)
             losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
@@ -275,18 +275,34 @@ class Inputs:
         record = read(path, columns=columns, window=span_of(item), additional=others)
         return record, others
 
-    def _replayed(self, record: Record, item: DataFile, index: int) -> Record:
-        """A record with what a simulation takes from it, by its entry or the recipe."""
+    def _taken(self, record: Record, item: DataFile, index: int, path: Path) -> Record:
+        """The part of a record that an entry names, with its payload and forces, and what a
+        simulation takes from it, by the entry or the recipe.
+        """
+        import numpy as np
+
         from ehbench.plant.ties import RECORDED, SUPPLY, TIED
 
-        facts = {name: fact for name, fact in record.meta.items() if name not in (TIED, SUPPLY)}
+        low, high = span_of(item)
+        inside = (record.t >= low) & (record.t <= high)
+        if inside.sum() < 3 <= record.t.size:
+            first, last = float(record.t[0]), float(record.t[-1])
+            text = message("stages.empty_window", low=low, high=high, first=first, last=last)
+            raise InputError(text, file=path)
+        without = (TIED, SUPPLY, *(["payload_change"] if item.payload else []))
+        facts = {name: fact for name, fact in record.meta.items() if name not in without}
+        facts |= {"payload": item.payload} if item.payload else {}
+        channels = {name: values[inside] for name, values in record.channels.items()}
+        channels |= {
+            name: np.full(inside.sum(), float(force)) for name, force in item.force.items()
+        }
         for key, default in ((TIED, "none"), (SUPPLY, "model")):
             choice = getattr(item, key, None) or getattr(self.recipe, key, default)
             facts |= {} if choice == default else {key: choice}
-        if facts.get(SUPPLY) == RECORDED and "p_supply" not in record:
+        if facts.get(SUPPLY) == RECORDED and "p_supply" not in channels:
             text = message("stages.no_supply", name=item.path)
             raise InputError(text, **self.recipe.at("data", index))
-        return replace(record, meta=facts)
+        return type(record)(record.t[inside], channels, facts, record.attachments, record.losses)
 
     def columns(self, item: DataFile | None = None, index: int = 0) -> ColumnMap | None:
         """The map of columns of an entry of ``data``, else that of the recipe."""
@@ -323,25 +339,6 @@ def span_of(item: DataFile) -> tuple[float, float]:
     """The part of a log that an entry names [s]."""
     low = -math.inf if item.start is None else float(item.start)
     return low, math.inf if item.stop is None else float(item.stop)
-
-
-def _window(record: Record, item: DataFile, path: Path) -> Record:
-    """The part of a record that an entry names, with its payload and forces."""
-    import numpy as np
-
-    low, high = span_of(item)
-    inside = (record.t >= low) & (record.t <= high)
-    if inside.sum() < 3 <= record.t.size:
-        first, last = float(record.t[0]), float(record.t[-1])
-        text = message("stages.empty_window", low=low, high=high, first=first, last=last)
-        raise InputError(text, file=path)
-    meta = dict(record.meta)
-    if item.payload:
-        meta.pop("payload_change", None)
-        meta["payload"] = item.payload
-    channels = {name: values[inside] for name, values in record.channels.items()}
-    channels |= {name: np.full(inside.sum(), float(force)) for name, force in item.force.items()}
-    return type(record)(record.t[inside], channels, meta, record.attachments, record.losses)
 
 
 def with_orifices(rig: Rig, maps: FlowMaps | None) -> tuple[Rig, tuple[str, ...]]:

@@ -117,8 +117,10 @@ class StudyStage(Stage[StudyRecipe, PreparedStudy]):
         upstream = dict.fromkeys(item for path in paths for item in upstream_recipes(path).values())
         files += [("upstream", path) for path in upstream]
         design = Design(recipe, fitted)
-        with inputs.notes.collected():
-            _refuse_size(recipe, design)
+        columns = len(design.columns) + len(recipe.measures) + 2
+        needed = 8.0 * SETTINGS.cells * columns * design.size
+        with inputs.notes.collected(), placed(recipe.at("samples")):
+            refuse_beyond(needed, f"a table of {design.size} samples")
         plan = Plan(recipe, paths, runs, inputs.allow_code, inputs.unvalidated)
         if not inputs.notes.errors:
             _try_keys(recipe, plan, design, inputs)
@@ -257,14 +259,6 @@ def _fitted(recipe: StudyRecipe, inputs: Inputs) -> tuple[Fitted | None, Path | 
         text = message("stages.no_parameters", name=name)
         raise InputError(text, **recipe.at("identified", "run"))
     return Fitted.of(rundir.read_json(path), recipe.identified.parameters, path), folder
-
-
-def _refuse_size(recipe: StudyRecipe, design: Design) -> None:
-    """Refuse a table that memory does not hold, before its first sample is made."""
-    columns = len(design.columns) + len(recipe.measures) + 2
-    needed = 8.0 * SETTINGS.cells * columns * design.size
-    with placed(recipe.at("samples")):
-        refuse_beyond(needed, f"a table of {design.size} samples")
 
 
 def _try_keys(recipe: StudyRecipe, plan: Plan, design: Design, inputs: Inputs) -> None:
