@@ -1,11 +1,10 @@
 """Where a user begins: a new workspace, and a campaign by its name."""
 
-from difflib import get_close_matches
 from pathlib import Path
 
 from ehbench.runs import rundir
 from ehbench.runtime.disk import filling, impossible
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, nearest
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.text import shortened, shortened_path
 
@@ -22,10 +21,8 @@ def find_campaign(name: str) -> Path:
         if not impossible(candidate) and candidate.is_file():
             return candidate
     known = sorted({item.parent.name for place in places for item in place.glob("*/campaign.toml")})
-    near = get_close_matches(name, known, 1)
-    hint = f"did you mean '{near[0]}'?" if near else None
     text = message("app.no_campaign", name=shortened(name, 100), known=", ".join(known))
-    raise InputError(text, hint=hint)
+    raise InputError(text, hint=nearest(name, known))
 
 
 def init(folder: Path) -> Path:

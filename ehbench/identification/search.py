@@ -6,14 +6,13 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from typing import Any
 
 from ehbench.config.recipe.sensor import reading_row
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.preprocessing.sensors import Term
 from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import InputError, placed
+from ehbench.vocabulary.errors import InputError, nearest, placed
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import Quantity
@@ -139,9 +138,8 @@ def coordinates(
         for name in table:
             place = where(key) if key == "parameters" else where(key, name)
             if name not in known:
-                near = get_close_matches(name, known, 1)
                 text = message("identification.no_parameter", rig=rig.name, name=name)
-                hint = f"nearest is '{near[0]}'" if near else None
+                hint = nearest(name, known, "nearest is '{}'")
                 raise InputError(text, **place, hint=hint)
             if name not in names:
                 fields = {"key": key, "name": name, "fitted": ", ".join(names)}

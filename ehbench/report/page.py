@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -48,7 +47,7 @@ from ehbench.report.words import (
 from ehbench.runs import rundir
 from ehbench.runs.versions import outdated, read_versions
 from ehbench.runtime.disk import DATA, read_bytes
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.errors import EhbenchError, InputError, nearest
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.terms import Z95
@@ -309,9 +308,8 @@ class Titles:
         """
         for key in self._given:
             if key not in self._keys:
-                near = get_close_matches(key, self._keys, 1, 0.3)
                 place = self._campaign.at("figures", key) if self._campaign else {}
-                hint = f"nearest is '{near[0]}'" if near else None
+                hint = nearest(key, self._keys, "nearest is '{}'", 0.3)
                 raise InputError(message("report.no_title", key=key), hint=hint, **place)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,7 +26,7 @@ from ehbench.config.recipe import (
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.runs import rundir
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, nearest
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
 
@@ -118,8 +117,7 @@ class Inputs:
             return path
         folder = path.parent
         known = [item.name for item in folder.iterdir()] if folder.is_dir() else []
-        near = get_close_matches(path.name, known, 1)
-        hint = f"did you mean '{near[0]}'?" if near else f"looked for {path}"
+        hint = nearest(path.name, known) or f"looked for {path}"
         text = message("stages.no_file", name=name)
         raise InputError(text, file=self.recipe.path, hint=hint)
 

@@ -77,18 +77,6 @@ def best_gain(motions: Sequence[SteadyMotion], law: Law, gains: np.ndarray) -> t
     return float(worst.max()), float(remaining[worst.argmax()])
 
 
-def _reaches(motions: list[SteadyMotion], law: Law, gains: np.ndarray, minimum: float) -> bool:
-    """Whether some gain gives every point this damping ratio. A point that refuses goes to the
-    front."""
-    remaining = gains
-    for i, motion in enumerate(motions):
-        remaining = remaining[motion.loop(law).damping_ratio(remaining) >= minimum]
-        if not remaining.size:
-            motions.insert(0, motions.pop(i))  # the likeliest to refuse the next law
-            return False
-    return True
-
-
 class LawSearch:
     """The search for washouts and off-side gain over operating points.
 
@@ -163,8 +151,16 @@ class LawSearch:
 
     def _reaching(self, corner: float, ramp: float) -> Law | None:
         """The best law with these washouts that reaches the target; None where none does."""
-        laws = [Law(corner, off, self.delay, ramp) for off in self.offs]
-        able = [law for law in laws if _reaches(self._queue, law, self.gains, self.minimum)]
+        able = []
+        for law in (Law(corner, off, self.delay, ramp) for off in self.offs):
+            remaining = self.gains  # that give every point so far the damping ratio
+            for i, motion in enumerate(self._queue):
+                remaining = remaining[motion.loop(law).damping_ratio(remaining) >= self.minimum]
+                if not remaining.size:
+                    self._queue.insert(0, self._queue.pop(i))  # the likeliest to refuse the next
+                    break
+            else:
+                able.append(law)
         return self._best(able) if able else None
 
     def _fastest(self, washouts: Sequence[tuple[float, float]]) -> Law | None:

@@ -1,7 +1,8 @@
 """The error tree. Every error a user can cause says what, where and what would be right."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,14 @@ def placed(where: Mapping[str, Any], about: str = "") -> Iterator[None]:
     except InputError as error:
         text = f"{about}: {error.message}" if about else error.message
         raise type(error)(text, **where, hint=error.hint) from None
+
+
+def nearest(
+    name: str, known: Iterable[str], says: str = "did you mean '{}'?", cutoff: float = 0.6
+) -> str | None:
+    """A hint at the known name that is most like another; None where none is like it."""
+    near = get_close_matches(name, list(known), 1, cutoff)
+    return says.format(near[0]) if near else None
 
 
 def one_line(text: str) -> str:

@@ -3,7 +3,6 @@
 import os
 import re
 import tomllib
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
@@ -11,7 +10,7 @@ from typing import Any, get_args
 from pydantic import TypeAdapter, ValidationError
 
 from ehbench.runtime.disk import read_bytes
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, nearest
 from ehbench.vocabulary.fields import FROM_FILE, FileModel
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import shortened
@@ -122,8 +121,7 @@ def read_text(path: Path) -> str:
         data = read_bytes(path)
     except FileNotFoundError:
         siblings = path.parent.glob("*.toml") if path.parent.is_dir() else ()
-        near = get_close_matches(path.name, [file.name for file in siblings], 1)
-        hint = f"did you mean '{near[0]}'?" if near else None
+        hint = nearest(path.name, (file.name for file in siblings))
         raise InputError("no such file", file=path, hint=hint) from None
     # a file's name may be of any bytes; what is no such name, and no UTF-8, is an error
     text = data.decode("utf-8-sig", "surrogateescape")
@@ -214,8 +212,7 @@ def _explained(
     elif kind == "literal_error":
         name = "config.not_one_of" if key else "config.entry_not_one_of"
         text = message(name, **fields, words=expected.replace(" or ", ", "))
-        near = get_close_matches(str(given), re.findall(r"'([^']*)'", expected), 1)
-        hint = f"did you mean '{near[0]}'?" if near else None
+        hint = nearest(str(given), re.findall(r"'([^']*)'", expected))
     elif kind == "tuple_type":
         text = message("config.no_list", **fields)
         if isinstance(given, dict):
@@ -269,9 +266,8 @@ def _valid_hint(
 ) -> str | None:
     """What to write for an unknown key: the nearest, its table, or the valid keys."""
     valid = _valid_keys(model, within[:-1])
-    near = get_close_matches(str((location or within)[-1]), valid, 1, 0.6)
-    if near:
-        return f"did you mean '{near[0]}'?"
+    if hint := nearest(str((location or within)[-1]), valid):
+        return hint
     ends = range(len(location) - 2, 0, -1)
     above = next((at for at in ends if location[-1] in _valid_keys(model, location[:at])), None)
     if above is not None:

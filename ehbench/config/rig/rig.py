@@ -20,7 +20,7 @@ from ehbench.config.rig.valves import Edge, FixedEdge, Valve
 from ehbench.parts.valve import TABLES as DYNAMICS
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.vocabulary import units
-from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.errors import InputError, UnitError, nearest
 from ehbench.vocabulary.fields import FileModel, Q, Value, one_of, scalars
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import label, plural, shown, table
@@ -61,9 +61,8 @@ class Rig(FileModel):
     def _display_units(cls, display: dict[str, str]) -> dict[str, str]:
         for name, unit in display.items():
             if name not in VOCABULARY:
-                near = get_close_matches(name, VOCABULARY, 1)
-                nearest = f"; nearest is '{near[0]}'" if near else ""
-                raise Misplaced(f"there is no quantity '{name}'{nearest}", name)
+                near = nearest(name, VOCABULARY, "; nearest is '{}'") or ""
+                raise Misplaced(f"there is no quantity '{name}'{near}", name)
             try:
                 units.to_si(1.0, unit, VOCABULARY[name])
             except UnitError as error:
@@ -400,10 +399,8 @@ class Rig(FileModel):
         new: dict[str, dict[str, Value]] = {}
         for name, value in values.items():
             if name not in known:
-                near = get_close_matches(name, known, 1)
-                hint = f"nearest is '{near[0]}'" if near else None
                 text = message("config.no_parameter", rig=self.name, name=name)
-                raise InputError(text, hint=hint)
+                raise InputError(text, hint=nearest(name, known, "nearest is '{}'"))
             prefix, dot, key = name.rpartition(".")
             new.setdefault(prefix + dot, {})[key] = (
                 replace(value, unit=value.unit or known[name].unit)
