@@ -157,10 +157,15 @@ def _trial_of(recipe: ExportRecipe, inputs: Inputs, state: RigState) -> tuple[Re
     if trial.step == "auto":
         changes["step"] = TrialRecipe.model_fields["step"].default
     trial = trial.model_copy(update=changes)
-    tuned = _tuned_rate(source, trial)
-    if tuned is not None and tuned != float(trial.rate):
-        text = message("export.other_rate", tuned=tuned, rate=float(trial.rate))
-        raise InputError(text, **recipe.at("rate"))
+    gains = trial.controller.gains_from if trial.controller is not None else None
+    if gains is not None:
+        place = source.file(gains)
+        if place.is_dir():
+            place = TracedRun(place).recipe.place or place
+        tuning = load_recipe(place) if place.is_file() and place.suffix == ".toml" else None
+        if isinstance(tuning, AnyTuning) and float(tuning.rate) != float(trial.rate):
+            rates = {"tuned": float(tuning.rate), "rate": float(trial.rate)}
+            raise InputError(message("export.other_rate", **rates), **recipe.at("rate"))
     return source, trial
 
 
@@ -205,18 +210,6 @@ def _tuned(recipe: ExportRecipe, item: Recipe, place: Path, rig: Rig) -> TrialRe
     trial = {"stage": "trial", "rig": recipe.rig, "rate": item.rate, "posture": item.posture}
     trial |= {"motion": motion, "controller": {"kind": kind, "gains": str(place)}}
     return TrialRecipe(path=recipe.path, **trial)
-
-
-def _tuned_rate(source: Recipe, trial: TrialRecipe) -> float | None:
-    """The rate [Hz] that the gains of a trial were tuned for; None where no tuning says."""
-    name = trial.controller.gains_from if trial.controller is not None else None
-    if name is None:
-        return None
-    place = source.file(name)
-    if place.is_dir():
-        place = TracedRun(place).recipe.place or place
-    item = load_recipe(place) if place.is_file() and place.suffix == ".toml" else None
-    return float(item.rate) if isinstance(item, AnyTuning) else None
 
 
 HEADER = "# written by ehbench export\n"

@@ -48,7 +48,12 @@ def inherited(
         if row["log"] or channel in named or channel not in channels:
             continue
         table = tables.setdefault(channel, {"channel": channel})
-        value, std = _value(row, table), row["std"]
+        value, std = float(row["value"]), row["std"]
+        # as a table states it: without the sign and the atmosphere that stand there
+        if word == "offset":
+            value -= ATMOSPHERE * (table.get("pressure") == "absolute")
+        else:
+            value = max(abs(value) if word == "scale" else value, reading_row(channel, word).lower)
         unit = "" if word == "scale" else f" {reading_row(channel, word).unit}"
         exact = value if not unit else f"{value!r}{unit}"
         spread = std if not unit else f"{std!r}{unit}"
@@ -60,14 +65,6 @@ def inherited(
             text = message("stages.sensor_given", channel=channel, terms=", ".join(terms))
             notes.append(text)
     return (*sensors, *map(Sensor.model_validate, tables.values())), tuple(notes)
-
-
-def _value(row: Mapping[str, Any], table: Mapping[str, Any]) -> float:
-    """An estimate as a table states it: without the sign and the atmosphere that stand there."""
-    value, word = float(row["value"]), row["word"]
-    if word == "offset":
-        return value - ATMOSPHERE * (table.get("pressure") == "absolute")
-    return max(abs(value) if word == "scale" else value, reading_row(row["channel"], word).lower)
 
 
 def _shown(rig: Rig, channel: str, word: str, value: float, std: float) -> str:

@@ -105,10 +105,16 @@ def _overlaps(record: Record, rows: FittedSamples) -> list[Overlap]:
 
 def _same_noise(record: Record, rows: FittedSamples) -> list[Overlap]:
     """Where a record has the noise of fitted samples, though not their rows."""
-    names = [name for name in rows.channels if name in record]
-    levels = {name: _white(rows.channels[name]) for name in names}
-    names = [name for name in names if _tells(rows.channels[name], levels[name])]
-    if not names or min(rows.t.size, record.t.size) < SETTINGS.block:
+    if min(rows.t.size, record.t.size) < SETTINGS.block:
+        return []
+    shared = {name: values for name, values in rows.channels.items() if name in record}
+    # of white noise: the median of third differences, which steps and ringing hardly touch
+    levels = {
+        name: MAD * float(np.median(np.abs(np.diff(values, 3)))) / math.sqrt(20.0)
+        for name, values in shared.items()
+    }
+    names = [name for name, values in shared.items() if _tells(values, levels[name])]
+    if not names:
         return []
     noise = np.array([levels[name] for name in names])
     mine = np.column_stack([record[name] for name in names])
@@ -126,13 +132,6 @@ def _same_noise(record: Record, rows: FittedSamples) -> list[Overlap]:
         ):
             best[first:last] = True
     return _runs(record.t, best, rows)
-
-
-def _white(y: np.ndarray) -> float:
-    """Standard deviation of a channel's white noise, by the median of its third differences, which
-    steps and ringing hardly touch.
-    """
-    return MAD * float(np.median(np.abs(np.diff(y, 3)))) / math.sqrt(20.0) if y.size > 3 else 0.0
 
 
 def _tells(y: np.ndarray, noise: float) -> bool:
