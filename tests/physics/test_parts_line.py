@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from plant_differences import plant_model
-from with_parts import books, jacobian, moved, point_of, slide, steps, swing
+from with_parts import books, jacobian, moved, point_of, ringing, slide, steps, swing
 
 from ehbench.config.rig import Rig
 from ehbench.control.law import DesignPoint
@@ -31,12 +31,6 @@ def lined(*lines: dict) -> Rig:
 
 def row(**given: float) -> np.record:
     return table_of([given], LINE)[0]
-
-
-def ringing(model: Model, near: float) -> float:
-    """[rad/s] of the ringing nearest to a frequency."""
-    rings = np.abs(np.linalg.eigvals(jacobian(model)).imag)
-    return float(rings[np.argmin(np.abs(rings - near))])
 
 
 @pytest.mark.parametrize("drop", [1e3, 2e5, -3e6])

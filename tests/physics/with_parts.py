@@ -80,6 +80,12 @@ def swing(model: Model) -> float:
     return row.bulk_modulus * ends
 
 
+def ringing(model: Model, near: float) -> float:
+    """[rad/s] of the ringing nearest to a frequency."""
+    rings = np.abs(np.linalg.eigvals(jacobian(model)).imag)
+    return float(rings[np.argmin(np.abs(rings - near))])
+
+
 def point_of(model: Model, function: int = 1, low: float = 5e5, cross: float = 5e5, **aim):
     """The operating point of the first cylinder at 0.2 m."""
     here = equivalent(model, 0, np.array([0.2]))

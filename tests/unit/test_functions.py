@@ -265,8 +265,8 @@ def test_a_load_beyond_the_supply_is_called_stalled():
     assert chosen == (codes.EXTEND_RESISTIVE, codes.STALLED)
 
 
-def run(c, rules, v_d, p_head, p_rod, tick=1e-3):
-    now, age, history = codes.HOLD, 0.0, []
+def run(c, rules, v_d, p_head, p_rod, tick=1e-3, age=0.0):
+    now, history = codes.HOLD, []
     for v, head, rod in np.broadcast(v_d, p_head, p_rod):
         chosen, _ = choose(c, rules, v, head, rod, now, age)
         age = tick if chosen != now else age + tick
@@ -346,14 +346,10 @@ def test_circuits_that_are_none_are_refused():
 
 def low_passed(c, rules, v_d, tick=1e-3, steady=True):
     """Functions chosen along desired speeds, at a load that rests on the head end."""
-    now, age, slow, history = codes.HOLD, 1e9, 0.0, []
+    slow = [0.0]
     for v in v_d:
-        slow = fn.steady_reference(v, slow, tick, rules) if steady else v
-        chosen, _ = choose(c, rules, slow, 2e6, 5e5, now, age)
-        age = tick if chosen != now else age + tick
-        now = chosen
-        history.append(now)
-    return np.array(history)
+        slow.append(fn.steady_reference(v, slow[-1], tick, rules) if steady else v)
+    return run(c, rules, slow[1:], 2e6, 5e5, tick, age=1e9)
 
 
 def test_a_noisy_speed_changes_nothing_and_a_wish_acts_at_once():

@@ -35,6 +35,10 @@ def part(record: Record, start: float, stop: float) -> Record:
     return Record(record.t[keep], {n: v[keep] for n, v in record.channels.items()}, record.meta)
 
 
+def read_at(record: Record, t: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.interp(t, record.t, y) for name, y in record.channels.items()}
+
+
 def rows_of(record: Record, digits: int = 9) -> FittedSamples:
     """As a run of an identification saves what it was fitted to."""
     names = ("press.x", "press.v", "press.p_head", "press.p_rod")
@@ -62,8 +66,7 @@ def test_a_copy_with_more_samples_or_a_shifted_time_is_no_other_log(log, rig):
     (found,) = overlaps(few, fitted)
     assert (found.start, found.stop) == pytest.approx((0.5, 2.0))
     t = np.arange(2 * log.t.size - 1) * 5e-4
-    dense = {n: np.interp(t, log.t, v) for n, v in log.channels.items()}
-    (found,) = overlaps(Record(t, dense, log.meta), fitted)
+    (found,) = overlaps(Record(t, read_at(log, t), log.meta), fitted)
     assert (found.start, found.stop) == pytest.approx((0.5, 2.0))
     bare = Record(log.t, {"press.x": log["press.x"], "press.p_rod": log["press.p_rod"]})
     assert len(overlaps(bare, fitted)) == 1, "a copy may lack channels"
@@ -76,8 +79,8 @@ def test_a_rounded_or_resampled_copy_is_no_other_log(log, rate, digits, late):
     """None of its rows is one of the log's."""
     fitted = [rows_of(part(log, 0.5, 2.0))]
     t = np.arange(0.0, log.t[-1], 1.0 / rate)
-    made = {n: np.interp(t, log.t, y) for n, y in log.channels.items()}
-    copy = {n: np.array([float(f"{v:.{digits}g}") for v in y]) for n, y in made.items()}
+    made = read_at(log, t).items()
+    copy = {n: np.array([float(f"{v:.{digits}g}") for v in y]) for n, y in made}
     (found,) = overlaps(Record(t + late, copy, log.meta), fitted)
     assert (found.start, found.stop) == pytest.approx((0.5 + late, 2.0 + late), abs=0.1)
     assert not overlaps(part(Record(t, copy, log.meta), 2.0, 4.0), fitted), "another window"
@@ -110,8 +113,7 @@ def test_no_noise_is_taken_for_another(rig, kind, rate):
     """Two recordings of one test, which differ by their sensors' noise alone."""
     one, other = (virtual_log("slide_servo", rig, kind, seed) for seed in (1, 2))
     t = np.arange(0.0, other.t[-1], 1.0 / rate)
-    made = {n: np.interp(t, other.t, y) for n, y in other.channels.items()}
-    assert not overlaps(Record(t, made, other.meta), [rows_of(one)])
+    assert not overlaps(Record(t, read_at(other, t), other.meta), [rows_of(one)])
 
 
 def test_another_recording_of_the_same_test_is_held_out(log, rig):
