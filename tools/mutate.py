@@ -1,6 +1,7 @@
 """Whether tests notice wrong code: one change each of cosmic-ray's, drawn at random, in a copy of
-the tree, and the share that the quick tests kill in files that import these packages. A line that
-only others run, or none, lets its mutants survive; one that hangs is killed, and named.
+the tree, and the share that the quick tests kill in files that import these packages or run
+recipes. A line that only others run, or none, lets its mutants survive; one that hangs is killed,
+and named.
 
 python -m tools.mutate [MUTANTS] [MINUTES] [SEED]
 """
@@ -199,7 +200,7 @@ class Runs:
             (SEEN / "settings").write_text("\n".join(settings), encoding="utf-8")
             words = ["--cov", f"--cov-config={SEEN / 'settings'}", "--cov-context=test"]
             words += ["--cov-report=", "--durations=0", "--durations-min=0.001", "-rfE"]
-            uses = re.compile(rf"\behbench\.({'|'.join(PACKAGES)})\b")
+            uses = re.compile(rf"\behbench\.({'|'.join(PACKAGES)})\b|\bworkflow\b")
             every = sorted(folder.glob("tests/*/test_*.py"))
             files = [
                 str(path.relative_to(folder))

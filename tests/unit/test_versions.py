@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ehbench import workflow
+from ehbench import load_rig, read_log, simulate, workflow
 from ehbench.runs import versions
 from ehbench.runs.versions import METHODS, Versions
 from tests.shared import ROOT
@@ -50,48 +50,60 @@ RECIPES = {
         "rig.bulk_modulus" = { low = 0.5, high = 1.5, relative = true }""",
 }
 SHIPPED = ("hydraulics", "validation", "response", "tuning", "arc_tuning")
+RUNS = (*RECIPES, *SHIPPED)
+NO_RUN = "library"
 
 
-def runs(root: Path) -> dict[str, Path]:
-    """Run folders by name."""
-    session, folders = workflow.Session(root=root, keep=True), {}
-    for name, text in RECIPES.items():
-        (root / f"{name}.toml").write_text(text)
-        folders[name] = workflow.run(root / f"{name}.toml", session).folder
-    for name in SHIPPED:
-        recipe = ROOT / "recipes" / "slide_servo" / f"{name}.toml"
-        folders[name] = workflow.run(recipe, session).folder
-    return folders
+def made(root: Path, name: str) -> Path:
+    """The folder of a run, after those that it needs."""
+    session = workflow.Session(root=root, keep=True)
+    recipe = ROOT / "recipes" / "slide_servo" / f"{name}.toml"
+    if name in RECIPES:
+        for other, text in RECIPES.items():
+            (root / f"{other}.toml").write_text(text)
+        recipe = root / f"{name}.toml"
+    return workflow.run(recipe, session).folder
 
 
-def numbers_of(runs: dict[str, Path]) -> dict[str, dict[str, float]]:
-    """By method, a few of its results."""
-    from ehbench import load_rig, read_log, simulate
+def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
+    """By method, a few of the results of a run."""
 
-    def saved(name: str, file: str):
-        return json.loads((runs[name] / file).read_text())
+    def saved(file: str, *keys: str) -> dict[str, float]:
+        value = json.loads((folder / file).read_text())
+        for key in keys:
+            value = value[key]
+        return leaves(value)
 
+    if name == "trial":
+        bench = read_log(folder / "log.mcap")
+        return {
+            "bench": {str(name): float(np.std(values)) for name, values in bench.items()},
+            "control": {"command": float(np.std(bench["press.servo.command"]))},
+            "trial": saved("trial.json", "measures"),
+            "ledger": saved("ledger.json"),
+        }
+    return {
+        "flow_map": lambda: {"flow_maps": saved("summary.json")},
+        "matching": lambda: {"log_decrement": saved("parameters.json", "parameters")},
+        "study": lambda: {"sampling": saved("study.json", "measures")},
+        "hydraulics": lambda: {"output_error": saved("parameters.json", "parameters")},
+        "validation": lambda: {
+            "validation": saved("validation.json"),
+            "diagnosis": saved("validation.json", "structure"),
+        },
+        "response": lambda: {"frequency_response": saved("response.json")},
+        "tuning": lambda: {"tuning": saved("tuning.json")},
+        "arc_tuning": lambda: {"tuning": saved("tuning.json")},
+    }[name]()
+
+
+def numbers_without_a_run() -> dict[str, dict[str, float]]:
+    """Of a log that is read and of one that is simulated."""
     log = simulate(load_rig(RIG), {"press.servo": 2.0}, duration=0.2)
     recorded = read_log(ROOT / "datasets" / "slide_servo" / "steps" / "press_100kg.mcap")
-    bench = read_log(runs["trial"] / "log.mcap")
-    trial, study = saved("trial", "trial.json"), saved("study", "study.json")
-    fits = {name: saved(name, "parameters.json") for name in ("hydraulics", "matching")}
-    return {  # pyright: ignore[reportReturnType]
-        "logs": {name: float(np.std(values)) for name, values in recorded.items()},
+    return {
+        "logs": {str(name): float(np.std(values)) for name, values in recorded.items()},
         "plant": {name: float(values[-1]) for name, values in log.channels.items()},
-        "bench": {name: float(np.std(values)) for name, values in bench.items()},
-        "flow_maps": leaves(saved("flow_map", "summary.json")),
-        "output_error": leaves(fits["hydraulics"]["parameters"]),
-        "log_decrement": leaves(fits["matching"]["parameters"]),
-        "frequency_response": leaves(saved("response", "response.json")),
-        "validation": leaves(saved("validation", "validation.json")),
-        "diagnosis": leaves(saved("validation", "validation.json")["structure"]),
-        "control": {"command": float(np.std(bench["press.servo.command"]))},
-        "trial": leaves(trial["measures"]),
-        "ledger": leaves(saved("trial", "ledger.json")),
-        "tuning": leaves(saved("tuning", "tuning.json"))
-        | {f"arc {k}": v for k, v in leaves(saved("arc_tuning", "tuning.json")).items()},
-        "sampling": leaves(study["measures"]),
     }
 
 
@@ -121,16 +133,9 @@ def _is_message(item) -> bool:
     return isinstance(item, dict) and set(item) == {"key", "text", "fields"}
 
 
-def schemas_of(runs: dict[str, Path]) -> dict[str, dict[str, str]]:
-    """By stage, the names of its files with a digest over the keys in each."""
-    names = {"matching": None, "tuning": "tuning", "arc_tuning": "arc_tuning"}
-    schemas = {}
-    for name, folder in runs.items():
-        if (stage := names.get(name, name)) is not None:
-            schemas[stage] = {
-                path.name: _keys(path) for path in sorted(folder.iterdir()) if path.is_file()
-            }
-    return schemas
+def files_of(folder: Path) -> dict[str, str]:
+    """The files of a run with a digest over the keys in each."""
+    return {path.name: _keys(path) for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 def _keys(path: Path) -> str:
@@ -151,29 +156,37 @@ def _keys(path: Path) -> str:
     return hashlib.sha256("\n".join(sorted(keys)).encode()).hexdigest()[:8]
 
 
-pytestmark = pytest.mark.slow
-
-
-@pytest.fixture(scope="module")
-def folders(made_once) -> dict[str, Path]:
-    root = made_once("versions", runs)
-    return {name: next(root.glob(f"{name}_*")) for name in (*RECIPES, *SHIPPED)}
-
-
-def test_results_and_files_change_only_with_their_versions(folders):
-    stored, numbers = json.loads(STORED.read_text()), numbers_of(folders)
-    assert set(numbers) == set(METHODS)
-    for method, version in METHODS.items():
+def agree(name: str, numbers: dict[str, dict[str, float]]) -> None:
+    """Fail unless numbers are those that are stored of the versions of today."""
+    stored = json.loads(STORED.read_text())
+    assert set(numbers) == set(stored["numbers"][name])
+    for method, values in numbers.items():
         about = f"results of '{method}' changed: raise its version and store them anew"
-        assert stored["methods"][method]["version"] == version, "store the results anew"
+        assert stored["methods"][method] == METHODS[method], "store the results anew"
         # optimisers stop at 1e-8 of their cost, linear algebra differs from machine to machine
-        expected = pytest.approx(stored["methods"][method]["numbers"], rel=1e-4, abs=1e-12)
-        assert numbers[method] == expected, about
-    stored = json.loads(STORED.read_text())["stages"]
-    for stage, files in schemas_of(folders).items():
-        about = f"files of '{stage}' changed: raise its schema and store them anew"
-        assert stored[stage]["schema"] == Versions.of(stage).schema, "store the files anew"
-        assert stored[stage]["files"] == files, about
+        expected = pytest.approx(stored["numbers"][name][method], rel=1e-4, abs=1e-12)
+        assert values == expected, about
+
+
+def test_logs_and_plant_change_only_with_their_versions():
+    agree(NO_RUN, numbers_without_a_run())
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_results_and_files_change_only_with_their_versions(made_once, name):
+    root = made_once(f"versions_{name}", lambda root: made(root, name))
+    folder = next(root.glob(f"{name}_*"))
+    agree(name, numbers_of(name, folder))
+    if name != "matching":  # of the stage of hydraulics
+        stored = json.loads(STORED.read_text())["files"][name]
+        about = f"files of '{name}' changed: raise its schema and store them anew"
+        assert stored["schema"] == Versions.of(name).schema, "store the files anew"
+        assert stored["names"] == files_of(folder), about
+
+
+def test_every_method_has_numbers():
+    stored = json.loads(STORED.read_text())
+    assert set(METHODS) == {method for item in stored["numbers"].values() for method in item}
 
 
 def test_every_stage_that_leaves_a_run_has_versions():
@@ -186,19 +199,15 @@ def test_every_stage_that_leaves_a_run_has_versions():
 
 def store() -> None:
     """Write the numbers of this version."""
+    numbers, files = {NO_RUN: numbers_without_a_run()}, {}
     with tempfile.TemporaryDirectory() as folder:
-        made = runs(Path(folder))
-        numbers, schemas = numbers_of(made), schemas_of(made)
-    methods = {
-        method: {"version": version, "numbers": numbers[method]}
-        for method, version in METHODS.items()
-    }
-    stages = {
-        stage: {"schema": Versions.of(stage).schema, "files": files}
-        for stage, files in schemas.items()
-    }
-    text = json.dumps({"methods": methods, "stages": stages}, indent=1)
-    STORED.write_text(text + "\n", encoding="utf-8")
+        for name in RUNS:
+            run = made(Path(folder), name)
+            numbers[name] = numbers_of(name, run)
+            if name != "matching":
+                files[name] = {"schema": Versions.of(name).schema, "names": files_of(run)}
+    table = {"methods": dict(METHODS), "numbers": numbers, "files": files}
+    STORED.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
