@@ -17,6 +17,7 @@ from ehbench.identification.covariance import (
     release_of,
 )
 from ehbench.identification.matching import Matching
+from ehbench.identification.problem import prior_of
 from ehbench.preprocessing.observations import count_error
 
 NONE = Prior(np.zeros(2), np.zeros(2), 1.0)
@@ -265,3 +266,13 @@ def test_windows_give_the_error_of_their_median(errors, each, std, role):
     assert quantile == pytest.approx(
         1.96 if count == 1 else student.ppf(0.975, count - 1), rel=1e-6
     )
+
+
+def test_a_prior_pulls_from_where_the_parameter_is_to_its_centre():
+    """Its coordinate less that of the centre, sharpened; what nothing is known of is not pulled."""
+    known = Stub(known=True, sharpness=4.0, centre=1e9, of=np.log10)
+    free = Stub(known=False, sharpness=9.0, centre=np.nan, of=np.log10)
+    state = Stub(theta=np.array([7.0, 8.5]), prior_weight=2.0)
+    prior = prior_of(Stub(search=[free, known]), state, [1, 0])  # type: ignore[arg-type]
+    assert prior.sharpness.tolist() == [4.0, 0.0] and prior.weight == 2.0
+    assert prior.off[0] == pytest.approx(8.5 - 9.0)
