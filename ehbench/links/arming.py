@@ -154,6 +154,29 @@ def _watchdog_of(machine: Machine, prepared: Prepared, address: Address) -> floa
     return machine.watchdog
 
 
+def _permitted(
+    prepared: Prepared, address: Address, ask: Ask | None
+) -> tuple[Machine, Result, dict[str, float]]:
+    """(the machine of a trial, which may move now, the dry run, the stopping distances [m]). Where
+    it may not, the link is let go.
+
+    Raises:
+        InputError: as `run_remote`.
+    """
+    recipe, url = prepared.recipe, address.url
+    for key in ("payload_change", "fault", "machine"):
+        if getattr(recipe, key):
+            raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
+    machine = open_machine(prepared, url)
+    with ExitStack() as refusal:
+        refusal.callback(machine.close)
+        dry, distances = rehearsed(prepared, _watchdog_of(machine, prepared, address))
+        blind = [name for name in unmeasured_of(machine) if name.endswith(".x")]
+        _permit(prepared, url, max(distances.values(), default=0.0), ask, blind)
+        refusal.pop_all()
+    return machine, dry, distances
+
+
 def run_remote(
     prepared: Prepared,
     url: str,
@@ -179,17 +202,8 @@ def run_remote(
             a recipe can change on a simulation alone.
     """
     refuse_unmanned(prepared, operator)
-    address, recipe = Address.of(url), prepared.recipe
-    for key in ("payload_change", "fault", "machine"):
-        if getattr(recipe, key):
-            raise InputError(message("links.simulated", key=key, url=url), **recipe.at(key))
-    machine = open_machine(prepared, url)
-    with ExitStack() as refusal:
-        refusal.callback(machine.close)
-        dry, distances = rehearsed(prepared, _watchdog_of(machine, prepared, address))
-        blind = [name for name in unmeasured_of(machine) if name.endswith(".x")]
-        _permit(prepared, url, max(distances.values(), default=0.0), ask, blind)
-        refusal.pop_all()
+    address = Address.of(url)
+    machine, dry, distances = _permitted(prepared, address, ask)
     fast = address.mode == "buffered"
     with punctual() as refused:
         result = run(prepared, machine, log, progress, fast, watcher, operator)
