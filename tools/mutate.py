@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[1]
 SEEN = ROOT / "build" / "mutate"  # which tests run which line, until a source is newer
+STORED = "tests/unit/test_versions.py"  # asks the numbers of every method
 PACKAGES = ("identification", "diagnosis", "validation", "flow_maps", "tune")
 # of cosmic-ray's operators those that people could write: another sign, order, bound or constant
 CHANGES = (
@@ -222,8 +223,8 @@ class Runs:
         }
 
     def of(self, module: Path, line: int) -> list[str]:
-        """The tests of a line for `ENOUGH` seconds: first those of files that import its module,
-        one case of each test before any second, the quickest first.
+        """The tests of a line for `ENOUGH` seconds: first those of files that import its module and
+        those of stored numbers, one case of each test before any second, the quickest first.
 
         A constant's are those of the lines that name it, anywhere. Where tests share a result, only
         the first of them runs the line: then the others of its file follow."""
@@ -244,7 +245,7 @@ class Runs:
         near, shared = set(), set()
         for file in {test.partition("::")[0] for test in tests}:
             content = (ROOT / file).read_text(encoding="utf-8")
-            near |= {file} if re.search(imported, content) else set()
+            near |= {file} if re.search(imported, content) or file == STORED else set()
             shared |= {file} if re.search(r"@cache\b|scope=.module", content) else set()
         more = {test for test in self.seconds if test.partition("::")[0] in shared} - self.broken
         cases, order = Counter[str](), []

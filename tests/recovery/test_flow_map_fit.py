@@ -1,6 +1,5 @@
 """Flow maps from noisy readings of valves that are no splines: within the fit's intervals."""
 
-import itertools
 import json
 from dataclasses import replace
 from functools import cache
@@ -17,44 +16,27 @@ from ehbench.flow_maps.spline import Axis
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
 from ehbench.vocabulary.errors import InsufficientData
 from tests.shared import refused
-
-GPM = 3.785411784e-3 / 60.0
-COMMANDS = np.array([0, 1, 1.25, 1.5, 1.75, 2, 2.25, 2.5, 3, 4, 5, 6, 7, 8, 9, 10.0])
-DROPS = np.geomspace(1e5, 6.5e6, 12)
-
-
-def poppet(drop, command, deadband=1.6, rated=8 * GPM):
-    """Orifice whose area saturates with the opening."""
-    wide = np.maximum(command - deadband, 0) / (10 - deadband)
-    return rated * (1 - np.exp(-1.6 * wide)) / (1 - np.exp(-1.6)) * np.sqrt(drop / 6.5e6)
-
-
-def compensated(drop, command, deadband=1.62, rated=8 * GPM):
-    """Pressure-compensated: levels off above some 600 kPa and then falls."""
-    wide = np.maximum(command - deadband, 0) / (10 - deadband)
-    level = (1 - np.exp(-((drop / 6e5) ** 0.8))) * (1 - 0.03 * drop / 1e6)
-    return rated * np.tanh(1.15 * wide) / np.tanh(1.15) * level
-
-
-def servo(drop, command):
-    """Orifice law without a deadband, thesis 2.2."""
-    return 3.59e-8 * command * np.sqrt(drop)
-
-
-def readings(
-    law, seed, *, drops=DROPS, commands=COMMANDS, trials=3, noise=0.01, limit=0.4 * GPM, scale=1.0
-):
-    """Turbine readings above ``limit`` and cylinder-speed readings below, each with noise."""
-    rng, numbers = np.random.default_rng(seed), np.arange(1, trials + 1)
-    command, drop, trial = map(np.ravel, np.meshgrid(commands, drops, numbers, indexing="ij"))
-    drop = drop * (1 + 0.5 * noise * rng.standard_normal(drop.size))
-    true = law(drop, command)
-    slow = true < limit
-    std = np.where(slow, np.hypot(0.3 * noise * GPM, 2 * noise * true), noise * np.hypot(GPM, true))
-    flow = scale * (true + std * rng.standard_normal(drop.size))
-    method = np.where(slow, "cylinder", "flowmeter")
-    data = {"command": command, "pressure_drop": drop, "flow": flow}
-    return data | {"method": method, "trial": trial.astype(int)}
+from tests.valve_laws import (
+    BAR,
+    COMMANDS,
+    DROPS,
+    GPM,
+    LPM,
+    compensated,
+    hump,
+    kinked,
+    kinked_opening,
+    kinked_readings,
+    leaky,
+    parabola,
+    poppet,
+    pressed,
+    readings,
+    servo,
+    soft,
+    swept,
+    two_lands,
+)
 
 
 def fit(data, file="", line=None, **options):
@@ -349,25 +331,6 @@ def test_from_csv_files_to_maps_of_both_directions(tmp_path):
         assert f"{valve}_{direction}.csv" in getattr(maps[valve], direction).source
 
 
-BAR, LPM = 1e5, 1e-3 / 60.0
-
-
-def kinked(drop, command):
-    """A sharp compensator: an orifice up to 6 bar, above it nearly level."""
-    level = 4 * LPM * np.maximum(command - 1.5, 0.0)
-    return level * np.sqrt(np.minimum(drop / (6 * BAR), 1.0)) * (1 - 0.001 * drop / BAR)
-
-
-def kinked_readings(seed, commands, drops, trials, noise=0.005):
-    rng, numbers = np.random.default_rng(seed), np.arange(1, trials + 1)
-    command, drop, trial = map(np.ravel, np.meshgrid(commands, drops, numbers, indexing="ij"))
-    true = kinked(drop * BAR, command)
-    flow = true * (1 + noise * rng.standard_normal(drop.size))
-    flow += 0.01 * LPM * (true > 0) * rng.standard_normal(drop.size)
-    data = {"command": command, "pressure_drop": drop * BAR, "flow": flow}
-    return data | {"trial": trial.astype(int)}
-
-
 NEAR = [1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10]
 MANY = [0, 0.5, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 9, 10]
 KINK_CASES = {
@@ -413,17 +376,6 @@ def test_repeats_that_agree_stay_in_however_far_from_the_map():
     assert found.map.flow_std(drop, 3.0) < 2 * clean.flow_std(drop, 3.0)
 
 
-def soft(drop, command):
-    """Onset that grows as a parabola over 0.6 V and is straight above, as round notches make it."""
-    x = np.maximum(command - 1.4, 0.0)
-    return 8 * GPM * np.where(x < 0.6, x**2 / 1.2, x - 0.3) / 8.3 * np.sqrt(drop / 6.5e6)
-
-
-def parabola(drop, command):
-    """Area that grows with the square of the opening all the way."""
-    return 8 * GPM * (np.maximum(command - 1.2, 0.0) / 8.8) ** 2 * np.sqrt(drop / 6.5e6)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "law, start", [(soft, 1.4), (parabola, 1.2), (poppet, 1.6), (compensated, 1.62), (kinked, 1.5)]
@@ -457,12 +409,6 @@ def test_the_lower_end_of_a_soft_deadband_hangs_on_no_grid(monkeypatch):
     assert 1.3 < ends[0] < 1.4
 
 
-def two_lands(drop, command):
-    """Two lands that open one after the other: a kink in the opening."""
-    first, second = np.maximum(command - 1.1, 0) / 8.9, np.maximum(command - 3.1, 0) / 6.9
-    return 8 * GPM * (0.3 * first + 0.7 * second) * np.sqrt(drop / 6.5e6)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_kink_in_the_opening_does_not_ring_through_the_map(seed):
@@ -482,17 +428,6 @@ def test_a_display_of_few_digits_is_no_meter_without_noise(law):
     assert found.lack_of_fit < 2
 
 
-def kinked_opening(kink, ratio):
-    """An orifice whose area grows ``ratio`` times as fast above an opening."""
-
-    def law(drop, command):
-        x = np.maximum(command - 1.6, 0.0)
-        area = np.where(command < kink, x, kink - 1.6 + ratio * (command - kink))
-        return 8 * GPM * area / (kink - 1.6 + ratio * (10 - kink)) * np.sqrt(drop / 6.5e6)
-
-    return law
-
-
 @pytest.mark.parametrize("kink, ratio", [(4.43, 4.0), (5.21, 0.0), (6.93, 0.2)])
 def test_a_kink_between_two_commands_is_found_and_its_map_covered(kink, ratio):
     law = kinked_opening(kink, ratio)
@@ -510,17 +445,6 @@ def test_a_smooth_opening_has_no_kink(law):
     assert fit(readings(law, 701, trials=2)).kinks == ()
 
 
-def swept(law, seed, hysteresis):
-    """Readings of two trials, each up and down at every drop, in the order they were taken."""
-    rng = np.random.default_rng(seed)
-    sweeps = itertools.product((1, 2), DROPS[::2], (1, -1))
-    rows = [(u, drop, trial, way) for trial, drop, way in sweeps for u in COMMANDS[::way]]
-    u, drop, trial, way = np.array(rows).T
-    true = law(drop, np.maximum(u - 0.5 * way * hysteresis, 0.0))
-    flow = true + 0.01 * np.hypot(0.3 * GPM, true) * rng.standard_normal(u.size)
-    return {"command": u, "pressure_drop": drop, "flow": flow, "trial": trial.astype(int)}
-
-
 @pytest.mark.slow
 def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
     held = []
@@ -535,12 +459,6 @@ def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
         assert compare(found, poppet)[0] >= 0.8 and compare(found, poppet)[1] < 0.005
     # 95 % each: two of eight outside come by chance once in twenty times
     assert sum(held) >= 6
-
-
-def pressed(drop, command):
-    """An orifice whose deadband grows by 0.6 V with the drop, which presses it to its seat."""
-    wide = np.maximum(command - 1.4 - 0.6 * drop / 6.5e6, 0.0)
-    return 8 * GPM * wide / 8.6 * np.sqrt(drop / 6.5e6)
 
 
 def test_a_deadband_that_shifts_with_the_drop_is_part_of_the_map():
@@ -568,22 +486,13 @@ def test_up_and_down_readings_of_a_valve_without_hysteresis_say_so():
 @pytest.mark.parametrize("goes_on", [True, False])
 @pytest.mark.parametrize("seed", [40, 42])
 def test_a_leak_at_rest_has_an_interval_and_leaves_the_deadband_right(seed, goes_on):
-    def leaky(drop, command):
-        beside = goes_on | (np.asarray(command) < 1.6)
-        return poppet(drop, command) + beside * 0.05 * GPM * np.sqrt(drop / 6.5e6)
-
-    found = fit(readings(leaky, seed))
+    law = leaky(goes_on)
+    found = fit(readings(law, seed))
     assert found.deadband_interval[0] <= 1.6 <= found.deadband_interval[1]
     mean = 0.05 * GPM * np.mean(np.sqrt(DROPS / 6.5e6))
     assert found.leakage_interval[0] <= mean <= found.leakage_interval[1]
     assert found.leakage_interval[1] < 1.1 * found.leakage_interval[0]
-    assert compare(found, leaky)[0] >= 0.9
-
-
-def hump(drop, command):
-    """Opens up to some 8.4 V and closes again above."""
-    share = np.maximum(command - 1.6, 0.0) / 8.4
-    return 8 * GPM * np.sin(0.62 * np.pi * share) * np.sqrt(drop / 6.5e6)
+    assert compare(found, law)[0] >= 0.9
 
 
 def test_a_flow_that_falls_above_a_command_is_kept_and_inverted_on_its_rising_branch():

@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 
 from ehbench import load_rig, read_log, simulate, workflow
+from ehbench.flow_maps.readings import FlowMapOptions, readings_table
+from ehbench.flow_maps.results import fit_flow_map
 from ehbench.runs import versions
 from ehbench.runs.versions import METHODS, Versions
+from tests import valve_laws as laws
 from tests.shared import ROOT
 
 STORED = Path(__file__).with_name("versions.json")
@@ -30,6 +33,19 @@ RECIPES = {
         rig = "{RIG}"
         data = ["{ROOT}/datasets/slide_servo/steps/press_no_load.mcap"]
         parameters = ["bulk_modulus"]""",
+    "sensors": f"""stage = "identify"
+        what = "hydraulics"
+        rig = "{RIG}"
+        data = ["{ROOT}/datasets/slide_servo/steps/press_100kg.mcap"]
+        parameters = ["bulk_modulus", "carriage.damping", "carriage.mass",
+                      "press.leakage_internal", "spool.natural_frequency"]
+        sensor = [
+            {{ channel = "press.p_head", offset = "estimate" }},
+            {{ channel = "press.v", lag = "estimate" }},
+        ]""",
+    "wrong": f"""stage = "validate"
+        rig = "{RIG}"
+        data = ["{ROOT}/datasets/slide_servo/heldout/press_no_load.mcap"]""",
     "trial": f"""stage = "trial"
         rig = "{RIG}"
         on = "bench"
@@ -49,8 +65,26 @@ RECIPES = {
         [draw]
         "rig.bulk_modulus" = { low = 0.5, high = 1.5, relative = true }""",
 }
+FEW = {"drops": laws.DROPS[::2], "commands": laws.COMMANDS[::2], "trials": 2}
+VALVES = {
+    "levels off": lambda: laws.readings(laws.compensated, 1, **FEW),
+    "kink along the drop": lambda: laws.kinked_readings(1, range(11), range(5, 150, 20), 2),
+    "no repeats": lambda: laws.kinked_readings(2, range(11), range(5, 150, 20), 1),
+    "kink in the opening": lambda: laws.readings(
+        laws.kinked_opening(4.43, 4.0), 102, **FEW | {"commands": np.arange(11.0)}
+    ),
+    "soft start": lambda: laws.readings(laws.soft, 1, **FEW),
+    "hysteresis": lambda: laws.swept(laws.poppet, 1, 0.1, laws.COMMANDS[::2]),
+    "shift": lambda: laws.readings(laws.pressed, 4, **FEW),
+    "leak": lambda: laws.readings(laws.leaky(True), 40, **FEW),
+    "leak that ends": lambda: laws.readings(laws.leaky(False), 40, **FEW),
+    "falls": lambda: laws.readings(laws.hump, 51, **FEW),
+    "no drop": lambda: without_drop(laws.readings(laws.poppet, 70, drops=laws.DROPS[6:7])),
+    "outliers": lambda: with_outliers(laws.readings(laws.compensated, 5, **FEW)),
+}
 SHIPPED = ("hydraulics", "validation", "response", "tuning", "arc_tuning")
 RUNS = (*RECIPES, *SHIPPED)
+AGAIN = ("matching", "sensors", "wrong")  # their stages' files are those of other runs
 NO_RUN = "library"
 
 
@@ -74,6 +108,23 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
             value = value[key]
         return leaves(value)
 
+    def fitted() -> dict[str, dict[str, float]]:
+        parts = ("parameters", "sensors", "leans", "scales")
+        numbers = {part: saved("parameters.json", part) for part in parts}
+        return {
+            "output_error": {
+                f"{part} {key}": value
+                for part, values in numbers.items()
+                for key, value in values.items()
+            }
+        }
+
+    def judged() -> dict[str, dict[str, float]]:
+        return {
+            "validation": saved("validation.json"),
+            "diagnosis": saved("validation.json", "structure"),
+        }
+
     if name == "trial":
         bench = read_log(folder / "log.mcap")
         return {
@@ -86,15 +137,38 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
         "flow_map": lambda: {"flow_maps": saved("summary.json")},
         "matching": lambda: {"log_decrement": saved("parameters.json", "parameters")},
         "study": lambda: {"sampling": saved("study.json", "measures")},
-        "hydraulics": lambda: {"output_error": saved("parameters.json", "parameters")},
-        "validation": lambda: {
-            "validation": saved("validation.json"),
-            "diagnosis": saved("validation.json", "structure"),
-        },
+        "hydraulics": fitted,
+        "sensors": fitted,
+        "validation": judged,
+        "wrong": judged,
         "response": lambda: {"frequency_response": saved("response.json")},
         "tuning": lambda: {"tuning": saved("tuning.json")},
         "arc_tuning": lambda: {"tuning": saved("tuning.json")},
     }[name]()
+
+
+def with_outliers(data):
+    """Some readings a fifth high, and a cell of which all are."""
+    far = (np.arange(data["flow"].size) % 37 == 5) | (
+        (data["command"] == 5.0) & (abs(data["pressure_drop"] - 1e6) < 5e5)
+    )
+    return data | {"flow": np.where(far, 1.2, 1.0) * data["flow"]}
+
+
+def without_drop(data):
+    """Speeds of a cylinder by the command alone."""
+    nothing = np.full(data["flow"].size, np.nan)
+    return data | {"pressure_drop": nothing, "method": np.full(nothing.size, "cylinder")}
+
+
+def numbers_of_a_map(name: str) -> dict[str, dict[str, float]]:
+    """All that is said of a flow map."""
+    options = FlowMapOptions(
+        drop_std=4e4, command_std=0.02, nominal_drop=7e6, calibration=((5.0, 1e-4, 0.1),)
+    )
+    fit = fit_flow_map("v", "forward", readings_table(**VALVES[name]()), options)
+    said = fit.to_dict() | {"map": fit.map.to_dict()}
+    return {"flow_maps": leaves(json.loads(json.dumps(said, default=str)))}
 
 
 def numbers_without_a_run() -> dict[str, dict[str, float]]:
@@ -115,7 +189,7 @@ def leaves(value) -> dict[str, float]:
         if _is_message(item):
             return
         if isinstance(item, dict):
-            row = item.get("name") or row
+            row = item.get("name") or item.get("kind") or row
             for name, inner in item.items():
                 add(inner, f"{row} {name}".strip(), row)
         elif isinstance(item, list):
@@ -172,12 +246,17 @@ def test_logs_and_plant_change_only_with_their_versions():
     agree(NO_RUN, numbers_without_a_run())
 
 
+@pytest.mark.parametrize("name", VALVES)
+def test_maps_change_only_with_their_version(name):
+    agree(name, numbers_of_a_map(name))
+
+
 @pytest.mark.parametrize("name", RUNS)
 def test_results_and_files_change_only_with_their_versions(made_once, name):
     root = made_once(f"versions_{name}", lambda root: made(root, name))
     folder = next(root.glob(f"{name}_*"))
     agree(name, numbers_of(name, folder))
-    if name != "matching":  # of the stage of hydraulics
+    if name not in AGAIN:
         stored = json.loads(STORED.read_text())["files"][name]
         about = f"files of '{name}' changed: raise its schema and store them anew"
         assert stored["schema"] == Versions.of(name).schema, "store the files anew"
@@ -199,12 +278,13 @@ def test_every_stage_that_leaves_a_run_has_versions():
 
 def store() -> None:
     """Write the numbers of this version."""
-    numbers, files = {NO_RUN: numbers_without_a_run()}, {}
+    numbers = {NO_RUN: numbers_without_a_run()} | {v: numbers_of_a_map(v) for v in VALVES}
+    files = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in RUNS:
             run = made(Path(folder), name)
             numbers[name] = numbers_of(name, run)
-            if name != "matching":
+            if name not in AGAIN:
                 files[name] = {"schema": Versions.of(name).schema, "names": files_of(run)}
     table = {"methods": dict(METHODS), "numbers": numbers, "files": files}
     STORED.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
