@@ -251,7 +251,8 @@ class Runs:
         cases, order = Counter[str](), []
         for test in sorted(tests | more, key=lambda test: (self.seconds[test], test)):
             case = cases[test.partition("[")[0]] = cases[test.partition("[")[0]] + 1
-            order.append((test.partition("::")[0] not in near, test not in tests, case, test))
+            file = test.partition("::")[0]
+            order.append((file not in near, test not in tests, file != STORED and case, test))
         some, total = [], 0.0
         for *_, test in sorted(order, key=lambda item: item[:3]):
             total += self.seconds[test]
