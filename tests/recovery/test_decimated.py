@@ -1,19 +1,19 @@
 """Logs faster than the machine, compared as means: the same numbers and intervals."""
 
 import math
-from dataclasses import replace
+from dataclasses import make_dataclass, replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from ehbench.config.recipe import load_recipe, load_rig
-from ehbench.data.record import BlockAverages
+from ehbench.data.record import BlockAverages, Record
 from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.identification.means import SETTINGS, fastest
-from ehbench.identification.simulator import seen_as
+from ehbench.identification.simulator import Log, seen_as
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.time_base import parts_of
@@ -184,6 +184,19 @@ def test_short_logs_and_what_is_left_over_at_the_end():
     assert head.record.t.size == 6 * len(head.recorded) == 6 * head.seen.t.size < 9000
     assert np.array_equal(head.recorded, log.recorded[: len(head.recorded)])
     assert head.start.record is head.record
+
+
+def test_the_first_seconds_of_a_log_hold_four_changes_of_every_command():
+    t = np.arange(1000) * 0.01
+    command = np.where((t * 0.5) % 1.0 < 0.5, 0.0, 1.0)  # changes at 1, 2, 3, 4, … s
+    record = Record(t, {"press.servo.command": command, "press.v": 0.0 * t})
+    zeros, start = np.zeros((t.size, 1)), make_dataclass("Start", ["record"])(record)
+    log = Log("log", record, None, ("press",), ("press",), ("press.v",), zeros, zeros == 0.0, start)
+    assert log.head(0.5).record.t.size == 400 + 5  # the fourth, and a tenth of the time more
+    assert log.head(5.0).record.t.size == 500 + 50
+    still = replace(log, record=Record(t, {"press.servo.command": 0.0 * t, "press.v": 0.0 * t}))
+    assert still.head(0.5).record.t.size == 50 + 5
+    assert log.head(7.0) is log
 
 
 def test_uneven_clocks_and_gaps():

@@ -73,6 +73,16 @@ def test_logs_that_support_none_give_none(training):
     assert (box.orders, better) == ({}, [])
 
 
+def test_a_black_box_runs_where_its_channels_and_its_first_samples_are():
+    box = Arx("ram.p_head", ("ram.spool.command",), 0.1, np.array([0.5, 0.1]), np.zeros(7))
+    record = log_of(1)
+    assert box.runs(record) and box.runs(record.at(slice(302)))
+    assert not box.runs(record.at(slice(300)))  # two samples and one before: 0.3 s
+    for name in record.channels:
+        rest = {other: y for other, y in record.channels.items() if other != name}
+        assert not box.runs(Record(record.t, rest))
+
+
 def test_a_free_run_that_grows_stays_a_number_or_is_none():
     t = np.arange(3000) * TICK
     u = np.where(t > 0.1, 1.0, 0.0)

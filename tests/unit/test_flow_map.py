@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from ehbench.flow_maps import readings as readings_module
 from ehbench.flow_maps import results
 from ehbench.flow_maps import shape as shapes
-from ehbench.flow_maps.readings import FlowMapOptions, readings_table, sort_readings
+from ehbench.flow_maps.readings import FlowMapOptions, few, readings_table, sort_readings
 from ehbench.flow_maps.spline import Axis, OneColumn, Spline, full, pivoted
 from ehbench.flow_maps.tables import fitted_flow
 from ehbench.physics.flow_map import (
@@ -434,6 +435,25 @@ def test_readings_open_by_less_where_the_deadband_is_higher():
     assert plain.u - moved.u == pytest.approx(0.4 * (plain.drop / 8e6 - 0.5))
     assert moved.command == pytest.approx(plain.command)
     assert moved.shifted(0.0).u == pytest.approx(plain.u)
+
+
+def test_readings_know_from_where_their_command_came():
+    """The first of a trial came from nowhere known; one that stands goes on as the last moved."""
+    up = [1.0, 2.0, 3.0, 4.0, 5.0, 5.0, 6.0]
+    u = np.array([*up, *up[::-1]])
+    way = readings_module._sweeps(u, np.ones(14, int), np.arange(14))
+    assert way.tolist() == [0, *[1] * 7, *[-1] * 6]
+    assert not readings_module._sweeps(u[:8], np.ones(8, int), np.arange(8)[::-1]).tolist()[-1]
+    turned = readings_module._sweeps(u, np.repeat([1, 2], 7), np.arange(14)[::-1])
+    assert turned.tolist() == [*[-1] * 6, 0, *[1] * 6, 0]
+
+
+def test_the_farthest_three_readings_may_always_be_left_out():
+    size = np.arange(40.0)
+    assert np.flatnonzero(few(size > 30.0, size)).tolist() == [37, 38, 39]
+    assert np.flatnonzero(few(size == 3.0, size)).tolist() == [3]
+    size = np.arange(400.0)
+    assert np.count_nonzero(few(size > 30.0, size)) == 20
 
 
 @pytest.mark.parametrize(("bends", "share"), [(True, 0.5), (False, 0.25)])

@@ -13,7 +13,7 @@ from ehbench import diagnosis
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis import Case, ask
-from ehbench.diagnosis.faults import hypotheses
+from ehbench.diagnosis.faults import COMMANDS, DRIFT, LATE, SENSORS, TABLE, hypotheses
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
 from ehbench.diagnosis.follows import followed
@@ -33,6 +33,7 @@ from tools.virtual_logs import clean_log, noisy, virtual_log
 QUICK = {"kinds": ("quick steps", "chirp"), "seconds": 1.2}
 
 
+ALL_FAULTS = (*TABLE.values(), SENSORS, COMMANDS, (LATE, DRIFT))
 BUILT = {
     "slide_servo": ("gain", "lag", "friction", "damping", "sensor lag", "sensor sign"),
     "crane_proportional": ("gain", "deadband", "load", "delay", "sensor scale"),
@@ -282,9 +283,22 @@ def test_a_hypothesis_knows_its_bounds_certainty_and_how_far_it_moves_what_was_i
     assert (both.certainty, Hypothesis(row, "a", (sure, fixed)).certainty) == (0, 5)
     assert both.beyond(-0.3) == one.beyond(0.3) == pytest.approx(0.6 / (1.96 * 0.5), rel=1e-4)
     assert Hypothesis(row, "a", (assumed,)).beyond(1.0) == 0.0
+    weighed, printed = replace(assumed, std=0.1), replace(sure, std=None)
+    assert Hypothesis(row, "a", (weighed, printed)).beyond(1.0) == 0.0
+    several = replace(assumed, name="supply.pressure", starts=(2.0, 3.0, 4.0))
+    assert Hypothesis(row, "a", (sure, several)).starts == tuple(
+        {"bulk_modulus": 1.0, "supply.pressure": value} for value in (2.0, 3.0, 4.0)
+    )
     assert both.inside == 0.02
     assert Hypothesis(replace(row, high=0.01), "a").inside == -0.02
     assert sure.at(-3.0) == 0.0 and assumed.begin(4.0) == 18.0  # 0.9 of where a search ends
+
+
+@pytest.mark.parametrize("row", {id(r): r for rows in ALL_FAULTS for r in rows}.values())
+def test_steps_and_trials_of_a_fault_are_within_its_bounds(row):
+    assert row.low <= 0.0 <= row.high and row.low < row.high
+    assert row.low <= row.step <= row.high or row.low <= -row.step <= row.high
+    assert all(row.low <= delta <= row.high and delta != 0.0 for delta in row.trials)
 
 
 def test_the_oils_spring_and_what_a_bulk_modulus_counts_on():
