@@ -6,6 +6,7 @@ After such a change:  python -m tests.unit.test_versions"""
 import hashlib
 import json
 import math
+import re
 import tempfile
 from pathlib import Path
 
@@ -86,6 +87,7 @@ SHIPPED = ("hydraulics", "validation", "response", "tuning", "arc_tuning")
 RUNS = (*RECIPES, *SHIPPED)
 AGAIN = ("matching", "sensors", "wrong")  # their stages' files are those of other runs
 NO_RUN = "library"
+NUMBER = re.compile(r"\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def made(root: Path, name: str) -> Path:
@@ -109,7 +111,7 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
         return leaves(value)
 
     def fitted() -> dict[str, dict[str, float]]:
-        parts = ("parameters", "sensors", "leans", "scales")
+        parts = ("parameters", "sensors", "leans", "scales", "warnings", "counts_on", "left_over")
         numbers = {part: saved("parameters.json", part) for part in parts}
         return {
             "output_error": {
@@ -188,7 +190,7 @@ def leaves(value) -> dict[str, float]:
 
     def add(item, key: str, row: str = "") -> None:
         if _is_message(item):
-            row, item = item["key"], item["fields"]
+            row, item = item["key"], {k: _said(v) for k, v in item["fields"].items()}
         if isinstance(item, dict):
             row = item.get("name") or item.get("kind") or row
             for name, inner in item.items():
@@ -201,6 +203,11 @@ def leaves(value) -> dict[str, float]:
 
     add(value, "")
     return {name: float(f"{number:.9g}") for name, number in sums.items()}
+
+
+def _said(value):
+    """A value of a message, or the numbers in its text."""
+    return [float(x) for x in NUMBER.findall(value)] if isinstance(value, str) else value
 
 
 def _is_message(item) -> bool:
