@@ -292,7 +292,6 @@ def fitted(late: int, parameters=tuple(TRUE), **options):
     return identify_hydraulics(load_rig(RIG), [("sweep", swept(late))], parameters, given)
 
 
-@pytest.mark.slow
 def test_stiffness_and_valve_come_from_the_response(tmp_path, unpainted):
     write_log(tmp_path / "sweep.mcap", swept())
     recipe = {"stage": "identify", "what": "hydraulics", "rig": str(RIG), "data": ["sweep.mcap"]}

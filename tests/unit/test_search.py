@@ -13,12 +13,14 @@ from scipy.optimize import least_squares
 from ehbench.identification import estimate as estimating
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
+from ehbench.identification.hydraulics import ranked
 from ehbench.identification.problem import Problem, State, cost, evaluate, initial
 from ehbench.identification.results import FittedParameter, Lean, _statuses
 from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _moved, _sentence
 from ehbench.identification.uncertainty import Errors, _sensors, errors_of
 from ehbench.preprocessing.sensors import Term
+from ehbench.signals.series import correlation_time
 from ehbench.vocabulary.errors import InsufficientData
 from tests.analytic_fit import LAG, NAMES, OFFSET, TRUTH, TWIN, log_of, problem, stroke
 from tests.shared import shipped
@@ -253,3 +255,25 @@ def test_a_bound_is_told_with_its_side(name, value, key, side):
     (note,) = _statuses([item], Stub(rig=shipped("slide_servo"), logs=()))  # pyright: ignore[reportArgumentType]
     assert getattr(note, "key", "") == f"identification.{key}"
     assert getattr(note, "fields", {})["side"] == side
+
+
+def variant(error: np.ndarray, name: str = "press.v") -> Any:
+    """A fit of one log with these errors of a channel."""
+    rows = {name: np.zeros(error.size), f"simulated.{name}": error}
+    logs = [Stub(residual_rms={name: float(np.sqrt(np.mean(error**2)))})]
+    return Stub(recordings=[("log", rows)], logs=logs)
+
+
+def test_valve_dynamics_are_ranked_by_the_ratio_of_their_residuals():
+    """ln(rms/rms) of alternating errors: each sample moves it by ±¼ over their number."""
+    size = 1000
+    even, uneven = np.full(size, 2.0), np.sqrt(np.where(np.arange(size) % 2, 0.5, 1.5))
+    best, other = ranked({"even": variant(even), "uneven": variant(uneven)})
+    assert (best.dynamics, other.dynamics) == ("uneven", "even")
+    assert other.relative_rms == pytest.approx(2.0) and best.relative_rms == 1.0
+    moves = 0.25 * (-1.0) ** np.arange(size)
+    half = 1.96 * math.sqrt(0.0625 * correlation_time(moves) / size)
+    assert other.interval == pytest.approx((2.0 * math.exp(-half), 2.0 * math.exp(half)), rel=1e-4)
+    assert best.interval == (1.0, 1.0)
+    exact = ranked({"exact": variant(0.0 * even), "even": variant(even)})
+    assert [item.dynamics for item in exact] == ["exact", "even"]

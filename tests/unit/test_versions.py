@@ -32,8 +32,9 @@ RECIPES = {
         what = "hydraulics"
         method = "thesis"
         rig = "{RIG}"
-        data = ["{ROOT}/datasets/slide_servo/steps/press_no_load.mcap"]
-        parameters = ["bulk_modulus"]""",
+        data = ["{ROOT}/datasets/slide_servo/steps/press_no_load.mcap",
+                "{ROOT}/datasets/slide_servo/steps/press_100kg.mcap"]
+        parameters = ["bulk_modulus", "carriage.damping"]""",
     "sensors": f"""stage = "identify"
         what = "hydraulics"
         rig = "{RIG}"
@@ -137,7 +138,10 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
         }
     return {
         "flow_map": lambda: {"flow_maps": saved("summary.json")},
-        "matching": lambda: {"log_decrement": saved("parameters.json", "parameters")},
+        "matching": lambda: {
+            "log_decrement": saved("parameters.json", "parameters")
+            | saved("parameters.json", "matches")
+        },
         "study": lambda: {"sampling": saved("study.json", "measures")},
         "hydraulics": fitted,
         "sensors": fitted,
