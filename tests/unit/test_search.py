@@ -129,6 +129,14 @@ def test_two_gains_that_the_logs_know_as_a_product_hang_together(prior, kind, sh
         assert errors.by_index[0].kind == "estimated" and stds[0] < 1e-4
 
 
+def test_what_is_known_beside_the_logs_pulls_a_split_to_its_centre():
+    """The logs know the product of two gains alone; how it splits the prior says."""
+    asked = problem(more=(TWIN, 1.5, 0.05, 20.0, 0.1, 1.25))
+    state, converged = settle(asked, initial(asked), 1e-6)
+    assert converged and math.exp(state.theta[3]) == pytest.approx(1.25, rel=1e-4)
+    assert math.exp(state.theta[2]) == pytest.approx(TRUTH[2] / 1.25, rel=0.02)
+
+
 def test_a_lag_too_fast_to_see_is_known_by_its_range():
     """From below: there 95 % of the likelihood ends, all others following."""
     asked = problem(more=(LAG, 3e3, 10.0, 1e5))

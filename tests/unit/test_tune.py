@@ -18,12 +18,14 @@ from ehbench.report.stages.tuning import parameter_rows
 from ehbench.runs import rundir
 from ehbench.tune import gains as module
 from ehbench.tune import operating_point
+from ehbench.tune import study as study_module
 from ehbench.tune.draws import draw_parameters
 from ehbench.tune.gains import locus, tune_pressure_feedback
 from ehbench.tune.loop import (
     Law,
     bandwidth,
     damping_ratio,
+    dominant,
     gain_limit,
     margins,
     speed_of,
@@ -242,6 +244,32 @@ def test_result_is_plain_feeds_the_controller_and_comes_again(tuned, tmp_path):
     assert packed.washout == back["washout"] and packed.off_gain == back["off_gain"]
     assert packed.feedback_gain[EXTEND_RESISTIVE] == back["feedback_gain"]["extend_resistive"]
     assert gains(rig(), recipe(phase_margin="30 deg")).as_json() == tuned.as_json()
+
+
+def test_the_least_damped_pole_counts_unless_it_is_at_zero_or_fast_and_stable():
+    slow, real, fast, grows = -1.0 + 2.0j, -3.0, -10.0 + 400.0j, 0.5 + 400.0j
+    pairs = lambda *some: np.array([*some, *np.conj(some)])
+    slow_ratio, fast_ratio = 1.0 / math.sqrt(5.0), 10.0 / abs(fast)
+    assert damping_ratio(pairs(slow, real)) == pytest.approx(slow_ratio)
+    assert damping_ratio(pairs(slow, fast)) == pytest.approx(fast_ratio)
+    assert damping_ratio(pairs(slow, fast), 100.0) == pytest.approx(slow_ratio)
+    assert damping_ratio(pairs(slow, grows), 100.0) == pytest.approx(-0.5 / abs(grows))
+    assert damping_ratio(pairs(real, 1e-12 + 1e-12j)) == 1.0
+    assert damping_ratio(np.array([[real, -9.0], [real, 2.0]])).tolist() == [1.0, -1.0]
+    assert dominant(pairs(slow, real)) == slow == dominant(pairs(slow.conjugate(), fast), 100.0)
+    assert dominant(pairs(slow, grows), 100.0) == grows
+    assert dominant(np.array([-9.0, real])) == real
+
+
+def test_strokes_are_as_given_or_evenly_between_the_ends():
+    rig = shipped("boom_four_valve")
+    asked = lambda **given: study_module._strokes(rig, SimpleNamespace(**given), 0.5).tolist()
+    assert asked(strokes=("0 mm", "20 mm", "0.5 m")) == [0.0, 0.02, 0.5]
+    assert asked(strokes=(), postures=3) == pytest.approx([0.05, 0.25, 0.45])
+    assert asked(strokes=(), postures=1) == [0.25]
+    for outside in ("-1 mm", "501 mm"):
+        with refused("tune.stroke_outside"):
+            asked(strokes=("20 mm", outside))
 
 
 def test_one_spool_has_no_off_side(tmp_path):
