@@ -222,6 +222,7 @@ def test_share_of_draws(tuned, unlocused):
     assert share("0.95").share == 0.0 and low.share == 1.0
     assert low.damping_ratios == middle.damping_ratios
     assert share("0.01", seed=1).damping_ratios != middle.damping_ratios
+    assert tuned.robustness.draws == 0
     assert tuned.robustness.share is None and any(w.key == "tune.no_draws" for w in tuned.warnings)
 
 
