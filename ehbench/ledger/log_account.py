@@ -86,8 +86,9 @@ class Account:
         """The flows with a factor for each edge of a chamber by which its oil comes out even: what
         came in is what the piston's way, compression and leakages took.
 
-        Readings of a map go up, a motion goes to and fro, and hysteresis makes 2 % of that; the way
-        is known to ``position``. Factors are 1 ± ``flow`` before, cylinders with lines as they are.
+        Readings of a map go up, a motion goes to and fro, and hysteresis makes 2 % of that, a small
+        opening more; ``position`` is an error of the way that the piston went. Factors are 1 ±
+        ``flow`` before, cylinders with lines as they are.
         """
         if self.accuracy.flow == 0.0:
             return flows
@@ -111,7 +112,7 @@ class Account:
             moved = 0.5 * dt * (flows[1:, among] + flows[:-1, among])
             brought = np.cumsum(moved[:, None] * ways[:, among], axis=0)  # sample, chamber, edge
             missing = np.cumsum(taken, axis=0) - brought.sum(axis=2)
-            whole = np.abs(areas) * row.stroke * np.sqrt(len(dt))
+            whole = np.abs(areas) * (float(np.ptp(x)) or row.stroke) * np.sqrt(len(dt))
             shares = (brought / whole[:, None]).reshape(-1, among.size)
             certain = self.accuracy.position / self.accuracy.flow * np.eye(among.size)
             target = np.append((missing / whole).ravel(), np.zeros(among.size))

@@ -23,7 +23,7 @@ METHODS: Mapping[str, int] = {
     "control": 3,  # controllers and their monitor
     "tuning": 3,
     "trial": 1,  # the loop and what is measured of it
-    "ledger": 2,
+    "ledger": 3,
     "sampling": 1,  # designs of studies and their statistics
 }
 

@@ -543,16 +543,27 @@ def test_on_the_bench_the_unexplained_row_covers_what_is_unexplained():
         assert "ledger.no_error_stated" in keys(ledger)
 
 
-def test_the_pump_energy_of_the_bench_lies_in_its_interval():
-    """Truth: flow and pressure of the bench's pump, of which a trial logs none."""
-    wave = {"press.servo": lambda t: 3.0 * np.sin(2 * np.pi * t)}
-    rig, bench, log, truth = on_bench("slide_servo", wave)
+@pytest.mark.parametrize(
+    ("name", "valve", "volts", "period"),
+    [
+        ("slide_servo", "press.servo", 3.0, 1.0),
+        ("slide_servo", "press.servo", 0.5, 2.0),
+        ("crane_proportional", "lift.spool", 2.5, 2.0),
+        ("crane_proportional", "lift.spool", 6.0, 3.0),
+    ],
+)
+def test_the_pump_energy_of_the_bench_lies_in_its_interval(name, valve, volts, period):
+    """Truth: flow and pressure of the bench's pump, of which a trial logs none. At small openings
+    the laws of the rig file are off by a third.
+    """
+    wave = {valve: lambda t: volts * np.sin(2 * np.pi * t / period)}
+    rig, bench, log, truth = on_bench(name, wave)
     at = bench.bench.at
     true = float(np.trapezoid(truth[:, at.pump] * truth[:, at.supply], log.t))
     (pump,) = (row for row in ledger_of_log(rig, None, log).rows if row.name == "pump")
     low, high = pump.interval  # pyright: ignore[reportGeneralTypeIssues]
     assert low <= true <= high
-    assert abs(pump.energy - true) < 0.06 * true  # without the balance of its oil 11 %
+    assert abs(pump.energy - true) < 0.03 * true  # without the balance of its oil 11 to 60 %
 
 
 def test_a_log_without_some_channels():
