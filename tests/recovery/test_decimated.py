@@ -3,6 +3,8 @@
 import math
 from dataclasses import make_dataclass, replace
 from functools import cache
+from types import SimpleNamespace as Stub
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from ehbench.frequency_response.response import Averaging
 from ehbench.guidance.suggestions import _windows
 from ehbench.identification.hydraulics import FitOptions, identify_hydraulics, prepare_fit
 from ehbench.identification.means import SETTINGS, fastest
-from ehbench.identification.simulator import Log, seen_as
+from ehbench.identification.simulator import Log, seen_as, shut
 from ehbench.plant.model import Model, simulate
 from ehbench.plant.paced import AUTO
 from ehbench.preprocessing.time_base import parts_of
@@ -197,6 +199,24 @@ def test_the_first_seconds_of_a_log_hold_four_changes_of_every_command():
     still = replace(log, record=Record(t, {"press.servo.command": 0.0 * t, "press.v": 0.0 * t}))
     assert still.head(0.5).record.t.size == 50 + 5
     assert log.head(7.0) is log
+
+
+def test_commands_within_dead_bands_name_the_edge_that_is_nearest_to_open():
+    """The crane's edges open at 1.5 V, of which one is made to open at 1.2 V the other way."""
+    crane = shipped("crane_proportional").with_values({"lift.spool_pb.deadband": 1.2})
+    model, t = Model.of(crane), np.arange(100) * 0.01
+
+    def why(low: float, high: float) -> Any:
+        record = Record(t, {"lift.spool.command": np.where(t < 0.5, low, high)})
+        log: Any = Stub(commanded=("lift",), record=record)
+        return shut(model, log)
+
+    assert why(-1.25, 1.0) is None and why(0.0, 1.6) is None
+    near = why(-1.1, 1.0)
+    assert (near.fields["edge"], near.fields["channel"]) == ("lift.spool_pb", "lift.spool.command")
+    assert near.fields["maximum"] == 1.1 and near.fields["onset"] == pytest.approx(1.2, rel=1e-6)
+    assert why(-0.1, 1.0).fields["edge"] in ("lift.spool_pa", "lift.spool_bt")
+    assert why(0.0, 0.0).key == "identification.opens_nothing"
 
 
 def test_uneven_clocks_and_gaps():

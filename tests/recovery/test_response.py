@@ -324,7 +324,9 @@ def test_a_delay_that_nobody_modelled_shows_up():
     said = [text for text in fit.warnings if "by the slope of its phase" in text]
     assert any(f"press.v answers {COMMAND}" in text for text in said)
     late = float(said[0].split(COMMAND)[1].split()[0])
-    assert "behind" in said[0] and 4.0 < late < 12.0  # 8 ms, and the valve's own lag is not the rig file's
+    assert (
+        "behind" in said[0] and 4.0 < late < 12.0
+    )  # 8 ms, and the valve's own lag is not the rig file's
     free = fitted(DELAYED, sensors=(Sensor(channel=COMMAND, delay="estimate"),))
     (delay,) = free.sensors
     assert abs(delay.value - 0.008) < 3.0 * delay.std + 1e-4 and delay.std < 1e-3

@@ -66,6 +66,7 @@ def test_parameters_that_hang_together_are_one_note():
     ]
     (left,) = together(names, correlation, [{"a", "b", "c"}])
     assert left.startswith("d and e")
+    assert together(names, correlation, [{"a", "b", "c"}, {"d", "e"}]) == []
 
 
 @pytest.mark.parametrize("powers", [(1, 1), (1, -1), (2, -1), (1, 0.3)])

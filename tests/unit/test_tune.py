@@ -32,6 +32,7 @@ from ehbench.tune.loop import (
     violations,
 )
 from ehbench.tune.results import functions_of
+from ehbench.tune.search import LawSearch
 from ehbench.tune.study import prepare_tuning
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE, FUNCTIONS
 from ehbench.vocabulary.errors import InputError
@@ -168,6 +169,16 @@ def test_steps_bias_and_alternatives(tuned):
     # %
     assert by["chosen law"].damping_ratio >= 0.95 * tuned.damping_ratio
     assert {"no washout", "load force feedback", "faster valves (× 10)", "no delay"} <= set(by)
+
+
+def test_alternatives_of_washouts_are_those_that_a_law_does_not_have(motions):
+    search = LawSearch(motions[:1], recipe())
+    names = lambda law: {item.what for item in search.alternatives(law) if "washout" in item.what}
+    none, single = Law(0.0, 4e-11, 1e-3), Law(2.0, 4e-11, 1e-3)
+    assert names(none) == set()
+    assert names(single) == {"no washout", "two washouts", "faster washout (× 4)"}
+    both = replace(single, ramp_washout=2.0)
+    assert names(both) == {"no washout", "one washout", "faster washout (× 4)"}
 
 
 def test_bias_without_washout_is_the_steady_error(motions):

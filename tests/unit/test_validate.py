@@ -8,7 +8,7 @@ import pytest
 
 from ehbench.config.recipe import Thresholds, load_recipe
 from ehbench.data.record import Record
-from ehbench.plant.model import simulate
+from ehbench.plant.model import Model, simulate
 from ehbench.runs.rundir import write_json
 from ehbench.validation import (
     Ring,
@@ -18,6 +18,7 @@ from ehbench.validation import (
     run_validation,
     validate_rig,
 )
+from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.vocabulary.errors import InputError
 from tests.shared import judged, shipped
 from tools.virtual_logs import noisy
@@ -227,6 +228,17 @@ def test_constant_and_noisy_channels_have_no_fit(arm, boom):
     result = judged(arm, [("shut", shut)])
     assert [c.fit_percent for c in result.logs[0].channels] == [None] * 4
     assert not result.accepted and result.reasons[0].key == "validation.no_check"
+
+
+def test_an_error_that_does_not_change_has_no_correlation(arm):
+    t = np.arange(2000) * 1e-3
+    y = np.sin(5.0 * t)
+    log = Record(t, {"boom.x": y, "boom.rect.command": np.sign(y)})
+    for error in (0.0, 0.1):
+        result = compare_channel(log, Model.of(arm), "boom.x", Pair(y, y + error, False))
+        assert result.autocorrelation is None and result.cross_correlation == ()
+        assert (result.max_error, result.bias) == pytest.approx((error, error))
+        assert result.derived is False and result.fit_percent is not None
 
 
 def test_rates_are_taken_from_positions_where_they_were_not_recorded(arm, boom):
