@@ -48,6 +48,7 @@ TINY = (
 # would write
 LONGEST = 120.0  # [s] of the tests of a mutant: one that hangs is killed
 ENOUGH = 30.0  # [s] of tests
+QUICK = 0.2  # [s] of a test
 
 
 class Change(NamedTuple):
@@ -224,7 +225,8 @@ class Runs:
 
     def of(self, module: Path, line: int) -> list[str]:
         """The tests of a line for `ENOUGH` seconds: first those of files that import its module and
-        those of stored numbers, one case of each test before any second, the quickest first.
+        those of stored numbers; all that are `QUICK`, then one case of each test before any second,
+        the quickest first.
 
         A constant's are those of the lines that name it, anywhere. Where tests share a result, only
         the first of them runs the line: then the others of its file follow."""
@@ -252,7 +254,8 @@ class Runs:
         for test in sorted(tests | more, key=lambda test: (self.seconds[test], test)):
             case = cases[test.partition("[")[0]] = cases[test.partition("[")[0]] + 1
             file = test.partition("::")[0]
-            order.append((file not in near, test not in tests, file != STORED and case, test))
+            early = file == STORED or self.seconds[test] < QUICK
+            order.append((file not in near, test not in tests, not early and case, test))
         some, total = [], 0.0
         for *_, test in sorted(order, key=lambda item: item[:3]):
             total += self.seconds[test]
