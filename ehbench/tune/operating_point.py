@@ -310,8 +310,6 @@ class _Motion:
     def push(self, v: float) -> float:
         """Force from outside on the rod [N], positive pushes it out."""
         stroke, plant, played = float(self.here.x[self.index]), self.model.plant, np.zeros(0)
-        if not plant.forces.shape[0]:
-            return 0.0
         return float(force_on(self.circuit.cylinder, stroke, v, played, plant))
 
     def push_slope(self, v: float) -> float:

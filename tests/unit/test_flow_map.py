@@ -448,6 +448,17 @@ def test_readings_know_from_where_their_command_came():
     assert turned.tolist() == [*[-1] * 6, 0, *[1] * 6, 0]
 
 
+@pytest.mark.parametrize(("least", "silent"), [(0.0, 5), (-1e-6, 0)])
+def test_a_meter_that_reads_nothing_below_its_first_reading_is_silent_there(least, silent):
+    """One that also reads less than nothing shows its noise about zero instead."""
+    command, drop = np.repeat([1.0, 2.0, 3.0, 4.0, 5.0], 5), np.tile([1e6, 2e6, 3e6, 4e6, 5e6], 5)
+    flow = np.where(command < 1.5, 0.0, 1e-5 * command * np.sqrt(drop / 1e6))
+    flow[0] = least
+    readings = sort_readings("v", readings_table(command, drop, flow), FlowMapOptions(), 0.0)
+    assert np.count_nonzero(readings.silent) == silent
+    assert set(readings.limit.tolist()) == {2e-5 if silent else 0.0}
+
+
 def test_the_farthest_three_readings_may_always_be_left_out():
     size = np.arange(40.0)
     assert np.flatnonzero(few(size > 30.0, size)).tolist() == [37, 38, 39]

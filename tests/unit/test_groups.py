@@ -1,11 +1,14 @@
 """Products and ratios that the data know where they do not know each parameter."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from ehbench.identification import uncertainty
 from ehbench.identification.groups import groups_of, sentence
+from ehbench.identification.search import Coordinate
 from ehbench.identification.uncertainty import together
 
 NAMES = ("mass", "area", "volume", "bulk_modulus", "damping")
@@ -67,6 +70,23 @@ def test_parameters_that_hang_together_are_one_note():
     (left,) = together(names, correlation, [{"a", "b", "c"}])
     assert left.startswith("d and e")
     assert together(names, correlation, [{"a", "b", "c"}, {"d", "e"}]) == []
+
+
+def test_a_product_is_known_by_what_another_parameter_does_not_explain(monkeypatch):
+    """Two gains move the readings by a + 3 b, an offset moves them by b: a alone tells of them."""
+    columns = np.zeros((40, 3))
+    columns[:20] = 5.0 * np.array([1.0, 1.0, 0.0])
+    columns[20:] = 4.0 * np.array([3.0, 3.0, 1.0])
+    search = [Coordinate(n, True, 1.0, 1.0, 0.1, 9.0) for n in ("a.flow_gain", "b.flow_gain")]
+    search.append(Coordinate("press.friction_coulomb", False, 1.0, 0.0, -9.0, 9.0))
+    problem = SimpleNamespace(search=search, requested=3)
+    state = SimpleNamespace(live=(0, 1, 2), theta=np.zeros(3), at_bound=(), prior_weight=1.0)
+    errors = SimpleNamespace(state=state, blocks=[columns.T @ columns], alone=np.zeros(3))
+    monkeypatch.setattr(uncertainty, "eliminate", lambda normal, _: SimpleNamespace(normal=normal))
+    errors.alone = 1.0 / np.sqrt(np.diag(errors.blocks[0]))  # no widening
+    (group,) = uncertainty._groups(problem, errors)
+    assert group.powers == {"a.flow_gain": 1.0, "b.flow_gain": 1.0}
+    assert group.std == pytest.approx(1.0 / math.sqrt(20 * 25.0), rel=1e-3)
 
 
 @pytest.mark.parametrize("powers", [(1, 1), (1, -1), (2, -1), (1, 0.3)])

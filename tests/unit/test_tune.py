@@ -10,6 +10,7 @@ import pytest
 from closed_loop import circuit_of
 
 from ehbench.config.recipe import TuneRecipe, load_recipe
+from ehbench.config.rig import Force
 from ehbench.control.functions import HEAD, METERED, pack_rules
 from ehbench.control.pressure_feedback import pack_pressure_feedback
 from ehbench.plant.model import Model
@@ -361,3 +362,20 @@ def test_the_slope_of_outer_forces_is_their_derivative(v):
     motion = SimpleNamespace(push=lambda v: 5.0 * v**3 - 700.0 * v)
     slope = operating_point._Motion.push_slope(motion, v)  # type: ignore[arg-type]
     assert slope == pytest.approx(15.0 * v * v - 700.0, rel=1e-9)
+
+
+def test_outer_forces_push_the_rod_by_its_direction_and_by_their_spring():
+    """400 N against extension, 300 N against retraction, 2 N/mm beyond 50 mm; none without."""
+    slide = shipped("slide_servo")
+    forces = (
+        {"kind": "by_direction", "force_extending": "-400 N", "force_retracting": "300 N"},
+        {"kind": "spring", "name": "spring", "stiffness": "2 kN/m", "free_length": "50 mm"},
+    )
+    press = slide.cylinder_named("press")
+    pushed = press.model_copy(update={"force": tuple(map(Force.model_validate, forces))})
+    for cylinder, expected in ((pushed, (-700.0, 0.0)), (press, (0.0, 0.0))):
+        plant = Model.of(slide.model_copy(update={"cylinder": (cylinder,)})).plant
+        motion = SimpleNamespace(index=0, here=SimpleNamespace(x=np.array([0.2])))
+        motion.model, motion.circuit = SimpleNamespace(plant=plant), SimpleNamespace(cylinder=0)
+        push = [operating_point._Motion.push(motion, v) for v in (0.5, -0.5)]  # type: ignore[arg-type]
+        assert push == pytest.approx(expected, abs=1e-6)

@@ -300,8 +300,6 @@ class Hypothesis:
 
 def joined(several: Sequence[Hypothesis], about: str, level: int) -> Hypothesis:
     """Faults of one kind together."""
-    if len(several) == 1:
-        return replace(several[0], about=about, level=level)
     return replace(
         several[0],
         about=about,
