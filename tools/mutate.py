@@ -228,8 +228,9 @@ class Runs:
         those of stored numbers; all that are `QUICK`, then one case of each test before any second,
         the quickest first.
 
-        A constant's are those of the lines that name it, anywhere. Where tests share a result, only
-        the first of them runs the line: then the others of its file follow."""
+        A constant's are those of the lines that name it, anywhere, and of the test files that do.
+        Where tests share a result, only the first of them runs the line: then the others of its
+        file follow."""
         text = (ROOT / module).read_text(encoding="utf-8")
         inside, word = statement(text, line), bound(text, line)
         names: set[str] = set()
@@ -244,14 +245,16 @@ class Runs:
             ".".join(module.with_suffix("").parts).removesuffix(".__init__").rpartition(".")
         )
         imported = rf"\b{head}(\.| import .*\b){tail}\b"
-        near, shared = set(), set()
-        for file in {test.partition("::")[0] for test in tests}:
+        near, more, seen = set(), set(), {test.partition("::")[0] for test in tests}
+        constant = rf"\b{word}\b" if inside is None and word else "(?!)"  # which matches nothing
+        for file in {test.partition("::")[0] for test in self.seconds}:
             content = (ROOT / file).read_text(encoding="utf-8")
             near |= {file} if re.search(imported, content) or file == STORED else set()
-            shared |= {file} if re.search(r"@cache\b|scope=.module", content) else set()
-        more = {test for test in self.seconds if test.partition("::")[0] in shared} - self.broken
+            shares = file in seen and re.search(r"@cache\b|scope=.module", content)
+            if shares or re.search(constant, content):
+                more |= {test for test in self.seconds if test.startswith(f"{file}::")}
         cases, order = Counter[str](), []
-        for test in sorted(tests | more, key=lambda test: (self.seconds[test], test)):
+        for test in sorted(tests | more - self.broken, key=lambda test: (self.seconds[test], test)):
             case = cases[test.partition("[")[0]] = cases[test.partition("[")[0]] + 1
             file = test.partition("::")[0]
             early = file == STORED or self.seconds[test] < QUICK
