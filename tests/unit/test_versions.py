@@ -59,11 +59,17 @@ RECIPES = {
     **{
         f"wrong_{name}": f"""stage = "validate"
             rig = "{ROOT}/recipes/rigs/{name}.toml"
-            data = ["{ROOT}/datasets/{name}/heldout/{log}.mcap"]"""
-        for name, log in (
-            ("slide_servo", "press_no_load"),
-            ("crane_proportional", "lift_no_load"),
-            ("pump_cylinder", "lift_no_load"),
+            data = ["{ROOT}/datasets/{name}/heldout/{log}.mcap"]
+            channels = ["{word}", "p_head", "p_rod", "{place}"]
+            [thresholds]
+            max_error = {{ p_head = "3 bar" }}
+            damping_ratio_error = 0.3
+            whiteness = true
+            independence = true"""
+        for name, log, word, place in (
+            ("slide_servo", "press_no_load", "v", "x"),
+            ("crane_proportional", "lift_no_load", "qd", "q"),
+            ("pump_cylinder", "lift_no_load", "v", "x"),
         )
     },
     "trial": f"""stage = "trial"
@@ -96,6 +102,7 @@ VALVES = {
     "soft start": lambda: laws.readings(laws.soft, 1, **FEW),
     "hysteresis": lambda: laws.swept(laws.poppet, 1, 0.1, laws.COMMANDS[::2]),
     "shift": lambda: laws.readings(laws.pressed, 4, drops=laws.DROPS[1::3], trials=2),
+    "lack of fit": lambda: laws.readings(laws.pressed, 4, **FEW),
     "leak": lambda: laws.readings(laws.leaky(True), 40, **FEW),
     "leak that ends": lambda: laws.readings(laws.leaky(False), 40, **FEW),
     "falls": lambda: laws.readings(laws.hump, 51, **FEW),
