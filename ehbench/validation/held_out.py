@@ -91,10 +91,7 @@ def _overlaps(record: Record, rows: FittedSamples) -> list[Overlap]:
         near = np.abs(rows.t[at] - required) <= SETTINGS.on_time * record.sample_time
         return near & np.all(np.abs(theirs[at] - mine) <= allowed, axis=1)
 
-    same = max(
-        (matched(shift) for shift in {0.0, _shift(record.t, mine, rows.t, theirs, allowed)}),
-        key=np.count_nonzero,
-    )
+    same = matched(_shift(record.t, mine, rows.t, theirs, allowed))
     return [
         run
         for run in _runs(record.t, same, rows)

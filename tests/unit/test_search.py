@@ -11,6 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from ehbench.identification import estimate as estimating
+from ehbench.identification import journal
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
 from ehbench.identification.hydraulics import ranked
@@ -20,6 +21,7 @@ from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _moved, _sentence
 from ehbench.identification.uncertainty import Errors, _sensors, errors_of
 from ehbench.preprocessing.sensors import Term
+from ehbench.runs.rundir import write_json
 from ehbench.signals.series import correlation_time
 from ehbench.vocabulary.errors import InsufficientData
 from tests.analytic_fit import LAG, NAMES, OFFSET, TRUTH, TWIN, log_of, problem, stroke
@@ -285,3 +287,16 @@ def test_valve_dynamics_are_ranked_by_the_ratio_of_their_residuals():
     assert best.interval == (1.0, 1.0)
     exact = ranked({"exact": variant(0.0 * even), "even": variant(even)})
     assert [item.dynamics for item in exact] == ["exact", "even"]
+
+
+def test_a_journal_goes_on_where_a_search_last_knew_how_far_it_was(tmp_path):
+    """What came after the last step or the last costs is done again."""
+    path, about = tmp_path / "journal.json", {"run": "a"}
+    steps = [{"costs": [1.0]}, {"text": "a"}, {"steps": 2}, {"text": "b"}, {"text": "c"}]
+    write_json(path, about | {"steps": steps})
+    assert journal._steps(path, about) == steps[:3]
+    assert journal._steps(path, {"run": "b"}) == []
+    assert journal._steps(tmp_path / "none.json", about) == []
+    for wrong in ("steps", {"costs": 1}, ["costs"]):
+        write_json(path, about | {"steps": wrong})
+        assert journal._steps(path, about) == []

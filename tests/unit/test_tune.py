@@ -379,3 +379,35 @@ def test_outer_forces_push_the_rod_by_its_direction_and_by_their_spring():
         motion.model, motion.circuit = SimpleNamespace(plant=plant), SimpleNamespace(cylinder=0)
         push = [operating_point._Motion.push(motion, v) for v in (0.5, -0.5)]  # type: ignore[arg-type]
         assert push == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("rail", "railed", "flow", "short"),
+    [(5e6, False, 1.1e-3, True), (5e6, False, 0.9e-3, False), (5e6, True, 1.1e-3, False),
+     (0.0, False, 1.1e-3, False)],
+)  # fmt: skip
+def test_the_pump_of_the_high_rail_is_short_where_that_feeds_too_much(rail, railed, flow, short):
+    """What returns to the tank does not count."""
+    motion = SimpleNamespace(railed=lambda at: railed, ports=lambda *_: (None, None))
+    supply = SimpleNamespace(rail=rail, flow_limit=1e-3)
+    motion.model = SimpleNamespace(plant=SimpleNamespace(supply=supply))
+    fed = next(iter(operating_point.FED))
+    other = next(k for k in range(9) if k not in operating_point.FED)
+    paths = [SimpleNamespace(path=fed, flow=flow), SimpleNamespace(path=other, flow=1.0)]
+    settled = SimpleNamespace(p_head=1e6, p_rod=1e6)
+    assert operating_point._Motion.short(motion, 0.1, settled, paths) == short  # type: ignore[arg-type]
+
+
+def test_what_makes_a_motion_impossible_is_named_by_its_edges():
+    path = lambda edge, drop, reachable: SimpleNamespace(edge=edge, drop=drop, reachable=reachable)
+    motion = SimpleNamespace(row=SimpleNamespace(relief_pressure=2e7), short=lambda *_: False)
+    asked = lambda settled, *paths: [
+        (note.key, note.fields.get("edge"))
+        for note in operating_point._Motion.troubles(motion, 0.1, settled, paths)  # type: ignore[arg-type]
+    ]
+    easy = SimpleNamespace(p_head=1e6, p_rod=2e6)
+    paths = path("a", 1e5, True), path("b", 0.0, False), path("c", 1e5, False)
+    assert asked(easy, *paths) == [("tune.no_drop", "b"), ("tune.no_flow", "c")]
+    assert asked(SimpleNamespace(p_head=1e6, p_rod=2.1e7)) == [("tune.relief", None)]
+    motion.short = lambda *_: True
+    assert asked(easy) == [("tune.short_pump", None)]
