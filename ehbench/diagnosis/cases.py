@@ -64,7 +64,7 @@ class Case:
             terms, bias = fault.terms(terms, bias, delta)
         true = corrected(record, terms, bias)
         start = self._start if true is self._start.record else replace(self._start, record=true)
-        return Replay(model, true, start.at(model, self._shifts))
+        return Replay(model, true, start.begin(model, self._shifts)[0])
 
     def seen(self, replayed: Record, fault: Hypothesis | None = None, delta: float = 0.0) -> Record:
         """A simulation as the log's sensors show it."""

@@ -434,7 +434,7 @@ class Simulator:
             log, shared = self.logs[k], self._by_name(values, True)
             words = {channel.rpartition(".")[2] for channel in log.channels}
             try:
-                start, true = log.start.at(model, shifts, shared), log.start.true(shifts, shared)
+                start, true = log.start.begin(model, shifts, shared)
                 if self.step == AUTO and words.isdisjoint(FLOWS):
                     means = log.means if words.isdisjoint(BENT) else None
                     mesh = FREE if meshes is None else meshes[k]
@@ -465,8 +465,8 @@ class Simulator:
 
         def replayed(task: tuple[Log, np.ndarray]) -> tuple[dict[str, float], Record]:
             log, shift = task
-            model, true = models[log.payload], log.start.true(shift, shared)
-            start = log.start.at(model, shift, shared)
+            model = models[log.payload]
+            start, true = log.start.begin(model, shift, shared)
             numbers, built = log.start.numbers(start), model.replay(true, self.step, start=start)
             return numbers, log.start.seen(built, shift, shared)
 
@@ -484,8 +484,8 @@ class Simulator:
             return
         models, shared = self.models(values), self._by_name(values, True)
         for log, shift in zip(self.logs, shifts, strict=True):
-            model, true = models[log.payload], log.start.true(shift, shared)
-            start = log.start.at(model, shift, shared)
+            model = models[log.payload]
+            start, true = log.start.begin(model, shift, shared)
             for note in short_steps(model, true, start):
                 yield message("identification.short_steps", log=log.name, note=note)
 

@@ -106,26 +106,33 @@ class InitialState:
     uncertain: tuple[Uncertain, ...]
     terms: tuple[Term, ...] = ()
 
-    def at(self, model: Model, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Start:
-        """The start of a model, moved by ``shifts`` [prior standard deviations], one a number.
+    def begin(
+        self, model: Model, shifts: np.ndarray, shared: Bias = NO_BIAS
+    ) -> tuple[Start, Record]:
+        """The start of a model, moved by ``shifts`` [prior standard deviations], one a number, and
+        the recording by sensors that the shifts have put right, along which it is replayed.
 
         Raises:
             InputError: a posture outside the stroke.
         """
-        return self.moved_from(self.unmoved(model, shifts, shared), model, shifts)
+        true = self.true(shifts, shared)
+        return self.moved_from(self.unmoved(model, true), model, shifts), true
 
-    def unmoved(self, model: Model, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Start:
-        """What `at` moves: the start by sensors that the shifts have put right.
+    def unmoved(self, model: Model, true: Record) -> Start:
+        """What `begin` moves: the start by sensors that are put right.
 
         Raises:
-            InputError: as `at`.
+            InputError: as `begin`.
         """
-        true = self.true(shifts, shared)
-        if true is not self.record:  # sensors are put right, and it shows something else
-            return replace(self, record=true)._start(model)
-        key = model.start_key(self.moves)
+        commands = []
+        for channel, y in true.channels.items():
+            if channel.endswith(".command"):
+                commands += y[:2].tolist()
+            elif y is not self.record.channels[channel]:  # put right, it shows something else
+                return replace(self, record=true)._start(model, true)
+        key = model.start_key(self.moves), *commands
         if (result := self._known.get(key)) is None:
-            result = self._start(model)
+            result = self._start(model, true)
             result.y.flags.writeable = False
             if len(self._known) >= _CACHED:
                 self._known.clear()
@@ -134,7 +141,8 @@ class InitialState:
 
     @cached_property
     def _known(self) -> dict[Hashable, Start]:
-        """Starts by what of a model they depend on: most parameters of a fit are none of that."""
+        """Starts by what of a model and of commands they depend on: most parameters of a fit are
+        none of that."""
         return {}
 
     @cached_property
@@ -151,14 +159,15 @@ class InitialState:
             if not channel.endswith(".command")
         }
 
-    def _start(self, model: Model) -> Start:
-        """The first state: at rest, or as readings have it in motion, valves by their lag."""
+    def _start(self, model: Model, record: Record) -> Start:
+        """The first state: at rest, or as readings have it in motion, valves by their lag and the
+        commands of ``record``."""
         if not self.moves:
-            return model.rest_start(self.record, self.rest, self._seen)
+            return model.rest_start(record, self.rest, self._seen)
         seen = self.firsts
         tick, names = self.record.sample_time, model.layout
         value = {channel: first for channel, (first, _, _) in seen.items()}
-        table = model.commands_of(self.record)
+        table = model.commands_of(record)
         supply, tank = value.get(SUPPLY_CHANNEL), value.get(TANK_CHANNEL)
         model = replace(model, plant=model.plant.at_pressures(supply, tank))
         y = model.posed(value, table[0] if names.played else None)
@@ -183,7 +192,7 @@ class InitialState:
         return Start(y, supply, tank)
 
     def moved_from(self, first: Start, model: Model, shifts: np.ndarray) -> Start:
-        """`at`, from a start of `unmoved`, which stays as it is."""
+        """The start of `begin`, from one of `unmoved`, which stays as it is."""
         y, supply, tank = first.y.copy(), first.supply, first.tank
         for number, shift in zip(self.uncertain, shifts, strict=True):
             by = number.std * float(shift)
@@ -450,7 +459,7 @@ def follow_recording(
     terms = tuple(replace(term, per_log=True) for term in terms)
     start = initial_state_of(model, record, live, channels, terms)
     shifts = best_shifts(model, start, channels)
-    return Followed(start.at(model, shifts), start.true(shifts), start.bias(shifts), terms)
+    return Followed(*start.begin(model, shifts), start.bias(shifts), terms)
 
 
 def best_shifts(model: Model, start: InitialState, channels: Sequence[str]) -> np.ndarray:
@@ -497,7 +506,8 @@ class _Follow:
 
     def run_of(self, shifts: np.ndarray) -> Replay:
         """What is replayed, and from where."""
-        return Replay(self.model, self.start.true(shifts), self.start.at(self.model, shifts))
+        start, true = self.start.begin(self.model, shifts)
+        return Replay(self.model, true, start)
 
     def residual_by(self, replayed: Record, shifts: np.ndarray) -> np.ndarray:
         """`residual` of a replay."""

@@ -116,13 +116,16 @@ def terms_of(sensors: Sequence[Sensor], records: Sequence[Record]) -> tuple[Term
 def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
     """A log whose known errors are taken out, as sound sensors would have given it by what is
     estimated as well: commands as the valves get them, readings by their level and scale, a motion
-    that is tied as much earlier as its sensor is late."""
-    channels, given = dict(record.channels), tied_words(record)
+    that is tied as much earlier as its sensor is late. It is the log itself where nothing is."""
+    channels, given = {}, tied_words(record)
     for name, item in _by_channel(terms).items():
-        if name not in channels:
+        if name not in record:
             continue
         e = {term.word: bias.get(term.name, 0.0) for term in item}
-        true = (channels[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
+        moved = name.endswith(".command") or name.rpartition(".")[2] in given
+        if not moved and e.get("offset", 0.0) == e.get("scale", 0.0) == 0.0:
+            continue
+        true = (record[name] - e.get("offset", 0.0)) / (1.0 + e.get("scale", 0.0))
         if name.endswith(".command"):
             true = _delayed(true, record.sample_time, item, bias)
         elif name.rpartition(".")[2] in given:
@@ -131,7 +134,7 @@ def corrected(record: Record, terms: Sequence[Term], bias: Bias) -> Record:
             true = np.interp(at + late.get("delay", 0.0) / tick, at, true)
             true += late.get("lag", 0.0) * np.gradient(without_noise(true, tick), tick)
         channels[name] = true
-    return replace(record, channels=channels) if terms else record
+    return replace(record, channels=record.channels | channels) if channels else record
 
 
 def sensed(replayed: Record, terms: Sequence[Term], bias: Bias) -> Record:

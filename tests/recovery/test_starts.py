@@ -171,7 +171,7 @@ def test_a_tank_is_as_sure_as_the_mean_of_its_sensor():
     std = {number.name: number.std for number in start.uncertain}
     assert std["p_tank"] == pytest.approx(std["p_supply"])
     shifts = np.array([2.0 * (number.name == "p_tank") for number in start.uncertain])
-    stands, moved = start.at(model, 0.0 * shifts), start.at(model, shifts)
+    (stands, _), (moved, _) = start.begin(model, 0.0 * shifts), start.begin(model, shifts)
     assert moved.tank == pytest.approx(stands.tank + 2.0 * std["p_tank"])
     np.testing.assert_array_equal(moved.y, stands.y)
     assert start.numbers(moved)["p_tank"] == moved.tank
@@ -220,10 +220,30 @@ def test_models_share_a_start_only_where_it_is_the_same(name, moves):
     none, found = np.zeros(len(start.uncertain)), []
     for key, value in known.items():
         varied = Model.of(shipped(name).with_values({key: 1.01 * float(value) or 1e-3}, known))
-        shared, own = start.at(varied, none), replace(start).at(varied, none)
+        (shared, _), (own, _) = start.begin(varied, none), replace(start).begin(varied, none)
         np.testing.assert_array_equal(shared.y, own.y, err_msg=key)
         assert shared[1:] == own[1:]
-        found.append(start.unmoved(varied, none))
+        found.append(start.unmoved(varied, record))
     oil = list(known).index("bulk_modulus")
-    assert found[oil] is start.unmoved(made, none)
+    assert found[oil] is start.unmoved(made, record)
     assert len({id(one) for one in found}) < 0.8 * len(found)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_start_goes_by_the_first_commands_and_by_all_readings(moves):
+    model, t = Model.of(shipped("slide_servo")), np.arange(200) * 1e-3
+    still = {"press.x": 0.2, "press.p_head": 5e6, "press.p_rod": 8e6, "p_supply": 1.4e7}
+    channels = {name: np.full(t.size, value) for name, value in still.items()}
+    record = Record(t, channels | {"press.servo.command": np.linspace(0.0, 1.0, t.size)})
+    start = replace(initial_state_of(model, record, ["press"], []), moves=moves)
+    first = start.unmoved(model, record)
+    for name in record.channels:
+        other = replace(record, channels=record.channels | {name: 1.01 * record[name] + 1e-3})
+        varied, alone = start.unmoved(model, other), replace(start, record=other)
+        np.testing.assert_array_equal(varied.y, alone.unmoved(model, other).y, err_msg=name)
+        assert varied[1:] == alone.unmoved(model, other)[1:]
+        assert np.any(varied.y != first.y) or varied[1:] != first[1:], name
+    later = record["press.servo.command"].copy()
+    later[2:] = 5.0
+    same = replace(record, channels=record.channels | {"press.servo.command": later})
+    assert start.unmoved(model, same) is first
