@@ -97,7 +97,7 @@ def prepare_readings(
         groups.setdefault((name, side, edge.sign), []).append(opened)
     edges, limit = [], float(rig.supply.flow_limit)
     for (name, side, sign), group in groups.items():
-        rows = group[0] if len(group) == 1 else merge_flowmeter(group)
+        rows = merge_flowmeter(group)
         # of a file once
         items = [item for file in np.unique(rows.file).tolist() for item in notes.pop(file, ())]
         show = _units(rig, sign)

@@ -11,12 +11,12 @@ import pytest
 from scipy.optimize import least_squares
 
 from ehbench.identification import estimate as estimating
-from ehbench.identification import journal
+from ehbench.identification import journal, sensitivity
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
 from ehbench.identification.hydraulics import ranked
 from ehbench.identification.problem import Problem, State, cost, evaluate, initial
-from ehbench.identification.results import FittedParameter, Lean, _statuses
+from ehbench.identification.results import FittedParameter, Lean, Moved, _statuses
 from ehbench.identification.search import Coordinate
 from ehbench.identification.sensitivity import _moved, _sentence
 from ehbench.identification.uncertainty import Errors, _sensors, errors_of
@@ -287,6 +287,13 @@ def test_valve_dynamics_are_ranked_by_the_ratio_of_their_residuals():
     assert best.interval == (1.0, 1.0)
     exact = ranked({"exact": variant(0.0 * even), "even": variant(even)})
     assert [item.dynamics for item in exact] == ["exact", "even"]
+
+
+def test_a_row_that_moves_no_estimate_is_beyond_no_interval():
+    row: Any = Stub(name="gain")
+    moved = (Moved("bulk_modulus", 8e8, 9e8, 2.5), Moved("carriage.damping", 1.0, 1.1, 0.5))
+    assert sensitivity._Suspect(row, [], (0,), moved=moved).beyond == 2.5
+    assert sensitivity._Suspect(row, [], (0,)).beyond == 0.0
 
 
 def test_a_journal_goes_on_where_a_search_last_knew_how_far_it_was(tmp_path):

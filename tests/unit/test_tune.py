@@ -396,6 +396,8 @@ def test_the_pump_of_the_high_rail_is_short_where_that_feeds_too_much(rail, rail
     paths = [SimpleNamespace(path=fed, flow=flow), SimpleNamespace(path=other, flow=1.0)]
     settled = SimpleNamespace(p_head=1e6, p_rod=1e6)
     assert operating_point._Motion.short(motion, 0.1, settled, paths) == short  # type: ignore[arg-type]
+    motion.fed = None  # nothing is drawn from either
+    assert not operating_point._Motion.railed(motion, None)  # type: ignore[arg-type]
 
 
 def test_what_makes_a_motion_impossible_is_named_by_its_edges():

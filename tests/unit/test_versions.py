@@ -137,6 +137,7 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
 
     def fitted() -> dict[str, dict[str, float]]:
         parts = ("parameters", "sensors", "leans", "scales", "warnings", "counts_on", "left_over")
+        parts += ("logs", "groups")
         numbers = {part: saved("parameters.json", part) for part in parts}
         return {
             "output_error": {
