@@ -28,6 +28,7 @@ from ehbench.plant.layout import Layout
 from ehbench.plant.rest import carrying, open_at_rest, resting
 from ehbench.vocabulary.errors import InputError, SimulationError
 from ehbench.vocabulary.fields import read_value
+from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY
 
 # pressure [Pa] of the chambers that no load presses on: of all cylinders, or by name of some
@@ -64,6 +65,9 @@ def posture(
     q = np.zeros(len(names.joints))
     for row in plant.cylinders:
         q[row.joint] = joint_of(row, 0.5 * row.stroke)
+    if required is not None and not isinstance(required, Mapping):
+        example = f'{{"{names.cylinders[0]}": "120 mm"}}'
+        raise InputError(message("plant.no_posture", given=repr(required), example=example))
     for name, value in (required or {}).items():
         if name in names.cylinders:
             index = names.cylinders.index(name)

@@ -77,3 +77,11 @@ def test_a_mark_at_the_begin_of_a_file_is_taken(tmp_path):
     path = tmp_path / "rig.toml"
     path.write_bytes(b"\xef\xbb\xbf" + SLIDE.encode())
     assert load_rig(path).name == "slide_servo"
+
+
+def test_a_data_file_in_place_of_a_recipe_is_named_as_such(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t [s],press.x [mm]\n0,1\n")
+    with pytest.raises(InputError, match="recipes and rig files end in .toml") as caught:
+        load_recipe(path)
+    assert caught.value.line == 1

@@ -217,6 +217,9 @@ def test_a_posture_outside_the_stroke_says_what_the_stroke_allows(rig):
         simulate(rig, {}, 0.01, posture={cylinder.name: min(max(wrong, low), high)})
     with pytest.raises(InputError, match="no cylinder or joint"):
         model.posture({"elbow": "10 deg"})
+    with pytest.raises(InputError, match="no table") as caught:
+        model.posture(["120 mm"])  # pyright: ignore[reportArgumentType]
+    assert cylinder.name in (caught.value.hint or "")
 
 
 def test_the_same_trial_twice_gives_the_same_bytes(rig):

@@ -24,6 +24,7 @@ _KEY = re.compile(
 _QUOTED = re.compile(r"""["']([^"'\n]*[\udc80-\udcff][^"'\n]*)["']""")
 _LONE = re.compile("[\udc80-\udcff]")
 _WRITTEN = 'a line is like key = "1.5 mm", a table begins with [name]'
+_NO_RECIPE = "recipes and rig files end in .toml; ehbench inspect FILE shows what is in a log"
 _REMEDIES = {
     "string": "close the quotes that were opened",
     "Invalid value": 'a value with a unit is in quotes, like "1.5 mm"',
@@ -147,6 +148,7 @@ def table_of(text: str, path: Path) -> dict[str, Any]:
         reason = str(error).split(" (at ")[0]
         line = int(result[1]) if result else text.rstrip().count("\n") + 1
         hint = next((remedy for word, remedy in _REMEDIES.items() if word in reason), _WRITTEN)
+        hint = hint if path.suffix.lower() == ".toml" else _NO_RECIPE
         text = message("config.not_toml", reason=reason)
         raise InputError(text, file=path, line=line, hint=hint) from None
     except RecursionError:
