@@ -55,7 +55,10 @@ RECIPES = {
         prior = {{ "arm.mass" = "3 %" }}
         decimate = 2
         cutoff = "60 Hz"
-        sensor = [{{ channel = "lift.p_rod", offset = "estimate", per_log = true }}]""",
+        sensor = [
+            {{ channel = "lift.p_rod", offset = "estimate", per_log = true }},
+            {{ channel = "lift.qd", lag = "estimate" }},
+        ]""",
     **{
         f"wrong_{name}": f"""stage = "validate"
             rig = "{ROOT}/recipes/rigs/{name}.toml"
