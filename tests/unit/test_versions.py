@@ -224,7 +224,7 @@ def leaves(value) -> dict[str, float]:
         if _is_message(item):
             row, item = item["key"], {k: _said(v) for k, v in item["fields"].items()}
         if isinstance(item, dict):
-            row = item.get("name") or item.get("kind") or row
+            row = next((item[k] for k in ("name", "kind", "channel") if item.get(k)), row)
             for name, inner in item.items():
                 add(inner, f"{row} {name}".strip(), row)
         elif isinstance(item, list):
