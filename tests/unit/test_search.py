@@ -267,6 +267,11 @@ def test_a_bound_is_told_with_its_side(name, value, key, side):
     assert getattr(note, "fields", {})["side"] == side
 
 
+def replace_of(item: Stub, **changes) -> Stub:
+    """A stub with other parts."""
+    return Stub(**vars(item) | changes)
+
+
 def variant(error: np.ndarray, name: str = "press.v") -> Any:
     """A fit of one log with these errors of a channel."""
     rows = {name: np.zeros(error.size), f"simulated.{name}": error}
@@ -275,18 +280,30 @@ def variant(error: np.ndarray, name: str = "press.v") -> Any:
 
 
 def test_valve_dynamics_are_ranked_by_the_ratio_of_their_residuals():
-    """ln(rms/rms) of alternating errors: each sample moves it by ±¼ over their number."""
+    """ln(rms/rms) of errors that change by tens: each sample moves it by ±¼ over their number."""
     size = 1000
-    even, uneven = np.full(size, 2.0), np.sqrt(np.where(np.arange(size) % 2, 0.5, 1.5))
+    turns = np.repeat(np.random.default_rng(1).permutation([-1.0, 1.0] * (size // 20)), 10)
+    even, uneven = np.full(size, 2e-3), 1e-3 * np.sqrt(1.0 + 0.5 * turns)
     best, other = ranked({"even": variant(even), "uneven": variant(uneven)})
     assert (best.dynamics, other.dynamics) == ("uneven", "even")
     assert other.relative_rms == pytest.approx(2.0) and best.relative_rms == 1.0
-    moves = 0.25 * (-1.0) ** np.arange(size)
-    half = 1.96 * math.sqrt(0.0625 * correlation_time(moves) / size)
+    assert correlation_time(turns) > 3.0
+    half = 1.96 * math.sqrt(0.0625 * correlation_time(turns) / size)
     assert other.interval == pytest.approx((2.0 * math.exp(-half), 2.0 * math.exp(half)), rel=1e-4)
     assert best.interval == (1.0, 1.0)
     exact = ranked({"exact": variant(0.0 * even), "even": variant(even)})
     assert [item.dynamics for item in exact] == ["exact", "even"]
+
+
+def test_samples_that_do_not_count_leave_nothing():
+    asked = problem()
+    log: Any = replace_of(asked.logs[0], counts=np.arange(1200).reshape(600, 2) % 3 > 0)
+    simulated = log.recorded + 2e-3
+    left = asked.residual(log, simulated)
+    np.testing.assert_allclose(left[log.counts], 2e-3, rtol=1e-9)
+    assert not left[~log.counts].any()
+    assert not asked.residual(log, None)[~log.counts].any()
+    assert asked.residual(log, None)[log.counts].min() > 0.0
 
 
 def test_a_row_that_moves_no_estimate_is_beyond_no_interval():

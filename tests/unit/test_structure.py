@@ -301,6 +301,23 @@ def test_steps_and_trials_of_a_fault_are_within_its_bounds(row):
     assert all(row.low <= delta <= row.high and delta != 0.0 for delta in row.trials)
 
 
+def test_what_is_asked_of_a_case_is_what_moves():
+    """A rate, or the rate of a position; both pressures, those that stand still left out."""
+    t = np.arange(400) * 1e-3
+    moves, still = np.sin(20.0 * t), 0.0 * t + 1.0
+    model = Model.of(shipped("slide_servo"))
+
+    def asked_of(**channels):
+        record = Record(t, {f"press.{name}": y for name, y in channels.items()})
+        return Case("log", record, model, ("press",)).channels
+
+    assert asked_of(v=moves, p_head=moves, p_rod=still) == ("press.v", "press.p_head")
+    assert asked_of(v=still, p_head=still, p_rod=moves) == ("press.p_rod",)
+    assert asked_of(x=moves, p_head=still, p_rod=still) == ("press.v",)
+    assert asked_of(x=still, p_head=still) == ()
+    assert asked_of(x=moves, load_pressure=moves) == ("press.v", "press.load_pressure")
+
+
 def test_the_oils_spring_and_what_a_bulk_modulus_counts_on():
     """K = Σ β A²/V, by hand; a bulk modulus that keeps K while the dead volumes grow by 1 %."""
     rig = shipped("slide_servo")

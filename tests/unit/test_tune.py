@@ -178,6 +178,9 @@ def test_alternatives_of_washouts_are_those_that_a_law_does_not_have(motions):
     none, single = Law(0.0, 4e-11, 1e-3), Law(2.0, 4e-11, 1e-3)
     assert names(none) == set()
     assert names(single) == {"no washout", "two washouts", "faster washout (× 4)"}
+    off = {item.what: item.off_gain for item in search.alternatives(single)}
+    assert off["softer off-side (× 0.2)"] == pytest.approx(0.2 * 4e-11)
+    assert off["stiffer off-side (× 5)"] == pytest.approx(5.0 * 4e-11)
     both = replace(single, ramp_washout=2.0)
     assert names(both) == {"no washout", "one washout", "faster washout (× 4)"}
 

@@ -105,7 +105,7 @@ VALVES = {
     "soft start": lambda: laws.readings(laws.soft, 1, **FEW),
     "hysteresis": lambda: laws.swept(laws.poppet, 1, 0.1, laws.COMMANDS[::2]),
     "shift": lambda: laws.readings(laws.pressed, 4, drops=laws.DROPS[1::3], trials=2),
-    "lack of fit": lambda: laws.readings(laws.pressed, 4, **FEW),
+    "lack of fit": lambda: laws.readings(laws.pressed, 4, **FEW | {"trials": 3}),
     "leak": lambda: laws.readings(laws.leaky(True), 40, **FEW),
     "leak that ends": lambda: laws.readings(laws.leaky(False), 40, **FEW),
     "falls": lambda: laws.readings(laws.hump, 51, **FEW),
