@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from ehbench.identification import estimate as estimating
-from ehbench.identification import journal, sensitivity
+from ehbench.identification import journal, results, sensitivity
 from ehbench.identification.basins import descend, foreseen, level, nearest_basin
 from ehbench.identification.descent import bounded_step, constrained, settle, solve
 from ehbench.identification.hydraulics import ranked
@@ -25,7 +25,7 @@ from ehbench.runs.rundir import write_json
 from ehbench.signals.series import correlation_time
 from ehbench.vocabulary.errors import InsufficientData
 from tests.analytic_fit import LAG, NAMES, OFFSET, TRUTH, TWIN, log_of, problem, stroke
-from tests.shared import shipped
+from tests.shared import refused, shipped
 
 
 @pytest.fixture(autouse=True)
@@ -293,6 +293,19 @@ def test_valve_dynamics_are_ranked_by_the_ratio_of_their_residuals():
     assert best.interval == (1.0, 1.0)
     exact = ranked({"exact": variant(0.0 * even), "even": variant(even)})
     assert [item.dynamics for item in exact] == ["exact", "even"]
+
+
+def test_channels_that_are_followed_worse_than_by_their_mean_are_named_the_worst_first():
+    fits = {"a": -1.0, "b": -30.0, "c": 40.0, "d": -20.0, "e": -5.0, "f": -2.0, "g": -math.inf}
+    log: Any = Stub(name="log", fit_percent=fits)
+    (note,) = results._poor([log])
+    assert note.fields["worst"] == "log: b -30 %, log: d -20 %, log: e -5 %, log: f -2 %"
+    assert (note.fields["poor"], note.fields["all"]) == (5, 6)
+    log.fit_percent = {"a": 0.0, "c": 40.0}
+    assert results._poor([log]) == []
+    log.fit_percent = {"a": -0.1}
+    with refused("identification.follows_nothing", InsufficientData):
+        results._poor([log])
 
 
 def test_samples_that_do_not_count_leave_nothing():

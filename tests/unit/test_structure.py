@@ -13,7 +13,7 @@ from ehbench import diagnosis
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis import Case, ask
-from ehbench.diagnosis.faults import COMMANDS, DRIFT, LATE, SENSORS, TABLE, hypotheses
+from ehbench.diagnosis.faults import COMMANDS, DRIFT, LATE, SENSORS, TABLE, hypotheses, hypothesis
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number
 from ehbench.diagnosis.faults.scales import Scales
 from ehbench.diagnosis.follows import followed
@@ -375,6 +375,15 @@ def test_alike_faults_are_asked_of_each_part_of_each_valve_and_of_all_valves():
     kinds = {row.kind for row in rows}
     assert "neutral" not in kinds and {"drift", "sensor lag", "sensor scale"} <= kinds
     assert len(rows_of(shipped("slide_servo"), "neutral")) == 1
+
+
+def test_a_place_of_a_rig_file_is_named_and_what_has_no_name_counted():
+    rig = shipped("slide_servo")
+    assert [edge.name for edge in rig.cylinder[0].valve[0].edge] == [None] * 4
+    place = ("cylinder", 0, "valve", 0, "edge", 1)
+    assert hypothesis._where(rig, place, "law") == "cylinder.press.valve.servo.edge.2.law"
+    assert hypothesis._where(rig, place[:2], "") == "cylinder.press"
+    assert hypothesis._where(rig, ("payload", "100 kg"), "") == "payload.100 kg"
 
 
 def test_words_of_a_fault_for_recipe_and_rig_file():

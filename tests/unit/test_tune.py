@@ -416,3 +416,29 @@ def test_what_makes_a_motion_impossible_is_named_by_its_edges():
     assert asked(SimpleNamespace(p_head=1e6, p_rod=2.1e7)) == [("tune.relief", None)]
     motion.short = lambda *_: True
     assert asked(easy) == [("tune.short_pump", None)]
+
+
+@pytest.mark.parametrize("force", [-2e4, 3e4])
+@pytest.mark.parametrize("function", range(1, len(FUNCTIONS)))
+def test_pressures_carry_the_load_and_none_falls_below_the_tank(function, force):
+    """Where the low pressure off-side would leave too little in the other chamber, that one stands
+    at it instead.
+    """
+    none = np.zeros(1)
+    here = SimpleNamespace(curvature=none, lever=none + 1.0, damping=none, mass=none)
+    here.gravity_force = np.array([force])
+    motion = SimpleNamespace(function=function, here=here, index=0, p_tank=1e5)
+    motion.row = SimpleNamespace(area_head=2e-3, area_rod=1.2e-3)
+    motion.aim = SimpleNamespace(low_pressure=8e5, cross_drop=5e5)
+    motion.model = SimpleNamespace(rig=SimpleNamespace(text=lambda *_: ""))
+    motion.resistance = lambda v: 0.0
+    motion.chambers = lambda *given: operating_point._Motion.chambers(motion, *given)  # type: ignore[arg-type]
+    settled = operating_point._Motion.settle(motion, 0.0)  # type: ignore[arg-type]
+    head, rod = settled.p_head, settled.p_rod
+    assert 2e-3 * head - 1.2e-3 * rod == pytest.approx(force)
+    if operating_point.RAISED[function]:
+        assert rod - head == pytest.approx(5e5)
+        return
+    off, other = (rod, head) if METERED[function] == HEAD else (head, rod)
+    assert (other if settled.note else off) == pytest.approx(9e5)
+    assert other > 1e5 and (not settled.note or off > 9e5)
