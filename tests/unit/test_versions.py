@@ -9,6 +9,7 @@ import math
 import re
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -220,7 +221,7 @@ def leaves(value) -> dict[str, float]:
     message; how a message is put counts for nothing."""
     sums: dict[str, float] = {}
 
-    def add(item, key: str, row: str = "") -> None:
+    def add(item, key: str, row: Any = "") -> None:
         if _is_message(item):
             row, item = item["key"], {k: _said(v) for k, v in item["fields"].items()}
         if isinstance(item, dict):
