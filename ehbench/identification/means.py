@@ -67,8 +67,8 @@ def means_of(
 
 def fastest(model: Model, record: Record) -> float:
     """The highest frequency [Hz] that a machine answers with along a recording: of its valves, each
-    by its slowest element, and of its oscillations, with valves shut, at both ends of the ways of
-    its cylinders: oil is softest between.
+    by its slowest element, and of its oscillations, with valves shut, where its cylinders start
+    and at both ends of their ways.
     """
     plant = model.plant
     rates = [0.0]
@@ -76,7 +76,7 @@ def fastest(model: Model, record: Record) -> float:
         elements = plant.elements.fastest[valve.first : valve.first + valve.count]
         rates += [float(np.min(elements))] if elements.size else []
     command, rest = model.commands_of(record)[0] if model.layout.played else None, plant.at.rates
-    for end in (np.min, np.max):
+    for end in (lambda y: y[0], np.min, np.max):
         seen = {
             channel: float(end(y))
             for channel, y in record.channels.items()
