@@ -1,7 +1,7 @@
 """Each number decides an outcome: as stated with it, another with a third more or less."""
 
 import math
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Stub
@@ -50,32 +50,13 @@ from ehbench.validation import baseline, checks, held_out, judge, residuals, swe
 from ehbench.validation.results import ChannelResult, LogResult
 from ehbench.vocabulary.errors import EhbenchError
 from tests import analytic_fit
+from tests.settings import refusal, shows
 from tests.shared import shipped
 
 RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
 
 
 USUAL = Averaging()
-
-
-@contextmanager
-def at(settings, name, value):
-    """Within the block a number of a frozen settings object is another one."""
-    before = getattr(settings, name)
-    object.__setattr__(settings, name, value)
-    try:
-        yield
-    finally:
-        object.__setattr__(settings, name, before)
-
-
-def refusal(work) -> str:
-    """The key of what is refused; '' for nothing."""
-    try:
-        work()
-    except EhbenchError as error:
-        return error.key
-    return ""
 
 
 # --- samples that no sensor can have seen
@@ -781,11 +762,4 @@ ROWS = [
     ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
 )
 def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
-    assert scenario() == outcome
-    value = getattr(settings, name)
-    for factor in (4.0 / 3.0, 2.0 / 3.0):
-        other = value * factor
-        if isinstance(value, int):
-            other = math.ceil(other) if factor > 1.0 else math.floor(other)
-        with at(settings, name, other):
-            assert scenario() != outcome, (name, other)
+    shows(settings, name, scenario, outcome)

@@ -1,0 +1,203 @@
+"""Each number of the fit of a flow map decides an outcome, as in `test_settings_matter`."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehbench.flow_maps import fit, shape
+from ehbench.flow_maps.readings import SETTINGS as READING
+from ehbench.flow_maps.spline import SETTINGS as SPLINE
+from ehbench.flow_maps.spline import Axis, Spline
+from ehbench.vocabulary.errors import EhbenchError
+from tests.settings import shows
+
+COARSE, COMMANDS = Axis(np.linspace(0.0, 1.0, 5), 3), np.linspace(2.0, 10.0, 20)
+PLAIN = shape.Shape(1.0, COMMANDS, COARSE, np.ones(2))
+ANY: Any = Stub()
+REFUSED = "flow_maps.no_map_fits"
+
+
+def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0):
+    """(refusal, turns, hysteresis taken off [V], deadband's interval [V]) of fits with these
+    numbers; with a leak that is ``apart`` likelier to end than to go on."""
+    turns, inf = [], math.inf
+    readings: Any = Stub(who="map", commands=np.array([0.0, 10.0]), sweep=np.ones(4), s=0.0, y=0.0)
+    readings.shifted = lambda _: readings
+
+    def iterate(_, leak):
+        turns.append(1)
+        goes_on = apart > 0.0 and leak is None
+        solution = Stub(cells=Stub(heard=np.full(4, rms)), flow=0.0, widening=lack, lack=1.0)
+        solution.parameters = 0.5 * apart if goes_on else 0.0
+        interval = (3.0, 4.0) if goes_on else (1.0, 2.0)
+        shape: Any = Stub(rising=rising)
+        noise: Any = Stub(std=lambda *_: inf)
+        return fit.Fit(
+            *(readings, shape, solution, noise, fit.Deadband(interval=interval), Stub()),
+            *(np.ones(4, bool), np.zeros(4), ()),
+        )  # pyright: ignore[reportArgumentType]
+
+    leak = None if not apart else fit.Leak(0.0, 0.0, 0.0, 1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fit, "sort_readings", lambda *_: readings)
+        patch.setattr(fit, "_find_leak", lambda _: leak)
+        patch.setattr(fit, "_iterate", iterate)
+        patch.setattr(fit, "_hysteresis_of", lambda _: lag)
+        patch.setattr(fit, "_shift_of", lambda _: (0.0, 0.0))
+        patch.setattr(fit, "replace", lambda x, **new: x if x is readings else replace(x, **new))
+        try:
+            result = fit.fit_readings("map", ANY, ANY)
+        except EhbenchError as error:
+            return error.key, len(turns), 0.0, ()
+    assert result.hysteresis
+    return "", len(turns), result.hysteresis.removed, result.deadband.interval
+
+
+def bends(graded, sharp):
+    """Whether a map that gains so much by either bends sharply, or more at low drops."""
+
+    def likelihood(item, *_, **__):
+        sharply, more = item.along_s.kink, item.along_s.stiffness[0] < 0.5
+        return item, -sharp if sharply else -graded * more
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shape, "likeliest_smoothing", likelihood)
+        patch.setattr(shape, "roughly_smoothed", likelihood)
+        axis = shape.bend(PLAIN, ANY).along_s
+    return axis.kink, bool(not axis.kink and axis.stiffness[0] < 0.5)
+
+
+def cells_alone(gain, count=3, size=40, off=1e3):
+    """How many of ``count`` cells that lie so many deviations ``off`` stand alone, of a map that
+    gains so much without each."""
+    cells: Any = Stub(weight=np.ones(size), weighed=size, u=np.full(size, 5.0), s=np.zeros(size))
+    cells.count, cells.y = np.full(size, 3), np.where(np.arange(size) < count, off, 0.0)
+    cells.without = lambda lone: Stub(out=int(lone.sum()))
+    design: Any = Stub(design=lambda u, s: np.zeros((u.size, 1)))
+    result = Stub(spline=design, coefficients=np.zeros(1), widening=1.0)
+    result.variance = lambda _: np.zeros(size)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shape, "judge", lambda *_: result)
+        patch.setattr(
+            shape, "likeliest_smoothing", lambda s, c: (s, -gain * getattr(c, "out", 0.0))
+        )
+        return int(shape.lone_cells(ANY, PLAIN, cells).sum())
+
+
+def kinks_of(rough=99.0, sure=99.0, commands=20):
+    """How many kinks a map gets, each of which gains so much at a rough look and at a close one;
+    −1 where none is sought."""
+    plain = replace(PLAIN, above=COMMANDS[:commands])
+    looked = []
+
+    def smoothed(item, *_, **__):
+        looked.append(item)
+        return item, -sure * len(item.kinks)
+
+    def bent(item, _, gap):
+        return replace(item, kinks=(*item.kinks, gap[0])), -sure * len(item.kinks) - rough
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shape, "likeliest_smoothing", smoothed)
+        patch.setattr(shape, "start_deadband", lambda _, item, *__: item)
+        patch.setattr(shape, "find_deadband", lambda _, item, *__: (None, item))
+        patch.setattr(shape, "let_fall", lambda item, _: item)
+        patch.setattr(shape, "_bent", bent)
+        patch.setattr(shape, "_place", lambda item, _: shape.Kink(item.kinks[-1], 0.1, (0.0, 1.0)))
+        kinks = shape.find_kinks(ANY, plain, ANY, 1.0)[1]
+    return len(kinks) if looked else -1
+
+
+def roomy(gap):
+    """Whether a gap of a share of the range has room for a kink."""
+    return bool(shape._roomy(np.array([0.0, 1.0 - gap, 1.0]))[2])
+
+
+def knows_noise(repeats):
+    """Whether the noise that so many repeats measure makes a map through every cell no likelier."""
+    u, s = np.repeat(COMMANDS, 5), np.tile(np.linspace(0.2, 1.0, 5), 20)
+    cells: Any = Stub(u=u, s=s, weight=np.ones(100), weighed=100, replicates=repeats)
+
+    def deviance(miss):
+        cells.y = np.full(100, miss)
+        fit = shape.Regression(Spline(1.0, COMMANDS, COARSE), cells)
+        return fit._deviance(np.zeros(fit.band.shape[1]), np.ones(2))
+
+    return deviance(0.5) - deviance(0.4) < 10.0
+
+
+def falls(gain):
+    """From which of its openings on a map may fall that gains so much by it."""
+
+    def likelihood(item, _):
+        value = max(item.rising - 5.0, 0.0) - gain if np.isfinite(item.rising) else 0.0
+        return Stub(free=lambda _: -1e3, solve=lambda _: (None, value, None))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            shape.Shape, "spline", lambda self: Stub(volts=np.arange(1.0, 11.0), rising=self.rising)
+        )
+        patch.setattr(shape, "regression", likelihood)
+        return shape.let_fall(PLAIN, ANY).rising
+
+
+def deadband_of(shut, spread=0.5):
+    """The interval of a deadband whose likelihood is a parabola of so many volts; whether the
+    lowest command is shut."""
+    grid = np.linspace(0.0, 4.0, 81)
+    window = shape.Window(0.0, 4.0, 1, (0.0, 4.0), not shut)
+    readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shape, "window_of", lambda *_: window)
+        patch.setattr(shape, "_profile", lambda *_, **__: (grid, ((grid - 2.0) / spread) ** 2))
+        return shape.find_deadband(readings, PLAIN, ANY, 1.0)[0].interval
+
+
+def first_span(gap):
+    """Spans of a spline whose first command lies a share of the range above the deadband."""
+    return Spline(1.0, np.array([1.0 + 9.0 * gap, 4.0, 7.0, 10.0]), COARSE, True).volts.size
+
+
+ROWS = [
+    (fit.SETTINGS, "rms", lambda: [fit_of(r)[0] for r in (0.19, 0.21)], ["", REFUSED]),
+    (fit.SETTINGS, "lack", lambda: [fit_of(0.1, n)[0] for n in (95, 105)], ["", REFUSED]),
+    (fit.SETTINGS, "lack_rms", lambda: [fit_of(r, 200)[0] for r in (0.047, 0.053)], ["", REFUSED]),
+    (fit.SETTINGS, "fall_rms", lambda: [fit_of(r, 200, 5.0)[0] for r in (0.009, 0.011)],
+     ["", REFUSED]),
+    (fit.SETTINGS, "lag_turns", lambda: fit_of(lag=(0.1, 0.01))[1], 4),
+    (fit.SETTINGS, "lag", lambda: [fit_of(lag=(0.1, 0.1 / n))[2] > 0.0 for n in (3.8, 4.2)],
+     [False, True]),
+    (fit.SETTINGS, "lag_share", lambda: [fit_of(lag=(v, 1e-6))[2] > 0.0 for v in (4.7e-3, 5.3e-3)],
+     [False, True]),
+    (fit.SETTINGS, "leak_gain", lambda: [fit_of(apart=g)[3] for g in (10.5, 11.2)],
+     [(1.0, 4.0), (1.0, 2.0)]),
+    (shape.SETTINGS, "graded_gain", lambda: [bends(g, 0.0) for g in (3.8, 4.2)],
+     [(False, False), (False, True)]),
+    (shape.SETTINGS, "bend_gain", lambda: [bends(0.0, g)[0] for g in (43.0, 47.0)],
+     [False, True]),
+    (shape.SETTINGS, "lone_gain", lambda: [cells_alone(g) for g in (29.0, 31.0)], [0, 3]),
+    (shape.SETTINGS, "lone", lambda: cells_alone(99.0, 30, 200), 10),
+    (READING, "outlier", lambda: [cells_alone(99.0, off=n) for n in (4.8, 5.2)], [0, 3]),
+    (shape.SETTINGS, "kink_gain", lambda: [kinks_of(sure=g) for g in (23.0, 25.0)], [0, 3]),
+    (shape.SETTINGS, "look_gain", lambda: [kinks_of(g) for g in (-5.3, -4.7)], [0, 3]),
+    (shape.SETTINGS, "kinks", lambda: kinks_of(), 3),
+    (shape.SETTINGS, "kink_commands", lambda: [kinks_of(commands=n) for n in (6, 7)], [-1, 3]),
+    (shape.SETTINGS, "kink_gap", lambda: [roomy(g) for g in (0.009, 0.011)], [False, True]),
+    (shape.SETTINGS, "repeats", lambda: [knows_noise(n) for n in (11, 12)], [False, True]),
+    (shape.SETTINGS, "fall_gain", lambda: [falls(g) for g in (43.0, 47.0)], [math.inf, 8.0]),
+    (shape.SETTINGS, "level_95", lambda: deadband_of(True), (1.0204, 2.9796)),
+    (shape.SETTINGS, "level_999", lambda: deadband_of(False), (0.3546, 3.6454)),
+    (shape.SETTINGS, "width", lambda: deadband_of(True, 1e-4), (1.995, 2.005)),
+    (SPLINE, "room", lambda: [first_span(g) for g in (0.9e-6, 1.1e-6)], [5, 6]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
+)
+def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
+    shows(settings, name, scenario, outcome)
