@@ -1,0 +1,318 @@
+"""Each number by which logs are read and prepared decides an outcome, as in
+`test_settings_matter`."""
+
+import math
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehbench.data import channels, flowmeter, rates
+from ehbench.data.record import Record
+from ehbench.plant.model import Model
+from ehbench.preprocessing import initial_states, observations, plausibility, time_base
+from ehbench.signals import series, timestamps
+from ehbench.vocabulary.errors import InputError
+from tests.settings import refusal, shows
+from tests.shared import shipped
+
+RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
+ANY: Any = Stub()
+PLAUSIBLE, RINGING, FIRST = plausibility.SETTINGS, series.SETTINGS, initial_states.SETTINGS
+WHITE = np.random.default_rng(1).standard_normal(4000)
+
+
+# --- what a log can be
+
+
+def weak(share):
+    """The refusal of pressures of a driven slide of which the largest is so much of the
+    supply's."""
+    p = np.full(100, share * float(SLIDE.supply.pressure))
+    y = {"press.servo.command": np.full(100, 5.0), "press.p_head": p, "press.p_rod": 0.5 * p}
+    y["press.x"] = np.full(100, 0.1)
+    log = Record(np.arange(100) * 1e-3, y)
+    return refusal(
+        lambda: plausibility.refuse_pressures("log", log, Model.of(SLIDE), 10, still=False)
+    )
+
+
+def pushes(share):
+    way = np.linspace(0.0, share * float(SLIDE.supply.pressure), 100)
+    y = {"press.servo.command": np.linspace(0.0, 5.0, 100), "press.p_head": way}
+    return plausibility._pushed(Record(np.arange(100) * 1e-3, y), SLIDE, SLIDE.cylinder[0])
+
+
+def beside_pins(sigmas):
+    """Whether a stroke is off its angle's by so many times its noise, of 5 % of the stroke."""
+    model, row = Model.of(RIG), Model.of(RIG).plant.cylinders[0]
+    q = np.full(4000, plausibility.joint_of(row, 0.5 * float(row.stroke)))
+    noise = 0.05 * float(row.stroke)
+    x = plausibility.linkage_arrays(row, q)[0] + noise * WHITE
+    x += sigmas * series.white_noise(x) - float(np.median(noise * WHITE))
+    return bool(
+        plausibility.off_pins(Record(np.arange(4000) * 1e-3, {"boom.x": x, "boom.q": q}), model)
+    )
+
+
+def begins_moving(share):
+    """Whether a slide moves at first whose first speed is so much of its largest."""
+    v = np.where(np.arange(1000) < 100, share, 1.0)
+    log = Record(np.arange(1000) * 1e-3, {"press.v": v})
+    return bool(plausibility.moving_at_first(log, SLIDE, 50))
+
+
+def at_end(before=(-20.0, -10.0, -5.0), run=6, others=1):
+    """Whether a sensor is at its end, 0, at which it stays for a ``run`` after readings ``before``;
+    the smallest step of others, which stay for so many each, is 1."""
+    steps = np.repeat([-30.0, -31.0, -29.0, -30.0], others)
+    y = np.concatenate([steps, before, np.zeros(run), [-7.0], steps])
+    return bool(plausibility.at_limit(y).any())
+
+
+def gaps_kept(share):
+    """Whether a log is filled of which a share of the steps lack samples."""
+    steps = np.where(np.arange(2000) < 2000 * share, 4e-3, 1e-3)
+    log = Record(
+        np.cumsum(np.random.default_rng(1).permutation(steps)), {"press.v": np.zeros(2000)}
+    )
+    return time_base.parts_of("log", log)[0][0].record is not log
+
+
+def part_lasts(seconds):
+    """How many parts a log has of which one lasts so long before a gap, the others longer."""
+    t = np.concatenate([np.arange(0.0, seconds, 1e-3), 10.0 + np.arange(0.0, 1.0, 1e-3)])
+    return len(time_base.parts_of("log", Record(t, {"press.v": np.zeros(t.size)}))[0])
+
+
+def supply_far(share):
+    y = np.full(100, 1e7)
+    log, other = (Record(np.arange(100) * 1e-3, {"p_supply": p}) for p in (y, (1.0 + share) * y))
+    return bool(observations.supply_off(log, other, SLIDE))
+
+
+def rate_of(position):
+    """How much of a swing of 20 Hz of a position is left in its rate [mm/s]."""
+    t = np.arange(2000) * 1e-3
+    log = Record(t, {"press.x": position * np.sin(40.0 * np.pi * t)})
+    rate = observations.column(log, "press.v", log)
+    assert rate is not None
+    return round(1e3 * float(np.abs(rate[500:1500]).max()))
+
+
+# --- first states
+
+
+def place_of(**y):
+    """Prior of the stroke of a slide at rest, in ppb of it."""
+    log, model = Record(np.arange(100) * 1e-3, y), Model.of(SLIDE)
+    numbers = initial_states._of_cylinder(model, log, "press", (), 50, False)
+    (number,) = (item for item in numbers if item.name == "press.q")
+    return round(number.std / float(SLIDE.cylinder[0].stroke) * 1e9)
+
+
+def step_of(prior):
+    """The step of a number of a prior, both in its range's ppb."""
+    return round(1e9 * initial_states._uncertain("a", 0, 1e-9 * prior, 1.0).step)
+
+
+def creeps(sigmas):
+    """Whether a mean speed so many times its error is a creep."""
+    noise = WHITE[:400] - WHITE[:400].mean()
+    y = noise + sigmas * initial_states.mean_error(noise, 400)
+    log = Record(np.arange(400) * 1e-3, {"press.v": y})
+    return initial_states._creep(log, "press", 400, 1.0) > 0.0
+
+
+def first_of(tick):
+    """How many samples show the first state of a motion of a parabola with a bend after them."""
+    t = np.arange(1000) * tick
+    return round(1e3 * initial_states._first(np.cos(60.0 * t), 1000, tick)[0], 3)
+
+
+def step_of_bias():
+    term: Any = Stub(per_log=True, std=2.0, name="press.v.zero")
+    log = Record(
+        np.arange(100) * 1e-3, {"press.v": np.zeros(100), "press.servo.command": np.zeros(100)}
+    )
+    numbers = initial_states.initial_state_of(Model.of(SLIDE), log, (), (), (term,)).uncertain
+    return [number.step for number in numbers if number.bias]
+
+
+# --- ringings
+
+
+def silent(damping=0.1, evidence=99.0, share=0.5, loud=math.inf):
+    """Why an oscillation does not ring, of a damping ratio, so much likelier than none, that
+    explains a share of what moves, of energy 1."""
+    t, total = np.arange(1000) * 1e-3, 1000.0 / share
+    lefts = iter(
+        [
+            np.full((1000, 1), math.sqrt((total - 1000.0) / 1000.0)),
+            np.full((1000, 1), math.sqrt(total / 1000.0)),
+        ]
+    )
+    independent = evidence / (1000.0 * math.log(1.0 / (1.0 - share)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series, "project", lambda *_: (None, next(lefts)))
+        patch.setattr(series, "correlation_time", lambda _: 1.0 / independent)
+        patch.setattr(series, "_standard_errors", lambda *_: (0.0, 0.0))
+        seen = series._judge(t, np.ones((1000, 1)), np.ones(1), 60.0, damping, 0.0, 0.0, loud)
+    return getattr(seen.reason, "key", "").partition(".")[2]
+
+
+def also_rings(share):
+    """Whether a series is heard of so much of another's energy, in ten times more noise."""
+    t = np.arange(1000) * 1e-3
+    y = np.exp(-3.0 * t) * np.sin(60.0 * t)
+    like = series.ringing(t, y)
+    energies = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series, "_judge", lambda *given: energies.append(given[-1]) or like)
+        series.ringing_like(t, y, like)
+    return energies[0] / like.energy < share
+
+
+def starts(apart):
+    """How many starts the last searches have where the first ends ``apart`` in log ω."""
+    t, counts = np.arange(1000) * 1e-3, []
+
+    def refine(s, y, starts, taus):
+        counts.append(len(starts))
+        return 60.0 * math.exp(apart), 0.1, 0.0
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series, "_refine", refine)
+        patch.setattr(series, "_search", lambda *_: (60.0, 0.1, 1000))
+        series.ringing(t, np.sin(60.0 * t))
+    return counts[-1]
+
+
+# --- stamps
+
+
+def stamped(step, lost=(), count=200):
+    """Whether the stamps of a clock of 1 s, rounded to ``step``, get its even rate back."""
+    t = np.delete(np.arange(count) + 0.25, lost)
+    rounded = np.floor(t / step + 1e-9) * step
+    return timestamps.unrounded(rounded, step) is not rounded
+
+
+def off_stamps(share):
+    """Notes on 1000 rows that last so much longer than their stamps."""
+    t = np.arange(1000) * 1e-3
+    group: Any = Stub(t=(1.0 + share) * t, stamped=t, title="rows")
+    group.stamped = group.stamped + np.zeros(1000)
+    return len(channels._rate_note(group))
+
+
+def twice(share):
+    """Rows that repeat the one before, of which a time shows so many."""
+    t = np.sort(
+        np.concatenate([np.arange(1000.0), np.arange(round(1000.0 * share / (1.0 - share)))])
+    )
+    return bool(rates.repeated(t, []).any())
+
+
+def own_rate(*every):
+    """Whether two signals, each in every so many rows, are of different messages."""
+    one, other = (np.arange(100) % n == 0 for n in every)
+    return rates._take_turns(one, other)
+
+
+# --- readings
+
+
+def readings(flows, drops, direction="", allowed=True):
+    rows = [
+        {
+            "valve": "a",
+            "flow": q,
+            "pressure_drop": p,
+            "direction": direction,
+            "file": "f",
+            "line": n,
+        }
+        for n, (q, p) in enumerate(zip(flows, drops, strict=True))
+    ]
+    left = flowmeter.LeftOut(allowed)
+    return flowmeter._signs(rows, left), left
+
+
+def against(share):
+    """Readings left out of which one's flow, so much of the largest, runs against its drop."""
+    return len(readings([1.0, 1.0, -share], [1.0, 1.0, 1.0], "forward")[1].errors)
+
+
+def reverse(count):
+    """Readings left out where so many have both signs turned."""
+    sign = np.where(np.arange(40) < count, -1.0, 1.0)
+    return len(readings(sign, sign)[1].errors)
+
+
+def doubted(share):
+    units = {"pressure_drop": "bar"}
+    row = {"pressure_drop": share * 1e7, "valve": "a", "file": "f", "line": 1}
+    return len(flowmeter._within_supply([row], 1e7, units, flowmeter.LeftOut(False))[1])
+
+
+def left_out(count):
+    """The refusal of a valve of 30 readings of which so many are slips."""
+    left = flowmeter.LeftOut(True)
+    for line in range(count):
+        left.take("a", InputError("data.few_reverse", file="f", line=line))
+    return refusal(lambda: left.sentences(["a"] * (30 - count)))
+
+
+ROWS = [
+    (PLAUSIBLE, "far_apart", lambda: [weak(1.0 / n) for n in (48.0, 52.0)],
+     ["", "preprocessing.low_pressures"]),
+    (PLAUSIBLE, "pushed", lambda: [pushes(s) for s in (0.095, 0.105)], [False, True]),
+    (PLAUSIBLE, "noises", lambda: [beside_pins(n) for n in (5.7, 6.3)], [False, True]),
+    (PLAUSIBLE, "ongoing", lambda: [begins_moving(s) for s in (0.095, 0.105)], [False, True]),
+    (PLAUSIBLE, "limit_run", lambda: [at_end(run=n) for n in (3, 4)], [False, True]),
+    (PLAUSIBLE, "limit_share", lambda: [at_end(run=n, others=4) for n in (8, 9)], [False, True]),
+    (PLAUSIBLE, "limit_rise", lambda: [at_end(y) for y in ((-9.0, -4.0, -2.0), (-9.0, -6.0, -3.0))],
+     [False, True]),
+    (PLAUSIBLE, "limit_steps", lambda: [at_end((-20.0, -n, -2.0)) for n in (4.8, 5.2)],
+     [False, True]),
+    (time_base.SETTINGS, "rare", lambda: [gaps_kept(s) for s in (0.37, 0.43)], [True, False]),
+    (time_base.SETTINGS, "shortest", lambda: [part_lasts(s) for s in (0.23, 0.27)], [1, 2]),
+    (observations.SETTINGS, "supply_off", lambda: [supply_far(s) for s in (0.028, 0.032)],
+     [False, True]),
+    (observations.SETTINGS, "rate_cutoff", lambda: rate_of(0.01), 627),
+    (observations.SETTINGS, "clear_cycles",
+     lambda: [observations.rings_clearly(n, 0.1) for n in (1.4, 1.6)], [False, True]),
+    (observations.SETTINGS, "clear_damping",
+     lambda: [observations.rings_clearly(9.0, z) for z in (0.33, 0.37)], [True, False]),
+    (FIRST, "fine_place", lambda: place_of(**{"press.x": np.full(100, 0.1)}), 10_000),
+    (FIRST, "least_step", lambda: step_of(1), 1000),
+    (FIRST, "largest_step", lambda: step_of(1e9), 200_000),
+    (FIRST, "creep_sigmas", lambda: [creeps(n) for n in (2.8, 3.2)], [False, True]),
+    (FIRST, "beginning", lambda: first_of(1e-3), 1025.851),
+    (FIRST, "sensed", step_of_bias, [0.02]),
+    (RINGING, "significant", lambda: [silent(evidence=e) for e in (38.0, 42.0)],
+     ["no_oscillation", ""]),
+    (RINGING, "loud", lambda: [also_rings(s) for s in (0.095, 0.105)], [False, True]),
+    (RINGING, "astray", lambda: [starts(x) for x in (0.47, 0.53)], [1, 2]),
+    (RINGING, "cycle", lambda: series._block(np.arange(9999) * 1e-3, 2.0 * math.pi), 41),
+    (timestamps.SETTINGS, "coarsest", lambda: [stamped(s) for s in (3.8, 4.2)], [True, False]),
+    (timestamps.SETTINGS, "fewest_long", lambda: [stamped(0.8, count=n) for n in (38, 45)],
+     [False, True]),
+    (channels.SETTINGS, "wrong_rate", lambda: [off_stamps(s) for s in (0.0115, 0.0125)], [0, 1]),
+    (rates.SETTINGS, "repeated", lambda: [twice(s) for s in (0.047, 0.053)], [True, False]),
+    (rates.SETTINGS, "slower", lambda: [own_rate(3, 4), own_rate(2, 3)], [False, True]),
+    (flowmeter.SETTINGS, "zero_share", lambda: [against(s) for s in (0.019, 0.021)], [0, 1]),
+    (flowmeter.SETTINGS, "fewest_reverse", lambda: [reverse(n) for n in (3, 4)], [3, 0]),
+    (flowmeter.SETTINGS, "supply_share", lambda: [doubted(s) for s in (0.0053, 0.0047)], [0, 1]),
+    (flowmeter.SETTINGS, "most_left_out", lambda: [left_out(n) for n in (10, 11)],
+     ["", "data.too_many_left_out"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
+)
+def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
+    shows(settings, name, scenario, outcome)
