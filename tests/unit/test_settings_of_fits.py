@@ -1,0 +1,272 @@
+"""Each number of the search for parameters decides an outcome, as in `test_settings_matter`."""
+
+import math
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ehbench.data.record import Record
+from ehbench.frequency_response import response
+from ehbench.guidance import comparison
+from ehbench.identification import (
+    basins,
+    descent,
+    frequency_domain,
+    matching,
+    problem,
+    sensitivity,
+    simulator,
+)
+from ehbench.identification.results import Lean, Moved
+from ehbench.validation import held_out
+from tests import analytic_fit
+from tests.settings import shows
+from tests.shared import shipped
+
+ANY: Any = Stub()
+SLIDE = shipped("slide_servo")
+
+
+class Row:
+    """A row of the fault table, which is a key."""
+
+    def __init__(self, **fields):
+        vars(self).update(fields)
+
+
+# --- descent
+
+
+def stepped(damping=1.0, gained=1.0):
+    """(damping after a step, whether initial states stay linearised) of a step that should gain 1;
+    none where no damping is left."""
+    state: Any = Stub(free=(0,), cost=9.0)
+    origin: Any = Stub()
+    end: Any = Stub(cost=9.0 - gained)
+    asked: Any = Stub(report=lambda *_: None, simulator=Stub(effort=Stub(iterations=1)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(descent, "start_jacobian", lambda *_: None)
+        patch.setattr(descent, "linearised", lambda *_: None)
+        patch.setattr(descent, "step", lambda *_: (None, None, 1.0))
+        patch.setattr(descent, "evaluate", lambda *_: end)
+        patch.setattr(descent, "cost", lambda _, item: item.cost)
+        there = descent._stepped(asked, descent._Descent(state, origin, damping), 0.0, False)
+    return None if there is None else (there.damping, there.origin is origin)
+
+
+def rounds_of(change):
+    """Solutions until weights are settled that change by so much at each."""
+    count = []
+    state: Any = Stub(scales={"x": 1.0})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(descent, "evaluate", lambda _, item: item)
+        patch.setattr(
+            descent,
+            "weighed",
+            lambda _, item: Stub(scales={"x": item.scales["x"] * math.exp(change)}),
+        )
+        patch.setattr(descent, "solve", lambda _, item, __: (count.append(1) or item, True))
+        descent.settle(ANY, state, 0.0)
+    return len(count)
+
+
+# --- basins
+
+
+def looks(*costs):
+    """How many basins are tried whose bottoms cost so much; the best costs 1."""
+    row = [9.0] + [x for cost in (1.0, *costs) for x in (cost, 9.0)]
+    place = Stub(row=Stub(mode_role=""), log=True, roams=True, known=False)
+    asked: Any = Stub(logs=[Stub(commanded=("a",))], search=[place], requested=1)
+    state = problem.State(np.zeros(1), [], {}, np.ones((1, 1)), (0,))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            basins, "_points", lambda *_: ([np.array([float(i)]) for i in range(len(row) + 1)], 1)
+        )
+        patch.setattr(basins, "_costs", lambda *_: np.array([9.0, *row]))
+        return len(basins._look(asked, state)[0])
+
+
+def coarsely(left=0.0, size=1.0):
+    """(solutions, parameters solved for) of a coarse solution that leaves so much of the spread,
+    with a parameter of so much effect beside one that has all."""
+    solved = []
+    asked = analytic_fit.problem()
+    state = problem.evaluate(asked, problem.initial(asked))
+
+    def solve(_, item, __):
+        solved.append(item.free)
+        return item, True
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(basins, "solve", solve)
+        patch.setattr(basins, "effects", lambda *_: np.array([1.0, size]))
+        patch.setattr(
+            basins, "squares", lambda *_: left * sum(r.size for r in state.here.residuals)
+        )
+        basins._coarse(asked, state, state.theta, (0, 1))
+    return len(solved), solved[0]
+
+
+# --- matching of ringing
+
+
+def matched(silent):
+    """(rounds, fresh slopes) of a matching that never stands, or where nothing rings."""
+    work: Any = object.__new__(matching.Matching)
+    work.search = [Stub(row=Stub(mode_role="decay"), log=True, bounds=(-99.0, 99.0))]
+    work.theta, work.live, work.rounds, slopes = np.zeros(1), [0], 0, []
+    work.aim, work.progress = [np.array([math.nan if silent else 1.0])], lambda *_: None
+    work._rings = lambda *_: []
+    work._measure = lambda *_: np.zeros(1)
+    work._scatter = lambda *_: (1e-9, 1.96, 1)
+    work._drop = lambda which: work.live.clear() if which else None
+    work._slopes = lambda *_: slopes.append(1) or np.ones((1, 1))
+    work._stand(None)
+    return work.rounds, len(slopes)
+
+
+def nudge():
+    work: Any = object.__new__(matching.Matching)
+    work.search = [Stub(bounds=(-99.0, 99.0))]
+    moved = []
+    work._rings = lambda theta, _: moved.append(float(theta[0]))
+    work._measure = lambda *_: np.zeros(1)
+    work._slopes(np.zeros(1), [0], [])
+    return moved
+
+
+# --- fixed numbers
+
+
+def doubts(gain=0.0, shares=()):
+    """(warnings, reports) of a fit: of a gain that is off by so many standard errors, and of
+    numbers that explain such shares."""
+    effort = Stub(evaluations=100)
+    fit: Any = Stub(simulator=Stub(effort=effort, rig=SLIDE))
+
+    def item(kind, explains, delta):
+        row: Any = Stub(kind=kind, parameters=("press.v.flow_gain",), certainty=1)
+        row.remedy = lambda *_: "do so"
+        return Stub(row=row, explains=explains, delta=delta, beyond=0.0 if kind == "gain" else 9.0)
+
+    def lean(asked):
+        moved = (Moved("m", 1.0, 2.0, 9.0),)
+        return asked.row, Lean("press.mass", 1.0, 2.0, 0.1, asked.explains, moved, "")
+
+    every = [item("gain", 0.5, gain)] * bool(gain) + [item("mass", s, 1.0) for s in shares]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensitivity, "_only_noise", lambda *_: False)
+        patch.setattr(sensitivity, "_screened", lambda *_: ([], ()))
+        patch.setattr(sensitivity, "_promising", lambda *_: every)
+        patch.setattr(sensitivity, "_release", lambda *_: Stub(std=1.0))
+        patch.setattr(sensitivity, "_confirmed", lambda _, __, asked, ___: lean(asked))
+        patch.setattr(sensitivity, "_sentence", lambda *_: "")
+        result = sensitivity.doubts_of(fit, ANY, ANY)
+    return len(result.warnings), len(result.leans)
+
+
+def looked_at(count):
+    """How many of so many numbers that promise something are asked of every log."""
+    rows: Any = [Row(bounds=(-9.0, 9.0), certainty=1, name=str(i)) for i in range(count)]
+    every = [sensitivity._Suspect(row, [np.ones((2, 1))], (0,)) for row in rows]
+    state = Stub(live=(), theta=np.zeros(0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensitivity, "cost", lambda *_: 1.0)
+        patch.setattr(sensitivity, "prior_of", lambda *_: None)
+        patch.setattr(sensitivity, "_with", lambda *_: None)
+        patch.setattr(sensitivity, "gains_of", lambda *_: [1.0] * count)
+        patch.setattr(sensitivity, "_logs_of", lambda *_: [0])
+        patch.setattr(sensitivity, "_columns", lambda *_: {})
+        patch.setattr(sensitivity, "_moved", lambda *_: ())
+        release = Stub(move=1.0, gain=1.0, follow=np.zeros(0))
+        patch.setattr(sensitivity, "_release", lambda *_: release)
+        fit: Any = Stub(logs=[ANY])
+        result: Any = Stub(state=state)
+        return len(sensitivity._promising(fit, result, every, ANY))
+
+
+def void():
+    """Samples that do not count around one in which a chamber is empty."""
+    p = np.full(1000, 1e6)
+    p[500] = -2e5
+    y = {"press.p_head": p, "press.servo.command": np.where(np.arange(1000) < 501, 0.0, 5.0)}
+    log = Record(np.arange(1000) * 1e-3, y)
+    return int(np.sum(~simulator._counts("log", SLIDE, log, ("press.p_head",))[0]))
+
+
+def late(errors):
+    """Whether a response is late by so many times its error."""
+    band: Any = Stub(lateness=lambda *_: (0.1, 0.1 / errors), command="u")
+    log: Any = Stub(band=band, channels=("v",), name="log")
+    log.record, log.recorded = Stub(sample_time=1e-3), np.zeros((9, 1))
+    return len(frequency_domain.late_responses(log, np.zeros((9, 1))))
+
+
+# --- responses, guidance, copies
+
+
+def bent(size):
+    """Whether a phase is told to bend, by so many times its error."""
+    f = np.linspace(1.0, 9.0, 100)
+    bend = np.where(np.arange(100) % 2, 1.0, -1.0) * size * math.sqrt(98.0 / 100.0)
+    signals: Any = Stub(choice=response.Averaging(), size=64)
+    return len(response._delay(signals, f, bend, np.full(100, response.Z95), np.ones(100, bool))[1])
+
+
+def follows(alike):
+    """Whether a command follows a position whose third differences are so much alike."""
+    y = {"press.x": np.arange(67.0), "press.servo.command": np.ones(67)}
+    log: Any = Stub(record=Record(np.arange(67) * 1e-3, y))
+    answers = iter([alike, *[1.0] * 9])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "_alike", lambda *_: next(answers))
+        patch.setattr(comparison, "position_channel", lambda *_: "press.x")
+        return comparison._follows(log, "press")
+
+
+def probes():
+    """How many rows of a copy that does not have them are asked by how much it is late."""
+    y, asked = np.zeros((1000, 1)), []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(np, "flatnonzero", lambda hits: asked.append(1) or np.empty(0))
+        held_out._shift(y[:, 0], y, y[:, 0], y, np.zeros(1))
+    return len(asked)
+
+
+ROWS = [
+    (descent.SETTINGS, "damping_min", lambda: stepped(5e-9)[0], 1e-9),
+    (descent.SETTINGS, "damping_max", lambda: [stepped(s) is None for s in (0.9e9, 1.1e9)],
+     [False, True]),
+    (descent.SETTINGS, "faithful", lambda: [stepped(1.0, g)[1] for g in (0.76, 0.74)],
+     [True, False]),
+    (descent.SETTINGS, "rounds", lambda: rounds_of(1.0), 8),
+    (descent.SETTINGS, "settled", lambda: [rounds_of(x) for x in (0.028, 0.032)], [1, 8]),
+    (basins.SETTINGS, "rival", lambda: [looks(c) for c in (2.9, 3.1)], [2, 1]),
+    (basins.SETTINGS, "rivals", lambda: looks(1.1, 1.2, 1.3, 1.4, 1.5), 4),
+    (basins.SETTINGS, "much", lambda: [coarsely(s)[0] for s in (0.009, 0.011)], [1, 2]),
+    (problem.SETTINGS, "faint", lambda: [coarsely(size=s)[1] for s in (1.8e-3, 2.2e-3)],
+     [(0,), (0, 1)]),
+    (matching.SETTINGS, "taming", lambda: matched(True)[0], 5),
+    (matching.SETTINGS, "rounds", lambda: matched(False)[0], 12),
+    (matching.SETTINGS, "fresh_slopes", lambda: matched(False)[1], 8),
+    (matching.SETTINGS, "nudge", nudge, [0.03]),
+    (sensitivity.SETTINGS, "surely", lambda: [doubts(n)[0] for n in (3.8, 4.2)], [0, 1]),
+    (sensitivity.SETTINGS, "alike", lambda: [doubts(shares=(0.6, s))[1] for s in (0.28, 0.32)],
+     [1, 2]),
+    (sensitivity.SETTINGS, "looked", lambda: looked_at(20), 8),
+    (simulator.SETTINGS, "emptying", void, 101),
+    (frequency_domain.SETTINGS, "surely", lambda: [late(n) for n in (3.8, 4.2)], [0, 1]),
+    (response.SETTINGS, "curved", lambda: [bent(n) for n in (1.9, 2.1)], [0, 1]),
+    (comparison.SETTINGS, "rough", lambda: [follows(a) for a in (-0.47, -0.53)], [False, True]),
+    (held_out.SETTINGS, "probes", probes, 24),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
+)
+def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
+    shows(settings, name, scenario, outcome)
