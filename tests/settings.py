@@ -1,20 +1,46 @@
 """Whether a number of a method decides an outcome."""
 
 import math
+from collections.abc import Iterator
 from contextlib import contextmanager
+from types import ModuleType
+from typing import Any, NamedTuple
 
 from ehbench.vocabulary.errors import EhbenchError
 
 
+class OfKernels(NamedTuple):
+    """Numbers that kernels of a module read as constants, by its name of them: another one shows in
+    their Python functions alone (`inspect.unwrap`)."""
+
+    module: ModuleType
+    table: str
+
+
+def value_of(settings: Any, name: str) -> Any:
+    """A number of settings."""
+    if isinstance(settings, OfKernels):
+        settings = getattr(settings.module, settings.table)
+    return getattr(settings, name)
+
+
 @contextmanager
-def at(settings, name, value):
+def at(settings: Any, name: str, value: Any) -> Iterator[None]:
     """Within the block a number of a frozen settings object is another one."""
-    before = getattr(settings, name)
-    object.__setattr__(settings, name, value)
+    before = value_of(settings, name)
+
+    def put(value: Any) -> None:
+        if isinstance(settings, OfKernels):
+            module, table = settings
+            setattr(module, table, getattr(module, table)._replace(**{name: value}))
+        else:
+            object.__setattr__(settings, name, value)
+
+    put(value)
     try:
         yield
     finally:
-        object.__setattr__(settings, name, before)
+        put(before)
 
 
 def refusal(work) -> str:
@@ -26,13 +52,23 @@ def refusal(work) -> str:
     return ""
 
 
+def _off(value: Any, factor: float) -> Any:
+    """A number times a factor, an integer at least one off."""
+    other = value * factor
+    if isinstance(value, int):
+        return math.ceil(other) if factor > 1.0 else math.floor(other)
+    return other
+
+
 def shows(settings, name, scenario, outcome):
-    """An outcome is as stated with a number of ``settings``, another with a third more or less."""
+    """An outcome is as stated with a number of ``settings``, another with a third more or less; of
+    several numbers with any of them."""
     assert scenario() == outcome
-    value = getattr(settings, name)
+    value = value_of(settings, name)
     for factor in (4.0 / 3.0, 2.0 / 3.0):
-        other = value * factor
-        if isinstance(value, int):
-            other = math.ceil(other) if factor > 1.0 else math.floor(other)
-        with at(settings, name, other):
-            assert scenario() != outcome, (name, other)
+        others = [_off(value, factor)] if not isinstance(value, tuple) else []
+        for i, item in enumerate(value if isinstance(value, tuple) else ()):
+            others.append((*value[:i], _off(item, factor), *value[i + 1 :]))
+        for other in others:
+            with at(settings, name, other):
+                assert scenario() != outcome, (name, other)

@@ -2,13 +2,15 @@
 `test_settings_matter`."""
 
 import math
+from pathlib import Path
 from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ehbench.data import channels, flowmeter, rates
+from ehbench.app.mapping import guesses, written
+from ehbench.data import channels, flowmeter, rates, readers
 from ehbench.data.record import Record
 from ehbench.plant.model import Model
 from ehbench.preprocessing import initial_states, observations, plausibility, time_base
@@ -265,6 +267,33 @@ def left_out(count):
     return refusal(lambda: left.sentences(["a"] * (30 - count)))
 
 
+# --- drafts, and children that read
+
+
+def drafted(bad):
+    """Whether a draft leaves bad cells out, of which a column of a hundred has so many."""
+    column = Stub(values=np.where(np.arange(1000) < bad, np.nan, 1.0))
+    source: Any = Stub(tables=[Stub(columns=[column], size=1000)], names=lambda: {"p": (0, 0)})
+    guess: Any = Stub(channel="press.p_head", sure=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(written, "own_rows", lambda *_: {"p": np.ones(1000, bool)})
+        (line,) = written._policy(source, {"p": guess})
+    return not line.startswith("#")
+
+
+def allowed(name, size=10**9):
+    """What a reader of a file of so many bytes may use beyond the usual, a byte."""
+    seen, path = [], Path("x")
+    file: Any = Stub(absolute=lambda: path, is_dir=lambda: False)
+    file.lstat = lambda: Stub(st_size=size)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(readers, "available", lambda: 1e15)
+        patch.setattr(readers, "confined", lambda work, bounds, files: seen.append(bounds))
+        patch.setattr(readers, "received", lambda *_: None)
+        readers._confined(Stub(module="mdf", name="", package=""), file, ANY)  # pyright: ignore[reportArgumentType]
+    return round((getattr(seen[0], name) - getattr(readers.SETTINGS, name)) / size, 9)
+
+
 ROWS = [
     (PLAUSIBLE, "far_apart", lambda: [weak(1.0 / n) for n in (48.0, 52.0)],
      ["", "preprocessing.low_pressures"]),
@@ -306,6 +335,9 @@ ROWS = [
     (flowmeter.SETTINGS, "zero_share", lambda: [against(s) for s in (0.019, 0.021)], [0, 1]),
     (flowmeter.SETTINGS, "fewest_reverse", lambda: [reverse(n) for n in (3, 4)], [3, 0]),
     (flowmeter.SETTINGS, "supply_share", lambda: [doubted(s) for s in (0.0053, 0.0047)], [0, 1]),
+    (guesses.LIMITS, "few", lambda: [drafted(n) for n in (9, 11)], [True, False]),
+    (readers.SETTINGS, "swells", lambda: allowed("memory"), 100.0),
+    (readers.SETTINGS, "slowness", lambda: allowed("seconds"), 2e-5),
     (flowmeter.SETTINGS, "most_left_out", lambda: [left_out(n) for n in (10, 11)],
      ["", "data.too_many_left_out"]),
 ]  # fmt: skip

@@ -1,0 +1,507 @@
+"""Each number of controllers, their tuning and trials decides an outcome: as stated with it,
+another with a third more or less."""
+
+import math
+from contextlib import suppress
+from functools import cache
+from inspect import unwrap
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+from closed_loop import axis_of
+
+from ehbench.control import (
+    arc,
+    arc_gains,
+    functions,
+    map_learning,
+    oil_learning,
+    pressure_feedback,
+    sensor_checks,
+)
+from ehbench.control.arc_gains import Adaptation, pack_arc
+from ehbench.control.law import DesignPoint
+from ehbench.control.trajectory import pack_shaping
+from ehbench.plant.model import Model
+from ehbench.trial import checks, limit_cycle, measures, path
+from ehbench.tune import arc as arc_tune
+from ehbench.tune import arc_loop, draws, search, stability
+from tests.settings import OfKernels, refusal, shows
+from tests.shared import shipped
+
+ANY: Any = Stub()
+ARC = OfKernels(arc, "ARC")
+
+
+# --- the adaptive robust controller
+
+
+@cache
+def slide():
+    model = Model.of(shipped("slide_servo"))
+    return model, axis_of(model, 0, None)
+
+
+def gain(name, payload=0.0, valve_lag=0.01, tick=1e-3, **given):
+    """A default gain of the slide's controller."""
+    model, axis = slide()
+    supply = float(model.plant.supply.pressure)
+    point = DesignPoint(axis, tick, supply, 1e-3, valve_lag, payload=payload)
+    rules = functions.pack_rules(axis.circuit.area_rod, supply)
+    return pack_arc(point, rules, Adaptation(), {"stroke_resolution": 0.0, **given})[0][name]
+
+
+def total(**more):
+    """The sum of the bandwidths by default."""
+    return sum(float(gain(f"{word}_bandwidth", **more)) for word in ("position", "speed", "force"))
+
+
+def swing():
+    """The lowest frequency of the load on its oil [rad/s]."""
+    return min(place.swing for place in arc_gains._places(slide()[1]))
+
+
+def heaviest():
+    return round(float(gain("upper", payload=1e4)[1]), 1)
+
+
+def payload_after(pull=1.0, ticks=200):
+    """(payload, information) after so many ticks of a force of 100 N at a pull."""
+    state: Any = Stub(slow_force=0.0, slow_speed=0.0, slow_pull=0.0, estimates=np.ones(9))
+    state.information = state.evidence = state.payload = state.scatter = state.half = 0.0
+    load = Stub(mass=1.0, pull=pull, curve=0.0, damping=0.0)
+    law: Any = Stub(position_bandwidth=10.0, tick=1e-3, upper=np.full(9, 1e9))
+    axis: Any = Stub(cylinder=Stub(friction_coulomb=0.0, friction_viscous=0.0))
+    for i in range(ticks):
+        force: Any = Stub(phi_1=100.0 * pull)
+        unwrap(arc.estimate_payload)(i == 0, force, load, 0.0, 0.0, axis, law, state)
+    return round(state.payload, 9), round(state.information, 15)
+
+
+def other_payload():
+    """The change of a payload from which the oil is learnt anew, of the largest."""
+    seen = []
+    choice: Any = Stub(function=1, resting=False)
+    law = Stub(adapt_oil=1.0, adapt=1.0, tick=1e-3, speed_correction=1.0, upper=np.full(9, 100.0))
+    state = Stub(half=0.0, payload=0.0, age=1.0)
+    memory: Any = Stub(gains=[law], state=state, oil=None)
+    oil: Any = Stub(bulk=1.0, head=1.0, rod=1.0, lost_head=0.0, lost_rod=0.0)
+    axis: Any = Stub(circuit=Stub(area_head=1.0, area_rod=1.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc, "restart_for", lambda payload, other, _: seen.append(other))
+        patch.setattr(arc, "learn_oil", lambda *_: None)
+        flows: Any = Stub(head=0.0, rod=0.0)
+        unwrap(arc.estimate_bulk_modulus)(choice, flows, 0, 0.0, 0.0, oil, axis, memory)
+    return seen[0]
+
+
+def drawn(age):
+    """The share by which a calm load is drawn to the measured one, so long after a change."""
+    state: Any = Stub(age=age, calm_load=0.0)
+    law: Any = Stub(drop_corner=1.0, tick=1e-3)
+    circuit: Any = Stub(area_head=1.0, area_rod=1.0)
+    with pytest.MonkeyPatch.context() as patch, suppress(AttributeError):
+        patch.setattr(arc, "load_force", lambda *_: 1.0)
+        unwrap(arc.opened_by)(False, ANY, 0.0, ANY, ANY, circuit, law, state)
+    return round(state.calm_load, 6)
+
+
+def turned(required):
+    """Whether a required speed so many times the smallest turns a spool at standstill round."""
+    state: Any = Stub(slow_load=0.0, function=0, slow_reference=0.0, standstill=0.0, v=0.0)
+    state.slow_error = state.slow_required = 0.0
+    state.way, state.turns, state.age = -1, 0, 0.0
+    rules: Any = Stub(speed_start=1.0)
+    law: Any = Stub(tick=1e-3, position_bandwidth=10.0, rules=rules, load_corner=1.0)
+    law.speed_nudge, law.stroke_resolution, law.speed_correction = 1e-2, 0.0, 1.0
+    law.force_bandwidth = 1e9
+    axis: Any = Stub(spool=[1], circuit=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc, "steady_reference", lambda *_: 0.0)
+        patch.setattr(arc, "select", lambda *_: (0, 0))
+        patch.setattr(arc, "clip", lambda x, low, high: min(max(x, low), high))
+        reference: Any = Stub(v=0.0)
+        unwrap(arc.choose)(reference, 0.0, 0.0, 1e-2 * required, ANY, axis, law, state)
+    return state.turns
+
+
+def rests(time):
+    """Whether the controller rests after standing still so many times 1/k1."""
+    state: Any = Stub(slow_load=0.0, function=0, slow_reference=0.0, v=0.0)
+    state.slow_error = state.slow_required = 0.0
+    state.way, state.turns, state.age, state.standstill = 0, 0, 0.0, 0.1 * time
+    law: Any = Stub(tick=1e-9, position_bandwidth=10.0, rules=Stub(speed_start=1.0))
+    law.load_corner = law.force_bandwidth = law.speed_nudge = law.speed_correction = 1.0
+    law.stroke_resolution = 0.0
+    axis: Any = Stub(spool=[0], circuit=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc, "steady_reference", lambda *_: 0.0)
+        patch.setattr(arc, "select", lambda *_: (0, 0))
+        patch.setattr(arc, "clip", lambda x, low, high: min(max(x, low), high))
+        reference: Any = Stub(v=0.0)
+        return unwrap(arc.choose)(reference, 0.0, 0.0, 0.0, ANY, axis, law, state).resting
+
+
+# --- what controllers learn
+
+
+def map_error(pressed=0.0, late=0.0):
+    """The variance of an estimate of flow by what presses the oil, or what the low-pass delays."""
+    seen = []
+    maps: Any = Stub(added=[0.0, 0.0], chambers=np.zeros((2, 9)))
+    law: Any = Stub(tick=1e-3, position_bandwidth=10.0, speed_correction=1e-9, map_bandwidth=1.0)
+    state: Any = Stub(v=late, p=Stub(head=pressed, rod=pressed))
+    state.oil = Stub(bulk=1.0, head=1.0, rod=1.0, lost_head=0.0, lost_rod=0.0)
+    axis: Any = Stub(circuit=Stub(area_head=1.0, area_rod=1.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(map_learning, "follow", lambda *_: True)
+        patch.setattr(map_learning, "changed", lambda *_: 0.0)
+        patch.setattr(map_learning, "approach", lambda *_: None)
+        patch.setattr(map_learning, "correct", lambda *given: seen.append(given[2]))
+        unwrap(map_learning.learn_maps)(True, False, state, ANY, ANY, axis, law, maps)
+    return round(seen[0], 6)
+
+
+def softest(softness):
+    """What the law takes of an estimated softness of the oil."""
+    memory: Any = Stub(estimates=np.full(9, softness), softer=0.0, later=0.0, more=[0.0, 0.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(oil_learning, "lacking", lambda *_: 0.0)
+        unwrap(oil_learning.take)(1.0, memory)
+    return round(memory.softer, 3)
+
+
+# --- the choice of a function, and pressure feedback
+
+
+def filled(active, share):
+    """Whether chambers at a share of the set-point are full enough for a function."""
+    plan: Any = Stub(head=share, rod=1.0, tank=0.0)
+    rules: Any = Stub(reserve=0.0, low_pressure=1.0, supply_margin=0.0, supply_band=0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(functions, "area_of", lambda *_: 0.0)
+        return unwrap(functions.carries)(1, active, 1.0, plan, ANY, rules)
+
+
+def rule(name):
+    return round(float(functions.pack_rules(1e-3, 2e7)[name]), 6)
+
+
+def probe():
+    """The drop at which edges of a path compare."""
+    seen = []
+    edges: Any = Row(np.zeros(1, int), np.ones(1, int))
+    circuit: Any = Stub(edges=edges, maps=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(functions, "preload", lambda _: 0.0)
+        patch.setattr(functions, "widest", lambda *given: seen.append(given[2]) or 0.0)
+        patch.setattr(functions, "edge_flow", lambda *_: 0.0)
+        functions._serving(circuit, np.zeros(1, int), (0, 1))
+    return seen[0]
+
+
+def feedback(name):
+    """A gain by default, times bulk modulus over volume for the off-side's."""
+    model, axis = slide()
+    point = DesignPoint(axis, 1e-3, 2e7, 1e-3, 0.01, 0.1)
+    rules, shaping = functions.pack_rules(axis.circuit.area_rod, 2e7), pack_shaping()
+    packed: Any = pressure_feedback.pack(point, {"feedback_gain": 1e-10}, rules, shaping)
+    volume = max(pressure_feedback.chamber_oil(axis.cylinder, side, 0.1) for side in range(2))
+    scale = axis.cylinder.bulk_modulus / volume if name == "off_gain" else 1.0
+    return round(float(packed.gains[name]) * scale, 6)
+
+
+# --- checks of sensors
+
+
+def stands(times):
+    """Whether a pressure is doubted that stays so many times longer than it did before."""
+    row = [1e7, 0.0, 0.0, times - 1e-3, 1.0]
+    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
+    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e9))
+    axis.circuit = Stub(supply=[Stub(flow_limit=1e-3, pressure=2e7)])
+    p: Any = Stub(head=1e7, rod=0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensor_checks, "chamber_oil", lambda *_: 1e-3)
+        return unwrap(sensor_checks._still)(0, p, 0.1, 1e3, axis, sensors) > 0.0
+
+
+def remembered():
+    """The payload [kg] that is remembered after a second of a force of 1 kN that it makes."""
+    sensors: Any = Stub(speed=[0.0, 0.0], payload=1.0, tick=1e-3, carried=[0.0], work=None)
+    sensors.angles = None
+    model, axis = slide()
+    load: Any = Stub(damping=0.0, mass=0.0, curve=0.0, gravity=0.0, pull=1e9, lever=1.0)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (
+            ("place_joints", None),
+            ("inertias", (1.0, 0.0)),
+            ("load_at", load),
+            ("pressures", None),
+            ("load_force", 0.0),
+            ("_low_pass", (1e12, 0.0)),
+        ):
+            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        for _ in range(1000):
+            unwrap(sensor_checks._load)(np.zeros(9), 0.0, axis, sensors)
+    return round(sensors.carried[0], 3)
+
+
+# --- tuning
+
+
+def law_search():
+    """The search for a law on a load that swings at 10 rad/s and has a volume of 1 l."""
+    point = Stub(function="extend_resistive", volume_head=1e-3)
+    motion = Stub(point=point, loop=lambda _: Stub(off=np.ones(1)))
+    recipe: Any = Stub(delay=0.0, damping_ratio=0.5, washout=None, ramp_washout=None, off_gain=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search, "swing", lambda _: 10.0)
+        patch.setattr(search, "_stiffness", lambda _: (1e8, 1e8))
+        motions: Any = [motion]
+        return search.LawSearch(motions, recipe)
+
+
+def shares():
+    """Off-side gains that are tried, of the natural one."""
+    built = law_search()
+    return [round(off / math.sqrt(built.grid[1] * built.grid[-1]), 4) for off in built.offs]
+
+
+def budgets():
+    """How many budgets are tried where the first half of them keeps the demands."""
+    tried = []
+    of: Any = Stub(candidate=lambda budget: tried.append(budget) or Stub(met=budget < 0.3))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc_tune, "Search", lambda _: of)
+        patch.setattr(arc_tune, "_result", lambda *_: None)
+        arc_tune.tune_arc(ANY)
+    return len(tried), round(min(tried), 3), round(max(tried), 3)
+
+
+def loop_of(a):
+    """A sampled loop whose plant has poles of a frequency [rad/s] and damping."""
+    tick, n = 1e-3, len(a)
+    one = arc_loop.Sampled(
+        np.diag(np.exp(np.array(a) * tick)), np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1))
+    )
+    law = arc_loop.Sampled(
+        np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.full((1, 1), 1e-9)
+    )
+    return arc_loop.ArcLoop(one, law, tick, np.zeros(1, bool))
+
+
+def frequencies(damping):
+    """(how many frequencies a loop is looked at whose one mode at 100 rad/s has a damping ratio,
+    the least, the widest reach about the mode)."""
+    mode = 100.0 * (-damping + 1j * math.sqrt(1.0 - damping**2))
+    omega, _ = loop_of([mode]).loci(arc_loop.Sensing())
+    return omega.size, round(float(omega[0]), 3)
+
+
+def reach():
+    """How far about a mode of 100 rad/s and 0.1 % damping frequencies reach, in half-widths."""
+    mode = 100.0 * (-1e-3 + 1j)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(np, "geomspace", lambda *_: np.array([5.0]))
+        omega, _ = loop_of([mode]).loci(arc_loop.Sensing())
+    return round(float(omega[-1] - 100.0) / 0.1, 1), omega.size
+
+
+def slowest(omega):
+    """Growth of a loop whose growing pole swings at a frequency [rad/s]."""
+    poles = np.array([1.0 + 1j * omega, -1.0 + 100j])
+    loop = loop_of([-1.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc_loop.ArcLoop, "poles", lambda *_: poles)
+        return loop.growth(arc_loop.Sensing())
+
+
+def looked_about():
+    """How far about an eigenvalue on the axis a response is looked at, of its frequency."""
+    seen = []
+    level: Any = lambda reply: seen.append(reply) or np.ones(reply.size)  # noqa: E731
+    loop = stability.OpenLoop(np.zeros((1, 1)), np.ones(1), np.ones(1))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stability.OpenLoop, "response", lambda _, omega: omega)
+        stability._crossings(loop, np.array([100j]), level)
+    return round(float(seen[0].max()), 3), seen[0].size
+
+
+# --- trials
+
+
+def bounds(name):
+    """A bound of the strokes that a recipe leaves to its default, of them."""
+    limits: Any = Stub(following_error="auto", position_mismatch="auto")
+    cylinders: Any = {"stroke": np.ones(1)}
+    built = checks.checks_of(limits, np.ones(1, bool), cylinders, 1)
+    return float(getattr(built, name)[0])
+
+
+def highest():
+    """The largest pressure that a sensor may show by default, of the rig's highest."""
+    rig = shipped("slide_servo")
+    top = [float(rig.supply.pressure), *(float(c.relief_pressure or 0.0) for c in rig.cylinder)]
+    asked: Any = Stub(pressure_range="auto")
+    row = checks.LIMITS.index("pressure_range")
+    return round(float(checks.limit_array(asked, rig)[row]) / max(top), 6)
+
+
+def postures(length, off=0.0):
+    """Postures of a line of so many metres, each time that they are doubled, and its refusal."""
+    counts, rng = [], np.random.default_rng(1)
+
+    def polished(_, line, *__):
+        counts.append(len(line))
+        return rng.standard_normal((len(line), 1))
+
+    mover: Any = Stub(between=lambda point, q, index: q, strokes=lambda q: q)
+    mover.recipe, mover.motion = Stub(at=lambda *_: {}), Stub(where=())
+    mover.model = Stub(rig=Stub(shown=lambda *_: ""))
+    ends: Any = np.array([[0.0, 0.0, 0.0], [length, 0.0, 0.0]])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(path, "_polished", polished)
+        patch.setattr(path, "_tip_slope", lambda _, q: np.full((len(q), 1), off))
+        refused = refusal(lambda: path._leg(mover, ends, np.zeros(1), 1))
+    return counts, refused
+
+
+def tried():
+    """How many postures are tried for a point that none of seven joints reaches."""
+    count = []
+    nowhere: Any = Stub(there=False, miss=1.0)
+    model = Stub(posture=lambda _: np.zeros(7))
+    chain = Stub(low=np.zeros(7), high=np.ones(7))
+    mover: Any = Stub(model=model, recipe=Stub(posture=None), chain=chain, free=[True] * 7)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(path, "reach", lambda *_: count.append(1) or nowhere)
+        path.Mover.first(mover, np.zeros(3))
+    return len(count)
+
+
+def drawn_for():
+    """Over how many of fifty operating points draws are judged."""
+    points = [Stub(counts=True, damping_ratio_closed=0.1) for _ in range(50)]
+    study: Any = Stub(recipe=Stub(draws=1, seed=1, damping_ratio=0.5), rig=Stub())
+    study.rig.with_values, study.motions = lambda _: None, points
+    seen: Any = points
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(draws, "uncertain", lambda _: ("a",))
+        patch.setattr(draws, "draw_parameters", lambda *_: np.zeros((1, 1)))
+        patch.setattr(draws, "_worst_of_draw", lambda *given: 1.0)
+        return draws.robustness(study, seen, ANY, {}, None, lambda _: None).points
+
+
+def openings():
+    """The openings that are compared, of an edge that opens from 1 V to 10 V."""
+    record = {"e.flow_desired": np.ones(9), "v.command": np.full(9, 10.0)}
+    record |= {"p_supply": np.full(9, 2e7), "c.p_head": np.zeros(9)}
+    ends = Stub(from_="supply", to="head")
+    design: Any = Stub(edges=("e",), valves=("v",), cylinder="c")
+    design.circuit = Stub(edges=[Stub(sign=1.0, valve=0)], first=0, maps=None)
+    design.rig = Stub(all_edges=lambda: {"e": ends})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measures, "edge_onset", lambda *_: 1.0)
+        use = measures._use(design, 0, record, 9)  # pyright: ignore[reportArgumentType]
+    assert use is not None
+    return np.round(use.commands[[0, -1]], 3).tolist(), use.commands.size
+
+
+def often(turns):
+    """Whether a swing of 100 periods is the reference's, which turns round so often."""
+    t = np.linspace(0.0, 1.0, 4001)
+    desired = np.abs((t * (turns + 1)) % 2.0 - 1.0)
+    result: Any = Stub(duration=100.0, period=1.0, amplitude=1e9)
+    with pytest.MonkeyPatch.context() as patch, suppress(AttributeError):
+        patch.setattr(limit_cycle.np, "hanning", lambda n: np.zeros(n))
+        return bool(limit_cycle._follows_reference(t, desired, result))
+    return False
+
+
+class Row:
+    """Edges from and to some nodes, of which each is one."""
+
+    def __init__(self, from_node, to_node):
+        self.from_node, self.to_node, self.blocked = from_node, to_node, np.zeros(1)
+
+    def __getitem__(self, _):
+        return None
+
+
+ROWS = [
+    (arc_gains.ARC_GAINS, "spare", heaviest, 11500.0),
+    (arc_gains.ARC_GAINS, "budget", lambda: round(0.011 * total(), 6), 0.1092),
+    (arc_gains.ARC_GAINS, "undamped", lambda: round(0.011 * total(), 6), 0.1092),
+    (arc_gains.ARC_GAINS, "faster",
+     lambda: round(float(gain("bandwidth_limit")) / swing(), 6), 3.9),
+    (arc_gains.ARC_GAINS, "observer",
+     lambda: round(float(gain("observer_bandwidth")) / total(), 6), 6.0),
+    (arc_gains.ARC_GAINS, "fastest_observer",
+     lambda: float(gain("observer_bandwidth", valve_lag=0.0)), 500.0),
+    (arc_gains.ARC_GAINS, "slowest_observer", lambda: round(
+        float(gain("observer_bandwidth", stroke_resolution=1.0) / gain("position_bandwidth")), 6),
+     2.0),
+    (arc_gains.ARC_GAINS, "pressure_rate", lambda: round(
+        float(gain("pressure_rate")) / float(slide()[0].plant.supply.pressure), 6), 3.0),
+    (arc_gains.ARC_GAINS, "robust", lambda: float(gain("robust_limit")), 0.05),
+    (arc_gains.ARC_GAINS, "nudge", lambda: round(
+        float(gain("speed_nudge") / gain("speed_correction")), 6), 0.01),
+    (ARC, "payload_memory", lambda: payload_after()[0], 30.954915149),
+    (ARC, "weak_pull", lambda: payload_after(0.5)[0], 25.407858813),
+    (ARC, "no_information", lambda: payload_after(0.0, 1)[1], 1e-6),
+    (ARC, "other_payload", other_payload, 15.0),
+    (ARC, "fresh", lambda: drawn(0.1), 0.030524),
+    (ARC, "reversal", lambda: [turned(n) for n in (3.8, 4.2)], [0, 1]),
+    (ARC, "settled", lambda: [rests(n) for n in (2.9, 3.1)], [False, True]),
+    (OfKernels(map_learning, "MAP_LEARNING"), "squeezed", lambda: map_error(pressed=1.0),
+     4805.843906),
+    (OfKernels(map_learning, "MAP_LEARNING"), "unsteady", lambda: map_error(late=1.0), 3.003652),
+    (OfKernels(oil_learning, "OIL_LEARNING"), "softest",
+     lambda: [softest(s) for s in (-1.0, 9.0)], [-0.6, 1.5]),
+    (OfKernels(functions, "FUNCTION"), "filled", lambda: [filled(False, s) for s in (0.48, 0.52)],
+     [False, True]),
+    (OfKernels(functions, "FUNCTION"), "filled_active",
+     lambda: [filled(True, s) for s in (0.24, 0.26)], [False, True]),
+    (OfKernels(functions, "FUNCTION"), "pressures", lambda: functions.default_pressure(20.0), 1.0),
+    (OfKernels(functions, "FUNCTION"), "power_band", lambda: rule("power_band"), 0.05),
+    (OfKernels(functions, "FUNCTION"), "probe_drop", probe, 1e6),
+    (OfKernels(pressure_feedback, "DEFAULTS"), "off_rate", lambda: feedback("off_gain"), 10.0),
+    (OfKernels(pressure_feedback, "DEFAULTS"), "load_corner", lambda: feedback("load_corner"),
+     6.283185),
+    (OfKernels(sensor_checks, "SENSORS"), "usual", lambda: [stands(n) for n in (4.9, 5.1)],
+     [False, True]),
+    (OfKernels(sensor_checks, "SENSORS"), "carried", remembered, 95.167),
+    (search.SEARCH, "corners", lambda: [round(c, 4) for c in law_search().corners[::21]],
+     [25.0, 0.2]),
+    (search.SEARCH, "offs", lambda: shares(), [0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0]),
+    (arc_tune.ARC_SEARCH, "refinements", budgets, (15, 0.08, 1.2)),
+    (arc_tune.ARC_SEARCH, "budgets", budgets, (15, 0.08, 1.2)),
+    (arc_loop.ARC_LOOP, "slowest", lambda: [slowest(w) for w in (2.8, 3.2)], [-1.0, 1.0]),
+    (arc_loop.ARC_LOOP, "rings", lambda: [frequencies(z)[0] for z in (0.28, 0.32)], [538, 500]),
+    (arc_loop.ARC_LOOP, "points", lambda: frequencies(0.9)[0], 500),
+    (arc_loop.ARC_LOOP, "peak", lambda: reach()[0], 8.2),
+    (arc_loop.ARC_LOOP, "peak_points", lambda: reach()[1], 42),
+    (stability.STABILITY, "around", lambda: looked_about()[0], 103.0),
+    (stability.STABILITY, "points", lambda: looked_about()[1], 61),
+    (checks.CHECKS, "following", lambda: bounds("following"), 0.1),
+    (checks.CHECKS, "mismatch", lambda: bounds("mismatch"), 0.05),
+    (checks.CHECKS, "range", lambda: highest(), 3.0),
+    (path.PATH, "spacing", lambda: postures(1.0)[0], [201]),
+    (path.PATH, "postures", lambda: postures(0.01)[0], [33]),
+    (path.PATH, "doublings", lambda: postures(1.0, 1.0), ([201, 401, 801, 1601],
+     "trial.near_singular")),
+    (path.PATH, "tries", tried, 65),
+    (search.SEARCH, "draw_points", drawn_for, 24),
+    (measures.MEASURES, "openings", openings, ([2.35, 10.0], 12)),
+    (limit_cycle.LIMIT_CYCLE, "harmonics", lambda: [often(n) for n in (24, 26)], [False, True]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
+)
+def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
+    shows(settings, name, scenario, outcome)
