@@ -17,13 +17,16 @@ from ehbench.control import (
     arc_gains,
     functions,
     map_learning,
+    monitor,
     oil_learning,
     pressure_feedback,
     sensor_checks,
 )
+from ehbench.control import position as position_law
 from ehbench.control.arc_gains import Adaptation, pack_arc
 from ehbench.control.law import DesignPoint
 from ehbench.control.trajectory import pack_shaping
+from ehbench.parts.sample import OF, entry
 from ehbench.plant.model import Model
 from ehbench.trial import checks, limit_cycle, measures, path
 from ehbench.tune import arc as arc_tune
@@ -32,7 +35,10 @@ from tests.settings import OfKernels, refusal, shows
 from tests.shared import shipped
 
 ANY: Any = Stub()
-ARC = OfKernels(arc, "ARC")
+ARC, RULES = OfKernels(arc, "ARC"), OfKernels(functions, "FUNCTION")
+MAPS, OIL = OfKernels(map_learning, "MAP_LEARNING"), OfKernels(oil_learning, "OIL_LEARNING")
+MONITOR, SENSORS = OfKernels(monitor, "MONITOR"), OfKernels(sensor_checks, "SENSORS")
+RATES, SWINGS = [23.35, 66640000.0, 51560000.0, 6.533], [266.2, 219.4, 201.9, 200.3, 216.0]
 
 
 # --- the adaptive robust controller
@@ -44,13 +50,64 @@ def slide():
     return model, axis_of(model, 0, None)
 
 
-def gain(name, payload=0.0, valve_lag=0.01, tick=1e-3, **given):
+def gain(name="standby", payload=0.0, valve_lag=0.01, tick=1e-3, **given):
     """A default gain of the slide's controller."""
     model, axis = slide()
     supply = float(model.plant.supply.pressure)
     point = DesignPoint(axis, tick, supply, 1e-3, valve_lag, payload=payload)
     rules = functions.pack_rules(axis.circuit.area_rod, supply)
     return pack_arc(point, rules, Adaptation(), {"stroke_resolution": 0.0, **given})[0][name]
+
+
+def rates(**more):
+    """Rates of adaptation, to four digits."""
+    return [float(f"{rate:.4g}") for rate in gain("rate", **more)]
+
+
+def place(swing, damping):
+    return arc_gains._Place(ANY, 0.0, swing, damping)
+
+
+def sum_of(swing, damping):
+    """k1 + k2 + k3 for a load that swings at a frequency with a damping, after 10 ms."""
+    point: Any = Stub(valve_lag=9e-3, tick=1e-3)
+    return round(arc_gains._total(point, Adaptation(), [place(swing, damping)]), 3)
+
+
+def overlap(onset):
+    """The error of a deadband, of the range, where one is known of so much of it, or none."""
+    model, axis = slide()
+    circuit = axis.circuit
+    widest = float(np.abs(circuit.highest).max())
+    axis = axis._replace(onset=np.full_like(axis.onset, onset * widest))
+    point = DesignPoint(axis, 1e-3, 2e7, 1e-3, 0.01)
+    packed = pack_arc(point, functions.pack_rules(circuit.area_rod, 2e7), Adaptation(), {})[0]
+    return round(float(packed.deadband_error) / widest, 6)
+
+
+def drop_corner():
+    """The corner of the drop on a load-sensing pump, of the load's frequency."""
+    model, axis = slide()
+    supply = axis.circuit.supply.copy()
+    supply.margin[:] = 1e6
+    axis = axis._replace(circuit=axis.circuit._replace(supply=supply))
+    point = DesignPoint(axis, 1e-3, 2e7, 1e-3, 0.01)
+    packed = pack_arc(point, functions.pack_rules(axis.circuit.area_rod, 2e7), Adaptation(), {})[0]
+    return round(float(packed.drop_corner) / swing(), 6)
+
+
+def swings():
+    """The load's frequency at the strokes that are checked [rad/s]."""
+    return [round(item.swing, 1) for item in arc_gains._places(slide()[1])[1:]]
+
+
+def position(lag):
+    """The bandwidth of position control by default, at a lag of the valve [s]."""
+    point = DesignPoint(slide()[1], 1e-9, 2e7, 1e-3, lag)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(position_law, "hydraulic_frequency", lambda _: 1e3)
+        patch.setattr(position_law, "reference_load", lambda _: (Stub(damping=0.0, mass=1e9), 0.0))
+        return round(position_law.default_bandwidth(point), 4)
 
 
 def total(**more):
@@ -144,7 +201,120 @@ def rests(time):
         return unwrap(arc.choose)(reference, 0.0, 0.0, 0.0, ANY, axis, law, state).resting
 
 
+def load_ahead():
+    """How far ahead a load is asked for, in s, at 1 m/s."""
+    places, axis = [], ANY
+    memory: Any = Stub(angles=None, work=None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc, "load_at", lambda _, q, *__: places.append(q) or Stub(lever=1.0))
+        unwrap(arc.loads_along)(np.zeros(4), 0.0, 1.0, 1.0, axis, memory)
+    return places[1]
+
+
+def raised(less):
+    """By how much of the supply's pressure an off-side's goal is raised at most."""
+    state: Any = Stub(raised=0.0)
+    memory: Any = Stub(state=state, oil=None)
+    choice: Any = Stub(function=1, spool=False, load=0.0)
+    circuit: Any = Stub(area_head=1.0, area_rod=1.0, supply=[Stub(margin=0.0)])
+    law: Any = Stub(flow_reserve=0.06, low_pressure=0.0)
+    p: Any = Stub(supply=1.0, tank=0.0)
+    flows = iter([1.0, 2.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc, "METERING", [arc.SUPPLY_HEAD] * 9)
+        patch.setattr(arc, "supply_pressure", lambda *_: 1.0)
+        patch.setattr(arc, "lacking", lambda *_: 0.0)
+        patch.setattr(arc, "carried", lambda *_: next(flows))
+        patch.setattr(arc, "RAISED", [False] * 9)
+        patch.setattr(arc, "DIRECTION", [1] * 9)
+        unwrap(arc.provide_headroom)(choice, (0.0, less), p, circuit, law, memory)
+    return round(state.raised, 6)
+
+
+def felt(margins):
+    """Whether a pump of a margin feels a swing at a drop of so many margins."""
+    state: Any = Stub(slow_drop=0.0, supply_swing=0.0)
+    circuit: Any = Stub(supply=[Stub(margin=1.0, lag=0.0, pressure=9e9)])
+    choice: Any = Stub(function=1, spool=True)
+    p: Any = Stub(supply=margins, head=0.0, rod=0.0)
+    law: Any = Stub(tick=1e-3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc, "supply_draw", lambda *_: 1.0)
+        unwrap(arc.calm_supply)(choice, 1.0, 1.0, 1.0, p, circuit, law, state)
+    return bool(state.supply_swing)
+
+
 # --- what controllers learn
+
+
+def known_maps():
+    """Standard errors of a gain and of two shifts at the start, the first of a known deadband."""
+    maps: Any = Stub(chambers=np.zeros((2, 2)), trim=np.zeros((2, 2)), edges=np.zeros((2, 10)))
+    law: Any = Stub(map_error=1.0, deadband_error=1.0)
+    p: Any = Stub(head=0.0, rod=0.0)
+    unwrap(map_learning.begin)(p, np.array([1.0, 0.0]), law, maps)
+    sizes = np.sqrt(maps.edges[:, [map_learning.VAR_GAIN, map_learning.VAR_SHIFT]])
+    return np.round(sizes, 6).tolist()
+
+
+def map_share(changed, steady=0.0):
+    """(variance, least flow) of a comparison whose flow changes by a share of the largest."""
+    seen = []
+    maps: Any = Stub(added=[0.0, 0.0], chambers=np.zeros((2, 9)))
+    law: Any = Stub(tick=1e-3, position_bandwidth=10.0, speed_correction=1.0, map_bandwidth=1.0)
+    state: Any = Stub(v=0.0, p=Stub(head=0.0, rod=0.0))
+    state.oil = Stub(bulk=1.0, head=1.0, rod=1.0, lost_head=0.0, lost_rod=0.0)
+    axis: Any = Stub(circuit=Stub(area_head=1.0, area_rod=1.0))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(map_learning, "follow", lambda *_: True)
+        patch.setattr(map_learning, "changed", lambda *_: changed)
+        patch.setattr(map_learning, "approach", lambda *_: None)
+        patch.setattr(map_learning, "correct", lambda *given: seen.append(given))
+        unwrap(map_learning.learn_maps)(True, False, state, ANY, ANY, axis, law, maps)
+    return float(f"{seen[0][2]:.4g}"), seen[0][3]
+
+
+def quiet_maps(time):
+    """Whether flows that were quiet for so many 1/corner are compared."""
+    maps: Any = Stub(clock=[time / 20.0 - 1e-3])
+    circuit: Any = Stub(count=0)
+    law: Any = Stub(tick=1e-3, valve_lead=0.0, position_bandwidth=10.0)
+    axis: Any = Stub(circuit=circuit)
+    return bool(unwrap(map_learning.follow)(True, ANY, ANY, axis, law, maps))
+
+
+def oil_after(quiet=9.0, rows=1):
+    """What least squares are asked for after flows were quiet for so many 1/corner: how often, and
+    the variance of what is missing; the share that the law takes."""
+    asked, taken = [], []
+    memory: Any = Stub(late=0.0, pressed=[0.0, 0.0], passed=[0.0, 0.0], load=[0.0, 0.0])
+    memory.quiet = quiet / 50.0 - 1e-3
+    law: Any = Stub(tick=1e-3, force_bandwidth=50.0, valve_lead=0.0, position_bandwidth=10.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(oil_learning, "pass_twice", lambda *_: None)
+        patch.setattr(oil_learning, "correct_oil", lambda *given: asked.append(given[4]))
+        patch.setattr(oil_learning, "take", lambda part, _: taken.append(part))
+        unwrap(oil_learning.learn_oil)(True, 0.0, 0.0, 1.0, 0.0, law, memory)
+    return [round(x, 9) for x in asked], round(taken[0], 9)
+
+
+def lacks(share):
+    memory: Any = Stub(estimates=np.full(4, share))
+    return unwrap(oil_learning.lacking)(1, memory)
+
+
+def credited(share):
+    memory: Any = Stub(passed=[0.0, 1.0], quiet=0.0, estimates=np.zeros(4), covariance=np.eye(4))
+    unwrap(oil_learning.credit_maps)(share, memory)
+    return round(float(memory.estimates.sum()), 6)
+
+
+def unsure_after():
+    """The variances of estimates of the oil after a second that tells nothing, of the first."""
+    memory: Any = Stub(estimates=np.zeros(4), covariance=np.zeros((4, 4)))
+    memory.regressors, memory.part = np.zeros(4), np.zeros(4)
+    unwrap(oil_learning.correct_oil)(0.0, 0.0, 0.0, 0.0, 1.0, 1.0, memory)
+    return np.round(np.diag(memory.covariance) / oil_learning.FIRST**2, 6).tolist()
 
 
 def map_error(pressed=0.0, late=0.0):
@@ -211,6 +381,119 @@ def feedback(name):
     volume = max(pressure_feedback.chamber_oil(axis.cylinder, side, 0.1) for side in range(2))
     scale = axis.cylinder.bulk_modulus / volume if name == "off_gain" else 1.0
     return round(float(packed.gains[name]) * scale, 6)
+
+
+# --- the monitor
+
+
+def chamber(speed=0.0, flow=0.0):
+    """The deviation of what passed a chamber of 1 m², of which a valve was to pass so much."""
+    rows = np.zeros((1, monitor.COLUMNS))
+    rows[0, monitor.HEAD] = flow
+    memory: Any = Stub(chambers=np.full((2, 2), math.nan), tick=1e-3, rows=rows)
+    cylinder = Stub(area_head=1.0, leakage_internal=0.0, leakage_head=0.0, bulk_modulus=1.0)
+    axis: Any = Stub(cylinder=cylinder)
+    p: Any = Stub(head=0.0, rod=0.0, tank=0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(monitor, "chamber_oil", lambda *_: 0.0)
+        _, variance = unwrap(monitor._chamber)(0, 0.0, p, 0.0, 0.1, axis, memory)
+    return round(math.sqrt(variance), 6)
+
+
+def shifted():
+    """The opening by which a deadband may be off, of a range of 20 V."""
+    asked = []
+    memory: Any = Stub(
+        tick=1e-3, lag=0.0, valves=np.zeros(1, int), rows=np.zeros((1, monitor.COLUMNS))
+    )
+    circuit: Any = Stub(highest=[10.0], lowest=[-10.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(monitor, "_expected", lambda _, u, *__: asked.append(u) or (0.0, 0.0))
+        unwrap(monitor._follow)(ANY, [0.0], circuit, memory)
+    return round(asked[1], 6)
+
+
+def score(kind, beyond):
+    """What a flow beyond the expected adds to a score, of a valve that was to pass 1."""
+    row = np.ones(monitor.COLUMNS)
+    row[[monitor.ROD, monitor.WIDE_ROD]] = 0.0
+    return unwrap(monitor._gain)(kind, row, beyond, 0.0, 1.0)
+
+
+def idle_score():
+    return unwrap(monitor._gain)(monitor.SHUT, np.zeros(monitor.COLUMNS), 1.0, 0.0, 1.0)
+
+
+def blamed(height):
+    """Whether a score of a stroke is a fault."""
+    scores = np.zeros(sensor_checks.RESIDUALS)
+    scores[sensor_checks.STROKE] = height
+    sensors: Any = Stub(scores=scores, doubts=np.zeros(2))
+    return unwrap(sensor_checks._blamed)(0, 1, True, sensors) >= 0
+
+
+def passed_low():
+    """What is left of 1 that came and goes, after a tick of 1 ms."""
+    sensors: Any = Stub(low=np.ones(9), tick=1e-3)
+    return round(float(unwrap(sensor_checks._low_pass)(0.0, 0, sensors)[0]), 6)
+
+
+def checked(x=0.5, others=0.0, turned=0.0):
+    """(deviation of a stroke and of a force, whether a load is weighed, whether the stroke moves as
+    the angle) at a stroke of 1 m, others at a speed and a joint that turns by itself."""
+    seen: dict = {}
+    sample = np.zeros(200)
+    sample[[entry(0, OF.x), entry(1, OF.v), entry(0, OF.qd)]] = x, others, turned
+    sensors: Any = Stub(speed=np.zeros(2), tick=1e-3, steady=True, jumped=np.zeros(2))
+    sensors.lines = np.zeros(2)
+    cylinder = Stub(stroke=1.0, area_head=1.0)
+    circuit = Stub(number=0, cylinder=0, supply=[Stub(pressure=1.0)])
+    axis: Any = Stub(circuit=circuit, cylinder=cylinder)
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (
+            ("linkage_of", (0.0, 1.0, 0.0)),
+            ("_doubt", None),
+            ("_load", (7.0, 0.0, 1.0, 0.0)),
+            ("_still", 0.0),
+            ("pressures", None),
+            ("_low_pass", (0.0, 0.0)),
+            ("cylinders_in", 2),
+        ):
+            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        patch.setattr(sensor_checks, "_score", lambda k, *given: seen.update({k: given}))
+        patch.setattr(sensor_checks, "_blamed", lambda *given: given[2])
+        moved = unwrap(sensor_checks.wrong_sensor)(sample, 0.0, 0.0, True, axis, sensors)
+    sizes = [seen[k][1] for k in (sensor_checks.STROKE, sensor_checks.STUCK_HEAD)]
+    return np.round(np.sqrt(sizes), 6).tolist(), seen[sensor_checks.LOAD][0] == 7.0, bool(moved)
+
+
+def weighed(force=0.0, payload=0.0, damping=0.0):
+    """(what a load is beyond all payloads, its deviation) for a force beyond a load of 1 N/kg."""
+    sensors: Any = Stub(speed=[0.0, 0.0], payload=payload, tick=1e-3, carried=[0.0], work=None)
+    sensors.angles = None
+    load: Any = Stub(damping=damping, mass=0.0, curve=0.0, gravity=0.0, pull=1.0, lever=1.0)
+    cylinder = Stub(area_head=1.0, area_rod=1.0, friction_viscous=0.0, friction_coulomb=0.0)
+    axis: Any = Stub(cylinder=cylinder, circuit=Stub(cylinder=0, supply=[Stub(pressure=1.0)]))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (
+            ("place_joints", None),
+            ("inertias", (1.0, 0.0)),
+            ("load_at", load),
+            ("pressures", None),
+            ("load_force", 0.0),
+            ("_low_pass", (force, 0.0)),
+        ):
+            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        e, _, unsure, _ = unwrap(sensor_checks._load)(np.zeros(9), 1.0, axis, sensors)
+    return round(e, 6), round(math.sqrt(unsure), 6)
+
+
+def doubt_left():
+    """What is left after a second of what tells two pressures apart."""
+    sensors: Any = Stub(doubts=np.ones(2), tick=0.1)
+    axis: Any = Stub(cylinder=Stub(area_head=1.0, area_rod=1.0))
+    unwrap(sensor_checks._doubt)(0.0, 0.0, axis, sensors)
+    return round(float(sensors.doubts[0]), 6)
 
 
 # --- checks of sensors
@@ -449,6 +732,75 @@ ROWS = [
     (arc_gains.ARC_GAINS, "robust", lambda: float(gain("robust_limit")), 0.05),
     (arc_gains.ARC_GAINS, "nudge", lambda: round(
         float(gain("speed_nudge") / gain("speed_correction")), 6), 0.01),
+    (arc_gains.ARC_GAINS, "shares", rates, RATES),
+    (arc_gains.ARC_GAINS, "adaptation", rates, RATES),
+    (arc_gains.ARC_GAINS, "reserve", rates, RATES),
+    (arc_gains.ARC_GAINS, "adaptation_bulk", rates, RATES),
+    (arc_gains.ARC_GAINS, "link", lambda: round(
+        float(gain("upper")[1] / slide()[1].mechanism.links[-1].mass), 6), 1.5),
+    (arc_gains.ARC_GAINS, "inertia", lambda: round(float(gain("upper")[0]), 6), 1.1),
+    (arc_gains.ARC_GAINS, "disturbance", lambda: round(float(gain("upper")[2] / (
+        slide()[0].plant.supply.pressure * slide()[1].circuit.area_head)), 6), 0.03),
+    (arc_gains.ARC_GAINS, "bulk",
+     lambda: refusal(gain) or round(float(gain("upper")[3]), 6), 1.4),
+    (arc_gains.ARC_GAINS, "damping", lambda: sum_of(150.0, 10.0), 24.095),
+    (arc_gains.ARC_GAINS, "parts", lambda: [round(
+        float(gain(f"{word}_bandwidth")) * 0.011 / 0.1092, 6)
+        for word in ("position", "speed", "force")], [0.2, 0.18, 0.62]),
+    (arc_gains.ARC_GAINS, "overlap", lambda: overlap(0.0), 0.03),
+    (arc_gains.ARC_GAINS, "onset", lambda: overlap(0.4), 0.1),
+    (arc_gains.ARC_GAINS, "maps", lambda: round(
+        float(gain("map_bandwidth") / gain("position_bandwidth")), 6), 0.12),
+    (arc_gains.ARC_GAINS, "count", lambda: round(float(
+        gain("observer_bandwidth", stroke_resolution=2e-3) * 2e-3 / gain("speed_correction")), 6),
+     0.08),
+    (arc_gains.ARC_GAINS, "pressure", lambda: round(
+        float(gain("pressure_bandwidth")) / total(), 6), 0.6),
+    (arc_gains.ARC_GAINS, "standby",
+     lambda: refusal(gain) or float(gain("standby")), 0.8),
+    (arc_gains.ARC_GAINS, "flow_reserve", lambda: float(gain("flow_reserve")), 0.06),
+    (arc_gains.ARC_GAINS, "map_error", lambda: float(gain("map_error")), 0.25),
+    (arc_gains.ARC_GAINS, "corner", drop_corner, 0.15),
+    (arc_gains.ARC_GAINS, "strokes", swings, SWINGS),
+    (OfKernels(position_law, "POSITION"), "lag_budget", lambda: position(1.0), 0.2),
+    (OfKernels(position_law, "POSITION"), "damping_ratio", lambda: position(1e-3), 20.0),
+    (ARC, "ahead", load_ahead, 1e-3),
+    (ARC, "smaller", lambda: raised(9.0), 0.15),
+    (ARC, "follows", lambda: [felt(n) for n in (1.45, 1.55)], [True, False]),
+    (MAPS, "first", known_maps, [[0.4, 0.1], [0.4, 0.4]]),
+    (MAPS, "known", known_maps, [[0.4, 0.1], [0.4, 0.4]]),
+    (MAPS, "scatter", lambda: map_share(9.0), (0.00045, 0.015)),
+    (MAPS, "corner", lambda: map_share(9.0), (0.00045, 0.015)),
+    (MAPS, "least", lambda: map_share(9.0), (0.00045, 0.015)),
+    (MAPS, "steady", lambda: map_share(0.0)[0], 0.01125),
+    (MAPS, "apart", lambda: map_share(0.02)[0], 0.001023),
+    (MAPS, "quiet", lambda: [quiet_maps(n) for n in (1.9, 2.1)], [False, True]),
+    (OIL, "quiet", lambda: [len(oil_after(n)[0]) for n in (2.9, 3.1)], [0, 1]),
+    (OIL, "scatter", oil_after, ([0.008], 0.02)),
+    (OIL, "corner", oil_after, ([0.008], 0.02)),
+    (OIL, "rate", oil_after, ([0.008], 0.02)),
+    (OIL, "largest", lambda: [lacks(s) for s in (-9.0, 9.0)], [-0.25, 0.25]),
+    (OIL, "apart", lambda: [credited(s) for s in (-9.0, 9.0)], [-0.05, 0.05]),
+    (OIL, "memory", unsure_after, [0.033333] * 4),
+    (MONITOR, "speed", chamber, 5e-3),
+    (MONITOR, "model", lambda: chamber(flow=1e3), 150.0),
+    (MONITOR, "opening", shifted, 0.6),
+    (MONITOR, "share", lambda: [score(monitor.SHUT, -s) > -4.0 for s in (0.65, 0.69)],
+     [False, True]),
+    (MONITOR, "excess", lambda: [score(monitor.OPEN, s) > -4.0 for s in (0.95, 1.05)],
+     [False, True]),
+    (OfKernels(monitor, "SCORES"), "drift", idle_score, -4.0),
+    (OfKernels(sensor_checks, "SCORES"), "alarm", lambda: [blamed(s) for s in (29.0, 31.0)],
+     [False, True]),
+    (OfKernels(sensor_checks, "SCORES"), "corner", passed_low, 0.943396),
+    (SENSORS, "stroke", lambda: checked()[0], [0.004, 0.03]),
+    (SENSORS, "force", lambda: checked()[0], [0.004, 0.03]),
+    (SENSORS, "ends", lambda: [checked(x)[1] for x in (0.0095, 0.0105, 0.9895, 0.9905)],
+     [False, True, True, False]),
+    (SENSORS, "moving", lambda: [checked(others=v)[1] for v in (0.021, 0.019)], [False, True]),
+    (SENSORS, "payload", lambda: [weighed(f, 100.0)[0] for f in (119.0, 121.0)], [0.0, 1.0]),
+    (SENSORS, "unsure", lambda: weighed(damping=10.0)[1], 3.00015),
+    (SENSORS, "memory", doubt_left, 0.7),
     (ARC, "payload_memory", lambda: payload_after()[0], 30.954915149),
     (ARC, "weak_pull", lambda: payload_after(0.5)[0], 25.407858813),
     (ARC, "no_information", lambda: payload_after(0.0, 1)[1], 1e-6),
@@ -456,24 +808,31 @@ ROWS = [
     (ARC, "fresh", lambda: drawn(0.1), 0.030524),
     (ARC, "reversal", lambda: [turned(n) for n in (3.8, 4.2)], [0, 1]),
     (ARC, "settled", lambda: [rests(n) for n in (2.9, 3.1)], [False, True]),
-    (OfKernels(map_learning, "MAP_LEARNING"), "squeezed", lambda: map_error(pressed=1.0),
+    (MAPS, "squeezed", lambda: map_error(pressed=1.0),
      4805.843906),
-    (OfKernels(map_learning, "MAP_LEARNING"), "unsteady", lambda: map_error(late=1.0), 3.003652),
-    (OfKernels(oil_learning, "OIL_LEARNING"), "softest",
+    (MAPS, "unsteady", lambda: map_error(late=1.0), 3.003652),
+    (OIL, "softest",
      lambda: [softest(s) for s in (-1.0, 9.0)], [-0.6, 1.5]),
-    (OfKernels(functions, "FUNCTION"), "filled", lambda: [filled(False, s) for s in (0.48, 0.52)],
+    (RULES, "filled", lambda: [filled(False, s) for s in (0.48, 0.52)],
      [False, True]),
-    (OfKernels(functions, "FUNCTION"), "filled_active",
+    (RULES, "filled_active",
      lambda: [filled(True, s) for s in (0.24, 0.26)], [False, True]),
-    (OfKernels(functions, "FUNCTION"), "pressures", lambda: functions.default_pressure(20.0), 1.0),
-    (OfKernels(functions, "FUNCTION"), "power_band", lambda: rule("power_band"), 0.05),
-    (OfKernels(functions, "FUNCTION"), "probe_drop", probe, 1e6),
+    (RULES, "pressures", lambda: functions.default_pressure(20.0), 1.0),
+    (RULES, "speed_start", lambda: rule("speed_start"), 2e-4),
+    (RULES, "speed_stop", lambda: rule("speed_stop"), 1e-4),
+    (RULES, "sure", lambda: rule("speed_sure"), 1e-3),
+    (RULES, "corner", lambda: rule("desired_corner"), 20.0),
+    (RULES, "reserve", lambda: rule("reserve"), 0.2),
+    (RULES, "dwell", lambda: rule("dwell"), 0.1),
+    (RULES, "power_band", lambda: rule("power_band"), 0.05),
+    (RULES, "probe_drop", probe, 1e6),
     (OfKernels(pressure_feedback, "DEFAULTS"), "off_rate", lambda: feedback("off_gain"), 10.0),
     (OfKernels(pressure_feedback, "DEFAULTS"), "load_corner", lambda: feedback("load_corner"),
      6.283185),
-    (OfKernels(sensor_checks, "SENSORS"), "usual", lambda: [stands(n) for n in (4.9, 5.1)],
+    (OfKernels(pressure_feedback, "DEFAULTS"), "drop_floor", lambda: feedback("drop_floor"), 2e4),
+    (SENSORS, "usual", lambda: [stands(n) for n in (4.9, 5.1)],
      [False, True]),
-    (OfKernels(sensor_checks, "SENSORS"), "carried", remembered, 95.167),
+    (SENSORS, "carried", remembered, 95.167),
     (search.SEARCH, "corners", lambda: [round(c, 4) for c in law_search().corners[::21]],
      [25.0, 0.2]),
     (search.SEARCH, "offs", lambda: shares(), [0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0]),
