@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ehbench.data.record import Record
-from ehbench.frequency_response import response
+from ehbench.frequency_response import response, transfer
 from ehbench.guidance import comparison
 from ehbench.identification import (
     basins,
@@ -19,6 +19,7 @@ from ehbench.identification import (
     sensitivity,
     simulator,
 )
+from ehbench.identification import estimate as estimates
 from ehbench.identification.results import Lean, Moved
 from ehbench.validation import held_out
 from tests import analytic_fit
@@ -197,15 +198,171 @@ def void():
     return int(np.sum(~simulator._counts("log", SLIDE, log, ("press.p_head",))[0]))
 
 
-def late(errors):
-    """Whether a response is late by so many times its error."""
-    band: Any = Stub(lateness=lambda *_: (0.1, 0.1 / errors), command="u")
+def late(errors, ticks=100.0):
+    """Whether a response is late by so many times its error, and samples."""
+    shift = 1e-3 * ticks
+    band: Any = Stub(lateness=lambda *_: (shift, shift / errors), command="u")
     log: Any = Stub(band=band, channels=("v",), name="log")
     log.record, log.recorded = Stub(sample_time=1e-3), np.zeros((9, 1))
     return len(frequency_domain.late_responses(log, np.zeros((9, 1))))
 
 
+def touched(size):
+    """Whether a parameter counts in a log in which it does so much of what it does in all."""
+    seen = []
+    asked = analytic_fit.problem()
+
+    class Ended(Exception):
+        """The search is over where it would begin."""
+
+    def over(_, state, __):
+        seen.append(state.influence)
+        raise Ended
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Ended):
+        patch.setattr(estimates, "nearest_basin", lambda _, state: state)
+        patch.setattr(estimates, "jacobian", lambda *_: [np.ones((3, 1, 3))] * 2)
+        patch.setattr(
+            estimates, "effects", lambda *given: np.full(3, size if len(given) > 3 else 1.0)
+        )
+        patch.setattr(estimates, "_over_ranges", over)
+        estimates.estimate(asked)
+    return bool(seen[0].all())
+
+
+def heads():
+    """How long the logs are that the search begins with [s]."""
+    asked: Any = Stub(logs=[Stub(head=lambda seconds: (_ for _ in ()).throw(ValueError(seconds)))])
+    with pytest.raises(ValueError) as refused:
+        estimates.estimate(asked)
+    return refused.value.args[0]
+
+
+def falls(rise):
+    """Whether a solution is tried where the cost falls by so much."""
+    with pytest.MonkeyPatch.context() as patch:
+        state: Any = Stub(prior_weight=1.0, influence=np.zeros((1, 1)))
+        state.moved = lambda *_: state
+        patch.setattr(estimates, "replace", lambda item, **_: item)
+        patch.setattr(estimates, "solve", lambda _, item, __: (item, True))
+        costs = iter([0.0, 1.0])
+        patch.setattr(estimates, "cost", lambda *_: next(costs))
+        return estimates._better(ANY, state, 0, -rise, 0.0) is not None
+
+
+def slack():
+    """How much more the integration may err in a look."""
+    asked = analytic_fit.problem()
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(basins, "residuals_at", lambda *given: seen.append(given[-1]) or [None])
+        state = problem.initial(asked)
+        basins._costs(asked, state, [state.theta], [0])
+    return seen[0]
+
+
+def asked_rows(took):
+    """(rows asked of one log, whether a suspect is freed) after a fit of so many simulations, where
+    asking took 100."""
+    seen = []
+    fit: Any = Stub(simulator=Stub(effort=Stub(evaluations=took), rig=SLIDE))
+
+    def screened(_, __, effort, count):
+        effort.evaluations = 100
+        seen.append(count)
+        return [], ()
+
+    item = Stub(row=Stub(kind="mass"), explains=0.5, delta=1.0, beyond=9.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensitivity, "_only_noise", lambda *_: False)
+        patch.setattr(sensitivity, "_screened", screened)
+        patch.setattr(sensitivity, "_promising", lambda *_: [item])
+        patch.setattr(sensitivity, "_confirmed", lambda *_: seen.append("freed"))
+        sensitivity.doubts_of(fit, ANY, ANY)
+    return seen
+
+
+def moves(share):
+    stroke = float(SLIDE.cylinder[0].stroke)
+    log = Record(np.arange(2) * 1e-3, {"press.x": np.array([0.0, share * stroke])})
+    return simulator._moves(SLIDE.cylinder[0], log)
+
+
+def emptied(share):
+    """Samples that do not count, of a pressure that is so much of the cavitation pressure."""
+    p = np.full(100, share * float(SLIDE.oil.cavitation_pressure))
+    log = Record(np.arange(100) * 1e-3, {"press.p_head": p, "press.servo.command": np.zeros(100)})
+    return bool((~simulator._counts("log", SLIDE, log, ("press.p_head",))[0]).any())
+
+
+def known(share):
+    """The error of a response of 1 whose interval is a share of it."""
+    item: Any = Stub(gain=np.ones(1), gain_high=np.array([1.0 + share * frequency_domain.Z95]))
+    return round(float(frequency_domain._error(item)[0]), 6)
+
+
 # --- responses, guidance, copies
+
+
+def preferred(fit):
+    """Which of two forms is preferred, where the one with more numbers fits better by so much."""
+
+    def fitted(form, *_):
+        fits = {"first order": 90.0, "two poles": 90.0 + fit}
+        item = Stub(form=form, fit_percent=(fits.get(form, 0.0),), numbers=transfer.FORMS[form][0])
+        return item if form in fits else None
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(transfer, "_fit_form", fitted)
+        patch.setattr(transfer, "replace", lambda item, **_: item)
+        return transfer.transfers([], 1.0)[0].form
+
+
+def begun(form):
+    """Poles, or frequency and damping, at which searches begin, the first and the last."""
+    seen = []
+
+    class Ended(Exception):
+        """The search has begun."""
+
+    def outputs(theta, *_):
+        seen.append(np.exp(theta))
+        return 0.0, [np.ones(64)]
+
+    def search(*_, **__):
+        raise Ended
+
+    import scipy.optimize
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Ended):
+        patch.setattr(transfer, "_outputs", outputs)
+        patch.setattr(scipy.optimize, "least_squares", search)
+        transfer._fit_form(form, [(np.ones(64), np.arange(64.0))], 1.0)
+    return [
+        round(float(item[1] / (item[0] if form == "two poles" else 1.0)), 6) for item in seen[:2]
+    ]
+
+
+def on_edge(off):
+    """Whether a form is offered whose pole lies so far from its bound."""
+    import scipy.optimize
+
+    pairs = [(np.ones(64), np.arange(64.0))]
+    bound = math.log(2.0 * math.pi / 64.0)
+    best = Stub(x=np.array([bound + off]), jac=np.full((64, 1), 1e9), fun=np.ones(64))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scipy.optimize, "least_squares", lambda *_, **__: best)
+        return transfer._fit_form("first order", pairs, 1.0) is not None
+
+
+def tracks(alike):
+    """Whether a command follows a position whose noise is so much in it."""
+    y = {"press.x": np.arange(67.0), "press.servo.command": np.ones(67)}
+    log: Any = Stub(record=Record(np.arange(67) * 1e-3, y))
+    answers = iter([-1.0, *[alike] * 9])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(comparison, "_alike", lambda *_: next(answers))
+        return comparison._follows(log, "press")
 
 
 def bent(size):
@@ -249,6 +406,22 @@ ROWS = [
     (basins.SETTINGS, "much", lambda: [coarsely(s)[0] for s in (0.009, 0.011)], [1, 2]),
     (problem.SETTINGS, "faint", lambda: [coarsely(size=s)[1] for s in (1.8e-3, 2.2e-3)],
      [(0,), (0, 1)]),
+    (estimates.SETTINGS, "nothing", lambda: [touched(s) for s in (0.9e-3, 1.1e-3)], [False, True]),
+    (estimates.SETTINGS, "head", heads, 5.0),
+    (estimates.SETTINGS, "sure", lambda: [falls(x) for x in (15.0, 17.0)], [False, True]),
+    (basins.SETTINGS, "slack", slack, 1000.0),
+    (sensitivity.SETTINGS, "effort", lambda: asked_rows(490), [59]),
+    (sensitivity.SETTINGS, "first", lambda: asked_rows(510), [61, "freed"]),
+    (sensitivity.SETTINGS, "quick", lambda: asked_rows(1), [24]),
+    (simulator.SETTINGS, "moves", lambda: [moves(s) for s in (0.009, 0.011)], [False, True]),
+    (simulator.SETTINGS, "empty", lambda: [emptied(s) for s in (0.52, 0.48)], [True, False]),
+    (frequency_domain.SETTINGS, "known", lambda: [known(s) for s in (0.0, 0.5)], [0.01, 0.5]),
+    (transfer.SETTINGS, "close", lambda: [preferred(x) for x in (0.9, 1.1)],
+     ["first order", "two poles"]),
+    (transfer.SETTINGS, "spread", lambda: begun("two poles")[0], 4.0),
+    (transfer.SETTINGS, "damped", lambda: begun("second order"), [0.1, 0.5]),
+    (transfer.SETTINGS, "edge", lambda: [on_edge(x) for x in (0.009, 0.011)], [False, True]),
+    (comparison.SETTINGS, "follows", lambda: [tracks(a) for a in (0.47, 0.53)], [False, True]),
     (matching.SETTINGS, "taming", lambda: matched(True)[0], 5),
     (matching.SETTINGS, "rounds", lambda: matched(False)[0], 12),
     (matching.SETTINGS, "fresh_slopes", lambda: matched(False)[1], 8),
@@ -259,6 +432,7 @@ ROWS = [
     (sensitivity.SETTINGS, "looked", lambda: looked_at(20), 8),
     (simulator.SETTINGS, "emptying", void, 101),
     (frequency_domain.SETTINGS, "surely", lambda: [late(n) for n in (3.8, 4.2)], [0, 1]),
+    (frequency_domain.SETTINGS, "late", lambda: [late(9.0, s) for s in (0.23, 0.27)], [0, 1]),
     (response.SETTINGS, "curved", lambda: [bent(n) for n in (1.9, 2.1)], [0, 1]),
     (comparison.SETTINGS, "rough", lambda: [follows(a) for a in (-0.47, -0.53)], [False, True]),
     (held_out.SETTINGS, "probes", probes, 24),
