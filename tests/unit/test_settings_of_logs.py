@@ -103,7 +103,102 @@ def rate_of(position):
     return round(1e3 * float(np.abs(rate[500:1500]).max()))
 
 
+def at_valve(share):
+    """Whether a command is on at first that stands so much of its range beyond its onset."""
+    valve = SLIDE.cylinder[0].valve[0]
+    span = float(valve.command_max) - float(valve.command_min)
+    volts = max(float(valve.onset(edge)) for edge in valve.edge) + share * span
+    log = Record(np.arange(9) * 1e-3, {"press.servo.command": np.full(9, volts)})
+    return bool(plausibility.on_at_first(log, SLIDE, 5))
+
+
+def begun_by(height):
+    """Whether a slide moves at first whose first three speeds are a share of the largest."""
+    rows = np.arange(1000)
+    v = np.where(rows < 3, height, 0.0) + (rows > 500)
+    return bool(plausibility.moving_at_first(Record(rows * 1e-3, {"press.v": v}), SLIDE, 400))
+
+
+def pins(share):
+    """Whether a stroke is off its angle's by so much of it, without noise."""
+    model, row = Model.of(RIG), Model.of(RIG).plant.cylinders[0]
+    q = np.full(100, plausibility.joint_of(row, 0.5 * float(row.stroke)))
+    x = plausibility.linkage_arrays(row, q)[0] + share * float(row.stroke)
+    y = {"boom.x": x, "boom.q": q}
+    return bool(plausibility.off_pins(Record(np.arange(100) * 1e-3, y), model))
+
+
+def high(times):
+    """The refusal of a pressure so many times the largest that the rig can make."""
+    cylinder = SLIDE.cylinder[0]
+    top = max(float(SLIDE.supply.pressure), float(cylinder.relief_pressure or 0.0))
+    seen = {"p_head": np.full(9, times * top)}
+    return refusal(
+        lambda: plausibility._peak("log", SLIDE, cylinder, seen, float(SLIDE.supply.pressure), 0.0)
+    )
+
+
+def turned(alike):
+    """Notes on a gauge that is so much alike the force of the pressures."""
+    way = np.sin(np.arange(400) * 0.1)
+    rest = np.cos(np.arange(400) * 0.1)
+    y = {"press.p_head": 1e7 + 1e6 * way, "press.p_rod": np.full(400, 1e6)}
+    y[f"press.{plausibility.GAUGES[0]}"] = alike * way + math.sqrt(1.0 - alike**2) * rest
+    log = Record(np.arange(400) * 1e-3, y)
+    notes = plausibility.notes_on_channels(log, Model.of(SLIDE))
+    return sum(note.key == "preprocessing.gauge_turned" for note in notes)
+
+
+def even(share, gap=0.0):
+    """Whether steps are even that are off by a share; the refusal of a step too long by a gap."""
+    steps = np.full(9, 1e-3)
+    steps[4] += 1e-3 * (share + gap)
+    steps[5] -= 1e-3 * share
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    log = Record(t, {"press.v": np.zeros(10)})
+    return refusal(lambda: time_base.evened("log", log)) or bool(time_base.evened("log", log)[1])
+
+
+def driven(share):
+    """How many parts of a log are kept whose command changes by so much of its range in one."""
+    t = np.concatenate([np.arange(0.0, 1.0, 1e-3), 10.0 + np.arange(0.0, 1.0, 1e-3)])
+    u = np.where(t < 0.5, 0.0, 1.0) + np.where(t > 10.5, -share, 0.0)
+    log = Record(t, {"press.servo.command": u})
+    return len(time_base.parts_of("log", log, driven=True)[0])
+
+
 # --- first states
+
+
+def priors(moves=True, compared=(), **y):
+    """The priors of pressure, position and speed of a slide, as shares."""
+    log, model = Record(np.arange(100) * 1e-3, y), Model.of(SLIDE)
+    numbers = initial_states._of_cylinder(model, log, "press", compared, 50, moves)
+    stroke, supply = float(SLIDE.cylinder[0].stroke), float(SLIDE.supply.pressure)
+    units = {"press.p_head": supply, "press.q": stroke, "press.qd": 1.0}
+    return [round(n.std / units[n.name], 9) for n in numbers if n.name in units]
+
+
+def opened():
+    """The prior of a valve's opening in motion, of its range, and that of the supply."""
+    y = {"press.v": 1.0 + np.arange(100.0), "press.servo.command": np.full(100, 5.0)}
+    y["p_supply"] = np.full(100, 1e7)
+    log, model = Record(np.arange(100) * 1e-3, y), Model.of(SLIDE)
+    numbers = initial_states.initial_state_of(model, log, ("press",), ()).uncertain
+    supply = float(SLIDE.supply.pressure)
+    valve = SLIDE.cylinder[0].valve[0]
+    span = float(valve.command_max) - float(valve.command_min)
+    units = {"press.servo.opening": span, "p_supply": supply}
+    return [round(n.std / units[n.name], 9) for n in numbers if n.name in units]
+
+
+def creep_counts(share):
+    """Whether a creep of so much of the fastest speed is an uncertain number."""
+    v = np.where(np.arange(100) < 50, share, 0.0)
+    v[99] = 1.0
+    log, model = Record(np.arange(100) * 1e-3, {"press.v": v}), Model.of(SLIDE)
+    numbers = initial_states._of_cylinder(model, log, "press", (), 50, False)
+    return any(number.name == "press.qd" for number in numbers)
 
 
 def place_of(**y):
@@ -191,7 +286,71 @@ def starts(apart):
     return counts[-1]
 
 
+def vague(error):
+    """Why an oscillation does not ring whose frequency is known to a share of it."""
+    t, total = np.arange(1000) * 1e-3, 2000.0
+    lefts = iter([np.full((1000, 1), 1.0), np.full((1000, 1), math.sqrt(total / 1000.0))])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series, "project", lambda *_: (None, next(lefts)))
+        patch.setattr(series, "correlation_time", lambda _: 1.0)
+        patch.setattr(series, "_standard_errors", lambda *_: (60.0 * error, 0.0))
+        seen = series._judge(t, np.ones((1000, 1)), np.ones(1), 60.0, 0.1, 0.0, 0.0)
+    return getattr(seen.reason, "key", "").partition(".")[2]
+
+
+def coarse_search():
+    """Samples of the search on a grid of a window of 1000."""
+    seen = []
+
+    def waves(count, _):
+        seen.append(count)
+        return np.ones(1), np.zeros((1, 5, 2, count))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series.oscillation, "waves", waves)
+        series._search(np.arange(1000) * 1e-3, np.sin(np.arange(1000.0))[:, None])
+    return seen
+
+
+def first_start():
+    """How far below half of the sampling rate a search begins, in log ω."""
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            series.oscillation, "fit", lambda *given: seen.append(given[3]) or (given[3], 1.0)
+        )
+        s = np.arange(100) * 1e-3
+        series._refine(s, np.ones((100, 1)), [(1e9, 0.1)], [0.0])
+    return round(math.log(math.pi / 1e-3) - seen[0][0], 9)
+
+
 # --- stamps
+
+
+def stray(share):
+    """Whether a clock is even of which one stamp is late by so many periods."""
+    off = np.zeros(1000)
+    off[500] = share
+    return timestamps.Timestamps(1.0, np.arange(1000), off).even
+
+
+def beyond(share):
+    """Whether the stamps of a clock get an even rate back of which one is off by so much of what
+    they are rounded to."""
+    t = np.floor((np.arange(200) + 0.25) / 0.8 + 1e-9) * 0.8
+    even = np.polyval(np.polyfit(np.arange(200), t, 1), np.arange(200))
+    t[100] = even[100] + 0.8 * share
+    return timestamps.unrounded(t, 0.8) is not t
+
+
+def lossy(step):
+    """Whether rows that a clock of 1 s lacks show in stamps rounded to ``step``."""
+    seen = []
+    t = np.delete(np.arange(200) + 0.25, np.arange(20, 180, 9))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(timestamps, "timestamps_of", lambda _: seen.append(1))
+        timestamps.unrounded(np.floor(t / step + 1e-9) * step, step)
+    return bool(seen)
 
 
 def stamped(step, lost=(), count=200):
@@ -221,6 +380,36 @@ def own_rate(*every):
     """Whether two signals, each in every so many rows, are of different messages."""
     one, other = (np.arange(100) % n == 0 for n in every)
     return rates._take_turns(one, other)
+
+
+def turns(both):
+    """Whether two signals take turns of which so many of a hundred rows hold both."""
+    one = np.arange(200) % 2 == 0
+    other = ~one
+    other[: 2 * both : 2] = True
+    return rates._take_turns(one, other)
+
+
+def held(hole):
+    """Whether rows are left out where another table has a hole of so many of its samples."""
+    table: Any = Stub(name="", lines=None)
+    t = np.concatenate([np.arange(20.0), 19.0 + hole + np.arange(20.0)])
+    fast = np.arange(0.0, t[-1], 0.1)
+    groups = [
+        rates.Group(table, time, None, None, {name: time})
+        for time, name in ((fast, "press.v"), (t, "press.x"))
+    ]
+    losses = []
+    rates.joined(groups, losses)
+    return bool(losses)
+
+
+def bridged():
+    """The longest gap that a note says is bridged."""
+    t = np.concatenate([np.arange(50.0), 55.0 + np.arange(50.0), 111.0 + np.arange(50.0)])
+    group: Any = Stub(t=t, period=1.0, resolution=0.0, title="a")
+    (note,) = rates.gaps(group, None)
+    return note.fields["longest"]  # pyright: ignore[reportAttributeAccessIssue]
 
 
 # --- readings
@@ -257,6 +446,14 @@ def doubted(share):
     units = {"pressure_drop": "bar"}
     row = {"pressure_drop": share * 1e7, "valve": "a", "file": "f", "line": 1}
     return len(flowmeter._within_supply([row], 1e7, units, flowmeter.LeftOut(False))[1])
+
+
+def beyond_supply(times):
+    """Readings left out of a drop so many times the supply's pressure."""
+    row = {"pressure_drop": times * 1e7, "valve": "a", "file": "f", "line": 1}
+    left = flowmeter.LeftOut(True)
+    flowmeter._within_supply([row], 1e7, {"pressure_drop": "bar"}, left)
+    return len(left.errors)
 
 
 def left_out(count):
@@ -321,6 +518,37 @@ ROWS = [
     (FIRST, "creep_sigmas", lambda: [creeps(n) for n in (2.8, 3.2)], [False, True]),
     (FIRST, "beginning", lambda: first_of(1e-3), 1025.851),
     (FIRST, "sensed", step_of_bias, [0.02]),
+    (PLAUSIBLE, "on", lambda: [at_valve(s) for s in (0.009, 0.011)], [False, True]),
+    (PLAUSIBLE, "first", lambda: [begun_by(h) for h in (0.6, 0.8)], [False, True]),
+    (PLAUSIBLE, "off_pins", lambda: [pins(s) for s in (0.0047, 0.0053)], [False, True]),
+    (PLAUSIBLE, "apart", lambda: [high(n) for n in (4.9, 5.1)],
+     ["", "preprocessing.high_pressure"]),
+    (PLAUSIBLE, "against", lambda: [turned(a) for a in (-0.47, -0.53)], [0, 1]),
+    (time_base.SETTINGS, "even", lambda: [even(s) for s in (0.009, 0.011)], [False, True]),
+    (time_base.SETTINGS, "jitter", lambda: [even(s) for s in (0.48, 0.54)],
+     [True, "preprocessing.not_even"]),
+    (time_base.SETTINGS, "change", lambda: [driven(s) for s in (0.018, 0.022)], [1, 2]),
+    (FIRST, "pressure", priors, [0.2, 0.25]),
+    (FIRST, "place", priors, [0.2, 0.25]),
+    (FIRST, "compared", lambda: priors(compared=("press.p_head",)), [0.05, 0.25]),
+    (FIRST, "sensor", lambda: priors(**{"press.p_head": np.full(100, 1e7)}), [0.005, 0.25]),
+    (FIRST, "speed", lambda: priors(**{"press.v": np.ones(100)}), [0.2, 0.25, 0.2]),
+    (FIRST, "opening", opened, [0.25, 1e-5]),
+    (FIRST, "supply", opened, [0.25, 1e-5]),
+    (FIRST, "creep", lambda: [creep_counts(s) for s in (0.9e-3, 1.1e-3)], [False, True]),
+    (RINGING, "error", lambda: [vague(s) for s in (0.14, 0.16)], ["", "vague_frequency"]),
+    (RINGING, "clear", lambda: [silent(evidence=1.0, share=s) for s in (0.89, 0.91)],
+     ["no_oscillation", ""]),
+    (RINGING, "grid", coarse_search, [200, 250, 250, 125, 62]),
+    (RINGING, "inside", first_start, 0.05),
+    (timestamps.SETTINGS, "largest", lambda: [stray(s) for s in (0.98, 1.02)], [True, False]),
+    (timestamps.SETTINGS, "rounded", lambda: [beyond(s) for s in (0.58, 0.64)], [True, False]),
+    (timestamps.SETTINGS, "lossy", lambda: [lossy(s) for s in (0.77, 0.87)], [True, False]),
+    (rates.SETTINGS, "shared", lambda: [turns(n) for n in (9, 11)], [True, False]),
+    (rates.SETTINGS, "gap", lambda: [held(n) for n in (6.2, 6.8)], [False, True]),
+    (rates.SETTINGS, "bridged", bridged, 6.0),
+    (flowmeter.SETTINGS, "supply_margin", lambda: [beyond_supply(n) for n in (1.45, 1.55)],
+     [0, 1]),
     (RINGING, "significant", lambda: [silent(evidence=e) for e in (38.0, 42.0)],
      ["no_oscillation", ""]),
     (RINGING, "loud", lambda: [also_rings(s) for s in (0.095, 0.105)], [False, True]),
