@@ -244,12 +244,14 @@ class _Trials:
         self.spread: dict[str, float] = {}
         self.noise: dict[str, float] = {}
         self.rows: list[Hypothesis] = []
+        self.prepared: dict[tuple[Hypothesis, ...], PreparedFit] = {}  # of a round, by its changes
 
     def run(self, rounds: int) -> Suggestions:
         """All rounds, and the table."""
         self.report("suggest: fitting the recipe as it is", 0.0)
         now, untried = self._first(), list[str]()
         for _ in range(rounds):
+            self.prepared.clear()
             levels = self._levels(now).items()
             noise = {c: self.noise[c] + (self.fine * self.spread[c]) ** 2 for c, _ in levels}
             if all(size <= self.quiet * noise[c] for c, size in levels):
@@ -417,7 +419,9 @@ class _Trials:
 
     def _prepared(self, setup: Setup, which: int | None) -> tuple[list[Log], Problem]:
         """(the logs, a problem over them with the windows of a fold left out)."""
-        fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
+        if (fit := self.prepared.get(setup.changes)) is None:
+            fit = prepare_fit(setup.rig, self.records, setup.parameters, setup.options, self.maps)
+            self.prepared[setup.changes] = fit
         logs = [log.head(self.head) for log in fit.logs]
         retained = logs
         if which is not None:
