@@ -17,10 +17,12 @@ import pytest
 from ehbench import load_rig, read_log, simulate, workflow
 from ehbench.flow_maps.readings import FlowMapOptions, readings_table
 from ehbench.flow_maps.results import fit_flow_map
+from ehbench.flow_maps.step_readings import step_readings
+from ehbench.plant.model import Model
 from ehbench.runs import rundir, versions
 from ehbench.runs.versions import METHODS, Versions
 from tests import valve_laws as laws
-from tests.shared import ROOT
+from tests.shared import ROOT, shipped
 
 STORED = Path(__file__).with_name("versions.json")
 RIG = ROOT / "recipes" / "rigs" / "slide_servo.toml"
@@ -60,6 +62,59 @@ RECIPES = {
             {{ channel = "lift.p_rod", offset = "estimate", per_log = true }},
             {{ channel = "lift.qd", lag = "estimate" }},
         ]""",
+    "lift": f"""stage = "identify"
+        what = "hydraulics"
+        rig = "{ROOT}/recipes/rigs/pump_cylinder.toml"
+        data = ["{ROOT}/datasets/pump_cylinder/steps/lift_150kg.mcap"]
+        parameters = ["bulk_modulus", "table.damping", "lift.pump.slip"]""",
+    "boom": f"""stage = "identify"
+        what = "hydraulics"
+        rig = "{ROOT}/recipes/rigs/boom_four_valve.toml"
+        data = ["{ROOT}/datasets/boom_four_valve/steps/boom_bucket.mcap"]
+        parameters = ["bulk_modulus", "boom.joint_damping", "boom.friction_coulomb"]
+        start = {{ bulk_modulus = "1500 MPa" }}""",
+    "band": f"""stage = "identify"
+        what = "hydraulics"
+        rig = "{RIG}"
+        data = ["{ROOT}/datasets/slide_servo/steps/press_no_load.mcap"]
+        parameters = ["bulk_modulus", "carriage.damping"]
+        response = {{ input = "press.servo.command", coherence_min = 0.5 }}""",
+    "tuning_boom": f"""stage = "tune"
+        rig = "{ROOT}/recipes/rigs/boom_four_valve.toml"
+        payloads = ["bucket"]
+        postures = 1
+        speed_shares = [0.4]
+        damping_ratio = "0.2"
+        delay = "2 ms"
+        one_gain = false
+        draws = 0""",
+    "tuning_stick": f"""stage = "tune"
+        rig = "{ROOT}/recipes/rigs/thesis_arm.toml"
+        cylinder = "stick"
+        payloads = ["none"]
+        postures = 2
+        speed_shares = [0.4]
+        draws = 3""",
+    "tuning_crane": f"""stage = "tune"
+        rig = "{ROOT}/recipes/rigs/crane_proportional.toml"
+        postures = 2
+        speed_shares = [0.4]
+        washout = "2 rad/s"
+        draws = 0""",
+    "arc_boom": f"""stage = "tune"
+        what = "arc"
+        rig = "{ROOT}/recipes/rigs/boom_four_valve.toml"
+        payloads = ["none"]
+        postures = 1
+        speed_shares = [0.2]
+        delay = "1 ms"
+        delay_margin = "3 ms" """,
+    **{
+        f"plain_{name}": f"""stage = "validate"
+            rig = "{ROOT}/recipes/rigs/{name}.toml"
+            data = ["{ROOT}/datasets/{name}/heldout/{log}.mcap"]"""
+        for name, log in (("boom_four_valve", "boom_no_load"), ("thesis_arm", "stick_no_load"))
+    },
     **{
         f"wrong_{name}": f"""stage = "validate"
             rig = "{ROOT}/recipes/rigs/{name}.toml"
@@ -96,6 +151,7 @@ RECIPES = {
         "rig.bulk_modulus" = { low = 0.5, high = 1.5, relative = true }""",
 }
 FEW = {"drops": laws.DROPS[::2], "commands": laws.COMMANDS[::2], "trials": 2}
+STEPS = {"sh": (3.0, 0.0), "rt": (4.0, 0.0), "sr": (0.0, 3.0), "ht": (0.0, 2.0)}  # [V], in turns
 VALVES = {
     "levels off": lambda: laws.readings(laws.compensated, 1, **FEW),
     "kink along the drop": lambda: laws.kinked_readings(1, range(11), range(5, 150, 20), 2),
@@ -121,7 +177,7 @@ NUMBER = re.compile(r"\d+\.?\d*(?:e[-+]?\d+)?")
 
 def made(root: Path, name: str) -> Path:
     """The folder of a run, after those that it needs."""
-    session = workflow.Session(root=root, keep=True)
+    session = workflow.Session(root=root, keep=True, unvalidated=True)
     recipe = ROOT / "recipes" / "slide_servo" / f"{name}.toml"
     if name in RECIPES:
         for other, text in RECIPES.items():
@@ -165,10 +221,12 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
             "trial": saved("trial.json", "measures"),
             "ledger": saved("ledger.json"),
         }
-    if name in ("hydraulics", "sensors", "prior"):
+    if name in ("hydraulics", "sensors", "prior", "lift", "boom", "band"):
         return fitted()
-    if name == "validation" or name.startswith("wrong"):
+    if name == "validation" or name.startswith(("wrong", "plain")):
         return judged()
+    if "tuning" in name or name.startswith("arc"):
+        return {"tuning": saved("tuning.json")}
     return {
         "flow_map": lambda: {"flow_maps": saved("summary.json")},
         "matching": lambda: {
@@ -177,8 +235,6 @@ def numbers_of(name: str, folder: Path) -> dict[str, dict[str, float]]:
         },
         "study": lambda: {"sampling": saved("study.json", "measures")},
         "response": lambda: {"frequency_response": saved("response.json")},
-        "tuning": lambda: {"tuning": saved("tuning.json")},
-        "arc_tuning": lambda: {"tuning": saved("tuning.json")},
     }[name]()
 
 
@@ -207,12 +263,22 @@ def numbers_of_a_map(name: str) -> dict[str, dict[str, float]]:
 
 
 def numbers_without_a_run() -> dict[str, dict[str, float]]:
-    """Of a log that is read and of one that is simulated."""
+    """Of a log that is read, one that is simulated, and one whose steps are readings of flow."""
     log = simulate(load_rig(RIG), {"press.servo": 2.0}, duration=0.2)
+    boom, t = shipped("boom_four_valve"), np.arange(1601) * 1e-3
+    ways = np.select([t < 0.2, t < 0.9], [0, 1], 2)
+    steps = {f"boom.{v}": np.array([0.0, *u])[ways] for v, u in STEPS.items()}
+    stepped = simulate(boom, steps, float(t[-1]), posture={"boom": "250 mm"})
+    readings = step_readings("log", stepped, Model.of(boom), 0.2, 0.1)
     recorded = read_log(ROOT / "datasets" / "slide_servo" / "steps" / "press_100kg.mcap")
     return {
         "logs": {str(name): float(np.std(values)) for name, values in recorded.items()},
         "plant": {name: float(values[-1]) for name, values in log.channels.items()},
+        "flow_maps": {
+            f"{valve} {way} {word}": float(np.sum(getattr(readings.select(valve, way), word)))
+            for valve, way in readings.groups()
+            for word in ("command", "pressure_drop", "flow", "line")
+        },
     }
 
 
