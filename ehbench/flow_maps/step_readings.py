@@ -188,9 +188,11 @@ def _readings(
     for node, inflow in block.inflow.items():
         joined = [i for i, e in enumerate(plant.edges) if node in (e.from_node, e.to_node)]
         opened = [i for i in joined if may_pass(i)]
-        if len(opened) != 1 or plant.edges[opened[0]].unmetered or opened[0] in seen:
+        if len(opened) != 1:
             continue
-        i = opened[0]
+        (i,) = opened
+        if plant.edges[i].unmetered or i in seen:
+            continue
         seen.add(i)
         start, end = int(plant.edges[i].from_node), int(plant.edges[i].to_node)
         drops = block.pressure[start] - block.pressure[end]

@@ -253,8 +253,8 @@ def _interval_ends(
             inner = float(points[k])
         for _ in range(SETTINGS.halvings if outer is not None else 0):
             middle = 0.5 * (inner + float(outer or 0.0))
-            rise = float(_rises(problem, state, i, np.array([middle]))[0][0])
-            lowest = min(lowest, (rise, middle))
+            (rise,), _ = _rises(problem, state, i, np.array([middle]))
+            lowest = min(lowest, (float(rise), middle))
             inner, outer = (inner, middle) if rise > limit else (middle, outer)
         ends.append(problem.search[i].bounds[side > 0] if outer is None else outer)
     return (ends[0], ends[1]), *lowest

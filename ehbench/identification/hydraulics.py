@@ -379,14 +379,11 @@ def _doubt(item: HydraulicsFit, other: HydraulicsFit) -> float:
     channels of a log go together, and neighbours as far as their correlation time reaches."""
     variance, count = 0.0, 0
     for (_, a), (_, b), log in zip(item.recordings, other.recordings, item.logs, strict=True):
-        moves = 0.0
+        moves = np.zeros(a["t"].size)
         for name in log.residual_rms:
             for built, sign in ((a, 0.5), (b, -0.5)):
                 square = np.nan_to_num(built[name] - built[f"simulated.{name}"]) ** 2
-                mean = float(square.mean())
-                moves = moves + sign * (square / mean if mean > 0.0 else np.zeros(square.size))
+                moves += sign * square / max(float(square.mean()), 1e-300)
         count += len(log.residual_rms)
-        moves = np.asarray(moves)
-        if moves.size > 1 and moves.any():
-            variance += float(moves.var()) * correlation_time(moves) / moves.size
+        variance += float(moves.var()) * correlation_time(moves) / moves.size
     return math.sqrt(variance) / max(count, 1)

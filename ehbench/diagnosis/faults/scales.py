@@ -108,8 +108,8 @@ class Scales:
     @cached_property
     def pressure(self) -> float:
         supply, relief = float(self.rig.supply.pressure), self.cylinder.relief_pressure
-        pumped = self.cylinder.pump is not None and relief is not None
-        return max(supply, LOWEST, float(relief) if pumped and relief is not None else 0.0)
+        pumped = [] if self.cylinder.pump is None or relief is None else [float(relief)]
+        return max(supply, LOWEST, *pumped)
 
     @cached_property
     def force(self) -> float:
