@@ -209,8 +209,8 @@ class Matching:
         slope = result.slope
         for fresh in range(1, SETTINGS.rounds + 1):
             self.rounds += 1
-            share = 0.2 + 0.8 * self.rounds / (self.rounds + 4.0)
-            self.progress("thesis: matching frequency and decay", share)
+            known = self.rounds / (self.rounds + 4.0)
+            self.progress("thesis: matching frequency and decay", 0.2 + 0.8 * known)
             rings = self._rings(self.theta, rings)
             error = {i: self.aim[i] - self._measure(i, rings) for i in self.live}
             silent = [i for i in self.live if not np.isfinite(error[i]).any()]

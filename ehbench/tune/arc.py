@@ -182,9 +182,8 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
     search = Search(study)
     tried: dict[float, ArcCandidate] = {}
     budgets = np.geomspace(*ARC_SEARCH.budgets).tolist()
-    steps = len(budgets) + ARC_SEARCH.refinements + 1
     for i, budget in enumerate(budgets):
-        report("margins", i / steps)
+        report("margins", 0.9 * i / len(budgets))
         tried[budget] = search.candidate(budget)
     passing = [budget for budget, item in tried.items() if item.met]
     budget = max(passing or tried, key=lambda b: b if passing else tried[b].delay_margin)
@@ -193,7 +192,7 @@ def tune_arc(study: Study[ArcTuneRecipe], progress: Progress | None = None) -> A
         middle = math.sqrt(budget * beyond)
         tried[middle] = search.candidate(middle)
         budget, beyond = (middle, beyond) if tried[middle].met else (budget, middle)
-    report("margins chosen", 1.0 - 1.0 / steps)
+    report("margins chosen", 0.9)
     return _result(study, search, budget, tried)
 
 
