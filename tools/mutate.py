@@ -38,7 +38,8 @@ CHANGES = (
 # much is kept or written over to be fast: no number that anybody gets depends on these
 NO_CHANGE = re.compile(
     r"\b(strict|frozen|eq|repr) ?= ?(True|False)|\b(report|progress)\([^\n]*"
-    r"|\bworkers: int = .*|\bworkers (or|and) cores\(\)|\blru_cache\([^)\n]*\)|\boverwrite_\w+=\d|\barbitrary_types_\w+=\w+"
+    r"|\bworkers: int = .*|\bworkers (or|and) cores\(\)|\blru_cache\([^)\n]*\)"
+    r"|\boverwrite_\w+=\d|\barbitrary_types_\w+=\w+"
 )
 _NUMBER = re.compile(r"(?<![\w.])-? ?\d+\.?\d*(?:e[-+]?\d+)?")
 LEAST = 1.0 / 3.0  # change of a number, of itself: tests hold thresholds to a third (CONTRIBUTING)
