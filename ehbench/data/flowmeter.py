@@ -18,7 +18,7 @@ from ehbench.data.channels import dialect_of, si_of
 from ehbench.data.logs.checks import TIME_NAMES
 from ehbench.data.readers import Source, SourceTable, open_source
 from ehbench.data.text import is_hole, text_table
-from ehbench.vocabulary.errors import InputError, UnitError
+from ehbench.vocabulary.errors import InputError, LogError, UnitError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
@@ -252,7 +252,12 @@ def is_flowmeter(path: Path) -> bool:
 
 def _named(path: Path) -> _Sheet:
     """The columns of a CSV whose header names them."""
-    table = text_table(path, _EXAMPLE)
+    try:
+        table = text_table(path, _EXAMPLE)
+    except LogError as error:
+        if error.key != "data.no_text":
+            raise
+        raise LogError(message("data.readings_no_text"), file=path) from None
     where: dict[str, Any] = {"file": path, "line": table.head}
     places: dict[str, int] = {}
     units: dict[str, str] = {}

@@ -119,7 +119,7 @@ def test_select_and_merge_keep_file_and_line(write):
 
 BROKEN = tomllib.loads(Path(__file__).with_name("flowmeter_slips.toml").read_text("utf-8"))
 BROKEN["UTF-16"] = ((HEADER + "\n").encode("utf-16"), 0, "data.no_readings")
-BROKEN["binary"] = (b"\x00\x01\x02", 0, "data.no_text")
+BROKEN["binary"] = (b"\x00\x01\x02", 0, "data.readings_no_text")
 
 
 @pytest.mark.parametrize("name", BROKEN)
