@@ -742,8 +742,9 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
 
 
 def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
-    """Of a sinking load, pump and oil give little beside it; the pump's label has two lines."""
-    from ehbench.report.figures.sankey import sankey
+    """Of a sinking load, pump and oil give little beside it; the pump's label has two lines. What
+    is less than it may be off by is not drawn."""
+    from ehbench.report.figures.sankey import is_known, sankey
 
     model = Model.of(rig_of("thesis_arm", lossy=False))
     ledger = ledger_of_model(model, trial(model, model.rest_commands(50))).as_json()
@@ -757,3 +758,7 @@ def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
         row["energy"] = given.get(row["name"], 0.0)
     sankey(tmp_path / "sinking.svg", ledger)
     assert overlaps == [(0, 0)]
+    # of 490 J of work
+    for half, known in ((480.0, True), (500.0, False)):
+        ledger["rows"][0]["interval"] = [-half, half]
+        assert is_known(ledger) == known

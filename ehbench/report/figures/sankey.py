@@ -280,6 +280,14 @@ def _make_room(sizes: Mapping[str, float], middles: dict[str, float], line: floa
         middles[name] -= min(reach, 0.0)
 
 
+def is_known(ledger: Ledger) -> bool:
+    """Whether more energy went through a trial than any row of its ledger may be off: of others a
+    picture would show noise."""
+    account = _Account.of(ledger)
+    whole = max(account.given, sum(map(abs, account.works.values())))
+    return whole > max(half_of(row) or 0.0 for row in account.rows)
+
+
 def sankey(path: Path, ledger: Ledger) -> None:
     """Where the energy of one trial went: ribbons from the pump through the oil of each cylinder
     and the mechanism, to scale.
