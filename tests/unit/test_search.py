@@ -274,7 +274,7 @@ def replace_of(item: Stub, **changes) -> Stub:
 
 def variant(error: np.ndarray, name: str = "press.v") -> Any:
     """A fit of one log with these errors of a channel."""
-    rows = {name: np.zeros(error.size), f"simulated.{name}": error}
+    rows = {name: np.zeros(error.size), f"simulated.{name}": error, "t": np.arange(error.size)}
     logs = [Stub(residual_rms={name: float(np.sqrt(np.mean(error**2)))})]
     return Stub(recordings=[("log", rows)], logs=logs)
 

@@ -96,12 +96,6 @@ RECIPES = {
         postures = 2
         speed_shares = [0.4]
         draws = 3""",
-    "tuning_crane": f"""stage = "tune"
-        rig = "{ROOT}/recipes/rigs/crane_proportional.toml"
-        postures = 2
-        speed_shares = [0.4]
-        washout = "2 rad/s"
-        draws = 0""",
     "arc_boom": f"""stage = "tune"
         what = "arc"
         rig = "{ROOT}/recipes/rigs/boom_four_valve.toml"
@@ -117,12 +111,9 @@ RECIPES = {
             data = ["{ROOT}/recipes/{name}/run_3.csv"]"""
         for name in LACKING
     },
-    **{
-        f"plain_{name}": f"""stage = "validate"
-            rig = "{ROOT}/recipes/rigs/{name}.toml"
-            data = ["{ROOT}/datasets/{name}/heldout/{log}.mcap"]"""
-        for name, log in (("boom_four_valve", "boom_no_load"), ("thesis_arm", "stick_no_load"))
-    },
+    "plain": f"""stage = "validate"
+        rig = "{ROOT}/recipes/rigs/boom_four_valve.toml"
+        data = ["{ROOT}/datasets/boom_four_valve/heldout/boom_no_load.mcap"]""",
     **{
         f"wrong_{name}": f"""stage = "validate"
             rig = "{ROOT}/recipes/rigs/{name}.toml"
