@@ -58,7 +58,6 @@ class InitialStateSettings:
     sensed: float = setting(0.01, "", "the same of a sensor's number", "which is smooth")
     least_step: float = setting(1.0e-6, "", "least step, share of a number's range", "rounding")
     largest_step: float = setting(2.0e-4, "", "largest step, likewise", "linear there")
-    residual: float = setting(0.2, "", "least share of noise that a line leaves", "finite")
     rounds: int = setting(20, "", "largest number of rounds of an estimate", "few needed")
     gain: float = setting(1.0e-3, "", "gain of the last round, share of the cost", "no matter")
     floor: float = setting(5.0e-3, "", "least scale of a channel, of its spread", "finite weights")
@@ -337,8 +336,9 @@ def _rest_errors(y: np.ndarray, rest: int) -> tuple[float, float]:
     pole = float(autocorrelation(noise, 1)[1])
     pole = min(pole + (2.0 + 4.0 * pole) / rest, 1.0 - 2.0 / rest)
     time = max(correlation_time(noise), (1.0 + pole) / (1.0 - pole))
-    error = math.sqrt(time / rest) / max(1.0 - 2.0 * time / rest, SETTINGS.residual)
-    return math.hypot(rms(noise) * min(1.0, error), coarse), abs(float(line[0]))
+    share = min(time / rest, 0.25)  # where the error is that of a single sample
+    error = math.sqrt(share) / (1.0 - 2.0 * share)
+    return math.hypot(rms(noise) * error, coarse), abs(float(line[0]))
 
 
 def _uncertain(name: str, state: int, std: float, span: float, valve: int = -1) -> Uncertain:

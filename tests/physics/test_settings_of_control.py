@@ -613,7 +613,84 @@ def looked_about():
     return round(float(seen[0].max()), 3), seen[0].size
 
 
+def stated():
+    """A delay margin of 3 s as it is stated."""
+    return arc_loop.LoopMargins(0.0, 0.0, 3.0, 0.0).stated
+
+
+def swings_as_it_is(growth):
+    """Whether a loop swings as it is that grows by so much [1/s]."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(arc_loop.ArcLoop, "growth", lambda *_: growth)
+        return loop_of([-1.0]).margins(arc_loop.Sensing()).gain == 0.0
+
+
+def crossed(real=0.0, delay=0.0):
+    """(frequencies looked at, the least and the largest) for an eigenvalue at 100 rad/s off the
+    axis by a share of it, or a delay alone."""
+    seen = []
+    level: Any = lambda reply: seen.append(reply) or np.ones(reply.size)  # noqa: E731
+    loop = stability.OpenLoop(np.zeros((1, 1)), np.ones(1), np.ones(1), delay)
+    poles = np.array([100.0 * real + 100j] if not delay else [])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stability.OpenLoop, "response", lambda _, omega: omega)
+        stability._crossings(loop, poles, level)
+    ends = (round(float(seen[0].min()), 6), round(float(seen[0].max()), 6)) if seen[0].size else ()
+    return seen[0].size, ends
+
+
+def calm(growth):
+    """Whether a pole that grows so much of the largest entry [1] is none."""
+    loop = stability.OpenLoop(np.diag([growth, -1.0]), np.zeros(2), np.zeros(2))
+    return loop.growth() <= 0.0
+
+
+def standstill():
+    """The frequency of standstill, of the fastest pole's."""
+    seen = []
+    loop = stability.OpenLoop(np.diag([-5.0, -1.0]), np.ones(2), np.ones(2))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stability, "_crossings", lambda *_: np.zeros(0))
+        patch.setattr(
+            stability.OpenLoop, "response", lambda _, omega: seen.append(omega[0]) or np.ones(1)
+        )
+        stability.gain_margin(loop)
+    return round(float(seen[0]) / 5.0, 12)
+
+
 # --- trials
+
+
+def shifts_tried():
+    """Shifts of a deadband that are tried against the true one: first, last and count."""
+    seen = []
+    design: Any = Stub(circuit=Stub(edges=[Stub(sign=1.0)], first=0, maps=None))
+    use = measures._Use(np.zeros(1), 1.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measures, "edge_flows", lambda _, at, *__: seen.append(float(-at[0])))
+        measures._true_correction(design, 0, use, np.ones(1), (1.0, 0.0))
+    return min(seen), max(seen), len(seen)
+
+
+def used(share):
+    """Whether an opening counts that was to pass so much of the largest flow."""
+    record = {"e.flow_desired": np.array([1.0, share]), "v.command": np.array([2.0, 9.0])}
+    record |= {"p_supply": np.full(2, 2e7), "c.p_head": np.zeros(2)}
+    design: Any = Stub(edges=("e",), valves=("v",), cylinder="c")
+    design.circuit = Stub(edges=[Stub(sign=1.0, valve=0)], first=0, maps=None)
+    design.rig = Stub(all_edges=lambda: {"e": Stub(from_="supply", to="head")})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measures, "edge_onset", lambda *_: 1.0)
+        use = measures._use(design, 0, record, 2)  # pyright: ignore[reportArgumentType]
+    assert use is not None
+    return bool(use.commands.max() > 5.0)
+
+
+def coarse_swing(counts):
+    """Whether a swing of a stroke of 1 m is a limit cycle that has so many counts of 1 mm."""
+    t = np.arange(4000) * 1e-3
+    y = 1e-3 * np.round(counts * np.sin(8.0 * np.pi * t))
+    return limit_cycle.limit_cycle(t, y, 0.0 * t, np.sin(t)[:, None], 1.0) is not None
 
 
 def bounds(name):
@@ -845,6 +922,19 @@ ROWS = [
     (arc_loop.ARC_LOOP, "peak_points", lambda: reach()[1], 42),
     (stability.STABILITY, "around", lambda: looked_about()[0], 103.0),
     (stability.STABILITY, "points", lambda: looked_about()[1], 61),
+    (arc_loop.ARC_LOOP, "safety", stated, 2.0),
+    (arc_loop.ARC_LOOP, "growth", lambda: [swings_as_it_is(x) for x in (0.045, 0.055)],
+     [False, True]),
+    (stability.STABILITY, "near", lambda: [bool(crossed(x)[0]) for x in (0.028, 0.032)],
+     [True, False]),
+    (stability.STABILITY, "turns", lambda: crossed(delay=1.0), (300, (0.3, 60.0))),
+    (stability.STABILITY, "spread", lambda: crossed(delay=1.0), (300, (0.3, 60.0))),
+    (stability.STABILITY, "calm", lambda: [calm(x) for x in (0.9e-9, 1.1e-9)], [True, False]),
+    (stability.STABILITY, "slow", standstill, 1e-6),
+    (measures.MEASURES, "shifts", shifts_tried, (-1.0, 1.0, 403)),
+    (measures.MEASURES, "used", lambda: [used(s) for s in (0.045, 0.055)], [False, True]),
+    (limit_cycle.LIMIT_CYCLE, "counts", lambda: [coarse_swing(n) for n in (3, 5)],
+     [False, True]),
     (checks.CHECKS, "following", lambda: bounds("following"), 0.1),
     (checks.CHECKS, "mismatch", lambda: bounds("mismatch"), 0.05),
     (checks.CHECKS, "range", lambda: highest(), 3.0),

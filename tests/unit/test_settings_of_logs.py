@@ -192,6 +192,40 @@ def opened():
     return [round(n.std / units[n.name], 9) for n in numbers if n.name in units]
 
 
+def follows_on(gain):
+    """Rounds of an estimate of a first state of which each gains so much of the cost."""
+    count = []
+
+    class Follow(initial_states._Follow):
+        def __init__(self):
+            self.floor = np.ones(1)
+
+        def residual(self, shifts):
+            return np.ones((2, 1))
+
+        def cost(self, shifts, residual):
+            return 1.0
+
+        def step(self, shifts, residual):
+            count.append(1)
+            return shifts, gain
+
+        def tries(self, shifts, move, before):
+            yield shifts, np.ones((2, 1))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(initial_states, "prior_weight", lambda _: 1.0)
+        Follow().best(np.zeros(1))
+    return len(count)
+
+
+def least_scale():
+    """The least scale of a channel of unit spread in an estimate of a first state."""
+    record = Record(np.arange(100) * 1e-3, {"press.v": np.where(np.arange(100) % 2, 1.0, -1.0)})
+    start: Any = Stub(record=record)
+    return round(float(initial_states._Follow(ANY, start, ("press.v",)).floor[0]), 9)
+
+
 def creep_counts(share):
     """Whether a creep of so much of the fastest speed is an uncertain number."""
     v = np.where(np.arange(100) < 50, share, 0.0)
@@ -467,6 +501,16 @@ def left_out(count):
 # --- drafts, and children that read
 
 
+def ends_of(*readings):
+    """The readings in mA that are taken for the ends of a driver of 0 to 10 V."""
+    return guesses._span_of("mA", np.array(readings), 0.0)
+
+
+def unit_of(step):
+    """How sure it is that the steps of a time without a unit are seconds."""
+    return guesses._time_unit(step * (0.5 + np.arange(9)))
+
+
 def drafted(bad):
     """Whether a draft leaves bad cells out, of which a column of a hundred has so many."""
     column = Stub(values=np.where(np.arange(1000) < bad, np.nan, 1.0))
@@ -563,6 +607,12 @@ ROWS = [
     (flowmeter.SETTINGS, "zero_share", lambda: [against(s) for s in (0.019, 0.021)], [0, 1]),
     (flowmeter.SETTINGS, "fewest_reverse", lambda: [reverse(n) for n in (3, 4)], [3, 0]),
     (flowmeter.SETTINGS, "supply_share", lambda: [doubted(s) for s in (0.0053, 0.0047)], [0, 1]),
+    (guesses.LIMITS, "loop", lambda: [ends_of(0.0, x)[1] for x in (24.0, 26.0)], [20.0, 50.0]),
+    (guesses.LIMITS, "slow", lambda: [unit_of(s) for s in (0.085, 0.095)],
+     [("s", guesses.LIKELY), ("s", guesses.UNDECIDED)]),
+    (FIRST, "gain", lambda: [follows_on(g) for g in (1.1e-3, 0.9e-3)], [20, 1]),
+    (FIRST, "rounds", lambda: follows_on(1.0), 20),
+    (FIRST, "floor", least_scale, 0.005),
     (guesses.LIMITS, "few", lambda: [drafted(n) for n in (9, 11)], [True, False]),
     (readers.SETTINGS, "swells", lambda: allowed("memory"), 100.0),
     (readers.SETTINGS, "slowness", lambda: allowed("seconds"), 2e-5),
