@@ -467,6 +467,75 @@ def checked(x=0.5, others=0.0, turned=0.0):
     return np.round(np.sqrt(sizes), 6).tolist(), seen[sensor_checks.LOAD][0] == 7.0, bool(moved)
 
 
+def off_line():
+    """The deviation of a supply's pressure, of it."""
+    seen: dict = {}
+    sample = np.zeros(200)
+    sensors: Any = Stub(speed=np.zeros(2), tick=1e-3, steady=True, jumped=np.zeros(2))
+    sensors.lines = np.zeros(2)
+    axis: Any = Stub(cylinder=Stub(stroke=1.0, area_head=1.0))
+    axis.circuit = Stub(cylinder=0, supply=[Stub(pressure=1.0)])
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (
+            ("linkage_of", (0.0, 1.0, 0.0)),
+            ("_doubt", None),
+            ("_load", (0.0, 0.0, 1.0, 0.0)),
+            ("_still", 0.0),
+            ("pressures", None),
+            ("_low_pass", (0.0, 0.0)),
+            ("cylinders_in", 1),
+            ("_blamed", -1),
+        ):
+            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        patch.setattr(sensor_checks, "_score", lambda k, *given: seen.update({k: given}))
+        unwrap(sensor_checks.wrong_sensor)(sample, 0.0, 0.0, True, axis, sensors)
+    return round(math.sqrt(seen[sensor_checks.SUPPLY][1]), 6)
+
+
+def jumped(rise):
+    """By how much a pressure that rises by so much in a tick has jumped; twice the supply's flow
+    makes it rise by 1."""
+    row = [0.0, 0.0, 0.0, 1e-3, 0.0]
+    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
+    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e3))
+    axis.circuit = Stub(supply=[Stub(flow_limit=0.5, pressure=2e7)])
+    p: Any = Stub(head=rise, rod=0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensor_checks, "chamber_oil", lambda *_: 1.0)
+        unwrap(sensor_checks._still)(0, p, 0.1, 0.0, axis, sensors)
+    return round(sensors.jumped[0], 6)
+
+
+def stays(seconds):
+    """Whether a pressure is doubted that stays so long and never stayed before."""
+    row = [1e7, 0.0, 0.0, seconds - 1e-3, 0.0]
+    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
+    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e9))
+    axis.circuit = Stub(supply=[Stub(flow_limit=1e-3, pressure=2e7)])
+    p: Any = Stub(head=1e7, rod=0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensor_checks, "chamber_oil", lambda *_: 1e-3)
+        return unwrap(sensor_checks._still)(0, p, 0.1, 1e3, axis, sensors) > 0.0
+
+
+def unexplained():
+    """How much more what a valve leaves unexplained counts than what it explains."""
+    row = np.ones(monitor.COLUMNS)
+    row[[monitor.ROD, monitor.WIDE_ROD]] = 0.0
+    gain = unwrap(monitor._gain)
+    idle = gain(monitor.SHUT, row, -1.0, 0.0, 1.0)
+    return round(2.0 * (idle - gain(monitor.SHUT, row, -1.0, 1.0, 1.0)), 6)
+
+
+def latest(late):
+    """The lateness that the law takes of an estimated one."""
+    memory: Any = Stub(estimates=np.full(9, late), softer=0.0, later=0.0, more=[0.0, 0.0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(oil_learning, "lacking", lambda *_: 0.0)
+        unwrap(oil_learning.take)(1.0, memory)
+    return round(memory.later, 6)
+
+
 def weighed(force=0.0, payload=0.0, damping=0.0):
     """(what a load is beyond all payloads, its deviation) for a force beyond a load of 1 N/kg."""
     sensors: Any = Stub(speed=[0.0, 0.0], payload=payload, tick=1e-3, carried=[0.0], work=None)
@@ -870,6 +939,11 @@ ROWS = [
     (OfKernels(sensor_checks, "SCORES"), "alarm", lambda: [blamed(s) for s in (29.0, 31.0)],
      [False, True]),
     (OfKernels(sensor_checks, "SCORES"), "corner", passed_low, 0.943396),
+    (SENSORS, "line", off_line, 0.08),
+    (SENSORS, "jump", lambda: jumped(5.0), 2.0),
+    (SENSORS, "still", lambda: [stays(s) for s in (0.048, 0.052)], [False, True]),
+    (MONITOR, "unexplained", unexplained, 16.0),
+    (OIL, "latest", lambda: latest(1.0), 0.02),
     (SENSORS, "stroke", lambda: checked()[0], [0.004, 0.03]),
     (SENSORS, "force", lambda: checked()[0], [0.004, 0.03]),
     (SENSORS, "ends", lambda: [checked(x)[1] for x in (0.0095, 0.0105, 0.9895, 0.9905)],

@@ -169,7 +169,31 @@ def doubts(gain=0.0, shares=()):
     return len(result.warnings), len(result.leans)
 
 
-def looked_at(count):
+def worthwhile(share):
+    """Whether a number is suspected whose best value explains so much of the squares."""
+    return looked_at(1, share) > 0
+
+
+def matched_by(miss):
+    """(whether a matching stands that misses by so much at once, the longest step of a round)."""
+    work: Any = object.__new__(matching.Matching)
+    work.search = [Stub(row=Stub(mode_role="decay"), log=True, bounds=(-99.0, 99.0))]
+    work.theta, work.live, work.rounds = np.zeros(1), [0], 0
+    work.aim, work.progress = [np.array([miss])], lambda *_: None
+    work._rings = lambda *_: []
+    work._measure = lambda *_: np.zeros(1)
+    work._scatter = lambda *_: (1e-9, 1.96, 1)
+    work._drop = lambda which: None
+    work._slopes = lambda *_: np.ones((1, 1))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            matching.np, "clip", lambda x, low, high: np.minimum(np.maximum(x, low), high)
+        )
+        stand = work._stand(None)
+    return stand.converged, round(float(work.theta[0]) / max(work.rounds, 1), 6)
+
+
+def looked_at(count, gain=1.0):
     """How many of so many numbers that promise something are asked of every log."""
     rows: Any = [Row(bounds=(-9.0, 9.0), certainty=1, name=str(i)) for i in range(count)]
     every = [sensitivity._Suspect(row, [np.ones((2, 1))], (0,)) for row in rows]
@@ -178,11 +202,11 @@ def looked_at(count):
         patch.setattr(sensitivity, "cost", lambda *_: 1.0)
         patch.setattr(sensitivity, "prior_of", lambda *_: None)
         patch.setattr(sensitivity, "_with", lambda *_: None)
-        patch.setattr(sensitivity, "gains_of", lambda *_: [1.0] * count)
+        patch.setattr(sensitivity, "gains_of", lambda *_: [gain] * count)
         patch.setattr(sensitivity, "_logs_of", lambda *_: [0])
         patch.setattr(sensitivity, "_columns", lambda *_: {})
         patch.setattr(sensitivity, "_moved", lambda *_: ())
-        release = Stub(move=1.0, gain=1.0, follow=np.zeros(0))
+        release = Stub(move=1.0, gain=gain, follow=np.zeros(0))
         patch.setattr(sensitivity, "_release", lambda *_: release)
         fit: Any = Stub(logs=[ANY])
         result: Any = Stub(state=state)
@@ -422,6 +446,11 @@ ROWS = [
     (transfer.SETTINGS, "damped", lambda: begun("second order"), [0.1, 0.5]),
     (transfer.SETTINGS, "edge", lambda: [on_edge(x) for x in (0.009, 0.011)], [False, True]),
     (comparison.SETTINGS, "follows", lambda: [tracks(a) for a in (0.47, 0.53)], [False, True]),
+    (sensitivity.SETTINGS, "worth", lambda: [worthwhile(s) for s in (0.048, 0.052)],
+     [False, True]),
+    (matching.SETTINGS, "stand", lambda: [matched_by(x)[0] for x in (0.9e-3, 1.1e-3)],
+     [True, False]),
+    (matching.SETTINGS, "longest", lambda: matched_by(50.0)[1], 0.7),
     (matching.SETTINGS, "taming", lambda: matched(True)[0], 5),
     (matching.SETTINGS, "rounds", lambda: matched(False)[0], 12),
     (matching.SETTINGS, "fresh_slopes", lambda: matched(False)[1], 8),

@@ -103,6 +103,56 @@ def rate_of(position):
     return round(1e3 * float(np.abs(rate[500:1500]).max()))
 
 
+def ticks(step):
+    """The refusal of a log of the slide whose samples are so far apart [s]."""
+    log = Record(step * np.arange(9), {"press.v": np.zeros(9)})
+    return refusal(lambda: plausibility.refuse_sample_time("log", log, SLIDE))
+
+
+def slow_valve(times):
+    """The refusal of samples so many periods of a valve of 1 kHz apart."""
+    rig = SLIDE.with_values({"spool.natural_frequency": 2.0 * math.pi * 1e3})
+    log = Record(1e-3 * times * np.arange(9), {"press.v": np.zeros(9)})
+    return refusal(lambda: plausibility.refuse_sample_time("log", log, rig))
+
+
+def beyond_driver(share):
+    """The refusal of a command beyond its driver's range by a share of it."""
+    valve = SLIDE.cylinder[0].valve[0]
+    low, high = float(valve.command_min), float(valve.command_max)
+    u = np.full(9, high + share * (high - low))
+    log = Record(np.arange(9) * 1e-3, {"press.servo.command": u})
+    return refusal(lambda: plausibility.refuse_commands("log", log, SLIDE))
+
+
+def travels(share):
+    """Whether a stroke that changes by a share of it travels."""
+    x = np.linspace(0.0, share * float(SLIDE.cylinder[0].stroke), 9)
+    return plausibility._travels(Record(np.arange(9) * 1e-3, {"press.x": x}), SLIDE.cylinder[0])
+
+
+def stands_still(share):
+    """Notes on a stroke that changes by so little of it while the speed is that of a motion."""
+    stroke = float(SLIDE.cylinder[0].stroke)
+    x = np.linspace(0.0, share * stroke, 1000)
+    log = Record(np.arange(1000) * 1e-3, {"press.x": x, "press.v": np.full(1000, stroke)})
+    notes = plausibility.notes_on_channels(log, Model.of(SLIDE))
+    return sum(note.key == "preprocessing.stands_still" for note in notes)
+
+
+def noisy_place(share):
+    """Notes on a position whose noise is worth so much of a pressure's spread."""
+    model = Model.of(SLIDE)
+    row = model.plant.cylinders[0]
+    x = 0.5 * float(row.stroke) + 1e-6 * WHITE[:1000]
+    volume = float(row.volume_head + row.area_head * 0.5 * row.stroke)
+    worth = float(row.bulk_modulus * row.area_head) / volume * series.white_noise(x)
+    wave = np.where(np.arange(1000) % 2, 1.0, -1.0)
+    y = {"press.x": x, "press.p_head": 1e7 + worth / share * wave}
+    log = Record(np.arange(1000) * 1e-3, y)
+    return len(list(plausibility._coarse(log, model)))
+
+
 def at_valve(share):
     """Whether a command is on at first that stands so much of its range beyond its onset."""
     valve = SLIDE.cylinder[0].valve[0]
@@ -320,6 +370,24 @@ def starts(apart):
     return counts[-1]
 
 
+def few_samples(count):
+    t = np.arange(count) * 1e-3
+    return getattr(series.ringing(t, np.sin(300.0 * t)).reason, "key", "").partition(".")[2]
+
+
+def short_window(cycles):
+    """Why a ringing of so many cycles is none."""
+    t, total = np.linspace(0.0, 1.0, 1000), 2000.0
+    lefts = iter([np.full((1000, 1), 1.0), np.full((1000, 1), math.sqrt(total / 1000.0))])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(series, "project", lambda *_: (None, next(lefts)))
+        patch.setattr(series, "correlation_time", lambda _: 1.0)
+        patch.setattr(series, "_standard_errors", lambda *_: (0.0, 0.0))
+        omega = 2.0 * math.pi * cycles
+        seen = series._judge(t, np.ones((1000, 1)), np.ones(1), omega, 0.0, 0.0, 0.0)
+    return getattr(seen.reason, "key", "").partition(".")[2]
+
+
 def vague(error):
     """Why an oscillation does not ring whose frequency is known to a share of it."""
     t, total = np.arange(1000) * 1e-3, 2000.0
@@ -359,6 +427,22 @@ def first_start():
 
 
 # --- stamps
+
+
+def jitters(rms):
+    """Whether a clock is even whose stamps are off by so many periods."""
+    off = rms * np.where(np.arange(100) % 2, 1.0, -1.0)
+    return timestamps.Timestamps(1.0, np.arange(100), off).even
+
+
+def enough(count):
+    return timestamps.timestamps_of(np.arange(count) * 1.0) is not None
+
+
+def rounded(step):
+    """Whether times that are rounded to ``step`` of their rate are put right."""
+    t = np.floor((np.arange(200) + 0.25) / step + 1e-9) * step
+    return timestamps.unrounded(t, step) is not t
 
 
 def stray(share):
@@ -421,6 +505,14 @@ def turns(both):
     one = np.arange(200) % 2 == 0
     other = ~one
     other[: 2 * both : 2] = True
+    return rates._take_turns(one, other)
+
+
+def rate_of_few(count):
+    """Whether a signal of so few values has a rate of its own."""
+    one, other = np.arange(40) < count, np.ones(40, bool)
+    one[:] = False
+    one[: 3 * count : 3] = True
     return rates._take_turns(one, other)
 
 
@@ -562,6 +654,24 @@ ROWS = [
     (FIRST, "creep_sigmas", lambda: [creeps(n) for n in (2.8, 3.2)], [False, True]),
     (FIRST, "beginning", lambda: first_of(1e-3), 1025.851),
     (FIRST, "sensed", step_of_bias, [0.02]),
+    (PLAUSIBLE, "coarse", lambda: [ticks(s) for s in (0.049, 0.051)],
+     ["", "preprocessing.too_coarse"]),
+    (PLAUSIBLE, "fine", lambda: [ticks(s) for s in (1.1e-5, 0.9e-5)],
+     ["", "preprocessing.too_fine"]),
+    (PLAUSIBLE, "periods", lambda: [slow_valve(n) for n in (4.9, 5.1)],
+     ["", "preprocessing.too_coarse"]),
+    (PLAUSIBLE, "overshoot", lambda: [beyond_driver(s) for s in (0.009, 0.011)],
+     ["", "preprocessing.outside_driver"]),
+    (PLAUSIBLE, "travel", lambda: [travels(s) for s in (0.019, 0.021)], [False, True]),
+    (PLAUSIBLE, "still", lambda: [stands_still(s) for s in (0.9e-4, 1.1e-4)], [1, 0]),
+    (PLAUSIBLE, "worth", lambda: [noisy_place(s) for s in (0.095, 0.105)], [0, 1]),
+    (timestamps.SETTINGS, "rms", lambda: [jitters(x) for x in (0.24, 0.26)], [True, False]),
+    (timestamps.SETTINGS, "fewest", lambda: [enough(n) for n in (19, 20)], [False, True]),
+    (timestamps.SETTINGS, "coarse", lambda: [rounded(s) for s in (0.09, 0.11)], [False, True]),
+    (RINGING, "samples", lambda: [few_samples(n) for n in (23, 24)], ["few_samples", ""]),
+    (RINGING, "cycles", lambda: [short_window(n) for n in (0.95, 1.05)], ["few_cycles", ""]),
+    (RINGING, "share", lambda: [silent(share=s) for s in (0.29, 0.31)], ["no_oscillation", ""]),
+    (rates.SETTINGS, "fewest", lambda: [rate_of_few(n) for n in (3, 4)], [False, True]),
     (PLAUSIBLE, "on", lambda: [at_valve(s) for s in (0.009, 0.011)], [False, True]),
     (PLAUSIBLE, "first", lambda: [begun_by(h) for h in (0.6, 0.8)], [False, True]),
     (PLAUSIBLE, "off_pins", lambda: [pins(s) for s in (0.0047, 0.0053)], [False, True]),
