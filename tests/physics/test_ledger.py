@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -742,8 +743,8 @@ def test_pictures_are_legible_and_the_same_each_time(model, made, overlaps, tmp_
 
 
 def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
-    """Of a sinking load, pump and oil give little beside it; the pump's label has two lines. What
-    is less than it may be off by is not drawn."""
+    """Of a sinking load, pump and oil give little beside it; the pump's label has two lines, and
+    shares are of all that enters. What is less than it may be off by is not drawn."""
     from ehbench.report.figures.sankey import is_known, sankey
 
     model = Model.of(rig_of("thesis_arm", lossy=False))
@@ -758,6 +759,9 @@ def test_labels_of_little_sources_stand_apart(overlaps, tmp_path):
         row["energy"] = given.get(row["name"], 0.0)
     sankey(tmp_path / "sinking.svg", ledger)
     assert overlaps == [(0, 0)]
+    shares = re.findall(r"· ([\d.]+) %", (tmp_path / "sinking.svg").read_text(encoding="utf-8"))
+    # 43.5 J of the pump, 9 J of oil and 594 J of the load
+    assert f"{100.0 * 291.0 / 646.5:.0f}" in shares and max(map(float, shares)) < 100.0
     # of 490 J of work
     for half, known in ((480.0, True), (500.0, False)):
         ledger["rows"][0]["interval"] = [-half, half]

@@ -293,9 +293,12 @@ def sankey(path: Path, ledger: Ledger) -> None:
     and the mechanism, to scale.
 
     What is given back (a load that sinks, oil that expands) enters from the left. Rows under 1.2 %
-    are drawn together."""
+    are drawn together. Shares are of what the supply gave; where the load drives the oil, of all
+    that enters."""
     account = _Account.of(ledger)
     layout, unit, given = _layout(account), unit_for([ledger]), account.given
+    if account.uphill:
+        given = sum(flow.energy for flow in layout.flows if flow.start is None)
     with canvas(path, size=(7.4, layout.tall)) as (figure, ax):
         ax.set_xlim(-0.36, 1.98)
         ax.set_ylim(-0.04, 1.03)
