@@ -29,6 +29,7 @@ class RingingSettings:
 
     samples: int = setting(24, "", "least samples of a window", "four for each number sought")
     cycles: float = setting(1.0, "", "least cycles", "else a drift")
+    damped: float = setting(0.6, "", "largest damping ratio", "a step overshoots by 10 %")
     significant: float = setting(40.0, "", "least gain in log likelihood", "noise has less")
     loud: float = setting(0.1, "", "energy that rings, of another series'", "a third in size")
     grid: int = setting(192, "", "samples of the search on a grid", "enough for 24 cycles")
@@ -477,7 +478,7 @@ def _judge(s, y, weight, omega, zeta, tau, start, loud=math.inf) -> Ringing:
     plain = energy >= loud or (share > SETTINGS.clear and cycles > 2.0 * SETTINGS.cycles)
     if not plain and (evidence < SETTINGS.significant or share < SETTINGS.share):
         reason = message("signals.no_oscillation", share=max(share, 0.0))
-    elif cycles < SETTINGS.cycles and zeta * omega * span > 3.0:
+    elif zeta > SETTINGS.damped or (cycles < SETTINGS.cycles and zeta * omega * span > 3.0):
         reason, fitted = message("signals.damped"), zeta
     elif cycles < SETTINGS.cycles:
         reason = message("signals.few_cycles", cycles=cycles)

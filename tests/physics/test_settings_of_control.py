@@ -41,6 +41,12 @@ MONITOR, SENSORS = OfKernels(monitor, "MONITOR"), OfKernels(sensor_checks, "SENS
 RATES, SWINGS = [23.35, 66640000.0, 51560000.0, 6.533], [266.2, 219.4, 201.9, 200.3, 216.0]
 
 
+def answer(patch, module, **values):
+    """Let functions of a module answer as given, whatever they are asked."""
+    for name, value in values.items():
+        patch.setattr(module, name, lambda *_, value=value: value)
+
+
 # --- the adaptive robust controller
 
 
@@ -334,13 +340,13 @@ def map_error(pressed=0.0, late=0.0):
     return round(seen[0], 6)
 
 
-def softest(softness):
-    """What the law takes of an estimated softness of the oil."""
-    memory: Any = Stub(estimates=np.full(9, softness), softer=0.0, later=0.0, more=[0.0, 0.0])
+def taken(estimate):
+    """(softness, lateness) that the law takes of the oil where both are estimated so."""
+    memory: Any = Stub(estimates=np.full(9, estimate), softer=0.0, later=0.0, more=[0.0, 0.0])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(oil_learning, "lacking", lambda *_: 0.0)
+        answer(patch, oil_learning, lacking=0.0)
         unwrap(oil_learning.take)(1.0, memory)
-    return round(memory.softer, 3)
+    return round(memory.softer, 3), round(memory.later, 6)
 
 
 # --- the choice of a function, and pressure feedback
@@ -439,8 +445,8 @@ def passed_low():
 
 
 def checked(x=0.5, others=0.0, turned=0.0):
-    """(deviation of a stroke and of a force, whether a load is weighed, whether the stroke moves as
-    the angle) at a stroke of 1 m, others at a speed and a joint that turns by itself."""
+    """(deviations of a stroke, a force and the supply, whether a load is weighed, whether the
+    stroke moves as the angle) at a stroke of 1 m, others at a speed and a joint that turns."""
     seen: dict = {}
     sample = np.zeros(200)
     sample[[entry(0, OF.x), entry(1, OF.v), entry(0, OF.qd)]] = x, others, turned
@@ -450,46 +456,23 @@ def checked(x=0.5, others=0.0, turned=0.0):
     circuit = Stub(number=0, cylinder=0, supply=[Stub(pressure=1.0)])
     axis: Any = Stub(circuit=circuit, cylinder=cylinder)
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("linkage_of", (0.0, 1.0, 0.0)),
-            ("_doubt", None),
-            ("_load", (7.0, 0.0, 1.0, 0.0)),
-            ("_still", 0.0),
-            ("pressures", None),
-            ("_low_pass", (0.0, 0.0)),
-            ("cylinders_in", 2),
-        ):
-            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        answer(
+            patch,
+            sensor_checks,
+            linkage_of=(0.0, 1.0, 0.0),
+            _doubt=None,
+            _load=(7.0, 0.0, 1.0, 0.0),
+            _still=0.0,
+            pressures=None,
+            _low_pass=(0.0, 0.0),
+            cylinders_in=2,
+        )
         patch.setattr(sensor_checks, "_score", lambda k, *given: seen.update({k: given}))
         patch.setattr(sensor_checks, "_blamed", lambda *given: given[2])
         moved = unwrap(sensor_checks.wrong_sensor)(sample, 0.0, 0.0, True, axis, sensors)
-    sizes = [seen[k][1] for k in (sensor_checks.STROKE, sensor_checks.STUCK_HEAD)]
+    which = (sensor_checks.STROKE, sensor_checks.STUCK_HEAD, sensor_checks.SUPPLY)
+    sizes = [seen[k][1] for k in which]
     return np.round(np.sqrt(sizes), 6).tolist(), seen[sensor_checks.LOAD][0] == 7.0, bool(moved)
-
-
-def off_line():
-    """The deviation of a supply's pressure, of it."""
-    seen: dict = {}
-    sample = np.zeros(200)
-    sensors: Any = Stub(speed=np.zeros(2), tick=1e-3, steady=True, jumped=np.zeros(2))
-    sensors.lines = np.zeros(2)
-    axis: Any = Stub(cylinder=Stub(stroke=1.0, area_head=1.0))
-    axis.circuit = Stub(cylinder=0, supply=[Stub(pressure=1.0)])
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("linkage_of", (0.0, 1.0, 0.0)),
-            ("_doubt", None),
-            ("_load", (0.0, 0.0, 1.0, 0.0)),
-            ("_still", 0.0),
-            ("pressures", None),
-            ("_low_pass", (0.0, 0.0)),
-            ("cylinders_in", 1),
-            ("_blamed", -1),
-        ):
-            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
-        patch.setattr(sensor_checks, "_score", lambda k, *given: seen.update({k: given}))
-        unwrap(sensor_checks.wrong_sensor)(sample, 0.0, 0.0, True, axis, sensors)
-    return round(math.sqrt(seen[sensor_checks.SUPPLY][1]), 6)
 
 
 def jumped(rise):
@@ -506,18 +489,6 @@ def jumped(rise):
     return round(sensors.jumped[0], 6)
 
 
-def stays(seconds):
-    """Whether a pressure is doubted that stays so long and never stayed before."""
-    row = [1e7, 0.0, 0.0, seconds - 1e-3, 0.0]
-    sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
-    axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e9))
-    axis.circuit = Stub(supply=[Stub(flow_limit=1e-3, pressure=2e7)])
-    p: Any = Stub(head=1e7, rod=0.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sensor_checks, "chamber_oil", lambda *_: 1e-3)
-        return unwrap(sensor_checks._still)(0, p, 0.1, 1e3, axis, sensors) > 0.0
-
-
 def unexplained():
     """How much more what a valve leaves unexplained counts than what it explains."""
     row = np.ones(monitor.COLUMNS)
@@ -525,15 +496,6 @@ def unexplained():
     gain = unwrap(monitor._gain)
     idle = gain(monitor.SHUT, row, -1.0, 0.0, 1.0)
     return round(2.0 * (idle - gain(monitor.SHUT, row, -1.0, 1.0, 1.0)), 6)
-
-
-def latest(late):
-    """The lateness that the law takes of an estimated one."""
-    memory: Any = Stub(estimates=np.full(9, late), softer=0.0, later=0.0, more=[0.0, 0.0])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(oil_learning, "lacking", lambda *_: 0.0)
-        unwrap(oil_learning.take)(1.0, memory)
-    return round(memory.later, 6)
 
 
 def weighed(force=0.0, payload=0.0, damping=0.0):
@@ -544,15 +506,16 @@ def weighed(force=0.0, payload=0.0, damping=0.0):
     cylinder = Stub(area_head=1.0, area_rod=1.0, friction_viscous=0.0, friction_coulomb=0.0)
     axis: Any = Stub(cylinder=cylinder, circuit=Stub(cylinder=0, supply=[Stub(pressure=1.0)]))
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("place_joints", None),
-            ("inertias", (1.0, 0.0)),
-            ("load_at", load),
-            ("pressures", None),
-            ("load_force", 0.0),
-            ("_low_pass", (force, 0.0)),
-        ):
-            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        answer(
+            patch,
+            sensor_checks,
+            place_joints=None,
+            inertias=(1.0, 0.0),
+            load_at=load,
+            pressures=None,
+            load_force=0.0,
+            _low_pass=(force, 0.0),
+        )
         e, _, unsure, _ = unwrap(sensor_checks._load)(np.zeros(9), 1.0, axis, sensors)
     return round(e, 6), round(math.sqrt(unsure), 6)
 
@@ -568,15 +531,15 @@ def doubt_left():
 # --- checks of sensors
 
 
-def stands(times):
-    """Whether a pressure is doubted that stays so many times longer than it did before."""
-    row = [1e7, 0.0, 0.0, times - 1e-3, 1.0]
+def stands(seconds, before=1.0):
+    """Whether a pressure is doubted that stays so long, where one stayed so long before."""
+    row = [1e7, 0.0, 0.0, seconds - 1e-3, before]
     sensors: Any = Stub(still=[row], jumped=[0.0], tick=1e-3)
     axis: Any = Stub(cylinder=Stub(area_rod=1.0, area_head=1.0, bulk_modulus=1e9))
     axis.circuit = Stub(supply=[Stub(flow_limit=1e-3, pressure=2e7)])
     p: Any = Stub(head=1e7, rod=0.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sensor_checks, "chamber_oil", lambda *_: 1e-3)
+        answer(patch, sensor_checks, chamber_oil=1e-3)
         return unwrap(sensor_checks._still)(0, p, 0.1, 1e3, axis, sensors) > 0.0
 
 
@@ -587,15 +550,16 @@ def remembered():
     model, axis = slide()
     load: Any = Stub(damping=0.0, mass=0.0, curve=0.0, gravity=0.0, pull=1e9, lever=1.0)
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (
-            ("place_joints", None),
-            ("inertias", (1.0, 0.0)),
-            ("load_at", load),
-            ("pressures", None),
-            ("load_force", 0.0),
-            ("_low_pass", (1e12, 0.0)),
-        ):
-            patch.setattr(sensor_checks, name, lambda *_, value=value: value)
+        answer(
+            patch,
+            sensor_checks,
+            place_joints=None,
+            inertias=(1.0, 0.0),
+            load_at=load,
+            pressures=None,
+            load_force=0.0,
+            _low_pass=(1e12, 0.0),
+        )
         for _ in range(1000):
             unwrap(sensor_checks._load)(np.zeros(9), 0.0, axis, sensors)
     return round(sensors.carried[0], 3)
@@ -939,13 +903,13 @@ ROWS = [
     (OfKernels(sensor_checks, "SCORES"), "alarm", lambda: [blamed(s) for s in (29.0, 31.0)],
      [False, True]),
     (OfKernels(sensor_checks, "SCORES"), "corner", passed_low, 0.943396),
-    (SENSORS, "line", off_line, 0.08),
+    (SENSORS, "line", lambda: checked()[0], [0.004, 0.03, 0.08]),
     (SENSORS, "jump", lambda: jumped(5.0), 2.0),
-    (SENSORS, "still", lambda: [stays(s) for s in (0.048, 0.052)], [False, True]),
+    (SENSORS, "still", lambda: [stands(s, 0.0) for s in (0.048, 0.052)], [False, True]),
     (MONITOR, "unexplained", unexplained, 16.0),
-    (OIL, "latest", lambda: latest(1.0), 0.02),
-    (SENSORS, "stroke", lambda: checked()[0], [0.004, 0.03]),
-    (SENSORS, "force", lambda: checked()[0], [0.004, 0.03]),
+    (OIL, "latest", lambda: taken(1.0)[1], 0.02),
+    (SENSORS, "stroke", lambda: checked()[0], [0.004, 0.03, 0.08]),
+    (SENSORS, "force", lambda: checked()[0], [0.004, 0.03, 0.08]),
     (SENSORS, "ends", lambda: [checked(x)[1] for x in (0.0095, 0.0105, 0.9895, 0.9905)],
      [False, True, True, False]),
     (SENSORS, "moving", lambda: [checked(others=v)[1] for v in (0.021, 0.019)], [False, True]),
@@ -963,7 +927,7 @@ ROWS = [
      4805.843906),
     (MAPS, "unsteady", lambda: map_error(late=1.0), 3.003652),
     (OIL, "softest",
-     lambda: [softest(s) for s in (-1.0, 9.0)], [-0.6, 1.5]),
+     lambda: [taken(s)[0] for s in (-1.0, 9.0)], [-0.6, 1.5]),
     (RULES, "filled", lambda: [filled(False, s) for s in (0.48, 0.52)],
      [False, True]),
     (RULES, "filled_active",

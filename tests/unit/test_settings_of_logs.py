@@ -324,9 +324,9 @@ def step_of_bias():
 # --- ringings
 
 
-def silent(damping=0.1, evidence=99.0, share=0.5, loud=math.inf):
-    """Why an oscillation does not ring, of a damping ratio, so much likelier than none, that
-    explains a share of what moves, of energy 1."""
+def silent(damping=0.1, evidence=99.0, share=0.5, loud=math.inf, omega=60.0):
+    """Why an oscillation does not ring, of a damping ratio and frequency [rad/s], so much likelier
+    than none, that explains a share of what moves, of energy 1."""
     t, total = np.arange(1000) * 1e-3, 1000.0 / share
     lefts = iter(
         [
@@ -339,7 +339,7 @@ def silent(damping=0.1, evidence=99.0, share=0.5, loud=math.inf):
         patch.setattr(series, "project", lambda *_: (None, next(lefts)))
         patch.setattr(series, "correlation_time", lambda _: 1.0 / independent)
         patch.setattr(series, "_standard_errors", lambda *_: (0.0, 0.0))
-        seen = series._judge(t, np.ones((1000, 1)), np.ones(1), 60.0, damping, 0.0, 0.0, loud)
+        seen = series._judge(t, np.ones((1000, 1)), np.ones(1), omega, damping, 0.0, 0.0, loud)
     return getattr(seen.reason, "key", "").partition(".")[2]
 
 
@@ -703,6 +703,8 @@ ROWS = [
     (rates.SETTINGS, "bridged", bridged, 6.0),
     (flowmeter.SETTINGS, "supply_margin", lambda: [beyond_supply(n) for n in (1.45, 1.55)],
      [0, 1]),
+    (RINGING, "damped", lambda: [silent(z, omega=4.0) for z in (0.57, 0.63)],
+     ["few_cycles", "damped"]),
     (RINGING, "significant", lambda: [silent(evidence=e) for e in (38.0, 42.0)],
      ["no_oscillation", ""]),
     (RINGING, "loud", lambda: [also_rings(s) for s in (0.095, 0.105)], [False, True]),

@@ -92,7 +92,7 @@ def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title:
 
 
 def draw_sankey(index: FigureIndex, trial: Case, key: str, title: str, **about: str) -> None:
-    """Where the energy of a trial went, if it has a ledger that knows."""
+    """Where the energy of a trial went, if its ledger knows."""
     if (ledger := trial.energy()) is not None and sankey.is_known(ledger):
         caption = Template("trial").text("sankey", ledger=ledger)
         path = index.add(key, f"Where the energy went: {title}", caption, "sankey", **about)
