@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from compileall import compile_dir
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from inspect import signature
 from multiprocessing import get_context
 from pathlib import Path
@@ -28,6 +28,7 @@ from ehbench.control import LAW_NAMES
 from ehbench.control.registry import LAWS
 from ehbench.runs.rundir import shipped
 from ehbench.runtime.compiled import PACKAGE
+from ehbench.runtime.cores import cores
 
 if TYPE_CHECKING:
     from ehbench.trial import Prepared
@@ -68,24 +69,34 @@ def started() -> Rig:
         return load_rig(Path(folder) / "rig" / "rig.toml")
 
 
-def warm(machine: str) -> str:
-    """Run the short trials of one machine; its name."""
-    from ehbench.plant.integrate import STEP
-    from ehbench.plant.model import Model
-    from ehbench.plant.paced import AUTO
+def trials(machine: str, *laws: str) -> str:
+    """Run the short trials of one machine under some laws, "" for none; gives back what they are
+    called.
+    """
     from ehbench.trial import run
     from ehbench.trial.cases import account
 
     rig = started()
     for keys in recipes(rig, machine):
-        trial = prepared(rig, keys)
-        result = run(trial)
-        account(trial, result)
-        run(trial, fast=False)  # as under a class of the user's own
+        if keys.get("controller", {"kind": ""})["kind"] in laws:
+            trial = prepared(rig, keys)
+            account(trial, run(trial))
+            run(trial, fast=False)  # as under a class of the user's own
+    return f"trials on the {machine}: {', '.join(law or 'commands' for law in laws)}"
+
+
+def replays(what: str) -> str:
+    """Integrate in fixed and in adaptive steps; gives back what it is called."""
+    from ehbench.plant.integrate import STEP
+    from ehbench.plant.model import Model
+    from ehbench.plant.paced import AUTO
+    from ehbench.trial import run
+
+    rig = started()
+    trial = prepared(rig, next(recipes(rig, "model")) | {"step": AUTO})
     for step in (STEP, AUTO):
-        Model.of(rig).replay(result.record, step)
-    run(prepared(rig, next(recipes(rig, machine)) | {"step": AUTO}))
-    return machine
+        Model.of(rig).replay(run(trial).record, step)
+    return what
 
 
 def together(what: str) -> str:
@@ -146,20 +157,25 @@ def ahead() -> None:
 
 
 def main() -> None:
-    """Compile for all machines, a process each, and say how far it is."""
+    """Compile for all machines, a process each processor, and say how far it is.
+
+    The plant comes first, as processes that need it at once would each compile it.
+    """
     if sys.argv[1:] == ["--ahead"]:
         return ahead()
-    names = get_args(TrialSetRecipe.model_fields["on"].annotation)
+    model, *others = get_args(TrialSetRecipe.model_fields["on"].annotation)
     compile_dir(PACKAGE, quiet=2)
     print("compiling the kernels, once …", file=sys.stderr, flush=True)
-    with ProcessPoolExecutor(len(names) + 3, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(warm, name) for name in names]
-        jobs += [pool.submit(together, "model, of several cylinders")]
-        jobs += [pool.submit(exports, "model, exported")]
-        last = pool.submit(fits, "fits of flow maps")
-        for job in jobs:
-            print(f"compiled: trials on the {job.result()}", file=sys.stderr, flush=True)
-        print(f"compiled: {last.result()}", file=sys.stderr, flush=True)
+    with ProcessPoolExecutor(cores(), mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(trials, model, ""), pool.submit(fits, "fits of flow maps")]
+        jobs[0].result()
+        jobs += [pool.submit(trials, model, law) for law in reversed(LAW_NAMES)]
+        jobs += [pool.submit(replays, "replays")]
+        jobs += [pool.submit(trials, machine, "", *LAW_NAMES) for machine in others]
+        jobs += [pool.submit(together, "trials of several cylinders")]
+        jobs += [pool.submit(exports, "exports")]
+        for job in as_completed(jobs):
+            print(f"compiled: {job.result()}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -127,11 +127,12 @@ def test_every_law_runs_on_every_machine(machine, tmp_path):
         if (recipe := TrialRecipe(stage="trial", rig="rig.toml", path=Path("x"), **keys)).on
     ]
     assert laws == [None, *LAW_NAMES]
-    assert warm.warm(machine) == machine
+    assert machine in warm.trials(machine, "", *LAW_NAMES)
 
 
 def test_an_arm_moves_and_fits_find_their_kernels_compiled():
     assert warm.together("an arm") == "an arm"
+    assert warm.replays("steps") == "steps"
     assert warm.fits("fits") == "fits"
     folder = Path(bspline_pieces.outer.stats.cache_path)
     assert list(folder.glob("*bspline_pieces*.nbi"))
