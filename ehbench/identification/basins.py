@@ -100,11 +100,12 @@ def nearest_basin(problem: Problem, state: State) -> State:
 
 def descend(problem: Problem, values: Mapping[str, float]) -> tuple[State, float]:
     """(the minimum next to some values, by name, each channel weighed by its residual; its
-    `level`).
+    `level`). Derivatives are carried to the end, which saves a quarter of all simulations: ends are
+    compared to a few percent.
     """
     state = at_values(problem, values)
     state = _coarse(problem, state, state.theta, state.free).state
-    state, _ = solve(problem, weighed(problem, evaluate(problem, state)), 1e-3)
+    state, _ = solve(problem, weighed(problem, evaluate(problem, state)), 1e-3, secant=True)
     return state, level(problem, state.here.residuals)
 
 
