@@ -19,6 +19,7 @@ from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.diagnosis.follows import Follows, followed
 from ehbench.diagnosis.pins import disagreements
 from ehbench.plant.many import Replay, replay_many
+from ehbench.plant.paced import AUTO
 from ehbench.vocabulary.errors import EhbenchError
 
 __all__ = ["Case", "Finding", "Follows", "Structure", "ask", "followed"]
@@ -168,7 +169,7 @@ class _Search:
                     runs[i] = case.run_of(fault, delta)
                 except (EhbenchError, ValueError):
                     results[i] = None
-            built = replay_many(list(runs.values()))
+            built = replay_many(list(runs.values()), AUTO)
             for i, replayed in zip(runs, built, strict=True):
                 left, residuals = self._left(case, points[i], replayed), results[i]
                 if left is None or residuals is None:

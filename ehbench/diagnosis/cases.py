@@ -15,6 +15,7 @@ from ehbench.plant.build import Maps
 from ehbench.plant.foreign import model_of
 from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
+from ehbench.plant.paced import AUTO
 from ehbench.plant.ties import tied_words
 from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
 from ehbench.preprocessing.observations import column, noise_of
@@ -47,7 +48,7 @@ class Case:
         it; with a fault of size δ.
         """
         run = self.run_of(fault, delta)
-        return self.seen(run.model.replay(run.record, start=run.start), fault, delta)
+        return self.seen(run.model.replay(run.record, AUTO, start=run.start), fault, delta)
 
     def run_of(self, fault: Hypothesis | None = None, delta: float = 0.0) -> Replay:
         """(the model, the record as sound sensors would have it, the start) of `simulated`.

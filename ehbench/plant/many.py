@@ -8,7 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeVar
 
 from ehbench.data.record import Record
+from ehbench.plant.integrate import STEP
 from ehbench.plant.model import Model, Start
+from ehbench.plant.paced import Step
 from ehbench.runtime.cores import cores
 from ehbench.vocabulary.errors import EhbenchError
 
@@ -24,12 +26,12 @@ class Replay(NamedTuple):
     start: Start
 
 
-def replay_many(replays: Sequence[Replay]) -> list[Record | None]:
-    """`Model.replay` of each; None for those that cannot be simulated."""
+def replay_many(replays: Sequence[Replay], step: Step = STEP) -> list[Record | None]:
+    """`Model.replay` of each, in such steps; None for those that cannot be simulated."""
 
     def record_of(replay: Replay) -> Record | None:
         try:
-            return replay.model.replay(replay.record, start=replay.start)
+            return replay.model.replay(replay.record, step, start=replay.start)
         except (EhbenchError, ArithmeticError):
             return None
 

@@ -18,7 +18,7 @@ METHODS: Mapping[str, int] = {
     "output_error": 4,  # identification, its intervals, what `--suggest` and profiles tell
     "log_decrement": 1,  # identification by frequency and decay
     "frequency_response": 1,
-    "diagnosis": 5,
+    "diagnosis": 6,
     "validation": 4,
     "control": 3,  # controllers and their monitor
     "tuning": 3,
