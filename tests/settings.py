@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import pytest
+
 from ehbench.vocabulary.errors import EhbenchError
 
 
@@ -43,6 +45,19 @@ def at(settings: Any, name: str, value: Any) -> Iterator[None]:
         put(before)
 
 
+@contextmanager
+def answers(module: Any, **values: Any) -> Iterator[None]:
+    """Within the block functions of a module answer with a value, or are another function; what is
+    no function is the value."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in values.items():
+            if callable(getattr(module, name)) and not callable(value):
+                patch.setattr(module, name, lambda *_, value=value, **__: value)
+            else:
+                patch.setattr(module, name, value)
+        yield
+
+
 def refusal(work) -> str:
     """The key of what is refused; '' for nothing."""
     try:
@@ -72,3 +87,15 @@ def shows(settings, name, scenario, outcome):
         for other in others:
             with at(settings, name, other):
                 assert scenario() != outcome, (name, other)
+
+
+def each_shows(rows):
+    """The test of a table of settings, names, scenarios and their outcomes."""
+
+    @pytest.mark.parametrize(
+        ("settings", "name", "scenario", "outcome"), rows, ids=lambda x: str(x)[:16]
+    )
+    def test(settings, name, scenario, outcome):
+        shows(settings, name, scenario, outcome)
+
+    return test
