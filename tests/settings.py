@@ -58,6 +58,21 @@ def answers(module: Any, **values: Any) -> Iterator[None]:
         yield
 
 
+class Ended(Exception):
+    """Work is over where a test has seen enough."""
+
+
+def first_call(module: Any, name: str, work: Any) -> tuple:
+    """What a function of a module is given when ``work`` first asks for it, and ends there."""
+
+    def asked(*given: Any, **more: Any):
+        raise Ended(*given, *more.values())
+
+    with answers(module, **{name: asked}), pytest.raises(Ended) as call:
+        work()
+    return call.value.args
+
+
 def refusal(work) -> str:
     """The key of what is refused; '' for nothing."""
     try:
@@ -87,6 +102,11 @@ def shows(settings, name, scenario, outcome):
         for other in others:
             with at(settings, name, other):
                 assert scenario() != outcome, (name, other)
+
+
+def each(settings: Any, names: str, scenario: Any, outcome: Any) -> list[tuple]:
+    """Rows of a table of several numbers that decide the same outcome."""
+    return [(settings, name, scenario, outcome) for name in names.split()]
 
 
 def each_shows(rows):

@@ -32,7 +32,7 @@ from ehbench.plant.model import Model
 from ehbench.trial import checks, coordination, lever, limit_cycle, measures, path
 from ehbench.tune import arc as arc_tune
 from ehbench.tune import arc_loop, draws, gains, operating_point, search, stability
-from tests.settings import OfKernels, answers, each_shows, refusal
+from tests.settings import OfKernels, answers, each, each_shows, first_call, refusal
 from tests.shared import shipped
 
 ANY: Any = Stub()
@@ -40,12 +40,6 @@ ARC, RULES = OfKernels(arc, "ARC"), OfKernels(functions, "FUNCTION")
 MAPS, OIL = OfKernels(map_learning, "MAP_LEARNING"), OfKernels(oil_learning, "OIL_LEARNING")
 MONITOR, SENSORS = OfKernels(monitor, "MONITOR"), OfKernels(sensor_checks, "SENSORS")
 RATES, SWINGS = [23.35, 66640000.0, 51560000.0, 6.533], [266.2, 219.4, 201.9, 200.3, 216.0]
-
-
-def answer(patch, module, **values):
-    """Let functions of a module answer as given, whatever they are asked."""
-    for name, value in values.items():
-        patch.setattr(module, name, lambda *_, value=value: value)
 
 
 # --- the adaptive robust controller
@@ -806,32 +800,20 @@ def top_speed():
 
 def drawn_points():
     """(gains of a root locus, samples of a step response)."""
-    sizes = []
-
-    class Ended(Exception):
-        """The curve is asked for."""
-
-    def asked(_, values=None, gains=None):
-        sizes.append(len(values if gains is None else gains))
-        raise Ended
-
-    loop = Stub(a=np.eye(1), b=np.ones(1), c=np.ones(1))
-    motion: Any = Stub(loop=lambda _: loop)
-    library = Stub(root_locus_map=asked, step_response=asked)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "control", library)  # pyright: ignore[reportArgumentType]
-        answer(patch, gains, system_of=None, speed_of=None)
-        law: Any = Stub(without_feedback=lambda: None)
-        result: Any = Stub(natural_frequency_open=1.0)
-        with suppress(Ended):
-            gains.locus(motion, law, 1.0, "feedback_gain", math.inf)
-        with suppress(Ended):
-            gains.step_response(motion, law, result, 1.0)
-    return sizes
+    library: Any = Stub(root_locus_map=max, step_response=max)
+    motion: Any = Stub(loop=lambda _: Stub(a=np.eye(1), b=np.ones(1), c=np.ones(1)))
+    law: Any = Stub(without_feedback=lambda: None)
+    seen: Any = Stub(natural_frequency_open=1.0)
+    with pytest.MonkeyPatch.context() as patch, answers(gains, system_of=None, speed_of=None):
+        patch.setitem(sys.modules, "control", library)
+        locus = lambda: gains.locus(motion, law, 1.0, "feedback_gain", math.inf)  # noqa: E731
+        steps = lambda: gains.step_response(motion, law, seen, 1.0)  # noqa: E731
+        curves = (("root_locus_map", locus), ("step_response", steps))
+        return [len(first_call(library, name, work)[1]) for name, work in curves]
 
 
 def kept_of_a_step():
-    """What is left of a step a tenth of a second after it, by each window."""
+    """What is left of a step 30 ms after it, by each window."""
     t, left = np.arange(4000) * 1e-3, []
     y = np.where(t < 2.0, 0.0, 1.0)
     with answers(limit_cycle, _zigzag=lambda fast, *_: left.append(fast[2030]) or 0):
@@ -847,29 +829,15 @@ def uneven(share):
 
 def flow_kept():
     """What several cylinders may take of the pump's flow."""
-    asked = []
-
-    class Ended(Exception):
-        """The pace is asked for."""
-
-    def pace_of(_, limit, __):
-        asked.append(limit)
-        raise Ended
-
     plant = Stub(supply=Stub(flow_limit=1.0, pressure=1.0), tank_pressure=0.0, kind=0, gravity=0.0)
-    plant.links, plant.cylinders, plant.forces, zeros = (
-        None,
-        Stub(joint=None),
-        None,
-        np.zeros((1, 4)),
-    )
+    plant.cylinders, plant.links, plant.forces = Stub(joint=None), None, None
     item: Any = Stub(design=Stub(model=Stub(plant=plant), q=None), recipe=Stub(rate=1.0))
-    item.design.row, item.design.circuit = Stub(joint=0), None
+    item.design.row, item.design.circuit, zeros = Stub(joint=0), None, np.zeros((1, 4))
     item.references = Stub(table=zeros)
     with answers(coordination, joints_of=(zeros, None), torques=zeros, axis_of=None,
-                 required_flow=np.zeros(1), pace_of=pace_of), suppress(Ended):  # fmt: skip
-        coordination.planned([item], [ANY], 0.0, True)
-    return round(asked[0], 9)
+                 required_flow=np.zeros(1)):  # fmt: skip
+        work = lambda: coordination.planned([item], [ANY], 0.0, True)  # noqa: E731
+        return round(first_call(coordination, "pace_of", work)[1], 9)
 
 
 def slow_ticks():
@@ -901,8 +869,7 @@ def known_before():
 
 ROWS = [
     (arc_gains.ARC_GAINS, "spare", heaviest, 11500.0),
-    (arc_gains.ARC_GAINS, "budget", lambda: round(0.011 * total(), 6), 0.1092),
-    (arc_gains.ARC_GAINS, "undamped", lambda: round(0.011 * total(), 6), 0.1092),
+    *each(arc_gains.ARC_GAINS, "budget undamped", lambda: round(0.011 * total(), 6), 0.1092),
     (arc_gains.ARC_GAINS, "faster",
      lambda: round(float(gain("bandwidth_limit")) / swing(), 6), 3.9),
     (arc_gains.ARC_GAINS, "observer",
@@ -917,10 +884,7 @@ ROWS = [
     (arc_gains.ARC_GAINS, "robust", lambda: float(gain("robust_limit")), 0.05),
     (arc_gains.ARC_GAINS, "nudge", lambda: round(
         float(gain("speed_nudge") / gain("speed_correction")), 6), 0.01),
-    (arc_gains.ARC_GAINS, "shares", rates, RATES),
-    (arc_gains.ARC_GAINS, "adaptation", rates, RATES),
-    (arc_gains.ARC_GAINS, "reserve", rates, RATES),
-    (arc_gains.ARC_GAINS, "adaptation_bulk", rates, RATES),
+    *each(arc_gains.ARC_GAINS, "shares adaptation reserve adaptation_bulk", rates, RATES),
     (arc_gains.ARC_GAINS, "link", lambda: round(
         float(gain("upper")[1] / slide()[1].mechanism.links[-1].mass), 6), 1.5),
     (arc_gains.ARC_GAINS, "inertia", lambda: round(float(gain("upper")[0]), 6), 1.1),
@@ -952,18 +916,13 @@ ROWS = [
     (ARC, "ahead", load_ahead, 1e-3),
     (ARC, "smaller", lambda: raised(9.0), 0.15),
     (ARC, "follows", lambda: [felt(n) for n in (1.45, 1.55)], [True, False]),
-    (MAPS, "first", known_maps, [[0.4, 0.1], [0.4, 0.4]]),
-    (MAPS, "known", known_maps, [[0.4, 0.1], [0.4, 0.4]]),
-    (MAPS, "scatter", lambda: map_share(9.0), (0.00045, 0.015)),
-    (MAPS, "corner", lambda: map_share(9.0), (0.00045, 0.015)),
-    (MAPS, "least", lambda: map_share(9.0), (0.00045, 0.015)),
+    *each(MAPS, "first known", known_maps, [[0.4, 0.1], [0.4, 0.4]]),
+    *each(MAPS, "scatter corner least", lambda: map_share(9.0), (0.00045, 0.015)),
     (MAPS, "steady", lambda: map_share(0.0)[0], 0.01125),
     (MAPS, "apart", lambda: map_share(0.02)[0], 0.001023),
     (MAPS, "quiet", lambda: [quiet_maps(n) for n in (1.9, 2.1)], [False, True]),
     (OIL, "quiet", lambda: [len(oil_after(n)[0]) for n in (2.9, 3.1)], [0, 1]),
-    (OIL, "scatter", oil_after, ([0.008], 0.02)),
-    (OIL, "corner", oil_after, ([0.008], 0.02)),
-    (OIL, "rate", oil_after, ([0.008], 0.02)),
+    *each(OIL, "scatter corner rate", oil_after, ([0.008], 0.02)),
     (OIL, "largest", lambda: [lacks(s) for s in (-9.0, 9.0)], [-0.25, 0.25]),
     (OIL, "apart", lambda: [credited(s) for s in (-9.0, 9.0)], [-0.05, 0.05]),
     (OIL, "memory", unsure_after, [0.033333] * 4),
@@ -978,13 +937,11 @@ ROWS = [
     (OfKernels(sensor_checks, "SCORES"), "alarm", lambda: [blamed(s) for s in (29.0, 31.0)],
      [False, True]),
     (OfKernels(sensor_checks, "SCORES"), "corner", passed_low, 0.943396),
-    (SENSORS, "line", lambda: checked()[0], [0.004, 0.03, 0.08]),
+    *each(SENSORS, "line stroke force", lambda: checked()[0], [0.004, 0.03, 0.08]),
     (SENSORS, "jump", lambda: jumped(5.0), 2.0),
     (SENSORS, "still", lambda: [stands(s, 0.0) for s in (0.048, 0.052)], [False, True]),
     (MONITOR, "unexplained", unexplained, 16.0),
     (OIL, "latest", lambda: taken(1.0)[1], 0.02),
-    (SENSORS, "stroke", lambda: checked()[0], [0.004, 0.03, 0.08]),
-    (SENSORS, "force", lambda: checked()[0], [0.004, 0.03, 0.08]),
     (SENSORS, "ends", lambda: [checked(x)[1] for x in (0.0095, 0.0105, 0.9895, 0.9905)],
      [False, True, True, False]),
     (SENSORS, "moving", lambda: [checked(others=v)[1] for v in (0.021, 0.019)], [False, True]),
@@ -1025,8 +982,7 @@ ROWS = [
     (search.SEARCH, "corners", lambda: [round(c, 4) for c in law_search().corners[::21]],
      [25.0, 0.2]),
     (search.SEARCH, "offs", lambda: shares(), [0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.5, 5.0]),
-    (arc_tune.ARC_SEARCH, "refinements", budgets, (15, 0.08, 1.2)),
-    (arc_tune.ARC_SEARCH, "budgets", budgets, (15, 0.08, 1.2)),
+    *each(arc_tune.ARC_SEARCH, "refinements budgets", budgets, (15, 0.08, 1.2)),
     (arc_loop.ARC_LOOP, "slowest", lambda: [slowest(w) for w in (2.8, 3.2)], [-1.0, 1.0]),
     (arc_loop.ARC_LOOP, "rings", lambda: [frequencies(z)[0] for z in (0.28, 0.32)], [538, 500]),
     (arc_loop.ARC_LOOP, "points", lambda: frequencies(0.9)[0], 500),
@@ -1039,8 +995,7 @@ ROWS = [
      [False, True]),
     (stability.STABILITY, "near", lambda: [bool(crossed(x)[0]) for x in (0.028, 0.032)],
      [True, False]),
-    (stability.STABILITY, "turns", lambda: crossed(delay=1.0)[:2], (300, (0.3, 60.0))),
-    (stability.STABILITY, "spread", lambda: crossed(delay=1.0)[:2], (300, (0.3, 60.0))),
+    *each(stability.STABILITY, "turns spread", lambda: crossed(delay=1.0)[:2], (300, (0.3, 60.0))),
     (stability.STABILITY, "calm", lambda: [calm(x) for x in (0.9e-9, 1.1e-9)], [True, False]),
     (stability.STABILITY, "slow", standstill, 1e-6),
     (measures.MEASURES, "shifts", shifts_tried, (-1.0, 1.0, 403)),
@@ -1076,8 +1031,7 @@ ROWS = [
     (operating_point.POINT, "difference", push_step, 1e-5),
     (operating_point.POINT, "pressure", lambda: [split(x) for x in (1150.0, 950.0)], [23, 22]),
     (operating_point.POINT, "halvings", top_speed, 0.299804688),
-    (search.SEARCH, "locus_points", drawn_points, [182, 201]),
-    (search.SEARCH, "step_samples", drawn_points, [182, 201]),
+    *each(search.SEARCH, "locus_points step_samples", drawn_points, [182, 201]),
     (limit_cycle.LIMIT_CYCLE, "windows", kept_of_a_step, [0.249, 0.406, 0.471]),
     (limit_cycle.LIMIT_CYCLE, "periods", lambda: [uneven(s) for s in (0.33, 0.37)],
      [True, False]),

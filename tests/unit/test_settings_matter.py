@@ -1,7 +1,6 @@
 """Each number decides an outcome: as stated with it, another with a third more or less."""
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Stub
@@ -47,9 +46,8 @@ from ehbench.trial.motion import MOTION, limits_of
 from ehbench.tune import search as tune_search
 from ehbench.validation import baseline, checks, held_out, judge, residuals, sweeps, transients
 from ehbench.validation.results import ChannelResult, LogResult
-from ehbench.vocabulary.errors import EhbenchError
 from tests import analytic_fit
-from tests.settings import answers, each_shows, refusal
+from tests.settings import answers, each, each_shows, first_call, refusal
 from tests.shared import shipped
 
 RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
@@ -369,11 +367,10 @@ def errors_of_steps():
     """The options of a map from steps whose recipe names no error of its sensors."""
     recipe = Stub(method="steps", calibration=(), calibration_drop=None, meter_limit=0.0)
     recipe.pressure_error = recipe.command_error = None
-    prepared, seen = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Edges()), []
-    with (answers(tables, run_readings=lambda part, options, _: seen.append(options) or []),
-                 suppress(EhbenchError)):  # fmt: skip
-        FlowMapStage().work(prepared, Path(), None)
-    return seen[0]
+    prepared: Any = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Edges())
+    return first_call(tables, "run_readings", lambda: FlowMapStage().work(prepared, Path(), None))[
+        1
+    ]
 
 
 # --- searches
@@ -700,8 +697,7 @@ ROWS = [
     (checks.SETTINGS, "noisy", lambda: [allowed(n) for n in (0.24, 0.26)], [70.0, 61.1]),
     (residuals.SETTINGS, "noise", lambda: [only_noise(s).fit_percent is None for s in (0.47, 0.53)],
      [False, True]),
-    (residuals.SETTINGS, "lag_step", lags, (0.01, 0.5)),
-    (residuals.SETTINGS, "lag_span", lags, (0.01, 0.5)),
+    *each(residuals.SETTINGS, "lag_step lag_span", lags, (0.01, 0.5)),
     (transients.SETTINGS, "creep", lambda: [drifts(s) for s in (0.09, 0.11)], [True, False]),
     (transients.SETTINGS, "periods", lambda: [judged(n) for n in (2.3, 2.7)],
      ["short_stand", "no_half"]),
@@ -725,24 +721,15 @@ ROWS = [
     (held_out.SETTINGS, "agree", lambda: [same_blocks(0.0, 64, n) for n in (2, 3)], [False, True]),
     (held_out.SETTINGS, "fine", lambda: [tells(s) for s in (0.45, 0.55)], [True, False]),
     (held_out.SETTINGS, "finest", lambda: [tells(0.1, n) for n in (92, 88)], [False, True]),
-    (tune_search.SEARCH, "margin", lambda: law_of()[:2], (2.855, 2.855)),
-    (tune_search.SEARCH, "bisections", lambda: law_of()[:2], (2.855, 2.855)),
+    *each(tune_search.SEARCH, "margin bisections", lambda: law_of()[:2], (2.855, 2.855)),
     (tune_search.SEARCH, "pair", lambda: [law_of(twice=k)[1] > 0.0 for k in (3.6, 3.9)],
      [True, False]),
     (tune_search.SEARCH, "nearly", lambda: law_of(0.5)[:2], (0.399, 0.0)),
     (tune_search.SEARCH, "gain_span", lambda: round(1e14 * law_of()[2].grid[1], 6), 100.0),
     (tune_search.SEARCH, "gain_points", lambda: law_of()[2].grid.size, 82),
-    (basins.SETTINGS, "reach", effort, [212, 222, 224, 234]),
-    (basins.SETTINGS, "coarse", effort, [212, 222, 224, 234]),
-    (basins.SETTINGS, "fine", effort, [212, 222, 224, 234]),
-    (basins.SETTINGS, "damping", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "damping", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "easier", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "harder", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "good", effort, [212, 222, 224, 234]),
-    (estimates.SETTINGS, "denied", denied, 392.4),
-    (estimates.SETTINGS, "points", denied, 392.4),
-    (estimates.SETTINGS, "halvings", denied, 392.4),
+    *each(basins.SETTINGS, "reach coarse fine damping", effort, [212, 222, 224, 234]),
+    *each(descent.SETTINGS, "damping easier harder good", effort, [212, 222, 224, 234]),
+    *each(estimates.SETTINGS, "denied points halvings", denied, 392.4),
     (problem.SETTINGS, "limit", lambda: residual(1e12), 1e6),
     (problem.SETTINGS, "failed", lambda: residual(None), 10.0),
     (problem.SETTINGS, "difference", difference, 1e-5),
@@ -754,8 +741,7 @@ ROWS = [
     (ERRORS, "pressure", lambda: round(
         errors_of_steps().drop_std / float(RIG.supply.pressure), 6), 0.001414),
     (ERRORS, "command", lambda: errors_of_steps().command_std, 0.005),
-    (MOTION, "rest", drive, (0.5, 5.0)),
-    (MOTION, "speed_up", drive, (0.5, 5.0)),
+    *each(MOTION, "rest speed_up", drive, (0.5, 5.0)),
     (COORDINATION, "smooth", pace, 863),
     (COORDINATION, "still", lambda: [tip_stands(v) for v in (8e-5, 1.2e-4)], [True, False]),
     (GROUPS, "largest", lambda: products(0.05, 2.6) + products(0.05, 3.6),

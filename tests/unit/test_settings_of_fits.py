@@ -26,7 +26,7 @@ from ehbench.identification.results import Lean, Moved
 from ehbench.plant.model import Model
 from ehbench.validation import baseline, held_out
 from tests import analytic_fit
-from tests.settings import answers, each_shows
+from tests.settings import answers, each_shows, first_call
 from tests.shared import shipped
 
 ANY: Any = Stub()
@@ -155,11 +155,6 @@ def doubts(gain=0.0, shares=()):
     return len(result.warnings), len(result.leans)
 
 
-def worthwhile(share):
-    """Whether a number is suspected whose best value explains so much of the squares."""
-    return looked_at(1, share) > 0
-
-
 def looked_at(count, gain=1.0):
     """How many of so many numbers that promise something are asked of every log."""
     rows: Any = [Row(bounds=(-9.0, 9.0), certainty=1, name=str(i)) for i in range(count)]
@@ -200,30 +195,19 @@ def late(errors, ticks=100.0):
 
 def touched(size):
     """Whether a parameter counts in a log in which it does so much of what it does in all."""
-    seen = []
     asked = analytic_fit.problem()
-
-    class Ended(Exception):
-        """The search is over where it would begin."""
-
-    def over(_, state, __):
-        seen.append(state.influence)
-        raise Ended
-
     with answers(estimates, nearest_basin=lambda _, state: state,
                  jacobian=lambda *_: [np.ones((3, 1, 3))] * 2,
-                 effects=lambda *given: np.full(3, size if len(given) > 3 else 1.0),
-                 _over_ranges=over), pytest.raises(Ended):  # fmt: skip
-        estimates.estimate(asked)
-    return bool(seen[0].all())
+                 effects=lambda *given: np.full(3, size if len(given) > 3 else 1.0)):  # fmt: skip
+        call = first_call(estimates, "_over_ranges", lambda: estimates.estimate(asked))
+    return bool(call[1].influence.all())
 
 
 def heads():
     """How long the logs are that the search begins with [s]."""
-    asked: Any = Stub(logs=[Stub(head=lambda seconds: (_ for _ in ()).throw(ValueError(seconds)))])
-    with pytest.raises(ValueError) as refused:
-        estimates.estimate(asked)
-    return refused.value.args[0]
+    log: Any = Stub(head=max)
+    asked: Any = Stub(logs=[log])
+    return first_call(log, "head", lambda: estimates.estimate(asked))[0]
 
 
 def falls(rise):
@@ -302,26 +286,14 @@ def preferred(fit):
 
 def begun(form):
     """Poles, or frequency and damping, at which searches begin, the first and the last."""
-    seen = []
-
-    class Ended(Exception):
-        """The search has begun."""
-
-    def outputs(theta, *_):
-        seen.append(np.exp(theta))
-        return 0.0, [np.ones(64)]
-
-    def search(*_, **__):
-        raise Ended
-
     import scipy.optimize
 
-    with (answers(transfer, _outputs=outputs), answers(scipy.optimize, least_squares=search),
-                 pytest.raises(Ended)):  # fmt: skip
-        transfer._fit_form(form, [(np.ones(64), np.arange(64.0))], 1.0)
-    return [
-        round(float(item[1] / (item[0] if form == "two poles" else 1.0)), 6) for item in seen[:2]
-    ]
+    seen = []
+    work = lambda: transfer._fit_form(form, [(np.ones(64), np.arange(64.0))], 1.0)  # noqa: E731
+    with answers(transfer, _outputs=lambda theta, *_: seen.append(np.exp(theta)) or (0.0, [1.0])):
+        first_call(scipy.optimize, "least_squares", work)
+    per = (lambda item: item[0]) if form == "two poles" else lambda _: 1.0
+    return [round(float(item[1] / per(item)), 6) for item in seen[:2]]
 
 
 def on_edge(off, damping=()):
@@ -469,8 +441,8 @@ ROWS = [
     (transfer.SETTINGS, "damped", lambda: begun("second order"), [0.1, 0.5]),
     (transfer.SETTINGS, "edge", lambda: [on_edge(x) for x in (0.009, 0.011)], [False, True]),
     (comparison.SETTINGS, "follows", lambda: [tracks(a) for a in (0.47, 0.53)], [False, True]),
-    (sensitivity.SETTINGS, "worth", lambda: [worthwhile(s) for s in (0.048, 0.052)],
-     [False, True]),
+    (sensitivity.SETTINGS, "worth", lambda: [looked_at(1, s) for s in (0.048, 0.052)],
+     [0, 1]),
     (matching.SETTINGS, "stand", lambda: [matched(x)[0] for x in (0.9e-3, 1.1e-3)],
      [True, False]),
     (matching.SETTINGS, "longest", lambda: matched(50.0)[1], 0.7),

@@ -18,7 +18,7 @@ from ehbench.preprocessing import initial_states, observations, plausibility, ti
 from ehbench.signals import series, timestamps
 from ehbench.validation import transients
 from ehbench.vocabulary.errors import InputError
-from tests.settings import answers, each_shows, refusal
+from tests.settings import answers, each, each_shows, refusal
 from tests.shared import shipped
 
 RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
@@ -60,11 +60,12 @@ def beside_pins(sigmas):
     )
 
 
-def begins_moving(share):
-    """Whether a slide moves at first whose first speed is so much of its largest."""
-    v = np.where(np.arange(1000) < 100, share, 1.0)
-    log = Record(np.arange(1000) * 1e-3, {"press.v": v})
-    return bool(plausibility.moving_at_first(log, SLIDE, 50))
+def begins_moving(share, count=100, first=50):
+    """Whether a slide moves in the first samples, of which the first few are a share of its largest
+    speed."""
+    rows = np.arange(1000)
+    v = np.where(rows < count, share, 0.0) + (rows > 500)
+    return bool(plausibility.moving_at_first(Record(rows * 1e-3, {"press.v": v}), SLIDE, first))
 
 
 def at_end(before=(-20.0, -10.0, -5.0), run=6, others=1):
@@ -162,13 +163,6 @@ def at_valve(share):
     volts = max(float(valve.onset(edge)) for edge in valve.edge) + share * span
     log = Record(np.arange(9) * 1e-3, {"press.servo.command": np.full(9, volts)})
     return bool(plausibility.on_at_first(log, SLIDE, 5))
-
-
-def begun_by(height):
-    """Whether a slide moves at first whose first three speeds are a share of the largest."""
-    rows = np.arange(1000)
-    v = np.where(rows < 3, height, 0.0) + (rows > 500)
-    return bool(plausibility.moving_at_first(Record(rows * 1e-3, {"press.v": v}), SLIDE, 400))
 
 
 def pins(share):
@@ -400,12 +394,6 @@ def enough(count):
     return timestamps.timestamps_of(np.arange(count) * 1.0) is not None
 
 
-def rounded(step):
-    """Whether times that are rounded to ``step`` of their rate are put right."""
-    t = np.floor((np.arange(200) + 0.25) / step + 1e-9) * step
-    return timestamps.unrounded(t, step) is not t
-
-
 def stray(share):
     """Whether a clock is even of which one stamp is late by so many periods."""
     off = np.zeros(1000)
@@ -528,18 +516,12 @@ def reverse(count):
     return len(readings(sign, sign)[1].errors)
 
 
-def doubted(share):
-    units = {"pressure_drop": "bar"}
-    row = {"pressure_drop": share * 1e7, "valve": "a", "file": "f", "line": 1}
-    return len(flowmeter._within_supply([row], 1e7, units, flowmeter.LeftOut(False))[1])
-
-
-def beyond_supply(times):
-    """Readings left out of a drop so many times the supply's pressure."""
+def against_supply(times):
+    """Readings left out, and doubts, of a drop so many times the supply's pressure."""
     row = {"pressure_drop": times * 1e7, "valve": "a", "file": "f", "line": 1}
     left = flowmeter.LeftOut(True)
-    flowmeter._within_supply([row], 1e7, {"pressure_drop": "bar"}, left)
-    return len(left.errors)
+    doubts = flowmeter._within_supply([row], 1e7, {"pressure_drop": "bar"}, left)[1]
+    return len(left.errors), len(doubts)
 
 
 def left_out(count):
@@ -700,14 +682,14 @@ ROWS = [
     (PLAUSIBLE, "worth", lambda: [noisy_place(s) for s in (0.095, 0.105)], [0, 1]),
     (timestamps.SETTINGS, "rms", lambda: [jitters(x) for x in (0.24, 0.26)], [True, False]),
     (timestamps.SETTINGS, "fewest", lambda: [enough(n) for n in (19, 20)], [False, True]),
-    (timestamps.SETTINGS, "coarse", lambda: [rounded(s) for s in (0.09, 0.11)], [False, True]),
+    (timestamps.SETTINGS, "coarse", lambda: [stamped(s) for s in (0.09, 0.11)], [False, True]),
     (RINGING, "samples", lambda: [few_samples(n) for n in (23, 24)], ["few_samples", ""]),
     (RINGING, "cycles", lambda: [silent(0.0, omega=n * 2 * math.pi) for n in (0.95, 1.05)],
      ["few_cycles", ""]),
     (RINGING, "share", lambda: [silent(share=s) for s in (0.29, 0.31)], ["no_oscillation", ""]),
     (rates.SETTINGS, "fewest", lambda: [rate_of_few(n) for n in (3, 4)], [False, True]),
     (PLAUSIBLE, "on", lambda: [at_valve(s) for s in (0.009, 0.011)], [False, True]),
-    (PLAUSIBLE, "first", lambda: [begun_by(h) for h in (0.6, 0.8)], [False, True]),
+    (PLAUSIBLE, "first", lambda: [begins_moving(h, 3, 400) for h in (0.6, 0.8)], [False, True]),
     (PLAUSIBLE, "off_pins", lambda: [pins(s) for s in (0.0047, 0.0053)], [False, True]),
     (PLAUSIBLE, "apart", lambda: [high(n) for n in (4.9, 5.1)],
      ["", "preprocessing.high_pressure"]),
@@ -716,13 +698,11 @@ ROWS = [
     (time_base.SETTINGS, "jitter", lambda: [even(s) for s in (0.48, 0.54)],
      [True, "preprocessing.not_even"]),
     (time_base.SETTINGS, "change", lambda: [driven(s) for s in (0.018, 0.022)], [1, 2]),
-    (FIRST, "pressure", priors, [0.2, 0.25]),
-    (FIRST, "place", priors, [0.2, 0.25]),
+    *each(FIRST, "pressure place", priors, [0.2, 0.25]),
     (FIRST, "compared", lambda: priors(compared=("press.p_head",)), [0.05, 0.25]),
     (FIRST, "sensor", lambda: priors(**{"press.p_head": np.full(100, 1e7)}), [0.005, 0.25]),
     (FIRST, "speed", lambda: priors(**{"press.v": np.ones(100)}), [0.2, 0.25, 0.2]),
-    (FIRST, "opening", opened, [0.25, 1e-5]),
-    (FIRST, "supply", opened, [0.25, 1e-5]),
+    *each(FIRST, "opening supply", opened, [0.25, 1e-5]),
     (FIRST, "creep", lambda: [creep_counts(s) for s in (0.9e-3, 1.1e-3)], [False, True]),
     (RINGING, "error", lambda: [silent(error=s) for s in (0.14, 0.16)], ["", "vague_frequency"]),
     (RINGING, "clear", lambda: [silent(evidence=1.0, share=s) for s in (0.89, 0.91)],
@@ -735,7 +715,7 @@ ROWS = [
     (rates.SETTINGS, "shared", lambda: [turns(n) for n in (9, 11)], [True, False]),
     (rates.SETTINGS, "gap", lambda: [held(n) for n in (6.2, 6.8)], [False, True]),
     (rates.SETTINGS, "bridged", bridged, 6.0),
-    (flowmeter.SETTINGS, "supply_margin", lambda: [beyond_supply(n) for n in (1.45, 1.55)],
+    (flowmeter.SETTINGS, "supply_margin", lambda: [against_supply(n)[0] for n in (1.45, 1.55)],
      [0, 1]),
     (RINGING, "damped", lambda: [silent(z, omega=4.0) for z in (0.57, 0.63)],
      ["few_cycles", "damped"]),
@@ -752,7 +732,8 @@ ROWS = [
     (rates.SETTINGS, "slower", lambda: [own_rate(3, 4), own_rate(2, 3)], [False, True]),
     (flowmeter.SETTINGS, "zero_share", lambda: [against(s) for s in (0.019, 0.021)], [0, 1]),
     (flowmeter.SETTINGS, "fewest_reverse", lambda: [reverse(n) for n in (3, 4)], [3, 0]),
-    (flowmeter.SETTINGS, "supply_share", lambda: [doubted(s) for s in (0.0053, 0.0047)], [0, 1]),
+    (flowmeter.SETTINGS, "supply_share", lambda: [against_supply(s)[1] for s in (0.0053, 0.0047)],
+     [0, 1]),
     (guesses.LIMITS, "loop", lambda: [ends_of(0.0, x)[1] for x in (24.0, 26.0)], [20.0, 50.0]),
     (guesses.LIMITS, "slow", lambda: [unit_of(s) for s in (0.085, 0.095)],
      [("s", guesses.LIKELY), ("s", guesses.UNDECIDED)]),

@@ -6,14 +6,13 @@ from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ehbench.flow_maps import fit, shape
 from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline
 from ehbench.vocabulary.errors import EhbenchError
-from tests.settings import answers, each_shows
+from tests.settings import answers, each_shows, first_call
 
 COARSE, COMMANDS = Axis(np.linspace(0.0, 1.0, 5), 3), np.linspace(2.0, 10.0, 20)
 PLAIN = shape.Shape(1.0, COMMANDS, COARSE, np.ones(2))
@@ -151,33 +150,20 @@ def turns_of(restless):
     """Turns of a fit in which a reading of two comes and goes for so many turns."""
     turns = []
     cells: Any = Stub(without=lambda _: cells, heard=np.zeros(2))
-    bent: Any = Stub(spline=lambda: Stub(rows=1, design=None))
-    spline = Stub(design=lambda *_: None)
-    solution = Stub(flow=np.ones(2), widening=1.0, lone=np.zeros(2, bool), spline=spline)
+    bent: Any = Stub(spline=lambda: Stub(rows=1, design=lambda *_: None))
+    solution = Stub(flow=np.ones(2), widening=1.0, lone=np.zeros(2, bool), spline=bent.spline())
     solution.cells, solution.variance = Stub(heard=np.full(2, 99.0)), lambda _: np.zeros(2)
     readings: Any = Stub(cell=np.arange(2), u=None, s=None)
-
-    class Ended(Exception):
-        """The first round is over."""
-
-    def over(*_):
-        raise Ended
+    noise: Any = Stub(std=lambda *_: np.ones(2))
 
     def unbacked(*_):
         turns.append(1)
         return np.array([False, len(turns) % 2 > 0 and len(turns) < restless])
 
-    start = (readings, bent, np.ones(2), np.ones(2, bool))
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Ended):
-        noise: Any = Stub(std=lambda *_: np.ones(2))
-        for name, value in {"_first_shape": start, "first_noise": noise, "measure_noise": noise,
-                            "gather_cells": cells, "judge": solution,
-                            "likeliest_smoothing": (bent, 0.0)}.items():  # fmt: skip
-            patch.setattr(fit, name, lambda *_, value=value: value)
-        patch.setattr(fit, "few", lambda far, _: far)
-        patch.setattr(fit, "unbacked", unbacked)
-        patch.setattr(fit, "let_fall", over)
-        fit._iterate(readings, None)
+    with answers(fit, _first_shape=(readings, bent, np.ones(2), np.ones(2, bool)), judge=solution,
+                 first_noise=noise, measure_noise=noise, gather_cells=cells, unbacked=unbacked,
+                 likeliest_smoothing=(bent, 0.0), few=lambda far, _: far):  # fmt: skip
+        first_call(fit, "let_fall", lambda: fit._iterate(readings, None))
     return len(turns)
 
 

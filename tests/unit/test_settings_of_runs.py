@@ -29,7 +29,7 @@ from ehbench.sampling.sample import Sample
 from ehbench.stages import study
 from ehbench.trial import prepare, run, session, user_code
 from ehbench.vocabulary.errors import InputError
-from tests.settings import answers, each_shows, refusal
+from tests.settings import answers, each, each_shows, first_call, refusal
 from tests.shared import shipped
 
 ANY: Any = Stub()
@@ -332,17 +332,11 @@ def in_threads():
 
 def table():
     """The bytes that a study of ten samples with one drawn key needs."""
-    seen = []
-
-    def refuse(needed, _):
-        seen.append(needed)
-        raise InputError("sampling.no_dask")
-
     recipe: Any = Stub(recipe=(), identified=None, measures=(), at=lambda *_: {})
     inputs: Any = Stub(notes=Stub(collected=nullcontext))
-    with answers(study, Design=lambda *_: Stub(columns=["a"], size=10), refuse_beyond=refuse):
-        refusal(lambda: study.StudyStage().prepare(recipe, inputs))
-    return seen[0]
+    with answers(study, Design=lambda *_: Stub(columns=["a"], size=10)):
+        work = lambda: study.StudyStage().prepare(recipe, inputs)  # noqa: E731
+        return first_call(study, "refuse_beyond", work)[0]
 
 
 def tried(edge):
@@ -497,8 +491,7 @@ ROWS = [
         (worker_waits(t), stuck(t + 9.0)) for t in (119.0, 121.0)], [(True, False), (False, True)]),
     (pools.POOLS, "grace", lambda: [worker_waits(t, False) for t in (1.9, 2.1)], [True, False]),
     (pools.POOLS, "attempts", died, 2),
-    (cluster.CLUSTER, "under_way", chunks, (6, 30)),
-    (cluster.CLUSTER, "chunk", chunks, (6, 30)),
+    *each(cluster.CLUSTER, "under_way chunk", chunks, (6, 30)),
     (study.SETTINGS, "cells", table, 960.0),
     (study.SETTINGS, "short", in_threads, 10),
     (study.SETTINGS, "outer_draws", lambda: [tried(s) for s in (0.019, 0.021)], [0, 2]),
@@ -512,8 +505,7 @@ ROWS = [
     (FMU, "rows", requests, [1000, 200]),
     (FMU, "unpacked", lambda: [unpacked(n) for n in (1.9e9, 2.1e9)],
      ["runtime.fmu_unreadable", "runtime.fmu_large"]),
-    (parts.EXPORT, "rows", checked, (4000, 500)),
-    (parts.EXPORT, "pairs", checked, (4000, 500)),
+    *each(parts.EXPORT, "rows pairs", checked, (4000, 500)),
 ]  # fmt: skip
 
 test_a_third_more_or_less_shows = each_shows(ROWS)
