@@ -142,17 +142,13 @@ def payload_after(pull=1.0, ticks=200, bound=0.0, speed=0.0):
 
 def other_payload():
     """The change of a payload from which the oil is learnt anew, of the largest."""
-    seen = []
-    choice: Any = Stub(function=1, resting=False)
     law = Stub(adapt_oil=1.0, adapt=1.0, tick=1e-3, speed_correction=1.0, upper=np.full(9, 100.0))
-    state = Stub(half=0.0, payload=0.0, age=1.0)
-    memory: Any = Stub(gains=[law], state=state, oil=None)
+    memory: Any = Stub(gains=[law], state=Stub(half=0.0, payload=0.0, age=1.0), oil=None)
     oil: Any = Stub(bulk=1.0, head=1.0, rod=1.0, lost_head=0.0, lost_rod=0.0)
     axis: Any = Stub(circuit=Stub(area_head=1.0, area_rod=1.0))
-    with answers(arc, restart_for=lambda payload, other, _: seen.append(other), learn_oil=None):
-        flows: Any = Stub(head=0.0, rod=0.0)
-        unwrap(arc.estimate_bulk_modulus)(choice, flows, 0, 0.0, 0.0, oil, axis, memory)
-    return seen[0]
+    given: Any = (Stub(function=1, resting=False), Stub(head=0.0, rod=0.0), 0, 0.0, 0.0, oil, axis)
+    work = lambda: unwrap(arc.estimate_bulk_modulus)(*given, memory)  # noqa: E731
+    return first_call(arc, "restart_for", work)[1]
 
 
 def drawn(age):
@@ -256,16 +252,15 @@ def known_maps():
 def map_share(changed=0.0, pressed=0.0, late=0.0, largest=1.0):
     """(variance, least flow) of a comparison whose flow changes by a share of the largest; by what
     presses the oil, or what the low-pass delays."""
-    seen = []
     maps: Any = Stub(added=[0.0, 0.0], chambers=np.zeros((2, 9)))
     law: Any = Stub(tick=1e-3, position_bandwidth=10.0, speed_correction=largest, map_bandwidth=1.0)
     state: Any = Stub(v=late, p=Stub(head=pressed, rod=pressed))
     state.oil = Stub(bulk=1.0, head=1.0, rod=1.0, lost_head=0.0, lost_rod=0.0)
-    axis: Any = Stub(circuit=Stub(area_head=1.0, area_rod=1.0))
-    with answers(map_learning, follow=True, changed=lambda *_: changed, approach=None,
-                 correct=lambda *given: seen.append(given)):  # fmt: skip
-        unwrap(map_learning.learn_maps)(True, False, state, ANY, ANY, axis, law, maps)
-    return float(f"{seen[0][2]:.4g}"), seen[0][3]
+    given: Any = (state, ANY, ANY, Stub(circuit=Stub(area_head=1.0, area_rod=1.0)), law, maps)
+    with answers(map_learning, follow=True, changed=changed, approach=None):
+        work = lambda: unwrap(map_learning.learn_maps)(True, False, *given)  # noqa: E731
+        _, _, variance, least, _ = first_call(map_learning, "correct", work)
+    return float(f"{variance:.4g}"), least
 
 
 def quiet_maps(time):
@@ -336,13 +331,10 @@ def rule(name):
 
 def probe():
     """The drop at which edges of a path compare."""
-    seen = []
-    edges: Any = Row(np.zeros(1, int), np.ones(1, int))
-    circuit: Any = Stub(edges=edges, maps=None)
-    with answers(functions, preload=lambda _: 0.0,
-                 widest=lambda *given: seen.append(given[2]) or 0.0, edge_flow=0.0):  # fmt: skip
-        functions._serving(circuit, np.zeros(1, int), (0, 1))
-    return seen[0]
+    circuit: Any = Stub(edges=Row(np.zeros(1, int), np.ones(1, int)), maps=None)
+    with answers(functions, preload=0.0):
+        work = lambda: functions._serving(circuit, np.zeros(1, int), (0, 1))  # noqa: E731
+        return first_call(functions, "widest", work)[2]
 
 
 def feedback(name):
@@ -590,12 +582,10 @@ def calm(growth):
 
 def standstill():
     """The frequency of standstill, of the fastest pole's."""
-    seen = []
     loop = stability.OpenLoop(np.diag([-5.0, -1.0]), np.ones(2), np.ones(2))
-    with answers(stability, _crossings=lambda *_: np.zeros(0)), answers(stability.OpenLoop,
-                 response=lambda _, omega: seen.append(omega[0]) or np.ones(1)):  # fmt: skip
-        stability.gain_margin(loop)
-    return round(float(seen[0]) / 5.0, 12)
+    with answers(stability, _crossings=lambda *_: np.zeros(0)):
+        call = first_call(stability.OpenLoop, "response", lambda: stability.gain_margin(loop))
+    return round(float(call[1][0]) / 5.0, 12)
 
 
 # --- trials
@@ -735,16 +725,14 @@ def unsure_at_first():
 
 def supplied(share):
     """Whether the supply's pressure counts where so much of its flow is drawn."""
-    rows, calm = np.zeros((1, monitor.COLUMNS)), []
+    rows, zeros = np.zeros((1, monitor.COLUMNS)), np.zeros(1)
     rows[0, monitor.HEAD] = share
-    circuit: Any = Stub(cylinder=0, supply=[Stub(flow_limit=1.0)], able=np.zeros(1))
-    memory: Any = Stub(rows=rows, tick=1e-3, valves=np.zeros(0), scores=np.zeros((0, 2)))
-    memory.sensors, memory.fault, memory.alarm = Stub(scores=np.zeros(1)), [0.0], [0.0]
-    with answers(monitor, pressures=None, entry=0, _chamber=(0.0, 0.0), _follow=None,
-                 wrong_sensor=lambda *given: calm.append(given[3]) or -1):  # fmt: skip
-        axis: Any = Stub(circuit=circuit)
-        unwrap(monitor.watch)([0.0], [0.0], axis, memory)
-    return calm[0]
+    axis: Any = Stub(circuit=Stub(cylinder=0, supply=[Stub(flow_limit=1.0)], able=zeros))
+    memory: Any = Stub(rows=rows, tick=1e-3, valves=zeros[1:], scores=zeros[1:], fault=zeros)
+    memory.sensors = Stub(scores=zeros)
+    with answers(monitor, pressures=None, entry=0, _chamber=(0.0, 0.0)):
+        work = lambda: unwrap(monitor.watch)([0.0], [0.0], axis, memory)  # noqa: E731
+        return first_call(monitor, "wrong_sensor", work)[3]
 
 
 def estimate_step():

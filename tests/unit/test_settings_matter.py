@@ -243,12 +243,13 @@ def warm_flow(change=0.05, sigmas=100.0, flow=0.5):
 def driven(volts):
     """The refusal of a command of a driver of 0 to 10 V."""
     rows = readings_table(np.array([volts]), np.array([1e6]), np.array([1e-4]))
-    driver, edge, left = (
+    given: Any = (
+        rows,
         Stub(command_min=0.0, command_max=10.0),
         Stub(sign=1),
         tables.LeftOut(False),
     )
-    return refusal(lambda: tables._commanded("a", rows, driver, edge, left))
+    return refusal(lambda: tables._commanded("a", *given))
 
 
 def of_supply(share):

@@ -6,7 +6,6 @@ from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ehbench.data.record import Record
 from ehbench.frequency_response import response, transfer
@@ -159,19 +158,11 @@ def looked_at(count, gain=1.0):
     """How many of so many numbers that promise something are asked of every log."""
     rows: Any = [Row(bounds=(-9.0, 9.0), certainty=1, name=str(i)) for i in range(count)]
     every = [sensitivity._Suspect(row, [np.ones((2, 1))], (0,)) for row in rows]
-    state = Stub(live=(), theta=np.zeros(0))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sensitivity, "cost", lambda *_: 1.0)
-        patch.setattr(sensitivity, "prior_of", lambda *_: None)
-        patch.setattr(sensitivity, "_with", lambda *_: None)
-        patch.setattr(sensitivity, "gains_of", lambda *_: [gain] * count)
-        patch.setattr(sensitivity, "_logs_of", lambda *_: [0])
-        patch.setattr(sensitivity, "_columns", lambda *_: {})
-        patch.setattr(sensitivity, "_moved", lambda *_: ())
-        release = Stub(move=1.0, gain=gain, follow=np.zeros(0))
-        patch.setattr(sensitivity, "_release", lambda *_: release)
-        fit: Any = Stub(logs=[ANY])
-        result: Any = Stub(state=state)
+    fit: Any = Stub(logs=[ANY])
+    result: Any = Stub(state=Stub(live=(), theta=np.zeros(0)))
+    with answers(sensitivity, cost=1.0, prior_of=None, _with=None, gains_of=[gain] * count,
+                 _logs_of=[0], _columns={}, _moved=(),
+                 _release=Stub(move=1.0, gain=gain, follow=np.zeros(0))):  # fmt: skip
         return len(sensitivity._promising(fit, result, every, ANY))
 
 
@@ -212,24 +203,19 @@ def heads():
 
 def falls(rise):
     """Whether a solution is tried where the cost falls by so much."""
-    with pytest.MonkeyPatch.context() as patch:
-        state: Any = Stub(prior_weight=1.0, influence=np.zeros((1, 1)))
-        state.moved = lambda *_: state
-        patch.setattr(estimates, "replace", lambda item, **_: item)
-        patch.setattr(estimates, "solve", lambda _, item, __: (item, True))
-        costs = iter([0.0, 1.0])
-        patch.setattr(estimates, "cost", lambda *_: next(costs))
+    state: Any = Stub(prior_weight=1.0, influence=np.zeros((1, 1)))
+    state.moved, costs = lambda *_: state, iter([0.0, 1.0])
+    with answers(estimates, replace=lambda item, **_: item, cost=lambda *_: next(costs),
+                 solve=lambda _, item, __: (item, True)):  # fmt: skip
         return estimates._better(ANY, state, 0, -rise, 0.0) is not None
 
 
 def slack():
     """How much more the integration may err in a look."""
     asked = analytic_fit.problem()
-    seen = []
-    with answers(basins, residuals_at=lambda *given: seen.append(given[-1]) or [None]):
-        state = problem.initial(asked)
-        basins._costs(asked, state, [state.theta], [0])
-    return seen[0]
+    state = problem.initial(asked)
+    work = lambda: basins._costs(asked, state, [state.theta], [0])  # noqa: E731
+    return first_call(basins, "residuals_at", work)[-1]
 
 
 def asked_rows(took):
@@ -335,22 +321,16 @@ def probes():
 
 def at_bound(share):
     """Parameters that end at a bound of which one comes so near, of its reach, that is unsure."""
-    asked = analytic_fit.problem()
-    place, kept = asked.search[0], {}
-    theta = problem.initial(asked).theta.copy()
+    asked, unsure = analytic_fit.problem(), Stub(kind="", quantile=2.0, std=1e9)
+    place, theta = asked.search[0], problem.initial(asked).theta.copy()
     theta[0] = place.bounds[1] - share * place.reach
-    unsure = Stub(kind="", quantile=2.0, std=1e9)
-    with answers(
-        estimates,
-        nearest_basin=lambda _, state: replace(state, theta=theta),
-        settle=lambda _, state, __: (state, True),
-        _over_ranges=lambda _, state, __: state,
-        errors_of=lambda _, state: Stub(by_index={i: unsure for i in state.free if i == 0}),
-        doubts_of=None,
-        result_of=lambda _, state, *__: kept.update(x=state.at_bound),
-    ):
-        estimates.estimate(asked)
-    return kept["x"]
+    with answers(estimates, nearest_basin=lambda _, state: replace(state, theta=theta),
+                 settle=lambda _, state, __: (state, True), doubts_of=None,
+                 _over_ranges=lambda _, state, __: state,
+                 errors_of=lambda _, state: Stub(
+                     by_index={i: unsure for i in state.free if i == 0})):  # fmt: skip
+        work = lambda: estimates.estimate(asked)  # noqa: E731
+        return first_call(estimates, "result_of", work)[1].at_bound
 
 
 def oscillates(share):

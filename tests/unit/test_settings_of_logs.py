@@ -18,7 +18,7 @@ from ehbench.preprocessing import initial_states, observations, plausibility, ti
 from ehbench.signals import series, timestamps
 from ehbench.validation import transients
 from ehbench.vocabulary.errors import InputError
-from tests.settings import answers, each, each_shows, refusal
+from tests.settings import answers, each, each_shows, first_call, refusal
 from tests.shared import shipped
 
 RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
@@ -374,11 +374,9 @@ def coarse_search():
 
 def first_start():
     """How far below half of the sampling rate a search begins, in log ω."""
-    seen = []
-    with answers(series.oscillation, fit=lambda *given: seen.append(given[3]) or (given[3], 1.0)):
-        s = np.arange(100) * 1e-3
-        series._refine(s, np.ones((100, 1)), [(1e9, 0.1)], [0.0])
-    return round(math.log(math.pi / 1e-3) - seen[0][0], 9)
+    given = np.arange(100) * 1e-3, np.ones((100, 1)), [(1e9, 0.1)], [0.0]
+    begin = first_call(series.oscillation, "fit", lambda: series._refine(*given))[3]
+    return round(math.log(math.pi / 1e-3) - begin[0], 9)
 
 
 # --- stamps
@@ -490,17 +488,9 @@ def bridged():
 
 
 def readings(flows, drops, direction="", allowed=True):
-    rows = [
-        {
-            "valve": "a",
-            "flow": q,
-            "pressure_drop": p,
-            "direction": direction,
-            "file": "f",
-            "line": n,
-        }
-        for n, (q, p) in enumerate(zip(flows, drops, strict=True))
-    ]
+    same = {"valve": "a", "direction": direction, "file": "f"}
+    pairs = enumerate(zip(flows, drops, strict=True))
+    rows = [same | {"flow": q, "pressure_drop": p, "line": n} for n, (q, p) in pairs]
     left = flowmeter.LeftOut(allowed)
     return flowmeter._signs(rows, left), left
 
@@ -557,14 +547,11 @@ def drafted(bad):
 
 def allowed(name, size=10**9):
     """What a reader of a file of so many bytes may use."""
-    seen, path = [], Path("x")
-    file: Any = Stub(absolute=lambda: path, is_dir=lambda: False)
-    file.lstat = lambda: Stub(st_size=size)
-    with answers(readers, available=lambda: 1e15,
-                 confined=lambda work, bounds, files: seen.append(bounds),
-                 received=None):  # fmt: skip
-        readers._confined(Stub(module="mdf", name="", package=""), file, ANY)  # pyright: ignore[reportArgumentType]
-    return getattr(seen[0], name)
+    file: Any = Stub(absolute=lambda: Path("x"), is_dir=lambda: False)
+    file.lstat, reader = lambda: Stub(st_size=size), Stub(module="mdf", name="", package="")
+    with answers(readers, available=1e15):
+        call = first_call(readers, "confined", lambda: readers._confined(reader, file, ANY))  # pyright: ignore[reportArgumentType]
+    return getattr(call[1], name)
 
 
 def time_of(values, unit=""):
@@ -601,12 +588,10 @@ def out_of_range(share):
 def loads(share):
     """The refusal of pressures far from those of a load of so much of the supply's."""
     model, supply = Model.of(SLIDE), float(SLIDE.supply.pressure)
-    ends = {model.layout.state(word, 0): p for word, p in (("p_head", share), ("p_rod", 0.0))}
+    head, rod = (model.layout.state(word, 0) for word in ("p_head", "p_rod"))
     y = {"press.p_head": np.full(9, 0.5 * supply), "press.p_rod": np.zeros(9)}
-    with pytest.MonkeyPatch.context() as patch:
-        start = {state: p * supply for state, p in ends.items()}
-        patch.setattr(type(model), "start_of", lambda *_: start)
-        log = Record(np.arange(9) * 1e-3, y)
+    log = Record(np.arange(9) * 1e-3, y)
+    with answers(type(model), start_of={head: share * supply, rod: 0.0}):
         return refusal(lambda: plausibility.refuse_pressures("log", log, model, 9, still=True))
 
 
@@ -626,13 +611,9 @@ def transient(late=0, error=0.0):
     y = {"press.servo.command": np.where(np.arange(1000) < 500 - late, 0.0, 5.0), "press.v": t}
     rings = series.Ringing(60.0, 0.1, 0.0, 0.0, stop=9.0, ok=True)
     off = math.sqrt(error) * np.where(np.arange(1000) % 2, 1.0, -1.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(transients.series, "transients", lambda *_: [slice(500, 900)])
-        for name in ("ringing", "ringing_like"):
-            patch.setattr(transients.series, name, lambda *_: rings)
-        patch.setattr(transients, "why_not_judged", lambda *_: "")
-        patch.setattr(transients, "noise_of", lambda *_: 1.0)
-        pairs: Any = {"press.v": Stub(recorded=t, simulated=t + off)}
+    pairs: Any = {"press.v": Stub(recorded=t, simulated=t + off)}
+    with (answers(series, transients=[slice(500, 900)], ringing=rings, ringing_like=rings),
+          answers(transients, why_not_judged="", noise_of=1.0)):  # fmt: skip
         seen = transients.transients_of(Record(t, y), Model.of(SLIDE), "press", pairs)
     return [bool(item.note) for item in seen]
 

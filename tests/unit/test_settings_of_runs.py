@@ -2,7 +2,6 @@
 `test_settings_matter`."""
 
 import json
-import math
 from collections import Counter
 from concurrent.futures import Future
 from contextlib import nullcontext, suppress
@@ -171,10 +170,9 @@ def holds(seconds):
 
 def ended(seconds):
     """Whether a view ends by itself that needs so long."""
-    waited, process = [], Stub(kill=lambda: None)
-    process.wait = lambda limit=math.inf: waited.append(limit >= seconds)
-    of(view.View, numbers=np.zeros(9), process=process).close()
-    return waited[0]
+    process = Stub(wait=max)
+    shown = of(view.View, numbers=np.zeros(9), process=process)
+    return first_call(process, "wait", shown.close)[0] >= seconds
 
 
 # --- links
@@ -395,12 +393,9 @@ def stiff(rate):
 
 def child(name):
     """What the process of an FMU may take."""
-    seen: list[str] = []
     unit: Any = Stub(folder="")
-    with answers(fmu.subprocess, Popen=lambda words, **_: seen.append(words[-1]) or Stub()):
-        process = fmu.FmuProcess(unit, {"channels": []})
-        process.close.detach()
-    return json.loads(seen[0])[name]
+    words = first_call(fmu.subprocess, "Popen", lambda: fmu.FmuProcess(unit, {"channels": []}))[0]
+    return json.loads(words[-1])[name]
 
 
 def hangs():
