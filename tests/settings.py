@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import Any, NamedTuple
 
+import pytest
+
 from ehbench.vocabulary.errors import EhbenchError
 
 
@@ -43,6 +45,34 @@ def at(settings: Any, name: str, value: Any) -> Iterator[None]:
         put(before)
 
 
+@contextmanager
+def answers(module: Any, **values: Any) -> Iterator[None]:
+    """Within the block functions of a module answer with a value, or are another function; what is
+    no function is the value."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in values.items():
+            if callable(getattr(module, name)) and not callable(value):
+                patch.setattr(module, name, lambda *_, value=value, **__: value)
+            else:
+                patch.setattr(module, name, value)
+        yield
+
+
+class Ended(Exception):
+    """Work is over where a test has seen enough."""
+
+
+def first_call(module: Any, name: str, work: Any) -> tuple:
+    """What a function of a module is given when ``work`` first asks for it, and ends there."""
+
+    def asked(*given: Any, **more: Any):
+        raise Ended(*given, *more.values())
+
+    with answers(module, **{name: asked}), pytest.raises(Ended) as call:
+        work()
+    return call.value.args
+
+
 def refusal(work) -> str:
     """The key of what is refused; '' for nothing."""
     try:
@@ -72,3 +102,20 @@ def shows(settings, name, scenario, outcome):
         for other in others:
             with at(settings, name, other):
                 assert scenario() != outcome, (name, other)
+
+
+def each(settings: Any, names: str, scenario: Any, outcome: Any) -> list[tuple]:
+    """Rows of a table of several numbers that decide the same outcome."""
+    return [(settings, name, scenario, outcome) for name in names.split()]
+
+
+def each_shows(rows):
+    """The test of a table of settings, names, scenarios and their outcomes."""
+
+    @pytest.mark.parametrize(
+        ("settings", "name", "scenario", "outcome"), rows, ids=lambda x: str(x)[:16]
+    )
+    def test(settings, name, scenario, outcome):
+        shows(settings, name, scenario, outcome)
+
+    return test

@@ -50,7 +50,6 @@ class MapLearningSettings:
     narrow: float = setting(0.15, "V", "opening from which a slope is known", "chosen")
     first: float = setting(0.4, "", "standard errors at the start, of the bounds", "chosen")
     known: float = setting(0.1, "", "the same of a deadband of the map", "below a gain's, in flow")
-    zero: float = setting(1.0e-30, "", "variance that stands for none", "above 0")
 
 
 MAP_LEARNING = constants(MapLearningSettings())
@@ -230,9 +229,11 @@ def within(row, gains):
     widest, maximum = 1.0 + gains.map_error, gains.deadband_error
     gain = min(max(row[BEST_GAIN], 1.0 / widest), widest)
     shift = row[BEST_SHIFT]
-    shift += row[COVARIANCE] / max(row[VAR_GAIN], MAP_LEARNING.zero) * (gain - row[BEST_GAIN])
+    if row[VAR_GAIN] > 0.0:
+        shift += row[COVARIANCE] / row[VAR_GAIN] * (gain - row[BEST_GAIN])
     bounded = min(max(shift, -maximum), maximum)
-    gain += row[COVARIANCE] / max(row[VAR_SHIFT], MAP_LEARNING.zero) * (bounded - shift)
+    if row[VAR_SHIFT] > 0.0:
+        gain += row[COVARIANCE] / row[VAR_SHIFT] * (bounded - shift)
     return min(max(gain, 1.0 / widest), widest), bounded
 
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from ehbench.control.records import constants
 from ehbench.runtime.compiled import kernel, record
 from ehbench.vocabulary.settings import setting
@@ -26,9 +24,9 @@ UNKNOWNS = 4
 class OilLearningSettings:
     """Numbers of the estimator of oil and flows."""
 
-    softness: float = setting(1.0, "", "standard error of θ4 at the start", "soft and stiff oil")
-    lateness: float = setting(0.01, "s", "standard error of the lateness", "sensors' lag and delay")
-    flow: float = setting(0.15, "", "standard error of the missing share", "docs arc.md")
+    first: tuple = setting(
+        (1.0, 0.01, 0.15, 0.15), "", "standard errors at the start, SI", "docs arc.md"
+    )
     apart: float = setting(0.05, "", "difference of that between directions", "docs arc.md")
     scatter: float = setting(0.02, "", "error of a comparison, of the largest flow", "chosen")
     corner: float = setting(1.0, "k3", "low-pass of the comparison, used twice", "chosen")
@@ -41,9 +39,6 @@ class OilLearningSettings:
 
 
 OIL_LEARNING = constants(OilLearningSettings())
-FIRST = np.array(
-    [OIL_LEARNING.softness, OIL_LEARNING.lateness, OIL_LEARNING.flow, OIL_LEARNING.flow]
-)
 
 OIL = record(
     ("bulk", "f8"),
@@ -83,8 +78,8 @@ def begin_oil(load, bulk, memory):
     for i in range(UNKNOWNS):
         memory.estimates[i] = 0.0
         for j in range(UNKNOWNS):
-            memory.covariance[i, j] = FIRST[i] * FIRST[i] if i == j else 0.0
-    both = FIRST[MORE] * FIRST[MORE] - OIL_LEARNING.apart * OIL_LEARNING.apart
+            memory.covariance[i, j] = OIL_LEARNING.first[i] ** 2 if i == j else 0.0
+    both = OIL_LEARNING.first[MORE] ** 2 - OIL_LEARNING.apart**2
     memory.covariance[MORE, BACK] = memory.covariance[BACK, MORE] = both
 
 
@@ -181,7 +176,7 @@ def correct_oil(missing, rate, turn, passed, variance, tick, memory):
         memory.part,
     )
     for i in range(UNKNOWNS):
-        first = FIRST[i] * FIRST[i]
+        first = OIL_LEARNING.first[i] ** 2
         sure[i, i] = min(sure[i, i] + tick / OIL_LEARNING.memory * first, max(first, sure[i, i]))
     moves[SOFTER], moves[LATER] = rate, turn
     moves[MORE], moves[BACK] = max(passed, 0.0), min(passed, 0.0)

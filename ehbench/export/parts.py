@@ -29,8 +29,6 @@ from ehbench.vocabulary.settings import setting
 class ExportSettings:
     """Numbers of an export."""
 
-    change: float = setting(0.25, "", "change of a parameter that shows where it acts", "any")
-    small: float = setting(1e-3, "", "the same of a parameter that is 0 [SI]", "any")
     rows: int = setting(4000, "", "steps of a trial that a check holds at most", "a few MB")
     pairs: int = setting(500, "", "drops and flows that the check of valves holds", "a second")
 
@@ -121,21 +119,25 @@ def _rig_parameters(
         return {name: bits for leaf in like.memory for name, bits in numbers(leaf).items()}
 
     before = numbers_of(trial.rig)
-    for name, value in known.items():
-        old = float(value)
-        new = old + (EXPORT.change * old or EXPORT.small)
+
+    def places_of(name: str, old: float, new: float) -> tuple[str, ...]:
         try:
             after = numbers_of(trial.rig.with_values({name: new}, known))
         except InputError:
-            continue
+            return ()
         places = [place for place, bits in after.items() if bits != before[place]]
         bits = [int(np.float64(number).view(np.int64)) for number in (old, new)]
-        if places and all([before[place], after[place]] == bits for place in places):
+        alike = all([before[place], after[place]] == bits for place in places)
+        return tuple(places) if alike else ()
+
+    for name, value in known.items():
+        old = float(value)
+        if places := places_of(name, old, 2.0 * old or 1.0) or places_of(name, old, 0.5 * old):
             bounds = {"lower": value.lower, "upper": value.upper}
             bounds = {key: bound for key, bound in bounds.items() if bound is not None}
             item = Variable.of(name, "parameter", "", old, **bounds)
             text = "; ".join(filter(None, (item.about, about.get(name, value.source))))
-            yield item._replace(places=tuple(places), about=text)
+            yield item._replace(places=places, about=text)
 
 
 def controller_part(trial: Prepared, session: Session, law: Compiled, design: Design) -> Component:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import count
 
 import numpy as np
 
@@ -60,8 +61,7 @@ class FitSettings:
     lack: float = setting(100.0, "", "lack of fit from which a map is doubted", "10 times noise")
     lack_rms: float = setting(0.05, "", "rms from which a doubted map is refused", "lone cells")
     fall_rms: float = setting(0.01, "", "the same of a map that falls with the opening", "as above")
-    turns: int = setting(40, "", "largest number of turns of noise, fit and outliers", "few needed")
-    settle: int = setting(20, "", "turns after which no reading comes back", "half of the turns")
+    settle: int = setting(20, "", "turns after which no reading comes back", "few needed")
     lag_turns: int = setting(4, "", "largest number of turns for the hysteresis", "few needed")
     lag: float = setting(4.0, "", "standard errors of a hysteresis or shift", "chance")
     lag_share: float = setting(5e-4, "", "the same, of the largest command", "drivers")
@@ -199,7 +199,7 @@ def _iterate(readings: Readings, leak: Leak | None) -> Fit:
     leverage = (flow > 0) * (shape.spline().rows + 3) / np.count_nonzero(flow > 0)
     lone = np.zeros(int(readings.cell.max()) + 1, bool)
     for final in (False, True):
-        for turn in range(SETTINGS.turns):
+        for turn in count():
             noise = measure_noise(readings, noise, keep, leverage, flow)
             cells = gather_cells(readings, noise, keep, flow)
             if final and not turn:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -62,7 +62,7 @@ class _Descent:
 
     state: State
     origin: State
-    damping: float = SETTINGS.damping
+    damping: float = field(default_factory=lambda: SETTINGS.damping)
     steps: int = 0
 
 

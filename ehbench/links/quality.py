@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ehbench.links.client import TOKENS
+from ehbench.links.client import LINK, TOKENS
 from ehbench.links.responder import ALIVE, HEADER
 from ehbench.links.transport import ACKNOWLEDGED, SEQUENCE, STATE, TIME, TOKEN, WATCHDOG, Link
 from ehbench.vocabulary.errors import InputError
@@ -24,7 +24,6 @@ class QualitySettings:
     late: float = setting(0.01, "", "share of late ticks that is refused", "twice an ordinary one")
     gap: float = setting(0.5, "", "longest gap, as a share of the watchdog's time", "half of it")
     samples: float = setting(4.0, "", "in a watchdog's time, at least", "one may be late")
-    answer: float = setting(2.0, "s", "until a target must answer", "a hundred watchdogs")
 
 
 QUALITY = QualitySettings()
@@ -102,7 +101,7 @@ def measure(link: Link, url: str, seconds: float, refused: tuple[str, ...] = ())
                 if item.size >= len(HEADER) and item[TOKEN] == token:
                     rows.append((now, *item[[SEQUENCE, TIME, ACKNOWLEDGED, WATCHDOG]].tolist()))
                     newest, heard = item[SEQUENCE], now
-            if now - heard > QUALITY.answer:
+            if now - heard > LINK.patience:
                 raise InputError(message("links.silent", url=url, rejected="none"))
     sent, table = np.array(times), np.array(rows)
     came, sequence, t, acknowledged = table[:, :4].T

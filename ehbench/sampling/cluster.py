@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.runs.versions import METHODS
 from ehbench.runtime.blas import one_thread
-from ehbench.sampling.pools import PoolSettings
+from ehbench.sampling.pools import POOLS
 from ehbench.sampling.sample import Make, Sample, Task, Workers
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
@@ -31,13 +31,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ClusterSettings(PoolSettings):
+class ClusterSettings:
     """How samples are handed to a cluster."""
 
-    connect: float = setting(20.0, "s", "wait for the scheduler's answer", "a slow network")
     chunk: float = setting(0.3, "s", "work in one chunk of samples", "1.7 ms of overhead")
-    largest_chunk: int = setting(5000, "", "samples in one chunk at most", "bytes of a message")
     under_way: int = setting(3, "", "chunks for each thread of the cluster", "no thread runs dry")
+
+
+CLUSTER = ClusterSettings()
 
 
 def _code() -> str:
@@ -99,7 +100,6 @@ class Cluster:
         bundle: of the study.
         measures: of a sample.
         limit: time [s] that a sample may take; a worker that hangs beyond it is restarted.
-        settings: how samples are handed over.
 
     Raises:
         InputError: no such extra is installed, or no scheduler answers.
@@ -111,7 +111,6 @@ class Cluster:
         bundle: Bundle,
         measures: int,
         limit: float | None = None,
-        settings: ClusterSettings = ClusterSettings(),
     ) -> None:
         try:
             from distributed import Client, Security
@@ -129,18 +128,13 @@ class Cluster:
             if workers.is_encrypted and known is None:  # else a client is half-made
                 address = workers.scheduler
                 raise InputError(message("sampling.certificates_missing", address=address))
-            self._client: Any = Client(
-                workers.scheduler,
-                timeout=settings.connect,
-                set_as_default=False,
-                security=security,
-            )
+            self._client: Any = Client(workers.scheduler, set_as_default=False, security=security)
         except (OSError, ValueError, TypeError) as error:
             text = message("sampling.no_scheduler", address=workers.scheduler, reason=str(error))
             raise InputError(text) from None
         data = pickle.dumps(bundle)
         self._sent = Sent(hashlib.sha256(data).hexdigest(), data)
-        self._measures, self._limit, self._settings = measures, limit, settings
+        self._measures, self._limit = measures, limit
         self._done: SimpleQueue[Future] = SimpleQueue()
         self._jobs: dict[Future, tuple[list[Task], float]] = {}  # chunk and when it was sent [s]
         self._alone: list[Task] = []  # of chunks that were lost
@@ -158,13 +152,9 @@ class Cluster:
             try:
                 while True:
                     threads = sum(client.nthreads().values())  # however many workers there are now
-                    while len(self._jobs) < max(self._settings.under_way * threads, 2):
-                        size = 1
-                        if self._count:
-                            size = round(
-                                self._settings.chunk * self._count / max(self._seconds, 1e-9)
-                            )
-                        size = max(1, min(self._settings.largest_chunk, size))
+                    while len(self._jobs) < max(CLUSTER.under_way * threads, 2):
+                        rate = self._count / self._seconds if self._seconds else 0.0
+                        size = max(1, round(CLUSTER.chunk * rate))
                         chunk = [self._alone.pop()] if self._alone else list(islice(tasks, size))
                         if not chunk:
                             break
@@ -186,14 +176,13 @@ class Cluster:
         try:
             job = self._done.get(timeout=1.0)
         except Empty:  # chunks at work for longer than their samples may take: workers restart
-            limit, chosen = self._limit, self._settings
-            if limit is None:
+            if (limit := self._limit) is None:
                 return
             busy = {key: at for at, keys in self._client.processing().items() for key in keys}
             for late, (chunk, since) in list(self._jobs.items()):
-                allowed = len(chunk) * chosen.under_way * (limit + chosen.grace)
+                allowed = len(chunk) * CLUSTER.under_way * (limit + POOLS.grace)
                 waited = time.monotonic() - since
-                if late.key in busy and waited >= allowed + chosen.first_grace:
+                if late.key in busy and waited >= allowed + POOLS.first_grace:
                     del self._jobs[late]
                     self._client.cancel([late], force=True)
                     self._client.restart_workers([busy[late.key]], raise_for_error=False)

@@ -32,6 +32,9 @@ class PoolSettings:
     attempts: int = setting(2, "", "processes that a sample may end", "one may die by chance")
 
 
+POOLS = PoolSettings()
+
+
 class Pool(Protocol):
     """What makes samples."""
 
@@ -82,13 +85,13 @@ def _in_threads(
 class _Worker:
     """A process that makes one sample after the other."""
 
-    def __init__(self, opener: bytes, settings: PoolSettings) -> None:
+    def __init__(self, opener: bytes) -> None:
         self.pipe, other = Pipe()
         code = f"from ehbench.sampling.pools import serve; serve({other.fileno()})"
         self.process = subprocess.Popen([sys.executable, "-c", code], pass_fds=[other.fileno()])
         other.close()
         self.pipe.send_bytes(opener)
-        self._settings, self._grace = settings, settings.first_grace
+        self._grace = POOLS.first_grace
 
     def make(self, task: Task, limit: float | None) -> Sample | None:
         """The sample of a task; None where it takes longer than ``limit`` [s].
@@ -99,7 +102,7 @@ class _Worker:
         self.pipe.send(task)
         if not self.pipe.poll(None if limit is None else limit + self._grace):
             return None
-        self._grace = self._settings.grace
+        self._grace = POOLS.grace
         return self.pipe.recv()
 
     def end(self) -> None:
@@ -117,19 +120,11 @@ class Processes:
         workers: processes.
         measures: of a sample.
         limit: None for none.
-        settings: how long it waits.
     """
 
-    def __init__(
-        self,
-        open: Open,
-        workers: int,
-        measures: int,
-        limit: float | None = None,
-        settings: PoolSettings = PoolSettings(),
-    ) -> None:
+    def __init__(self, open: Open, workers: int, measures: int, limit: float | None = None) -> None:
         self._opener, self._count = pickle.dumps(open), workers
-        self._measures, self._limit, self._settings = measures, limit, settings
+        self._measures, self._limit = measures, limit
         self._idle: LifoQueue[_Worker | None] = LifoQueue()
         self.workers: set[_Worker] = set()
         self._stopped = False
@@ -141,10 +136,10 @@ class Processes:
         return _in_threads(self._make, tasks, self._count, self._stop)
 
     def _make(self, index: int, settings: Any) -> Sample:
-        for _ in range(self._settings.attempts):
+        for _ in range(POOLS.attempts):
             if self._stopped:
                 raise CancelledError
-            worker = self._idle.get() or _Worker(self._opener, self._settings)
+            worker = self._idle.get() or _Worker(self._opener)
             self.workers.add(worker)
             try:
                 sample = worker.make((index, settings), self._limit)
@@ -157,7 +152,7 @@ class Processes:
             self._replace(worker)
             text = message("sampling.ended", limit=self._limit)
             return Sample.lost(index, text, self._measures, late=True)
-        text = message("sampling.died", attempts=self._settings.attempts)
+        text = message("sampling.died", attempts=POOLS.attempts)
         return Sample.lost(index, text, self._measures)
 
     def _replace(self, worker: _Worker) -> None:

@@ -73,8 +73,7 @@ class SessionSettings:
     patience: float = setting(20.0, "s", "wall time before a class's pace counts", "it may compile")
     longest: float = setting(36e3, "s", "wall time of a trial with a class", "ten hours")
     chunk: int = setting(1000, "ticks", "between progress reports", "a second at 1 kHz")
-    wait: float = setting(0.2, "s", "wall time after which rows are logged", "with sync below 1 s")
-    sync: float = setting(0.7, "s", "wall time between syncs of the log", "with wait below 1 s")
+    wait: float = setting(0.4, "s", "until rows are logged, and between syncs", "twice it < 1 s")
 
 
 SESSION = SessionSettings()
@@ -459,7 +458,7 @@ class LiveLog:
         from ehbench.data.logs import LogWriter
 
         self.path, self.meta, self.attachments = path, meta, attachments
-        self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SESSION.sync)
+        self.writer: LogWriter = LogWriter(path, channels, meta, attachments, sync=SESSION.wait)
         self._pool = ThreadPoolExecutor(1, initializer=aside) if threaded else None
         self._writing: Future[None] | None = None
 

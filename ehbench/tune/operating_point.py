@@ -59,7 +59,6 @@ class OperatingPointSettings:
     """Numbers of the search for steady motions."""
 
     difference: float = setting(1.0e-5, "", "step of central differences", "rounding 1e-10")
-    pressure: float = setting(1.0e-3, "Pa", "accuracy of an off-side pressure", "rounding")
     halvings: int = setting(12, "", "bisections of the full speed", "0.02 % of it")
 
 
@@ -352,8 +351,7 @@ class _Motion:
         ends = [low + 1.0, high - 1.0]
         if self.railed(ports(ends[0])[0]) and not self.railed(ports(ends[1])[0]):
             first, last = ends  # about the pressure above which the low rail is not enough
-            while last - first > POINT.pressure:
-                middle = 0.5 * (first + last)
+            while first < (middle := 0.5 * (first + last)) < last:
                 railed = self.railed(ports(middle)[0])
                 first, last = (middle, last) if railed else (first, middle)
             ends[1:1] = first, last
@@ -576,7 +574,7 @@ class _Surplus:
 
         if self(low) * self(high) > 0:
             return None
-        root: Any = brentq(self, low, high, xtol=POINT.pressure, rtol=np.float64(1e-14))
+        root: Any = brentq(self, low, high, rtol=np.float64(1e-14))
         return float(root)
 
 

@@ -23,7 +23,6 @@ class StabilitySettings:
     points: int = setting(61, "", "frequencies there", "a thousandth of it each")
     turns: tuple = setting((0.3, 60.0), "rad", "angles of a delay to look at", "Padé is worse")
     spread: int = setting(300, "", "frequencies there", "two percent each")
-    halvings: int = setting(40, "", "halvings of a step about a crossing", "rounding")
     jump: float = setting(1e-6, "", "largest level at a crossing, of the response", "a pole jumps")
     calm: float = setting(1e-9, "", "growth that is none, of the largest entry", "a pole at zero")
     slow: float = setting(1e-6, "", "frequency of standstill, of the fastest pole", "chosen")
@@ -117,8 +116,7 @@ def _crossings(
     above = level(loop.response(omega)) > 0.0
     at = np.flatnonzero(above[1:] != above[:-1])
     low, high, above = omega[at], omega[at + 1], above[at]
-    for _ in range(STABILITY.halvings if at.size else 0):
-        middle = 0.5 * (low + high)
+    while np.any((low < (middle := 0.5 * (low + high))) & (middle < high)):
         same = (level(loop.response(middle)) > 0.0) == above
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     reply = loop.response(low)

@@ -11,20 +11,21 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from dask import config
 
 from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.data import read
 from ehbench.report import style
 from ehbench.runs.rundir import read_json
-from ehbench.sampling import cluster as cluster_module
-from ehbench.sampling.cluster import Bundle, Cluster, ClusterSettings
-from ehbench.sampling.pools import PoolSettings, Processes, Threads
+from ehbench.sampling.cluster import Bundle, Cluster
+from ehbench.sampling.pools import POOLS, Processes, Threads
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
+from tests.settings import at
 from tests.shared import ROOT, refused
 
-QUICK = ClusterSettings(connect=0.5)
+QUICK = {"distributed.comm.timeouts.connect": 0.5}
 # what makes samples here: number 5 may die, 6 may hang, and each says in which process it was made
 MAKERS = """
 import os, time
@@ -84,8 +85,9 @@ def samples(pool, count=40):
 
 def test_a_sample_that_hangs_or_dies_costs_itself_only(makers, tmp_path):
     how = {"dies": (5,), "hangs": (16,), "takes": 0.01}
-    pool = Processes(partial(makers, how, tmp_path), 2, 2, 0.3, PoolSettings(grace=0.3))
-    made, _ = samples(pool)
+    pool = Processes(partial(makers, how, tmp_path), 2, 2, 0.3)
+    with at(POOLS, "grace", 0.3):
+        made, _ = samples(pool)
     assert [one.index for one in made] == list(range(40))
     bad = {one.index: (one.code, one.status, one.message.key) for one in made if one.code}
     assert bad[5] == (1, "failed", "sampling.died")
@@ -195,8 +197,8 @@ def test_an_encrypted_cluster_works_for_who_has_a_certificate_of_its_authority(m
             (workflow.Workers.of(address), "sampling.certificates_missing"),
             (workflow.Workers.of(address.replace("tls:", "tcp:")), "sampling.no_scheduler"),
         ):
-            with refused(key):
-                Cluster(workers, bundle, 2, settings=QUICK)
+            with refused(key), config.set(QUICK):
+                Cluster(workers, bundle, 2)
 
 
 def test_the_hint_starts_no_scheduler_that_others_reach():
@@ -211,8 +213,8 @@ def test_workers_that_are_neither_are_refused(said):
 
 
 def test_nobody_answers(makers):
-    with refused("sampling.no_scheduler"):
-        Cluster(workflow.Workers("tcp://127.0.0.1:9"), Bundle({}, None), 2, settings=QUICK)
+    with refused("sampling.no_scheduler"), config.set(QUICK):
+        Cluster(workflow.Workers("tcp://127.0.0.1:9"), Bundle({}, None), 2)
 
 
 # --- a real study
@@ -292,10 +294,9 @@ def test_a_cluster_makes_the_same_bytes(study, cluster, tmp_path):
     same(here, there.folder)
 
 
-def test_where_nobody_answers_nothing_is_left(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster_module.Cluster.__init__, "__defaults__", (None, QUICK))
+def test_where_nobody_answers_nothing_is_left(study, tmp_path):
     workers = workflow.Workers.of("tcp://127.0.0.1:9")
-    with refused("sampling.no_scheduler"):
+    with refused("sampling.no_scheduler"), config.set(QUICK):
         workflow.run(study[0], workflow.Session(out=tmp_path / "run", workers=workers))
     assert not list(tmp_path.iterdir())
 

@@ -181,7 +181,7 @@ def test_a_machine_is_let_go_when_its_trial_fails(tmp_path):
 @pytest.mark.parametrize("on", ["model", "bench"])
 def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path, monkeypatch):
     """Byte for byte, whether syncs cut it up or not, and also where its facts were known late."""
-    monkeypatch.setattr(session, "SESSION", replace(session.SESSION, sync=sync))
+    monkeypatch.setattr(session, "SESSION", replace(session.SESSION, wait=sync))
     prepared = trial("arc", tmp_path, on=on, limits=limits)
     record = run(prepared, log=tmp_path / "live.mcap").record
     back = read(tmp_path / "live.mcap")
@@ -194,7 +194,7 @@ def test_the_log_of_a_trial_is_the_log_of_its_record(on, sync, limits, tmp_path,
 
 def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkeypatch):
     """Not a thousand ticks later."""
-    monkeypatch.setattr(session, "SESSION", replace(session.SESSION, wait=0.01, sync=0.0))
+    monkeypatch.setattr(session, "SESSION", replace(session.SESSION, wait=0.01))
     short = MOTION | {"waypoints": ["150 mm", "170 mm"], "hold": "0.1 s"}
     prepared, seen = trial("class", tmp_path, motion=short), []
     pause = "        import time; time.sleep(5e-4)\n"

@@ -578,12 +578,6 @@ def test_the_stopping_distance_grows_with_the_watchdog():
     assert far - near == pytest.approx(0.1 * speed, rel=0.05)
 
 
-@pytest.mark.parametrize(("late", "gap", "keys"), [(5, 4e-3, 0), (20, 4e-3, 1), (20, 0.011, 2)])
-def test_a_link_is_refused_by_late_ticks_and_gaps(late, gap, keys):
-    quality = Quality("udp://x", 1000, 0, late, (1e-3, 2e-3, 3e-3), gap, 0.02, 1000.0)
-    assert [p.key for p in quality.problems()] == ["links.late", "links.gap"][:keys]
-
-
 @pytest.mark.parametrize(("rate", "expected"), [(1000.0, 0.02), (100.0, 0.04), (50.0, 0.08)])
 def test_a_slow_target_waits_long_enough_for_a_sound_link(rate, expected):
     """20 ms, or four samples: half of it is the longest gap that a trial is armed with."""

@@ -1,14 +1,12 @@
 """Each number decides an outcome: as stated with it, another with a third more or less."""
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ehbench.config.recipe import Thresholds, TrialRecipe, TuneRecipe
 from ehbench.data.record import Record
@@ -48,9 +46,8 @@ from ehbench.trial.motion import MOTION, limits_of
 from ehbench.tune import search as tune_search
 from ehbench.validation import baseline, checks, held_out, judge, residuals, sweeps, transients
 from ehbench.validation.results import ChannelResult, LogResult
-from ehbench.vocabulary.errors import EhbenchError
 from tests import analytic_fit
-from tests.settings import refusal, shows
+from tests.settings import answers, each, each_shows, first_call, refusal
 from tests.shared import shipped
 
 RIG, SLIDE = (shipped(name) for name in ("boom_four_valve", "slide_servo"))
@@ -246,12 +243,13 @@ def warm_flow(change=0.05, sigmas=100.0, flow=0.5):
 def driven(volts):
     """The refusal of a command of a driver of 0 to 10 V."""
     rows = readings_table(np.array([volts]), np.array([1e6]), np.array([1e-4]))
-    driver, edge, left = (
+    given: Any = (
+        rows,
         Stub(command_min=0.0, command_max=10.0),
         Stub(sign=1),
         tables.LeftOut(False),
     )
-    return refusal(lambda: tables._commanded("a", rows, driver, edge, left))
+    return refusal(lambda: tables._commanded("a", *given))
 
 
 def of_supply(share):
@@ -370,11 +368,10 @@ def errors_of_steps():
     """The options of a map from steps whose recipe names no error of its sensors."""
     recipe = Stub(method="steps", calibration=(), calibration_drop=None, meter_limit=0.0)
     recipe.pressure_error = recipe.command_error = None
-    prepared, seen = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Edges()), []
-    with pytest.MonkeyPatch.context() as patch, suppress(EhbenchError):
-        patch.setattr(tables, "run_readings", lambda part, options, _: seen.append(options) or [])
-        FlowMapStage().work(prepared, Path(), None)
-    return seen[0]
+    prepared: Any = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Edges())
+    return first_call(tables, "run_readings", lambda: FlowMapStage().work(prepared, Path(), None))[
+        1
+    ]
 
 
 # --- searches
@@ -395,9 +392,7 @@ def effort():
 def denied():
     """From where on a lag [1/s] is fast enough for the logs, by its range on a grid."""
     asked = analytic_fit.problem(more=(analytic_fit.LAG, 3e3, 10.0, 1e5))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimates, "doubts_of", lambda *_: None)
-        patch.setattr(estimates, "result_of", lambda *_: None)
+    with answers(estimates, doubts_of=None, result_of=None):
         state = estimates.estimate(asked)[1]
     return round(math.exp(state.ranges[3][0]), 1)
 
@@ -419,8 +414,7 @@ def difference():
     """The step of the bulk modulus that derivatives are taken by, of itself."""
     asked, state = first_point()
     seen, each = [], asked.simulator.each
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(asked.simulator, "each", lambda *given: seen.extend(given[0]) or each(*given))
+    with answers(asked.simulator, each=lambda *given: seen.extend(given[0]) or each(*given)):
         problem.jacobian(asked, state, [0])
     return round(math.log(seen[0][0][0] / asked.values(state.theta)[0]), 9)
 
@@ -522,10 +516,8 @@ def sweeps_of(top=20.0, share=1.0):
     """How many sweeps count whose coherent frequencies go from 1 Hz to ``top``, a share of them."""
     f = np.linspace(1.0, top, 200)
     seen = Stub(frequency=f, coherent=np.append(np.arange(199) % 20 < 20 * share, True))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweeps, "_sweeping", lambda *_: ("u", slice(None)))
-        patch.setattr(sweeps, "_response", lambda *_: seen)
-        patch.setattr(sweeps, "_sweep_of", lambda *_: 1)
+    with answers(sweeps, _sweeping=lambda *_: ("u", slice(None)), _response=lambda *_: seen,
+                 _sweep_of=1):  # fmt: skip
         pairs = {"press.v": Stub(recorded=f, simulated=f)}
         return len(sweeps.sweeps_of(Record(f, {}), Model.of(SLIDE), "press", pairs, 0.5))
 
@@ -608,9 +600,7 @@ def law_of(top=1.2, twice=2.0):
         return Stub(damping_ratio=damping, off=np.ones(1))
 
     point = Stub(function="extend_resistive", volume_head=1e-3)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tune_search, "swing", lambda motion: 10.0)
-        patch.setattr(tune_search, "_stiffness", lambda motion: (1e8, 1e8))
+    with answers(tune_search, swing=lambda motion: 10.0, _stiffness=lambda motion: (1e8, 1e8)):
         recipe = TuneRecipe(stage="tune", rig="x", damping_ratio="0.5")
         search = tune_search.LawSearch([Stub(point=point, loop=loop)], recipe)  # pyright: ignore[reportArgumentType]
     try:
@@ -618,6 +608,16 @@ def law_of(top=1.2, twice=2.0):
     except ValueError:  # no washout is good enough
         return 0.0, 0.0, search
     return round(law.washout, 3), round(law.ramp_washout, 3), search
+
+
+def blocks(share):
+    """How many blocks of a log are read in which a chamber has so much of the cavitation
+    pressure."""
+    model, y = Model.of(SLIDE), np.zeros(80)
+    empty = share * float(model.plant.cylinders[0].cavitation_pressure)
+    y = {"press.x": y + 0.1, "press.v": y, "press.p_rod": y + 1e6, "press.p_head": y + empty}
+    log = Record(np.arange(80) * 1e-3, y)
+    return len(list(step_readings._steady_blocks(model, 0, log, slice(0, 80), 0.08)))
 
 
 ROWS = [
@@ -698,8 +698,7 @@ ROWS = [
     (checks.SETTINGS, "noisy", lambda: [allowed(n) for n in (0.24, 0.26)], [70.0, 61.1]),
     (residuals.SETTINGS, "noise", lambda: [only_noise(s).fit_percent is None for s in (0.47, 0.53)],
      [False, True]),
-    (residuals.SETTINGS, "lag_step", lags, (0.01, 0.5)),
-    (residuals.SETTINGS, "lag_span", lags, (0.01, 0.5)),
+    *each(residuals.SETTINGS, "lag_step lag_span", lags, (0.01, 0.5)),
     (transients.SETTINGS, "creep", lambda: [drifts(s) for s in (0.09, 0.11)], [True, False]),
     (transients.SETTINGS, "periods", lambda: [judged(n) for n in (2.3, 2.7)],
      ["short_stand", "no_half"]),
@@ -723,23 +722,15 @@ ROWS = [
     (held_out.SETTINGS, "agree", lambda: [same_blocks(0.0, 64, n) for n in (2, 3)], [False, True]),
     (held_out.SETTINGS, "fine", lambda: [tells(s) for s in (0.45, 0.55)], [True, False]),
     (held_out.SETTINGS, "finest", lambda: [tells(0.1, n) for n in (92, 88)], [False, True]),
-    (tune_search.SEARCH, "margin", lambda: law_of()[:2], (2.855, 2.855)),
-    (tune_search.SEARCH, "bisections", lambda: law_of()[:2], (2.855, 2.855)),
+    *each(tune_search.SEARCH, "margin bisections", lambda: law_of()[:2], (2.855, 2.855)),
     (tune_search.SEARCH, "pair", lambda: [law_of(twice=k)[1] > 0.0 for k in (3.6, 3.9)],
      [True, False]),
     (tune_search.SEARCH, "nearly", lambda: law_of(0.5)[:2], (0.399, 0.0)),
     (tune_search.SEARCH, "gain_span", lambda: round(1e14 * law_of()[2].grid[1], 6), 100.0),
     (tune_search.SEARCH, "gain_points", lambda: law_of()[2].grid.size, 82),
-    (basins.SETTINGS, "reach", effort, [212, 222, 224, 234]),
-    (basins.SETTINGS, "coarse", effort, [212, 222, 224, 234]),
-    (basins.SETTINGS, "fine", effort, [212, 222, 224, 234]),
-    (basins.SETTINGS, "damping", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "easier", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "harder", effort, [212, 222, 224, 234]),
-    (descent.SETTINGS, "good", effort, [212, 222, 224, 234]),
-    (estimates.SETTINGS, "denied", denied, 392.4),
-    (estimates.SETTINGS, "points", denied, 392.4),
-    (estimates.SETTINGS, "halvings", denied, 392.4),
+    *each(basins.SETTINGS, "reach coarse fine damping", effort, [212, 222, 224, 234]),
+    *each(descent.SETTINGS, "damping easier harder good", effort, [212, 222, 224, 234]),
+    *each(estimates.SETTINGS, "denied points halvings", denied, 392.4),
     (problem.SETTINGS, "limit", lambda: residual(1e12), 1e6),
     (problem.SETTINGS, "failed", lambda: residual(None), 10.0),
     (problem.SETTINGS, "difference", difference, 1e-5),
@@ -751,15 +742,12 @@ ROWS = [
     (ERRORS, "pressure", lambda: round(
         errors_of_steps().drop_std / float(RIG.supply.pressure), 6), 0.001414),
     (ERRORS, "command", lambda: errors_of_steps().command_std, 0.005),
-    (MOTION, "rest", drive, (0.5, 5.0)),
-    (MOTION, "speed_up", drive, (0.5, 5.0)),
+    *each(MOTION, "rest speed_up", drive, (0.5, 5.0)),
     (COORDINATION, "smooth", pace, 863),
     (COORDINATION, "still", lambda: [tip_stands(v) for v in (8e-5, 1.2e-4)], [True, False]),
+    (GROUPS, "largest", lambda: products(0.05, 2.6) + products(0.05, 3.6),
+     ["k^2/m^5", "k/m^3.48"]),
+    (step_readings.SETTINGS, "empty", lambda: [blocks(s) for s in (0.48, 0.52)], [1, 0]),
 ]  # fmt: skip
 
-
-@pytest.mark.parametrize(
-    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
-)
-def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
-    shows(settings, name, scenario, outcome)
+test_a_third_more_or_less_shows = each_shows(ROWS)

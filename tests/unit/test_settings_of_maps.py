@@ -6,14 +6,13 @@ from types import SimpleNamespace as Stub
 from typing import Any
 
 import numpy as np
-import pytest
 
 from ehbench.flow_maps import fit, shape
 from ehbench.flow_maps.readings import SETTINGS as READING
 from ehbench.flow_maps.spline import SETTINGS as SPLINE
 from ehbench.flow_maps.spline import Axis, Spline
 from ehbench.vocabulary.errors import EhbenchError
-from tests.settings import shows
+from tests.settings import answers, each_shows, first_call
 
 COARSE, COMMANDS = Axis(np.linspace(0.0, 1.0, 5), 3), np.linspace(2.0, 10.0, 20)
 PLAIN = shape.Shape(1.0, COMMANDS, COARSE, np.ones(2))
@@ -42,13 +41,9 @@ def fit_of(rms=0.0, lack=1.0, rising=math.inf, lag=(0.0, 0.0), apart=0.0):
         )  # pyright: ignore[reportArgumentType]
 
     leak = None if not apart else fit.Leak(0.0, 0.0, 0.0, 1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fit, "sort_readings", lambda *_: readings)
-        patch.setattr(fit, "_find_leak", lambda _: leak)
-        patch.setattr(fit, "_iterate", iterate)
-        patch.setattr(fit, "_hysteresis_of", lambda _: lag)
-        patch.setattr(fit, "_shift_of", lambda _: (0.0, 0.0))
-        patch.setattr(fit, "replace", lambda x, **new: x if x is readings else replace(x, **new))
+    with answers(fit, sort_readings=lambda *_: readings, _find_leak=lambda _: leak,
+                 _iterate=iterate, _hysteresis_of=lambda _: lag, _shift_of=lambda _: (0.0, 0.0),
+                 replace=lambda x, **new: x if x is readings else replace(x, **new)):  # fmt: skip
         try:
             result = fit.fit_readings("map", ANY, ANY)
         except EhbenchError as error:
@@ -64,9 +59,7 @@ def bends(graded, sharp):
         sharply, more = item.along_s.kink, item.along_s.stiffness[0] < 0.5
         return item, -sharp if sharply else -graded * more
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shape, "likeliest_smoothing", likelihood)
-        patch.setattr(shape, "roughly_smoothed", likelihood)
+    with answers(shape, likeliest_smoothing=likelihood, roughly_smoothed=likelihood):
         axis = shape.bend(PLAIN, ANY).along_s
     return axis.kink, bool(not axis.kink and axis.stiffness[0] < 0.5)
 
@@ -80,11 +73,8 @@ def cells_alone(gain, count=3, size=40, off=1e3):
     design: Any = Stub(design=lambda u, s: np.zeros((u.size, 1)))
     result = Stub(spline=design, coefficients=np.zeros(1), widening=1.0)
     result.variance = lambda _: np.zeros(size)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shape, "judge", lambda *_: result)
-        patch.setattr(
-            shape, "likeliest_smoothing", lambda s, c: (s, -gain * getattr(c, "out", 0.0))
-        )
+    with answers(shape, judge=lambda *_: result,
+                 likeliest_smoothing=lambda s, c: (s, -gain * getattr(c, "out", 0.0))):  # fmt: skip
         return int(shape.lone_cells(ANY, PLAIN, cells).sum())
 
 
@@ -101,13 +91,10 @@ def kinks_of(rough=99.0, sure=99.0, commands=20):
     def bent(item, _, gap):
         return replace(item, kinks=(*item.kinks, gap[0])), -sure * len(item.kinks) - rough
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shape, "likeliest_smoothing", smoothed)
-        patch.setattr(shape, "start_deadband", lambda _, item, *__: item)
-        patch.setattr(shape, "find_deadband", lambda _, item, *__: (None, item))
-        patch.setattr(shape, "let_fall", lambda item, _: item)
-        patch.setattr(shape, "_bent", bent)
-        patch.setattr(shape, "_place", lambda item, _: shape.Kink(item.kinks[-1], 0.1, (0.0, 1.0)))
+    with answers(shape, likeliest_smoothing=smoothed, start_deadband=lambda _, item, *__: item,
+                 find_deadband=lambda _, item, *__: (None, item), let_fall=lambda item, _: item,
+                 _bent=bent,
+                 _place=lambda item, _: shape.Kink(item.kinks[-1], 0.1, (0.0, 1.0))):  # fmt: skip
         kinks = shape.find_kinks(ANY, plain, ANY, 1.0)[1]
     return len(kinks) if looked else -1
 
@@ -137,11 +124,9 @@ def falls(gain):
         value = max(item.rising - 5.0, 0.0) - gain if np.isfinite(item.rising) else 0.0
         return Stub(free=lambda _: -1e3, solve=lambda _: (None, value, None))
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            shape.Shape, "spline", lambda self: Stub(volts=np.arange(1.0, 11.0), rising=self.rising)
-        )
-        patch.setattr(shape, "regression", likelihood)
+    with (answers(shape.Shape,
+                 spline=lambda self: Stub(volts=np.arange(1.0, 11.0), rising=self.rising)),
+                 answers(shape, regression=likelihood)):  # fmt: skip
         return shape.let_fall(PLAIN, ANY).rising
 
 
@@ -151,15 +136,47 @@ def deadband_of(shut, spread=0.5):
     grid = np.linspace(0.0, 4.0, 81)
     window = shape.Window(0.0, 4.0, 1, (0.0, 4.0), not shut)
     readings: Any = Stub(levels=np.linspace(0.0, 10.0, 11))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shape, "window_of", lambda *_: window)
-        patch.setattr(shape, "_profile", lambda *_, **__: (grid, ((grid - 2.0) / spread) ** 2))
+    with answers(shape, window_of=lambda *_: window,
+                 _profile=lambda *_, **__: (grid, ((grid - 2.0) / spread) ** 2)):  # fmt: skip
         return shape.find_deadband(readings, PLAIN, ANY, 1.0)[0].interval
 
 
 def first_span(gap):
     """Spans of a spline whose first command lies a share of the range above the deadband."""
     return Spline(1.0, np.array([1.0 + 9.0 * gap, 4.0, 7.0, 10.0]), COARSE, True).volts.size
+
+
+def turns_of(restless):
+    """Turns of a fit in which a reading of two comes and goes for so many turns."""
+    turns = []
+    cells: Any = Stub(without=lambda _: cells, heard=np.zeros(2))
+    bent: Any = Stub(spline=lambda: Stub(rows=1, design=lambda *_: None))
+    solution = Stub(flow=np.ones(2), widening=1.0, lone=np.zeros(2, bool), spline=bent.spline())
+    solution.cells, solution.variance = Stub(heard=np.full(2, 99.0)), lambda _: np.zeros(2)
+    readings: Any = Stub(cell=np.arange(2), u=None, s=None)
+    noise: Any = Stub(std=lambda *_: np.ones(2))
+
+    def unbacked(*_):
+        turns.append(1)
+        return np.array([False, len(turns) % 2 > 0 and len(turns) < restless])
+
+    with answers(fit, _first_shape=(readings, bent, np.ones(2), np.ones(2, bool)), judge=solution,
+                 first_noise=noise, measure_noise=noise, gather_cells=cells, unbacked=unbacked,
+                 likeliest_smoothing=(bent, 0.0), few=lambda far, _: far):  # fmt: skip
+        first_call(fit, "let_fall", lambda: fit._iterate(readings, None))
+    return len(turns)
+
+
+def shift_of():
+    """The standard error of a likely shift, of the largest command."""
+    readings: Any = Stub(shift=0.0, commands=[1.0], one_drop=False, levels=[1.0], shifted=float)
+    bent: Any = Stub(deadband=0.1, above=np.ones(2), smoothing=0.0, spline=lambda _: None)
+    result: Any = Stub(readings=readings, shape=bent, used=Stub(shifted=float))
+    result.deadband, result.solution = Stub(value=1.0), Stub(widening=1.0)
+    with answers(fit, replace=lambda item, **_: item, start_deadband=None,
+                 likeliest_smoothing=lambda _, at, coarse: (None, 1e6 * (at - 0.2) ** 2),
+                 regression=lambda *_: Stub(solve=lambda _: (None, 1e9))):  # fmt: skip
+        return round(fit._shift_of(result)[1], 9)
 
 
 ROWS = [
@@ -193,11 +210,8 @@ ROWS = [
     (shape.SETTINGS, "level_999", lambda: deadband_of(False), (0.3546, 3.6454)),
     (shape.SETTINGS, "width", lambda: deadband_of(True, 1e-4), (1.995, 2.005)),
     (SPLINE, "room", lambda: [first_span(g) for g in (0.9e-6, 1.1e-6)], [5, 6]),
+    (fit.SETTINGS, "settle", lambda: turns_of(99), 22),
+    (fit.SETTINGS, "shift", shift_of, 0.005),
 ]  # fmt: skip
 
-
-@pytest.mark.parametrize(
-    ("settings", "name", "scenario", "outcome"), ROWS, ids=lambda x: str(x)[:16]
-)
-def test_a_third_more_or_less_shows(settings, name, scenario, outcome):
-    shows(settings, name, scenario, outcome)
+test_a_third_more_or_less_shows = each_shows(ROWS)

@@ -60,8 +60,6 @@ class GuessSettings:
 
     again: float = setting(0.01, "", "share of rows at which a clock begins again", "restarts")
     days: float = setting(2e-5, "d", "step below which a count from 20 000 on is of days", "2 s")
-    full: int = setting(2, "", "weight of a word for a port", "it outweighs a letter")
-    letter: int = setting(1, "", "weight of a port's letter or number", "each recorder's own")
     loop: float = setting(25.0, "mA", "current from which it is that of a coil", "4 to 20 mA")
     even: float = setting(0.01, "", "share by which a mean step may be off the median", "rounding")
     slow: float = setting(
@@ -105,7 +103,7 @@ def guessed(source: Source, rig: Rig | None) -> dict[str, Guess]:
             guess = replace(guess, certainty=UNDECIDED, remark=column.doubt[1])
         elif guess.sure and guess.channel != "t" and guess.ends is None and row in VOCABULARY:
             values = to_si(column.values[np.isfinite(column.values)], guess.unit, VOCABULARY[row])
-            if np.mean(is_bad(guess.channel, values)) > LIMITS.again:
+            if np.mean(is_bad(guess.channel, values)) > LIMITS.few:
                 note = message("app.out_of_range", unit=guess.unit)
                 guess = replace(guess, certainty=UNDECIDED, remark=note)
         results[name] = guess
@@ -283,14 +281,11 @@ def reading_of(unit: str, words: set[str]) -> tuple[str, str, tuple[str, ...]]:
             ports["p_head"] = ports["p_head"] - {"pa"}
         for end, letter in (("p_supply", "p"), ("p_tank", "t")):  # beside a word: Druck P
             ports[end] = {letter} & words if pressure - {letter} else set()
-        full, letter = LIMITS.full, LIMITS.letter
-        weights = {
-            end: full * bool(named & WORDS[end]) + letter * bool(ports[end]) for end in _ENDS
-        }
-        first, second = sorted(weights, key=lambda end: -weights[end])[:2]
+        weights = {end: (bool(named & WORDS[end]), bool(ports[end])) for end in _ENDS}
+        first, second = sorted(weights, key=weights.__getitem__, reverse=True)[:2]
         if weights[first] == weights[second]:
             return "", UNDECIDED, ()
-        alone = weights[first] >= full and not weights[second]
+        alone = weights[first][0] and not any(weights[second])
         spoken = sorted((named & WORDS[first]) | ports[first])
         why = tuple(message("app.why_word", word=word) for word in spoken)
         return first, CERTAIN if alone else LIKELY, why
