@@ -80,6 +80,36 @@ def test_the_exact_model_of_a_leaking_rig_has_no_findings(excess):
     assert ask([Case("log", log, model, commanded(model, log))]).findings == ()
 
 
+LAWS = {
+    "stribeck": {"friction_static": "300 N", "stribeck_speed": "20 mm/s"},
+    "directional": {"friction_retracting": "180 N"},
+}
+LAWS["lugre"] = LAWS["stribeck"] | {"bristle_stiffness": "1e6 N/m"}
+
+
+@pytest.mark.parametrize(
+    ("law", "number"),
+    [
+        ("stribeck", "friction_static"),
+        ("stribeck", "stribeck_speed"),
+        ("lugre", "bristle_stiffness"),
+        ("directional", "friction_retracting"),
+    ],
+)
+def test_a_number_of_a_friction_law_is_named(law, number):
+    tables = shipped("slide_servo").as_toml()
+    press = dict(tables["cylinder"][0]) | {"friction_coulomb": "120 N"}
+    rig = Rig.model_validate(
+        tables | {"cylinder": [press | {"friction": {"law": law} | LAWS[law]}]}
+    )
+    name = f"press.{number}"
+    wrong = rig.with_values({name: 1.5 * float(rig.parameters()[name])})
+    log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0, share=0.3)
+    for model, expected in ((Model.of(rig), []), (Model.of(wrong), [name])):
+        results = ask([Case("log", log, model, commanded(model, log))]).findings
+        assert [item.about for item in results[:1]] == expected, results
+
+
 @pytest.mark.parametrize(
     ("name", "factor"),
     [("bulk_modulus", 1.2), ("carriage.damping", 2.0), ("carriage.mass", 1.1)],

@@ -9,7 +9,10 @@ from ehbench.runtime.compiled import choice
 
 LAWS = (coulomb_viscous.LAW, stribeck.LAW, lugre.LAW, directional.LAW)
 TABLES = tuple(law.table for law in LAWS)
-FAULTS = (*coulomb_viscous.FAULTS, *stribeck.FAULTS, *lugre.FAULTS)
+FAULTS = (
+    *(*coulomb_viscous.FAULTS, *stribeck.FAULTS),
+    *(*lugre.FAULTS, *directional.FAULTS),
+)
 COLUMNS = tuple(dict.fromkeys(column for law in LAWS for column in law.columns))
 
 BY = "row.friction"

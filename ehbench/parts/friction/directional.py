@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from ehbench.parts.fault import Fault
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
 from ehbench.physics.friction import coulomb_viscous, stribeck_slope
@@ -55,3 +56,5 @@ LAW = FrictionLaw(
     slope=slope,
     fastest=fastest,
 )
+
+FAULTS = (Fault("friction", ("friction_retracting",), unit="force", step=0.01, high=30.0),)

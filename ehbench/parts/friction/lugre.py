@@ -163,4 +163,6 @@ FAULTS = (
         neutral=Amount((1.0,), "coulomb"),
         costly=True,
     ),
+    Fault("breakaway", ("bristle_stiffness",), step=0.1, rank=5),
+    Fault("breakaway", ("bristle_damping",), unit="damper", step=0.01, rank=5),
 )

@@ -88,4 +88,7 @@ FAULTS = (
         moved=("friction_static",),
         neutral=Amount((1.0,), "coulomb"),
     ),
+    # numbers of a law that is there
+    Fault("breakaway", ("friction_static",), step=0.1, rank=5),
+    Fault("breakaway", ("stribeck_speed",), step=0.1, rank=5),
 )
