@@ -10,6 +10,7 @@ from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, 
 from ehbench.config.rig import NODES, Rig
 from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
 from ehbench.report.blocks import Grid
+from ehbench.report.content import remedy_step
 from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import impossible
 from ehbench.signals.oddities import oddities
@@ -47,6 +48,8 @@ class Inspection:
             if isinstance(stage, Stage):
                 options = "".join(f" {option}" for option in sorted(self.notes.options))
                 fields = {"command": stage.command, "recipe": path, "options": options}
+                odd = (getattr(note, "fields", {}).get("remedy") for note in self.notes.remarks)
+                steps += [*map(remedy_step, dict.fromkeys(filter(None, odd)))][:2]
                 steps.append(message("steps.run_recipe", **fields))
         state = plural(len(self.errors), "error") if self.errors else "ok"
         state += ", with losses" if self.code == 3 else ""

@@ -154,8 +154,9 @@ def fit_readings(who: str, given: FlowmeterData, options: FlowMapOptions) -> Fit
             ends = _iterate(readings, leak)
             goes_on = _iterate(replace(readings, y=readings.y - leak.flow(readings.s)), None)
             gain = _misfit(ends, ends) - _misfit(goes_on, ends)
-            result = goes_on if gain > 0 else ends
-            result = replace(result, leak=replace(leak, goes_on=gain > 0))
+            stays = gain > -SETTINGS.leak_gain  # past the edges, unless it surely ends
+            result = goes_on if stays else ends
+            result = replace(result, leak=replace(leak, goes_on=stays))
             if abs(gain) < SETTINGS.leak_gain:  # not sure which: the deadband may be either's
                 low, high = np.array([ends.deadband.interval, goes_on.deadband.interval]).T
                 both = float(low.min()), float(high.max())
@@ -278,7 +279,7 @@ def _find_leak(r: Readings) -> Leak | None:
     error = 1.4826 * float(np.median(np.abs(r.y[still] - middle))) / np.sqrt(still.sum())
     if middle <= max(1e-3, 4.0 * error):
         return None
-    passes = medians(medians(r.y, r.cell), r.cell_level) > max(5e-3, 1.5 * middle)
+    passes = medians(medians(r.y, r.cell), r.cell_level) > max(5e-3, 1.25 * middle)
     level = int(np.flatnonzero(~passes)[-1]) + 1 if not passes.all() else 1
     some = (r.step < level) & ~r.silent
     from scipy.optimize import nnls

@@ -476,10 +476,11 @@ def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:
         "here": rig.shown(maximum.name, maximum.here, 4),
         "halves": maximum.halves,
         "remedy": item.remedy,
-        "half": 100.0 * Z95 * item.std / abs(item.there),
+        "share": item.explains,
     }
     if item.name in row.parameters:
         fields["value"] = rig.shown(item.name, item.there, 4)
+        fields["half"] = rig.shown(item.name, Z95 * item.std, 2)
         if item.name not in rig.parameters():
             return message("identification.absent_fixed", name=row.name, **fields)
         name, fixed = ", ".join(row.parameters), rig.shown(item.name, item.here, 4)

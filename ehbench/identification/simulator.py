@@ -177,7 +177,7 @@ def prepare(
     """
     rig = model.rig
     record, doubts = preprocess(name, record, model)
-    warnings = [f"{name}: {text}" for text in doubts]
+    warnings = [text.of(name) for text in doubts]
     requested = [
         cylinder.name
         for cylinder in rig.cylinder

@@ -313,7 +313,7 @@ def notes_on_channels(record: Record, model: Model) -> Iterator[Message]:
             if name not in record or not np.std(record[name]) > 0.0 or not np.std(pushed) > 0.0:
                 continue
             if np.corrcoef(record[name], pushed)[0, 1] < SETTINGS.against:  # the sensor is turned
-                yield message("preprocessing.gauge_turned", channel=name)
+                yield _turned("gauge_turned", name)
     yield from _backwards(record, rig)
     yield from outside_stroke(record, rig)
 
@@ -421,8 +421,15 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
             path, along = float(np.sum(np.abs(gone))), float(np.sum(each[driven] * gone))
             far = path > SETTINGS.travel * _travel_of(cylinder, word)
             if far and along < SETTINGS.against * path:
-                falls, name = "falls" if turn > 0 else "rises", cylinder.name
-                yield message("preprocessing.backwards", channel=channel, way=falls, cylinder=name)
+                falls = "falls" if turn > 0 else "rises"
+                yield _turned("backwards", channel, way=falls, cylinder=cylinder.name)
+
+
+def _turned(name: str, channel: str, **fields: str) -> Message:
+    """A note on a channel whose sign is turned, with the line that puts it right."""
+    cause = message(f"preprocessing.{name}", channel=channel, **fields)
+    remedy = message("preprocessing.turn", channel=channel)
+    return message("preprocessing.turned", cause=cause, remedy=remedy)
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

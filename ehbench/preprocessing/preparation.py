@@ -30,7 +30,7 @@ from ehbench.preprocessing.plausibility import (
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.preprocessing.time_base import evened
 from ehbench.vocabulary.errors import InputError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.text import numbered
 
 
@@ -44,7 +44,7 @@ class PreparedLog:
     record: Record
     model: Model
     terms: tuple[Term, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Message, ...] = ()
 
 
 def prepare(name: str, record: Record, model: Model, sensors: Sequence[Sensor] = ()) -> PreparedLog:
@@ -65,7 +65,7 @@ def prepare(name: str, record: Record, model: Model, sensors: Sequence[Sensor] =
     return PreparedLog(name, record, model, terms, notes)
 
 
-def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[str, ...]]:
+def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[Message, ...]]:
     """(the log, evenly sampled; notes on what is odd about it) for a rig carrying the log's
     payload.
 

@@ -90,7 +90,7 @@ def remedy_step(remedy: str) -> Message:
         return message("steps.free", line=freed[1])
     if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", remedy):
         return message("steps.sense", line=sensed[1].replace(", ", "\n"))
-    if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):
+    if written := re.match(r'(\w+ = (?:"[^"]+"|-1)) (.+)', remedy):
         return message("steps.write", line=written[1], where=written[2])
     return message("steps.remedy", remedy=remedy)
 

@@ -96,7 +96,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
                 model = models[payload_of(record) or ""]
                 log = prepare_log(name, record, model, known, scored, seen, sensors)
                 judged.append(log)
-                notes.remarks += [f"{name}: {text}" for text in log.log.notes]
+                notes.remarks += [text.of(name) for text in log.log.notes]
                 if log.failure is not None:
                     notes.add_error(log.failure)
         _note_fitted(recipe, inputs)

@@ -226,7 +226,7 @@ def run_validation(
         warnings,
         plain,
         tuple(results),
-        reservations=(*better, *_unexplained(results)),
+        reservations=(*_contradicted(prepared.logs), *better, *_unexplained(results)),
         black_box=black_box,
     ).with_fit(prepared.leans)
     if not diagnose:
@@ -310,6 +310,12 @@ def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
             yield message("validation.all_fitted", logs=fitted)
         else:
             yield message("validation.no_check")
+
+
+def _contradicted(logs: Sequence[JudgedLog]) -> Iterator[Message]:
+    """What is odd about logs and would have to be put right, in logs or rig, to judge by them."""
+    for item in logs:
+        yield from (note.of(item.log.name) for note in item.log.notes if "remedy" in note.fields)
 
 
 def _unexplained(results: Sequence[LogResult]) -> Iterator[Message]:

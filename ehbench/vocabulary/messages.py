@@ -30,6 +30,10 @@ class Message(str):
         new.key, new.fields, new.hint = key, dict(fields or {}), hint
         return new
 
+    def of(self, name: str) -> Message:
+        """It, said of a log by its name."""
+        return Message(f"{name}: {self}", self.key, self.fields, self.hint)
+
     def __reduce__(self) -> tuple[Any, ...]:
         return Message, (str(self), self.key, dict(self.fields), self.hint)
 
@@ -70,4 +74,4 @@ def ranked(messages: Iterable[Message]) -> list[Message]:
         part, _, name = item.key.partition(".")
         return list(templates(part)).index(templates(part)[name].get("as", name))
 
-    return sorted(dict.fromkeys(messages), key=place)
+    return sorted({(item, item.hint): item for item in messages}.values(), key=place)

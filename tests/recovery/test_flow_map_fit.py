@@ -495,6 +495,20 @@ def test_a_leak_at_rest_has_an_interval_and_leaves_the_deadband_right(seed, goes
     assert compare(found, law)[0] >= 0.9
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_command_that_passes_little_more_than_the_leak_is_open(seed):
+    """1.25 V passes 1.44 of it; the leak stays beside the opening."""
+
+    def law(drop, command):
+        return (2.2 * np.maximum(command - 1.2, 0.0) + 0.25) * LPM * np.sqrt(1e-6 * drop)
+
+    drops = np.linspace(1e5, 1e7, 8)
+    found = fit(readings(law, seed, drops=drops, commands=np.delete(COMMANDS, [4, 6])))
+    for command in (0.0, 1.0):
+        off = found.map.flow(1e7, command) / law(1e7, command) - 1.0
+        assert abs(off) < 0.04 and "leak_goes_on" in keys(found)
+
+
 def test_a_flow_that_falls_above_a_command_is_kept_and_inverted_on_its_rising_branch():
     found = fit(readings(hump, 51))
     assert found.falls == pytest.approx(1 - np.sin(0.62 * np.pi), abs=0.01)

@@ -89,3 +89,9 @@ def test_settings_list_themselves():
         "Length of a window.",
         "Half a period at 5 Hz.",
     )
+
+
+def test_steps_of_one_text_are_as_many_as_their_lines():
+    steps = [message("steps.free", line=line) for line in ('"b"', '"a"', '"b"')]
+    first = message("steps.compare_position", line="x")
+    assert [step.hint for step in messages.ranked([*steps, first])] == ["x", '"b",', '"a",']

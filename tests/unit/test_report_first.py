@@ -21,6 +21,7 @@ from ehbench.report.stages.validation import silence
 from ehbench.report.words import estimate, shown
 from ehbench.runs.rundir import write_json
 from ehbench.vocabulary.codes import LIMITS, LIMITS_MEAN
+from ehbench.vocabulary.messages import Message
 from tests.shared import shipped
 from tests.unit.report_runs import fill_reported
 
@@ -196,6 +197,20 @@ def test_the_cures_of_a_verdict_are_what_to_do_next(folders, tmp_path):
     folder = changed(folders[1], tmp_path / "judged", structure={"findings": cures})
     steps = findings_of(folder).next
     assert [step.fields["remedy"] for step in steps] == ["free the gain of hect", "b"]
+
+
+def test_what_explains_most_leads_the_sentence_and_the_steps(folders, tmp_path):
+    def doubt(share: dict[str, float], line: str) -> Message:
+        """A reservation that explains a share; none of what is odd about a log."""
+        fields = {**share, "cause": f"cause {line}", "remedy": f'add "{line}" to parameters'}
+        return Message("text", "validation.cause", fields)
+
+    less, most = doubt({"share": 0.6}, "a"), doubt({"share": 0.9}, "b")
+    every = [less, most, doubt({}, "c")]
+    more = {"accepted": True, "reasons": [], "reservations": every, "structure": None}
+    folder = changed(folders[1], tmp_path / "doubted", **more)
+    assert [step.hint for step in findings_of(folder).next] == ['"c",', '"b",', '"a",']
+    assert ": cause c" in terminal.answer(folder).verdict
 
 
 def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folders, tmp_path):

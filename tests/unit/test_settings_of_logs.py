@@ -192,7 +192,7 @@ def turned(alike):
     y[f"press.{plausibility.GAUGES[0]}"] = alike * way + math.sqrt(1.0 - alike**2) * rest
     log = Record(np.arange(400) * 1e-3, y)
     notes = plausibility.notes_on_channels(log, Model.of(SLIDE))
-    return sum(note.key == "preprocessing.gauge_turned" for note in notes)
+    return sum(note.key == "preprocessing.turned" for note in notes)
 
 
 def even(share, gap=0.0):

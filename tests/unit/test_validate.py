@@ -20,6 +20,7 @@ from ehbench.validation import (
 )
 from ehbench.validation.residuals import Pair, compare_channel
 from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.messages import Message
 from tests.shared import judged, shipped
 from tools.virtual_logs import noisy
 
@@ -174,6 +175,18 @@ def test_ringing_that_is_not_clear_is_shown_and_not_judged(arm, swing):
     assert not any("natural frequency" in check.what for check in result.logs[0].checks)
     notes = keys(result.logs[0].warnings)
     assert "validation.not_clear" in notes or "validation.no_steps" in notes
+
+
+def test_a_turned_sign_is_a_reservation_with_the_line_that_puts_it_right(arm, boom):
+    """Whatever the verdict goes by: here the pressures alone, which follow."""
+    turned = replace(boom, channels=boom.channels | {"boom.q": -boom["boom.q"]})
+    logs, seen = [("log", turned)], ("p_head", "p_rod")
+    result = run_validation(prepare_validation(arm, logs, seen), diagnose=False)
+    first = result.reservations[0]
+    assert isinstance(first, Message) and first.key == "preprocessing.turned"
+    assert first.startswith("log: boom.q falls") and first.fields["remedy"].startswith("sign = -1 ")
+    sound = run_validation(prepare_validation(arm, [("log", boom)], seen), diagnose=False)
+    assert sound.reservations == ()
 
 
 def test_white_residuals_pass_and_unmodelled_motion_does_not(arm, boom):

@@ -1,5 +1,6 @@
 """Validation: verdict, reasons, checks, and each log's errors, ringing, correlations."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -214,7 +215,7 @@ def findings(run: Saved) -> Findings:
         label, about = page.text("worst_fit_label", logs=logs), page.text("worst_fit", **fields)
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [{"kind": "validation", "log": log}, *figures]
-    remedies = [doubt["remedy"] for doubt in doubts(table) if "remedy" in doubt]
+    remedies = [doubt["remedy"] for doubt in doubts(table)]
     remedies += [item["remedy"] for item in (table.get("structure") or {}).get("findings", [])]
     first: dict[str, str] = {}  # by what each one changes
     for remedy in filter(None, remedies):
@@ -235,9 +236,12 @@ def held_out(table: Table) -> list[Table]:
 
 
 def doubts(table: Table) -> list[Mapping[str, Any]]:
-    """The fields of what speaks against a model, reasons for a rejection first."""
+    """The fields of what speaks against a model and has a remedy: what is odd about its logs, then
+    what explains more of a residual before what explains less.
+    """
     against = [*table["reasons"], *table.get("reservations", [])]
-    return [getattr(item, "fields", {}) for item in against]
+    every = [item.fields for item in against if "remedy" in getattr(item, "fields", {})]
+    return sorted(every, key=lambda fields: -fields.get("share", math.inf))
 
 
 def left_over(table: Table) -> list[str]:
