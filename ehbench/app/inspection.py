@@ -10,7 +10,7 @@ from ehbench.config.recipe import Campaign, kind_of, load_columns, load_recipe, 
 from ehbench.config.rig import NODES, Rig
 from ehbench.data.flowmeter import is_flowmeter, read_flowmeter
 from ehbench.report.blocks import Grid
-from ehbench.report.content import remedy_step
+from ehbench.report.content import written_step
 from ehbench.report.terminal import Answer
 from ehbench.runtime.disk import impossible
 from ehbench.signals.oddities import oddities
@@ -20,7 +20,7 @@ from ehbench.stages.inputs import refuse_fmu, with_orifices
 from ehbench.stages.notes import Notes, line_naming
 from ehbench.stages.validation import in_rig_unit
 from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import message, ranked
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.text import shortened_path
@@ -48,8 +48,8 @@ class Inspection:
             if isinstance(stage, Stage):
                 options = "".join(f" {option}" for option in sorted(self.notes.options))
                 fields = {"command": stage.command, "recipe": path, "options": options}
-                odd = (getattr(note, "fields", {}).get("remedy") for note in self.notes.remarks)
-                steps += [*map(remedy_step, dict.fromkeys(filter(None, odd)))][:2]
+                odd = [getattr(note, "fields", {}) for note in self.notes.remarks]
+                steps += ranked(written_step(each) for each in odd if "where" in each)[:2]
                 steps.append(message("steps.run_recipe", **fields))
         state = plural(len(self.errors), "error") if self.errors else "ok"
         state += ", with losses" if self.code == 3 else ""

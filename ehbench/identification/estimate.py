@@ -186,7 +186,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
     )
     if not any(i < problem.requested for i in (*state.live, *state.ranges)):
         names = [c.name for c in problem.search[: problem.requested]]
-        channels = {read_off(name, problem.logs) for name in names}
+        channels = {read_off(name, [log.record for log in problem.logs]) for name in names}
         if None in channels:
             raise InsufficientData(message("identification.nothing_told", names=", ".join(names)))
         fields = {

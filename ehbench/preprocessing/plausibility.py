@@ -428,8 +428,8 @@ def _backwards(record: Record, rig: Rig) -> Iterator[Message]:
 def _turned(name: str, channel: str, **fields: str) -> Message:
     """A note on a channel whose sign is turned, with the line that puts it right."""
     cause = message(f"preprocessing.{name}", channel=channel, **fields)
-    remedy = message("preprocessing.turn", channel=channel)
-    return message("preprocessing.turned", cause=cause, remedy=remedy)
+    where = message("preprocessing.in_columns", channel=channel)
+    return message("preprocessing.turned", cause=cause, line="sign = -1", where=where)
 
 
 def _travels(record: Record, cylinder: Cylinder) -> bool:

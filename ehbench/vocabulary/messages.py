@@ -30,10 +30,6 @@ class Message(str):
         new.key, new.fields, new.hint = key, dict(fields or {}), hint
         return new
 
-    def of(self, name: str) -> Message:
-        """It, said of a log by its name."""
-        return Message(f"{name}: {self}", self.key, self.fields, self.hint)
-
     def __reduce__(self) -> tuple[Any, ...]:
         return Message, (str(self), self.key, dict(self.fields), self.hint)
 
@@ -63,6 +59,12 @@ def message(key: str, /, **fields: Any) -> Message:
     entry = templates(part)[name]
     hint = entry.get("hint", "").format(**fields)
     return Message(entry["text"].format(**fields), key, fields, hint)
+
+
+def of_log(log: str, note: str) -> Message:
+    """A note said of a log by its name, with its key and fields."""
+    given = note if isinstance(note, Message) else Message(note)
+    return Message(f"{log}: {note}", given.key, given.fields, given.hint)
 
 
 def ranked(messages: Iterable[Message]) -> list[Message]:

@@ -184,7 +184,7 @@ def test_a_turned_sign_is_a_reservation_with_the_line_that_puts_it_right(arm, bo
     result = run_validation(prepare_validation(arm, logs, seen), diagnose=False)
     first = result.reservations[0]
     assert isinstance(first, Message) and first.key == "preprocessing.turned"
-    assert first.startswith("log: boom.q falls") and first.fields["remedy"].startswith("sign = -1 ")
+    assert first.startswith("log: boom.q falls") and first.fields["line"] == "sign = -1"
     sound = run_validation(prepare_validation(arm, [("log", boom)], seen), diagnose=False)
     assert sound.reservations == ()
 
