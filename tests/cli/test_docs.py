@@ -17,6 +17,8 @@ from typer.main import get_command
 from ehbench.app import cli, inspection
 from ehbench.config import recipe, rig
 from ehbench.config.recipe import load_rig
+from ehbench.parts.edge.orifice import ORIFICE_DROP
+from ehbench.parts.supply import RECOVERY_TIME
 from ehbench.vocabulary.fields import SURENESS
 from tests.shared import ROOT
 from tools import reference
@@ -76,6 +78,12 @@ def test_every_kind_of_command_and_motion_is_documented(model):
 
 def test_every_word_for_provenance_is_in_the_reference():
     assert all(f"| `{word}` |" in ALL_KEYS for word in SURENESS)
+
+
+def test_fixed_numbers_of_the_plant_are_in_the_reference():
+    time = f"a time constant of {1e3 * RECOVERY_TIME:g} ms, a fixed number"
+    assert time in PAGES["docs/reference/rig_file.md"]
+    assert f"Δp/(Δp² + ({1e-3 * ORIFICE_DROP:g} kPa)²)^¼" in PAGES["docs/reference/valves.md"]
 
 
 def test_the_generator_writes_and_checks(tmp_path, monkeypatch, capsys):
