@@ -233,20 +233,24 @@ class _Search:
         return self._bettered(dict.fromkeys(slopes, (0.0, self.now, self.left)), points)
 
     def _refined(self, reached: Mapping[Hypothesis, Best]) -> dict[Hypothesis, Best]:
-        """As `_best`, with δ sought to both sides in halving steps."""
+        """As `_best`, with δ sought to both sides in steps that grow as far as it goes, and halve.
+
+        The first size is that of a slope: oil leaks to an end by less than in proportion."""
         now = dict(reached)
         reach = {f: 0.5 * abs(best[0]) if f.row.step else 0.0 for f, best in now.items()}
-        for _ in range(HALVINGS):
+        least = {fault: far * 0.5**HALVINGS for fault, far in reach.items()}
+        while any(far > least[fault] for fault, far in reach.items()):
             before = dict(now)
             for side in (-1.0, 1.0):
                 points = [
                     (fault, best[0] + side * reach[fault])
                     for fault, best in before.items()
-                    if reach[fault] > 0.0 and now[fault] is best
+                    if reach[fault] > least[fault] and now[fault] is best
                 ]
                 inside = [(c, delta) for c, delta in points if c.bounds[0] <= delta <= c.bounds[1]]
                 now = self._bettered(now, inside)
-            reach = {fault: 0.5 * far for fault, far in reach.items()}
+            on = {fault for fault, best in before.items() if now[fault] is not best}
+            reach = {fault: far * (2.0 if fault in on else 0.5) for fault, far in reach.items()}
         return now
 
     def _bettered(

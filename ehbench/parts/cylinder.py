@@ -182,9 +182,11 @@ FAULTS = (
             unit="leakage",
             step=0.01,
             high=30.0,
+            rank=rank,
             upper=Amount((30.0,), "leakage"),
         )
-        for key in ("leakage_internal", "leakage_head", "leakage_rod")
+        # past the piston nobody sees it; what leaks to the outside lies on the floor
+        for key, rank in (("leakage_internal", 3), ("leakage_head", 4), ("leakage_rod", 4))
     ),
     Fault("volume", ("volume_head",), step=0.05, rank=5),
     Fault("volume", ("volume_rod",), step=0.05, rank=5),

@@ -144,6 +144,21 @@ def rows_of(rig, kind):
     return [row for row in rows if row.kind == kind]
 
 
+def test_a_leakage_far_beyond_its_slope_is_found_at_its_size():
+    """By the slope it is a tenth of it; leakage to the outside is asked after that past a seal."""
+    rig = leaking_press(2.0e-11)
+    model = Model.of(rig.with_values({"press.leakage_internal": 0.0}))
+    log = virtual_log("slide_servo", rig, "steps", 5, duration=3.0)
+    first = ask([Case("log", log, model, commanded(model, log))]).findings[0]
+    assert first.about == "press.leakage_internal"
+    unit = 0.01 / 1.4e7 * np.pi / 4 * 0.05**2
+    assert first.size * unit == pytest.approx(2.0e-11, rel=0.02)
+    ranks = {row.parameters[0]: row.rank for row in rows_of(rig, "leakage")}
+    assert ranks["press.leakage_internal"] < min(
+        ranks[f"press.leakage_{side}"] for side in ("head", "rod")
+    )
+
+
 def test_remedies_of_what_was_fitted_and_of_a_late_command():
     rig = shipped("slide_servo")
     names = [name for name in rig.parameters() if name.endswith("flow_gain")]
