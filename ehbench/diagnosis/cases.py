@@ -16,11 +16,11 @@ from ehbench.plant.foreign import model_of
 from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO
-from ehbench.plant.ties import tied_words
+from ehbench.plant.ties import supplied, tied_words
 from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
 from ehbench.preprocessing.observations import column, noise_of
 from ehbench.preprocessing.sensors import Term, corrected, sensed
-from ehbench.signals.series import correlation_time
+from ehbench.signals.series import correlation_time, rms
 from ehbench.vocabulary.quantities import GAUGES
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
@@ -88,7 +88,9 @@ class Case:
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """Rate and pressures of each cylinder, as far as the log has them moving."""
+        """Rate and pressures of each cylinder and the pressure of the supply, as far as the log has
+        them moving and does not give them to the simulation.
+        """
         results = []
         for cylinder in self.cylinders:
             rates = [f"{cylinder}.{word}" for word in ("v", "qd")]
@@ -101,6 +103,8 @@ class Case:
             gauges = [f"{cylinder}.{word}" for word in GAUGES]
             results += [rate] if rate and self._moves(rate) else []
             results += ends or [name for name in gauges if self._moves(name)]
+        free = self.model.rig.model is None and not supplied(self.record)
+        results += ["p_supply"] if free and self._moves("p_supply") else []
         given = tied_words(self.record)
         return tuple(name for name in results if name.rpartition(".")[2] not in given)
 
@@ -142,10 +146,10 @@ class Case:
     @cached_property
     def scales(self) -> dict[str, float]:
         """What an error of each channel is measured by: the noise of a block, and a share of the
-        channel's spread.
+        channel's spread; of the supply's pressure of its level, as by that it drives a flow.
         """
         return {
-            channel: math.hypot(self.noise[channel], FINE * float(np.std(values)))
+            channel: math.hypot(self.noise[channel], FINE * _size(channel, values))
             for channel, values in self.recorded.items()
         }
 
@@ -173,6 +177,11 @@ class Case:
         sizes = np.cumsum([values.size for values in self.recorded.values()])[:-1]
         parts = np.split(left, sizes)
         return sum(part.size / correlation_time(part) for part in parts if part.size)
+
+
+def _size(channel: str, values: np.ndarray) -> float:
+    """What a share of a channel is a share of."""
+    return rms(values) if channel == "p_supply" else float(np.std(values))
 
 
 def total(parts: Sequence[np.ndarray]) -> float:
