@@ -534,3 +534,15 @@ def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
     assert "runs from -200 to -150 mm, and the stroke from 0 to 400 mm" in said(-x)
     assert "counted the other way? Write sign = -1" in said(-x)
     assert "from where is it counted? Write neutral" in said(x + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("shift", "scale", "says"),
+    [
+        *[(0.0, 57.3, "preprocessing.angle_degrees"), (0.48, -1.0, "preprocessing.angle_turned")],
+        (50.0, 1.0, "preprocessing.angle_shifted"),
+    ],
+)
+def test_angles_that_the_stroke_does_not_allow_are_refused(shift, scale, says):
+    log = changed(crane(), lift_q=scale * (crane()["lift.q"] + shift))
+    refused(says, lambda: preprocess("log", log, Model.of(rig())))
