@@ -499,5 +499,5 @@ def _late(log: Log, simulated: np.ndarray) -> list[str]:
     is_delay = SETTINGS.late * tick <= abs(delay) <= SETTINGS.latest * tick
     if not is_delay or delay**2 * power < SETTINGS.explains * float(np.sum(left**2)):
         return []
-    word = "behind" if delay > 0 else "ahead of"
-    return [message("identification.late", log=log.name, delay=abs(delay) * 1e3, word=word)]
+    key = "identification.late" if delay > 0 else "identification.early"
+    return [message(key, log=log.name, delay=abs(delay) * 1e3)]
