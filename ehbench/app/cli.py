@@ -408,17 +408,24 @@ def why(
     name: Annotated[
         str, typer.Argument(help="A number: a parameter, or the end of its path in the run's JSON.")
     ],
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run or report folder.")],
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Run or report folders; the newest is asked."),
+    ],
     as_json: AsJson = False,
 ) -> None:
     """Say where a number of a run or report is from: interval, method, windows, logs, recipe and
     rig line; exit 3 where these have changed."""
     from ehbench.report.terminal import Answer
     from ehbench.report.why import origin
+    from ehbench.runs import rundir
 
+    run = max(runs, key=rundir.started)
     result = origin(name, run)
-    values = result.as_json()
-    _say(Answer(result.headline, [result.table()], values=values), Says(as_json=as_json), wide=True)
+    said, values = result.headline, result.as_json()
+    if len(runs) > 1:
+        said = message("report.of_newest", number=said, run=run, count=len(runs))
+    _say(Answer(said, [result.table()], values=values), Says(as_json=as_json), wide=True)
     raise typer.Exit(3 if result.changes else 0)
 
 

@@ -302,7 +302,7 @@ def _by_counts(free: Sequence[np.ndarray], blocks: Sequence[Block]) -> np.ndarra
                 values.append(block.readings[:, i])
                 columns.append(part[:, i])
                 error = max(error, 0.0 if block.coarse is None else float(block.coarse[i]))
-        if error > 0.0:
+        if error > 0.0 and p:
             which = np.unique(np.concatenate(values), return_inverse=True)[1]
             whole = np.concatenate(columns)
             sums = np.stack([np.bincount(which, column) for column in whole.T], axis=-1)

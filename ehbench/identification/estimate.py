@@ -26,6 +26,7 @@ from ehbench.identification.problem import (
     prior_of,
     residuals_at,
     scaled,
+    towards,
     weighed,
 )
 from ehbench.identification.results import HydraulicsFit, read_off
@@ -107,7 +108,7 @@ def estimate(problem: Problem) -> tuple[HydraulicsFit, State]:
             break
         state = _over_ranges(problem, state, lost)
         for i in set(near) - set(lost):
-            state = state.moved(i, near[i]).fixed(i)
+            state = towards(problem, state, i, near[i]).fixed(i)
             state = replace(state, at_bound=(*state.at_bound, i))
         state, converged = settle(problem, state, 1e-6)
     else:
@@ -158,7 +159,8 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
             free=tuple(sorted({*state.free, i})),
         )
         state = evaluate(problem, state)
-        every = np.linspace(*problem.search[i].bounds, SETTINGS.points)
+        low, high = problem.room(state.theta, [i])[0]
+        every = np.linspace(low, high, SETTINGS.points)
         points = np.unique([*every, problem.search[i].begin])
         rises, effect = _rises(problem, state, i, points)
         possible, lowest = np.isfinite(rises).all(), int(np.argmin(rises))
@@ -178,7 +180,7 @@ def _over_ranges(problem: Problem, state: State, which: Sequence[int]) -> State:
             state = better
         state = replace(state, ranges=ranges)
     for i in dropped:
-        state = state.moved(i, problem.search[i].of(problem.search[i].start))
+        state = towards(problem, state, i, problem.search[i].of(problem.search[i].start))
     state = replace(
         state,
         free=tuple(i for i in state.free if i not in dropped),
@@ -256,5 +258,5 @@ def _interval_ends(
             (rise,), _ = _rises(problem, state, i, np.array([middle]))
             lowest = min(lowest, (float(rise), middle))
             inner, outer = (inner, middle) if rise > limit else (middle, outer)
-        ends.append(problem.search[i].bounds[side > 0] if outer is None else outer)
+        ends.append(float(points[-1 if side > 0 else 0]) if outer is None else outer)
     return (ends[0], ends[1]), *lowest

@@ -151,6 +151,35 @@ class Problem:
         """Bounds in search coordinates, shape (parameters, 2)."""
         return np.array([self.search[i].bounds for i in which]).reshape(-1, 2)
 
+    def room(self, theta: np.ndarray, which: Sequence[int]) -> np.ndarray:
+        """Bounds between which each parameter may move by itself from a point: those that are its
+        own, or where another one limits it; shape (parameters, 2).
+        """
+        ends = self.bounds(which)
+        for i, row in zip(which, ends, strict=True):
+            for side, end in enumerate(row):
+                if not self.limit(theta, i, end):
+                    continue
+                inner, outer = theta[i], end
+                while abs(outer - inner) > SETTINGS.difference:
+                    middle = 0.5 * (inner + outer)
+                    allowed = not self.limit(theta, i, middle)
+                    inner, outer = (middle, outer) if allowed else (inner, middle)
+                row[side] = inner
+        return ends
+
+    def limit(self, theta: np.ndarray, i: int, value: float) -> str:
+        """What limits parameter i at a search coordinate beside the others; empty if nothing."""
+        moved = theta.copy()
+        moved[i] = value
+        return self.simulator.misfit(self.values(moved))
+
+    def limit_at(self, theta: np.ndarray, i: int) -> str:
+        """The same of a parameter that has come to such a limit."""
+        steps = SETTINGS.difference * np.array([-1.0, 1.0])
+        limits = (self.limit(theta, i, x) for x in np.clip(theta[i] + steps, *self.bounds([i])[0]))
+        return next(filter(None, limits), "")
+
     def residual(self, log: Log, simulated: np.ndarray | None) -> np.ndarray:
         """Simulated − recorded [SI], low-passed, zero where a sample does not count, shape
         (samples, channels).
@@ -249,6 +278,14 @@ def initial(problem: Problem) -> State:
         np.ones((len(problem.search), len(problem.logs)), dtype=bool),
         tuple(range(problem.fitted)),
     )
+
+
+def towards(problem: Problem, state: State, i: int, theta: float) -> State:
+    """The state with one parameter elsewhere, or as near to there as the others let it."""
+    there = state.moved(i, theta)
+    if not problem.limit(there.theta, i, theta):
+        return there
+    return state.moved(i, float(np.clip(theta, *problem.room(state.theta, [i])[0])))
 
 
 def at_values(problem: Problem, values: Mapping[str, float]) -> State:

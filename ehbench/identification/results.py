@@ -25,7 +25,7 @@ from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
 from ehbench.vocabulary.errors import InsufficientData
 from ehbench.vocabulary.fields import Value
-from ehbench.vocabulary.messages import message, of_log
+from ehbench.vocabulary.messages import Message, message, of_log
 from ehbench.vocabulary.quantities import GAUGES, quantity
 from ehbench.vocabulary.settings import setting
 
@@ -303,7 +303,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
         InsufficientData: the fitted model follows no channel of any log better than its mean.
     """
     warnings: list[str] = [text for log in simulator.logs for text in log.warnings]
-    warnings += [*result.warnings, *_statuses(result.fitted, simulator)]
+    warnings += [*result.warnings, *_statuses(result.fitted, simulator, result.warnings)]
     logs, recordings = [], []
     shifts = simulator.unshifted() if result.shifts is None else result.shifts
     values = [*(item.value for item in result.fitted), *result.shared]
@@ -357,17 +357,21 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     )
 
 
-def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[str]:
-    """A warning of each parameter that is not excited or at a bound."""
+def _statuses(
+    fitted: Sequence[FittedParameter], simulator: Simulator, told: Sequence[str] = ()
+) -> list[str]:
+    """A warning of each parameter that is not excited or at a bound, if it is not ``told``."""
     warnings, rig = [], simulator.rig
     records = [log.record for log in simulator.logs]
+    notes = (text for text in told if isinstance(text, Message))
+    limited = {text.fields["name"] for text in notes if text.key == "identification.at_limit"}
     for item in fitted:
         fields = {"name": item.name, "value": rig.shown(item.name, item.value)}
         if item.status == "not_excited" and (channel := read_off(item.name, records)):
             warnings.append(message("identification.read_off", channel=channel, **fields))
         elif item.status == "not_excited":
             warnings.append(message("identification.not_excited", **fields))
-        elif item.status == "at_bound":
+        elif item.status == "at_bound" and item.name not in limited:
             is_low = item.value - item.lower < item.upper - item.value
             shut = item.name.endswith(".deadband") and item.value == 0.0
             key = "identification.closed_deadband" if shut else "identification.at_bound"
@@ -487,5 +491,5 @@ def _late(log: Log, simulated: np.ndarray) -> list[str]:
     is_delay = SETTINGS.late * tick <= abs(delay) <= SETTINGS.latest * tick
     if not is_delay or delay**2 * power < SETTINGS.explains * float(np.sum(left**2)):
         return []
-    word = "behind" if delay > 0 else "ahead of"
-    return [message("identification.late", log=log.name, delay=abs(delay) * 1e3, word=word)]
+    key = "identification.late" if delay > 0 else "identification.early"
+    return [message(key, log=log.name, delay=abs(delay) * 1e3)]

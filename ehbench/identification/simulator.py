@@ -370,10 +370,19 @@ class Simulator:
             EhbenchError: there is no such rig.
         """
         changed = self.rig.with_values(self._by_name(values, False), self.known)
+        changed.refuse_misfits()
         return {
             load: model_of(changed, self.maps, load, self._kept)
             for load in {log.payload for log in self.logs}
         }
+
+    def misfit(self, values: Sequence[float]) -> str:
+        """Why no rig file may have these values beside one another; empty if it may."""
+        try:
+            self.rig.with_values(self._by_name(values, False), self.known).refuse_misfits()
+        except InputError as error:
+            return str(error)
+        return ""
 
     def _by_name(self, values: Sequence[float], shared: bool) -> dict[str, float]:
         """The values of the rig's parameters, or those of the sensors that all logs share."""

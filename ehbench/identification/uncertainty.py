@@ -107,7 +107,8 @@ def _groups(problem: Problem, result: Errors) -> tuple[Group, ...]:
 
 
 def _at_bound(problem: Problem, state: State, i: int) -> bool:
-    return i in state.at_bound or state.theta[i] in problem.search[i].bounds
+    inside = i not in state.at_bound and state.theta[i] not in problem.search[i].bounds
+    return not inside or bool(problem.limit_at(state.theta, i))
 
 
 def result_of(
@@ -125,6 +126,10 @@ def result_of(
         c = problem.search[i]
         low, high = (rig.shown(c.name, c.at(end)) for end in state.ranges[i])
         warnings.append(message("identification.flat", name=c.name, low=low, high=high))
+    for i, item in enumerate(fitted):
+        if item.status == "at_bound" and (reason := problem.limit_at(state.theta, i)):
+            fields = {"name": item.name, "value": rig.shown(item.name, item.value)}
+            warnings.append(message("identification.at_limit", reason=reason, **fields))
     if not converged:
         count = problem.max_iterations
         warnings.append(message("identification.not_converged", count=count))

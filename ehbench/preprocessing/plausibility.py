@@ -168,6 +168,24 @@ def refuse_commands(name: str, record: Record, rig: Rig) -> None:
             raise InputError(message("preprocessing.outside_driver", log=name, **fields))
 
 
+def refuse_angles(name: str, record: Record, model: Model) -> None:
+    """Refuse angles that mostly lie outside what their cylinder's stroke allows."""
+    rig = model.rig
+    for index, cylinder in enumerate(rig.cylinder):
+        channel = f"{cylinder.name}.q"
+        if channel not in record or cylinder.linkage is None:
+            continue
+        q, (low, high) = record[channel], sorted(model.stroke_range(index))
+        middle, slack = float(np.median(q)), SETTINGS.travel * (high - low)
+        read = {"": middle, "turned": -middle, "degrees": math.radians(middle), "shifted": low}
+        like = next(key for key, x in read.items() if low - slack <= x <= high + slack)
+        if like:
+            shown = {"low": float(q.min()), "high": float(q.max()), "first": low, "last": high}
+            fields = {key: rig.shown("q", angle) for key, angle in shown.items()}
+            fields |= {"channel": channel, "linkage": cylinder.linkage_word}
+            raise InputError(message(f"preprocessing.angle_{like}", log=name, **fields))
+
+
 def _refuse_supply(name: str, record: Record, model: Model) -> None:
     """Refuse a supply pressure that is not of the unit it says."""
     rig, line = model.rig, model.plant.supply

@@ -280,6 +280,12 @@ def _libraries() -> Mapping[str, str]:
     }
 
 
+def started(folder: Path) -> str:
+    """When a run was started, as text that sorts by time; empty where none was."""
+    file = folder / "volatile.json"
+    return str(read_json(file).get("started", "")) if file.is_file() else ""
+
+
 def _volatile(began: float) -> dict[str, Any]:
     """What differs from run to run; ``began`` is when [s since 1970]."""
     return {

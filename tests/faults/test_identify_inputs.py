@@ -13,12 +13,14 @@ from ehbench.app import inspection
 from ehbench.config.recipe import load_recipe
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
+from ehbench.parts.friction.stribeck import Stribeck
 from ehbench.plant.model import Model, simulate
 from ehbench.preprocessing.plausibility import outside_stroke
 from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
 from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
+from ehbench.vocabulary.fields import Value
 from tests.shared import RIGS, identify, judged, measured, shipped
 
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
@@ -225,6 +227,28 @@ def test_a_fit_that_follows_nothing_is_no_fit():
     assert 0 < len(poor) < 3 and loud.key == "identification.does_not_follow"
     assert (loud.fields["poor"], loud.fields["all"]) == (len(poor), 3)
     assert all(f"log: {name}" in loud.fields["worst"] for name in poor)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("freed", [(), ("press.friction_static",)], ids=["held", "freed"])
+def test_where_one_parameter_limits_another_the_fit_ends_at_the_limit(freed):
+    """Break-away friction below the friction in motion makes no rig; the truth is above it."""
+    slide = rig("slide_servo")
+    own = slide.cylinder[0].model_copy(update={"friction_coulomb": Value(900.0, "N")})
+    log = logged(slide.model_copy(update={"cylinder": (own,)}), "press.servo", (3.0, -3.0))
+    table = Stribeck(law="stribeck", friction_static="520 N", stribeck_speed="20 mm/s")
+    more = {"friction": table, "friction_coulomb": Value(300.0, "N", upper=5000.0)}
+    built = slide.model_copy(update={"cylinder": (own.model_copy(update=more),)})
+    names = ["press.friction_coulomb", "press.friction_viscous", *freed]
+    fit = identify(built, [("log", log)], names, start={"press.friction_viscous": 100.0})
+    fit.rig.refuse_misfits()
+    coulomb = fit.parameters[0]
+    if freed:
+        assert coulomb.value == pytest.approx(900.0, rel=0.05)
+        return
+    assert coulomb.status == "at_bound" and 519.0 < coulomb.value <= 520.0
+    (note,) = [text for text in fit.warnings if text.key == "identification.at_limit"]
+    assert "friction_static: must not lie below friction_coulomb" in note.fields["reason"]
 
 
 def test_a_turned_sensor_is_named():
@@ -534,3 +558,15 @@ def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
     assert "runs from -200 to -150 mm, and the stroke from 0 to 400 mm" in said(-x)
     assert "counted the other way? Write sign = -1" in said(-x)
     assert "from where is it counted? Write neutral" in said(x + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("shift", "scale", "says"),
+    [
+        *[(0.0, 57.3, "preprocessing.angle_degrees"), (0.48, -1.0, "preprocessing.angle_turned")],
+        (50.0, 1.0, "preprocessing.angle_shifted"),
+    ],
+)
+def test_angles_that_the_stroke_does_not_allow_are_refused(shift, scale, says):
+    log = changed(crane(), lift_q=scale * (crane()["lift.q"] + shift))
+    refused(says, lambda: preprocess("log", log, Model.of(rig())))

@@ -174,6 +174,8 @@ def test_readings_in_counts_are_off_alike_where_they_read_alike():
         errors.append(np.linalg.lstsq(columns, read - true, rcond=None)[0])
     assert np.sqrt(np.diag(result.counts)) == pytest.approx(np.std(errors, axis=0), rel=0.1)
     assert result.error(0)[2] == "counts"
+    nothing = Prior(np.zeros(0), np.zeros(0), 1.0)  # where no parameter is free
+    assert covariance_of([replace(block, jacobian=block.jacobian[..., :0])], nothing).hac.size == 0
 
 
 @pytest.mark.parametrize(("noise", "error"), [(0.0, 1.0), (0.5, 0.01), (1.0, 0.0)])

@@ -335,7 +335,8 @@ def behind(ticks, noise=0.0):
     t = np.arange(2000) * 1e-3
     y = np.sin(20.0 * (t - 1e-3 * ticks)) + noise * np.random.default_rng(1).standard_normal(2000)
     notes: Any = _late(log_of(y), np.sin(20.0 * t)[:, None])
-    assert [note.fields["word"] for note in notes] in ([], ["behind" if ticks > 0 else "ahead of"])
+    key = "identification.late" if ticks > 0 else "identification.early"
+    assert [note.key for note in notes] in ([], [key])
     return bool(notes)
 
 

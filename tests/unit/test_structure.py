@@ -2,6 +2,7 @@
 nothing. `tools/studies/structure_study.py` has the long tables."""
 
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace as Stub
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from ehbench import diagnosis
+from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.diagnosis import Case, ask
@@ -26,7 +28,7 @@ from ehbench.preprocessing.observations import commanded
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import correlation_time
 from ehbench.validation import validate_rig
-from tests.shared import shipped
+from tests.shared import RIGS, shipped
 from tools.studies.structure_study import Fault, asked, faults, log_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
 
@@ -473,9 +475,41 @@ def test_a_place_of_a_rig_file_is_named_and_what_has_no_name_counted():
     rig = shipped("slide_servo")
     assert [edge.name for edge in rig.cylinder[0].valve[0].edge] == [None] * 4
     place = ("cylinder", 0, "valve", 0, "edge", 1)
-    assert hypothesis._where(rig, place, "law") == "cylinder.press.valve.servo.edge.2.law"
-    assert hypothesis._where(rig, place[:2], "") == "cylinder.press"
-    assert hypothesis._where(rig, ("payload", "100 kg"), "") == "payload.100 kg"
+    where = "[[cylinder]] press, [[cylinder.valve]] servo, [[cylinder.valve.edge]] 2"
+    assert hypothesis._where(rig, place) == where
+    assert hypothesis._where(rig, ("payload", "100 kg")) == "[payload.100 kg]"
+
+
+def pasted(text: str, lines: str) -> str:
+    """A rig file with the lines of a suggestion below the header that they name, in place of what
+    it has of these keys."""
+    where, *keys = lines.splitlines()
+    if where.startswith("["):
+        return f"{text}\n{lines}\n"
+    rows, at = text.splitlines(), 0
+    for header, name in re.findall(r"(\[+[\w.]+\]+) ?(\w*)", where):
+        places = [i for i, row in enumerate(rows) if i >= at and row == header]
+        named = [i for i in places if f'name = "{name}"' in rows[i + 1 : i + 3]]
+        at = named[0] if named else places[int(name or 1) - 1]
+    end = next((i for i, row in enumerate(rows) if i > at and row.startswith("[")), len(rows))
+    stems = tuple(line.partition("=")[0] for line in keys)
+    rest = [row for row in rows[at + 1 : end] if not row.startswith(stems)]
+    return "\n".join([*rows[: at + 1], *rest, *keys, *rows[end:]])
+
+
+@pytest.mark.parametrize("name", ["slide_servo", "crane_proportional", "boom_four_valve"])
+def test_the_lines_of_a_suggestion_can_be_pasted_into_the_rig_file(name, tmp_path):
+    rig, count = shipped(name), 0
+    log = clean_log(name, rig, "steps", duration=1.0)
+    cylinder = rig.cylinder[0].name
+    for row in hypotheses(rig, [cylinder], [f"{cylinder}.p_head"], [log]):
+        text = (RIGS / f"{name}.toml").read_text()
+        for lines in row.rig_lines(rig):
+            text, count = pasted(text, lines), count + 1
+        (tmp_path / "rig.toml").write_text(text)
+        loaded = load_rig(tmp_path / "rig.toml")
+        assert loaded.parameters().keys() == row.altered(rig).parameters().keys(), row.name
+    assert count > 9
 
 
 def test_words_of_a_fault_for_recipe_and_rig_file():
@@ -491,10 +525,11 @@ def test_words_of_a_fault_for_recipe_and_rig_file():
         f'[upper] "press.volume_rod" = "{rig.shown(number.name, number.upper, 5)}"',
     )
     (line,) = added.rig_lines(rig)
-    values = 'law = 1.2346, of = ["a", 2], far = "inf m", load = "12.346 kg"'
-    assert line == f"[cylinder.press.valve.servo] {values}"
+    values = 'law = 1.2346\nof = ["a", 2]\nfar = "inf m"\nload = "12.346 kg"'
+    valve = "# in [[cylinder]] press, [[cylinder.valve]] servo:"
+    assert line == f"{valve}\n{values}"
     plain = Hypothesis(Row("gain"), "a", (number,), edits=((place, "dynamics", {"f": "x y"}, {}),))
-    assert plain.rig_lines(rig) == ('[cylinder.press.valve.servo.dynamics] f = "x y"',)
+    assert plain.rig_lines(rig) == (f'{valve}\ndynamics = {{ f = "x y" }}',)
     for kind, word in (("sensor scale", 'scale = "estimate"'), ("sensor sign", "sign = -1")):
         read = Hypothesis(Row(kind), "press.v", readings=(("press.v", "scale", 1.0),))
         assert read.recipe_lines(rig) == (f'[[sensor]] channel = "press.v", {word}',)

@@ -9,8 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tomli_w
+from typer.testing import CliRunner
 
 from ehbench import workflow
+from ehbench.app import cli
 from ehbench.config.recipe import load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
@@ -99,6 +101,16 @@ def test_a_number_leads_to_interval_method_windows_logs_recipe_and_rig_line(shop
     assert found.rig.source and found.rig.source in lines[found.rig.line - 1]
     plain = json.loads(json.dumps(found.as_json()))
     assert plain["value"] == 7.0e8 and len(plain["inputs"]) == 4 and plain["changes"] == []
+
+
+def test_of_several_runs_the_newest_is_asked_and_named(shop):
+    fit = shop / "reports" / "fit_1"
+    later = shutil.copytree(fit, shop / "reports" / "fit_2")
+    edit_json("volatile.json", "started", "2999-01-01T00:00:00Z")(later)
+    for runs in ([fit, later], [later, fit]):
+        words = ["why", "bulk_modulus", *map(str, runs)]
+        answer = CliRunner().invoke(cli.app, words)
+        assert "fit_2, the newest of 2" in answer.output, answer.output
 
 
 def test_a_parameter_that_a_validation_carries_leads_to_its_fit(shop):

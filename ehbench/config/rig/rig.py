@@ -420,6 +420,21 @@ class Rig(FileModel):
                 rig = _with_part(rig, place, changed)
         return rig
 
+    def refuse_misfits(self) -> None:
+        """Check what numbers of a table must be to one another, as in a file: `with_values` does
+        not.
+
+        Raises:
+            InputError: says where, and what is wrong.
+        """
+        for _, place, part in self.parts():
+            for check in type(part).__pydantic_decorators__.model_validators.values():
+                try:
+                    check.func(part)
+                except ValueError as error:
+                    where = ".".join(map(str, (*place, *getattr(error, "where", ()))))
+                    raise InputError(f"{where}: {error}") from None
+
     def with_dynamics(self, by_valve: Mapping[str, str]) -> Rig:
         """This rig with valves, named ``<cylinder>.<valve>``, that have other dynamics of its file.
 

@@ -246,7 +246,8 @@ class Hypothesis:
         if self.kind == "late command":
             return message("faults.written_late", **fields)
         if self.edits and len(self.readings) != 1:
-            return message("faults.add_lines", lines="; ".join(self.rig_lines(rig)))
+            lines = "; ".join(self.rig_lines(rig)).replace("# in ", "")
+            return message("faults.add_lines", lines=lines.replace("\n", " "))
         if self.edits or not self.numbers:
             key = "turn_sensor" if self.kind.endswith("sign") else "free_sensor"
             return message(f"faults.{key}", **fields)
@@ -291,12 +292,18 @@ class Hypothesis:
         return tuple(lines)
 
     def rig_lines(self, rig: Rig) -> tuple[str, ...]:
-        """What it adds to the rig file."""
-        return tuple(
-            f"[{_where(rig, place, table if table not in content else '')}] "
-            + ", ".join(f"{key} = {_toml(value)}" for key, value in (content | also).items())
-            for place, table, content, also in self.edits
-        )
+        """What it adds to the rig file: where, and the keys below, one a line."""
+        results = []
+        for place, table, content, also in self.edits:
+            keys, whole = content, not table or table in content
+            where = message("faults.in_table", where=_where(rig, place))
+            if not whole and any(isinstance(key, int) for key in place):
+                keys = {table: content}
+            elif not whole:
+                where = f"[{'.'.join([*place, table])}]"
+            lines = [f"{key} = {_toml(value)}" for key, value in (keys | also).items()]
+            results.append("\n".join([where, *lines]))
+        return tuple(results)
 
 
 def joined(several: Sequence[Hypothesis], about: str, level: int) -> Hypothesis:
@@ -317,24 +324,29 @@ def _mutable(tables: Any) -> Any:
     return [_mutable(table) for table in tables] if isinstance(tables, list | tuple) else tables
 
 
-def _where(rig: Rig, place: Sequence[Any], table: str) -> str:
-    """A place of the rig file by names, such as ``cylinder press friction``."""
-    words: list[str] = []
+def _where(rig: Rig, place: Sequence[Any]) -> str:
+    """A place of the rig file as its headers have it, such as ``[[cylinder]] press``; what has no
+    name is counted.
+    """
+    words, headers = [], []
     part: Any = rig
     for key in place:
         if isinstance(key, int):
             part = part[key]
-            words.append(str(getattr(part, "name", None) or key + 1))
+            name = getattr(part, "name", None) or key + 1
+            headers.append(f"[[{'.'.join(words)}]] {name}")
         else:
             part = getattr(part, key) if not isinstance(part, Mapping) else part
             words.append(key)
-    return ".".join([*words, table] if table else words)
+    return ", ".join(headers) or f"[{'.'.join(words)}]"
 
 
 def _toml(value: Any) -> str:
     """A value in a line of TOML, numbers to five digits."""
-    if isinstance(value, Mapping):
+    if isinstance(value, Mapping) and "value" in value:
         return _toml(value["value"])
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_toml, value)) + "]"
     if not isinstance(value, str):
