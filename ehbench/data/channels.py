@@ -318,7 +318,7 @@ def _filter(group: Group, columns: ColumnMap) -> None:
             text = message("data.filter_of_short_log", frequency=cutoff, span=span)
             raise InputError(text, **columns.at("names", name))
         values = group.channels[mapped.channel]
-        good = ~is_bad(mapped.channel, values)
+        good = ~is_bad(mapped.channel, values, columns.travels.get(mapped.channel))
         if good.sum() > 3 and 0.0 < group.period < np.inf:
             at = np.arange(values.size)
             smooth = lowpass(np.interp(at, at[good], values[good]), group.period, cutoff)

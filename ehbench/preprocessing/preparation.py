@@ -23,6 +23,7 @@ from ehbench.preprocessing.plausibility import (
     notes_on_channels,
     on_at_first,
     refuse_commands,
+    refuse_positions,
     refuse_pressures,
     refuse_sample_time,
     replay_notes,
@@ -72,7 +73,8 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     Raises:
         LogError: not evenly sampled, with the worst gap.
         InputError: too few or too coarse samples, a sample that is no number, no channel of the
-            rig, a command outside its valve's range, pressures that cannot be in the unit they say.
+            rig, a command outside its valve's range, a position beyond its cylinder's, pressures
+            that cannot be in the unit they say.
     """
     count, rig = record.t.size, model.rig
     if count < LEAST_SAMPLES:
@@ -90,6 +92,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[s
     if rig.payload and not record.meta.get("payload"):
         notes.append(message("preprocessing.no_payload", payloads=", ".join(rig.payload)))
     refuse_commands(name, record, rig)
+    refuse_positions(name, record, rig)
     rest = model.rest_samples(model.commands_of(record))
     on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
     begun = [message("preprocessing.starts_on", channel=name, command=on[name]) for name in on]

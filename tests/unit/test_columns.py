@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +211,20 @@ def test_left_out_samples_are_named_counted_and_bridged_where_they_are_few(tmp_p
     at = np.searchsorted(record.t, [0.020, 0.021, 0.060]) + 0
     np.testing.assert_allclose(record["ram.p_head"][at], [50.2e5, 50.21e5, 50.6e5])
     assert record["ram.spool.command"][30] == record["ram.spool.command"][29]
+
+
+def test_a_position_beyond_the_travel_is_bridged_before_a_filter_smears_it(tmp_path):
+    (tmp_path / "a.csv").write_text(
+        "\n".join(["t,x", *(f"{k / 1000},{-9999 if k == 50 else 100 + k}" for k in range(200))])
+    )
+    (tmp_path / "a.map.toml").write_text(
+        'bad_samples = "leave out"\n[names]\nt = "t [s]"\n'
+        'x = { channel = "ram.x", unit = "mm", filter = "100 Hz" }\n'
+    )
+    columns = replace(load_columns(tmp_path / "a.map.toml"), travels={"ram.x": 0.4})
+    record = read(tmp_path / "a.csv", columns=columns)
+    assert [note.key for note in record.losses] == ["data.samples_bridged"]
+    np.testing.assert_allclose(record["ram.x"][40:60], 1e-3 * np.arange(140, 160), atol=1e-4)
 
 
 def test_a_column_has_a_policy_of_its_own(tmp_path):

@@ -2,7 +2,8 @@
 
 A map stands in a recipe under ``[columns]`` or in a file of its own that many recipes name."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -165,10 +166,13 @@ AnyColumns = Annotated[Columns | None, BeforeValidator(columns_of)]
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """A map with all its keys, and where they stand: (file, table in it), the outermost first."""
+    """A map with all its keys, and where they stand: (file, table in it), the outermost first.
+
+    ``travels`` [SI] is how far positions can move, by channel, where the rig is known."""
 
     columns: Columns
     places: tuple[tuple[Path, tuple[str | int, ...]], ...] = ()
+    travels: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, *location: str) -> dict[str, Any]:
         """``file`` and ``line`` of a key, as the errors take them."""
