@@ -209,7 +209,7 @@ class Inputs:
         """
         import numpy as np
 
-        from ehbench.data.record import lost, recovered
+        from ehbench.data.record import OVERRULED, lost, recovered
         from ehbench.preprocessing.preparation import distinct_names
         from ehbench.preprocessing.time_base import parts_of
 
@@ -232,8 +232,9 @@ class Inputs:
             parts, texts = parts_of(name, record, driven=driven, within=scored)
             losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
             every = [*whole.losses, *texts]
-            remarks += recovered(name, every)
-            details += [f"{name}: {note}" for note in every if note not in lost(every)]
+            told = recovered(name, every)
+            remarks += told
+            details += [f"{name}: {note}" for note in every if note not in [*lost(every), *told]]
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
             entries += [index] * len(parts)
@@ -244,9 +245,9 @@ class Inputs:
                 seconds=float(np.ptp(record.t)),
                 payload=record.meta.get("payload") or "not stated",
             )
-            self.notes.add("reads", text)
+            self.notes.add("reads", text, *(note for note in told if note.key == OVERRULED))
         self.notes.add("losses", *(f"lost: {loss}" for loss in losses))
-        self.notes.add("remarks", *remarks)
+        self.notes.add("remarks", *(text for text in remarks if text not in self.notes.reads))
         places = (*files, *maps)
         return Logs(records, tuple(inputs), losses, remarks, details, entries, places)
 

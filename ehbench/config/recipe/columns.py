@@ -2,8 +2,10 @@
 
 A map stands in a recipe under ``[columns]`` or in a file of its own that many recipes name."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -81,6 +83,16 @@ class MappedColumn(FileModel):
         else:
             offset *= slope
         return gain, zero - gain * neutral + offset
+
+    def overrules(self, file_unit: str) -> bool:
+        """Whether its unit gives other numbers than that of the file, which would do as well."""
+        if self.unit is None or not file_unit:
+            return False
+        try:
+            other = self.model_copy(update={"unit": file_unit}).line("")
+            return not all(map(partial(math.isclose, abs_tol=1e-12), other, self.line("")))
+        except EhbenchError:
+            return False
 
 
 def _split(given: float | str) -> tuple[float, str]:
