@@ -174,6 +174,7 @@ def run_trial(
     out: str | Path | None = None,
     progress: Progress | None = None,
     allow_code: bool = False,
+    unvalidated: bool = False,
 ) -> Outcome:
     """Run a recipe of stage ``trial`` or ``trials``; ``.code`` is 5 when a limit stopped one.
 
@@ -183,7 +184,8 @@ def run_trial(
 
     Arguments and errors as in `run`.
     """
-    return _run(recipe, "run-trial", out, progress, allow_code=allow_code)
+    allowed = {"allow_code": allow_code, "unvalidated": unvalidated}
+    return _run(recipe, "run-trial", out, progress, **allowed)
 
 
 def open_machine(

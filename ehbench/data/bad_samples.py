@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap
-from ehbench.data.rates import SETTINGS, Group, Window, in_window, is_bad, lines_text
+from ehbench.data.rates import SETTINGS, Group, Window, in_window, is_bad, lines_text, range_of
 from ehbench.data.record import resampled
 from ehbench.vocabulary.errors import LogError, UnitError
 from ehbench.vocabulary.messages import message
@@ -42,12 +42,13 @@ def clean(
         losses.append(message("data.rows_without_time", rows=rows, lines=lines))
     gone = ~timed
     for channel, values in group.channels.items():
-        bad = is_bad(channel, values)
+        travel = columns.travels.get(channel)
+        bad = is_bad(channel, values, travel)
         if not bad.any():
             continue
         at = np.flatnonzero(bad & inside & timed)
         if at.size and (policies.get(channel) or general) != LEAVE_OUT:
-            raise _bad_sample(group, channel, int(at[0]), path)
+            raise _bad_sample(group, channel, int(at[0]), path, travel)
         bridged = bad & _short(bad) & ~gone
         if bridged.any():
             good = {channel: values[~bad]}
@@ -83,13 +84,16 @@ def _left_out(channel: str, group: Group, t: np.ndarray, at: np.ndarray, is_brid
     return message(key, channel=channel, samples=samples, times=some, lines=lines, **fields)
 
 
-def _bad_sample(group: Group, channel: str, at: int, path: Path) -> LogError | UnitError:
+def _bad_sample(
+    group: Group, channel: str, at: int, path: Path, travel: float | None
+) -> LogError | UnitError:
     """The error of a bad sample."""
     row, value, column = quantity(channel), group.channels[channel][at], group.columns[channel]
     line = group.line(at)
     where = "" if line else f" at t = {group.t[at]:.9g} s"
     if np.isfinite(value):
-        ends = {"low": row.lower, "high": row.upper, "value": value}
+        low, high = range_of(channel, group.channels[channel], travel)
+        ends = {"low": low, "high": high, "value": value}
         fields = {key: from_si(x, row.display, row) for key, x in ends.items()}
         fields |= {"channel": channel, "column": column.name, "unit": row.display}
         return UnitError(message("data.bad_value", where=where, **fields), file=path, line=line)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,7 +31,7 @@ from ehbench.signals.series import lowpass
 from ehbench.signals.timestamps import SETTINGS as TIMESTAMP
 from ehbench.signals.timestamps import resolution, timestamps_of, unrounded, unwrapped
 from ehbench.vocabulary.errors import InputError, LogError, UnitError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.text import listed
@@ -59,7 +59,7 @@ def read_mapped(
     columns = columns or named_channels(source, path)
     mapping = _Mapping(path, columns, source)
     groups = mapping.groups()
-    losses = [note for group in groups for note in _rate_note(group)]
+    losses = [*mapping.overruled(), *(note for group in groups for note in _rate_note(group))]
     of_text = source.dialect.separator is not None  # tables below one another
     used = (
         {index for index, _ in mapping.places.values()} if of_text else {*range(len(source.tables))}
@@ -230,6 +230,13 @@ class _Mapping:
             column = replace(column, values=unwrapped(column.values))
         return si_of(name, mapped, column, self.columns, self.path, lines)
 
+    def overruled(self) -> Iterator[Message]:
+        """Notes on columns whose unit in the file is another than in the map."""
+        for name, mapped in self.columns.columns.names.items():
+            if mapped.overrules(unit := self._column(name).known_unit):
+                fields = {"file": self.path.name, "name": name, "unit": unit}
+                yield message("data.unit_overruled", mapped=mapped.unit, **fields)
+
     def _timed(self, index: int, time: str) -> Group:
         """A table with its time, and no channel yet: by the rate that the map says, a column of
         time, or as the format knows it.
@@ -318,7 +325,7 @@ def _filter(group: Group, columns: ColumnMap) -> None:
             text = message("data.filter_of_short_log", frequency=cutoff, span=span)
             raise InputError(text, **columns.at("names", name))
         values = group.channels[mapped.channel]
-        good = ~is_bad(mapped.channel, values)
+        good = ~is_bad(mapped.channel, values, columns.travels.get(mapped.channel))
         if good.sum() > 3 and 0.0 < group.period < np.inf:
             at = np.arange(values.size)
             smooth = lowpass(np.interp(at, at[good], values[good]), group.period, cutoff)

@@ -99,10 +99,21 @@ def in_window(t: np.ndarray, window: Window | None) -> np.ndarray:
     return (t >= first) & (t <= last)
 
 
-def is_bad(channel: str, values: np.ndarray) -> np.ndarray:
-    """Where no number stands that a rig can have."""
-    row = quantity(channel)
-    return ~(np.isfinite(values) & (values >= row.lower) & (values <= row.upper))
+def range_of(channel: str, values: np.ndarray, travel: float | None = None) -> tuple[float, float]:
+    """What a rig can have of a channel, with most of its values [SI]: of a position that moves by
+    at most ``travel``, all within two travels of the median, wherever it is counted from."""
+    row, good = quantity(channel), values[np.isfinite(values)]
+    if travel is not None and good.size:
+        middle = float(np.median(good))
+        if np.median(np.abs(good - middle)) <= 2.0 * travel:  # else its unit is wrong
+            return max(row.lower, middle - 2.0 * travel), min(row.upper, middle + 2.0 * travel)
+    return row.lower, row.upper
+
+
+def is_bad(channel: str, values: np.ndarray, travel: float | None = None) -> np.ndarray:
+    """Where no number stands that a rig can have; ``travel`` as in `range_of`."""
+    low, high = range_of(channel, values, travel)
+    return ~(np.isfinite(values) & (values >= low) & (values <= high))
 
 
 def lines_text(group: Group, at: np.ndarray) -> str:

@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Window = tuple[float, float]  # [s] first and last time
+OVERRULED = "data.unit_overruled"
 # messages on samples that are interpolated, or that nothing is missing without
 _RECOVERED = (
     *(f"data.{key}" for key in ("samples_bridged", "command_bridged", "samples_missing")),
     *(f"data.{key}" for key in ("numbers_missing", "repeated_rows", "unused_table")),
     "preprocessing.bridged",
+    OVERRULED,
 )
 
 
@@ -36,14 +38,18 @@ def lost(notes: Iterable[str]) -> list[str]:
 
 def recovered(log: str, notes: Iterable[str]) -> list[Message]:
     """What was interpolated of a log as one message, none where nothing was: the largest share of
-    samples of a channel, and the longest gap.
+    samples of a channel, and the longest gap; before it each unit that a map overrules.
     """
-    few = [note.fields for note in notes if isinstance(note, Message) and note.key in _RECOVERED]
+    known = [note for note in notes if isinstance(note, Message) and note.key in _RECOVERED]
+    units, few = [note for note in known if note.key == OVERRULED], [note.fields for note in known]
     shares = [fields["share"] for fields in few if fields.get("share")]
     if not shares:
-        return []
+        return units
     longest = 1e3 * max(fields.get("longest", 0.0) for fields in few)
-    return [message("data.interpolated", log=log, share=100.0 * max(shares), longest=longest)]
+    return [
+        *units,
+        message("data.interpolated", log=log, share=100.0 * max(shares), longest=longest),
+    ]
 
 
 def noted_losses(name: str, notes: Iterable[str]) -> tuple[list[str], list[str]]:

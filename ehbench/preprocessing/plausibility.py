@@ -13,6 +13,7 @@ from itertools import permutations
 import numpy as np
 
 from ehbench.config.rig import Cylinder, Rig
+from ehbench.data.rates import is_bad, range_of
 from ehbench.data.record import Record
 from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.model import Model
@@ -184,6 +185,34 @@ def refuse_angles(name: str, record: Record, model: Model) -> None:
             fields = {key: rig.shown("q", angle) for key, angle in shown.items()}
             fields |= {"channel": channel, "linkage": cylinder.linkage_word}
             raise InputError(message(f"preprocessing.angle_{like}", log=name, **fields))
+
+
+def travels(rig: Rig) -> dict[str, float]:
+    """How far positions can move [SI], by channel: a stroke, or the angle that it makes."""
+    results = {}
+    for cylinder in rig.cylinder:
+        stroke = float(cylinder.stroke)
+        results[f"{cylinder.name}.x"] = results[f"{cylinder.name}.q"] = stroke
+        if cylinder.rack is not None:
+            results[f"{cylinder.name}.q"] = stroke / float(cylinder.rack.radius)
+        elif cylinder.pins is not None:  # three pins cannot pass one line
+            results[f"{cylinder.name}.q"] = math.pi
+    return results
+
+
+def refuse_positions(name: str, record: Record, rig: Rig) -> None:
+    """Refuse single positions that the cylinder cannot have gone to."""
+    for channel, travel in travels(rig).items():
+        if channel not in record:
+            continue
+        values = record[channel]
+        out = np.flatnonzero(is_bad(channel, values, travel))
+        if out.size:
+            ends = (values[out[0]], *range_of(channel, values, travel))
+            value, low, high = (rig.shown(channel, float(end), 4) for end in ends)
+            fields = {"channel": channel, "value": value, "low": low, "high": high}
+            fields |= {"log": name, "time": record.t[out[0]]}
+            raise InputError(message("preprocessing.outside_travel", **fields))
 
 
 def _refuse_supply(name: str, record: Record, model: Model) -> None:

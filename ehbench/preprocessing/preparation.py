@@ -24,6 +24,7 @@ from ehbench.preprocessing.plausibility import (
     on_at_first,
     refuse_angles,
     refuse_commands,
+    refuse_positions,
     refuse_pressures,
     refuse_sample_time,
     replay_notes,
@@ -73,7 +74,8 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
     Raises:
         LogError: not evenly sampled, with the worst gap.
         InputError: too few or too coarse samples, a sample that is no number, no channel of the
-            rig, a command or angle outside its range, pressures that cannot be in their unit.
+            rig, a command, angle or position outside its range, pressures that cannot be in their
+            unit.
     """
     count, rig = record.t.size, model.rig
     if count < LEAST_SAMPLES:
@@ -92,6 +94,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
         notes.append(message("preprocessing.no_payload", payloads=", ".join(rig.payload)))
     refuse_commands(name, record, rig)
     refuse_angles(name, record, model)
+    refuse_positions(name, record, rig)
     rest = model.rest_samples(model.commands_of(record))
     on, moving = on_at_first(record, rig, rest), moving_at_first(record, rig, rest)
     begun = [message("preprocessing.starts_on", channel=name, command=on[name]) for name in on]

@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Sequence
+from decimal import ROUND_FLOOR, Context
 from functools import partial
 from typing import Any
 
@@ -73,6 +74,11 @@ def axis(rig: Rig, name: str, text: str = "") -> str:
     """``joint angle [°]``: an axis label or table head, with the unit if there is one."""
     unit = pretty(unit_of(rig, name))
     return (text or words(name)) + (f" [{unit}]" if unit else "")
+
+
+def rounded_down(value: float, digits: int = 2) -> float:
+    """The largest number of some significant digits that is not above a value."""
+    return float(Context(prec=digits, rounding=ROUND_FLOOR).create_decimal(repr(float(value))))
 
 
 def number(value: float | None, digits: int = 4) -> str:

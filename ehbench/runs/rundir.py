@@ -192,10 +192,12 @@ def open_run(
 ) -> Iterator[Run]:
     """A ``Run`` whose folder becomes ``final`` when the block ends well; otherwise nothing stays.
 
-    An earlier run there is replaced, but only where its files are as it wrote them.
+    An earlier run there is replaced, but only where its files are as it wrote them, and never
+    where it recorded a machine.
 
     Raises:
-        InputError: ``final`` contains anything but the files of a run, or it cannot be written.
+        InputError: ``final`` contains anything but the files of a run that can be made again, or it
+            cannot be written.
     """
     inputs, final = list(inputs), _resolved(final)
     left_over = clear_left(final.parent)
@@ -323,7 +325,8 @@ def _survey(folder: Path) -> tuple[list[Path], list[Path]]:
     """(files of the run in a folder that are as the run wrote them, those that have changed).
 
     Raises:
-        InputError: it is no folder, or contains anything that its run did not write.
+        InputError: it is no folder, contains anything that its run did not write, or what a machine
+            did.
     """
     if not folder.exists():
         return [], []
@@ -337,6 +340,8 @@ def _survey(folder: Path) -> tuple[list[Path], list[Path]]:
             path.lstat()
         raise InputError(message("runs.not_a_run"), file=folder)
     outputs, unchanged, changed = outputs_of(folder / "run.json"), [], []
+    if "://" in (on := str(read_json(folder / "run.json").get("on"))):  # the address of a machine
+        raise InputError(message("runs.recorded", on=on), file=folder)
     for path in files:
         name = path.relative_to(folder).as_posix()
         if name in ("run.json", "volatile.json"):

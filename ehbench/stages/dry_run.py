@@ -86,6 +86,5 @@ class DryRun:
         required = (notes.name_of(upstream.recipe.file(item)) for item in upstream.required)
         notes.add("required", *required, name)
         if upstream.refused:
-            text = message("stages.upstream_refused", name=name, reason=upstream.refused)
-            notes.add("remarks", text)
+            notes.add_error(upstream.refused)
         return None

@@ -171,7 +171,7 @@ def _of_logs(recipe: FlowMapRecipe, inputs: Inputs, rig: Rig) -> _Readings:
     from ehbench.flow_maps.step_readings import step_readings
     from ehbench.plant.model import Model
 
-    logs = inputs.logs([DataFile(path=name) for name in recipe.data])
+    logs = inputs.logs([DataFile(path=name) for name in recipe.data], rig)
     model, parts = Model.of(rig), []
     for name, record in logs.records:
         with inputs.notes.collected():

@@ -65,7 +65,7 @@ class HydraulicsStage(Stage[HydraulicsRecipe, PreparedHydraulics]):
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
         bounds = (recipe.start, recipe.lower, recipe.upper)
         coordinates(state.rig, recipe.parameters, *bounds, recipe.at, recipe.prior)
-        logs = inputs.logs(recipe.data, driven=True)
+        logs = inputs.logs(recipe.data, state.rig, driven=True)
         fit, variants = None, {}
         if logs.records:
             fit = _prepared_fit(recipe, state, logs, state.rig, recipe.sensor)

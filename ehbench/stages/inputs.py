@@ -199,17 +199,17 @@ class Inputs:
         self.notes.add("remarks", text)
         return root, None if maps_path is None else str(maps_path.absolute())
 
-    def logs(self, data: Sequence[DataFile], driven: bool = False) -> Logs:
-        """The logs of some entries, each a file, or the recipe or run folder of a trial; one with
-        gaps is several (`time_base.parts_of`), without those in which no command changes where logs
-        are to be ``driven``.
+    def logs(self, data: Sequence[DataFile], rig: Rig, driven: bool = False) -> Logs:
+        """The logs of some entries, each a file, or the recipe or run folder of a trial, recorded
+        on ``rig``; one with gaps is several (`time_base.parts_of`), without those in which no
+        command changes where logs are to be ``driven``.
 
         Raises:
             InputError: one is not there, or has no samples in its window.
         """
         import numpy as np
 
-        from ehbench.data.record import lost, recovered
+        from ehbench.data.record import OVERRULED, lost, recovered
         from ehbench.preprocessing.preparation import distinct_names
         from ehbench.preprocessing.time_base import parts_of
 
@@ -226,14 +226,15 @@ class Inputs:
         maps: list[tuple[str, Path]] = []
         for (index, item, place), name in zip(available, names, strict=True):
             path = place / "log.mcap" if (place / "log.mcap").is_file() else place
-            whole, others = self._read(item, index, path, path is not place, maps)
+            whole, others = self._read(item, index, path, path is not place, maps, rig)
             record = self._taken(whole, item, index, path)
             scored = getattr(item, "scored", None)
             parts, texts = parts_of(name, record, driven=driven, within=scored)
             losses += [f"{path.name}: {loss}" for loss in lost(whole.losses)] + lost(texts)
             every = [*whole.losses, *texts]
-            remarks += recovered(name, every)
-            details += [f"{name}: {note}" for note in every if note not in lost(every)]
+            told = recovered(name, every)
+            remarks += told
+            details += [f"{name}: {note}" for note in every if note not in [*lost(every), *told]]
             records += [(part.name, part.record) for part in parts]
             inputs += [("log", path)] * len(parts)
             entries += [index] * len(parts)
@@ -244,26 +245,35 @@ class Inputs:
                 seconds=float(np.ptp(record.t)),
                 payload=record.meta.get("payload") or "not stated",
             )
-            self.notes.add("reads", text)
+            self.notes.add("reads", text, *(note for note in told if note.key == OVERRULED))
         self.notes.add("losses", *(f"lost: {loss}" for loss in losses))
-        self.notes.add("remarks", *remarks)
+        self.notes.add("remarks", *(text for text in remarks if text not in self.notes.reads))
         places = (*files, *maps)
         return Logs(records, tuple(inputs), losses, remarks, details, entries, places)
 
     def _read(
-        self, item: DataFile, index: int, path: Path, is_run: bool, maps: list[tuple[str, Path]]
+        self,
+        item: DataFile,
+        index: int,
+        path: Path,
+        is_run: bool,
+        maps: list[tuple[str, Path]],
+        rig: Rig,
     ) -> tuple[Record, list[AdditionalFile]]:
         """(the record of an entry, its additional files); maps of columns go into ``maps``."""
         from ehbench.data import read
         from ehbench.data.additional import AdditionalFile
+        from ehbench.preprocessing.plausibility import travels
 
         columns = None if is_run else self.columns(item, index)
+        columns = columns and replace(columns, travels=travels(rig))
         others = []
         for number, other in enumerate(item.beside):
             place = ("data", index, "beside", number, "columns")
             whole = None
             if other.columns is not None:
                 whole = whole_map(other.columns, self.recipe.path, place)
+                whole = replace(whole, travels=travels(rig))
             shift = None if other.shift is None else float(other.shift)
             shared = other.clock == "shared"
             others.append(AdditionalFile(self.existing(other.path), whole, shift, shared))

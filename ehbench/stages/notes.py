@@ -35,7 +35,7 @@ class Notes:
     dry_run: bool = False
     does: str = ""
     writes: str = ""
-    refused: str = ""
+    refused: EhbenchError | None = None
     is_current: bool = False
     reads: list[str] = field(default_factory=list)
     required: list[str] = field(default_factory=list)
@@ -72,7 +72,7 @@ class Notes:
         """A run stops with ``error``; a dry run notes it and goes on: the user may insist."""
         if not self.dry_run:
             raise error
-        self.refused = error.message
+        self.refused = error
         self.add("remarks", remark)
 
     def name_of(self, path: Path) -> str:

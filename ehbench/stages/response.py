@@ -77,7 +77,8 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
     def prepare(self, recipe: ResponseRecipe, inputs: Inputs) -> PreparedResponse:
         from ehbench.frequency_response.response import Averaging, prepare_signals
 
-        state, logs = inputs.rig_state(recipe.rig), inputs.logs(recipe.data)
+        state = inputs.rig_state(recipe.rig)
+        logs = inputs.logs(recipe.data, state.rig)
         choice = Averaging(window=recipe.window, coherence=recipe.coherence_min)
         if recipe.segment is not None:
             choice = choice._replace(segment=float(recipe.segment))

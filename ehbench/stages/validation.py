@@ -66,7 +66,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
 
         notes = inputs.notes
         state = inputs.rig_state(recipe.rig, recipe.flow_maps)
-        logs = inputs.logs(recipe.data)
+        logs = inputs.logs(recipe.data, state.rig)
         used, fitted = set(), []
         for folder in (path for _, path in state.inputs if path.is_dir()):
             fitted_on = rundir.read_json(folder / "run.json").get("fitted_on", [])
@@ -187,7 +187,7 @@ def _training(state: RigState, inputs: Inputs) -> tuple[tuple[str, Record], ...]
         recipe = recipe_of(fit)
         same = all(source.is_same for source in fit.sources if source.role == "log")
         fitting = replace(inputs, recipe=recipe, notes=Notes(recipe))
-        return tuple(fitting.logs(recipe.data).records) if same else ()
+        return tuple(fitting.logs(recipe.data, state.rig).records) if same else ()
     except EhbenchError:
         return ()
 

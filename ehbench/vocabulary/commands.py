@@ -45,7 +45,7 @@ COMMANDS = (
         "Run a trial on the model, the virtual bench or a machine, or a set of trials; exit 5 when "
         "a limit stops one.",
         "recipes/trials/arc_slow.toml",
-        ("allow_code", "on", "arm", "token", "live"),
+        ("allow_code", "unvalidated", "on", "arm", "token", "live"),
     ),
     Command(
         "study",

@@ -9,6 +9,7 @@ from ehbench import workflow
 from ehbench.app import inspection
 from ehbench.data import read
 from ehbench.data.logs import write_log
+from ehbench.vocabulary.commands import COMMANDS
 from ehbench.vocabulary.errors import InputError, InsufficientData, ModelRejected
 from tests.shared import ROOT
 
@@ -214,6 +215,18 @@ def test_a_rig_that_is_not_validated_is_told(recipes):
     assert found.code == 0 and any("--unvalidated" in line for line in found.lines)
     with pytest.raises(ModelRejected):
         workflow.run(recipes / "tune.toml")
+
+
+def test_a_trial_is_refused_with_the_tuning_that_it_would_run_first(recipes):
+    (recipes / "tune.toml").write_text(
+        'stage = "tune"\nrig = "rigs/thesis_arm.toml"\ncylinder = "boom"\n'
+    )
+    trial = changed(recipes, CHAIN, FROM, FROM.replace("tuning.toml", "../tune.toml"))
+    found = inspection.check(trial)
+    assert (found.code, [error.key for error in found.errors]) == (4, ["stages.not_validated"])
+    option = "--" + found.errors[0].hint.rpartition("--")[2]
+    command = next(command for command in COMMANDS if command.name == "run-trial")
+    assert option[2:] in command.options
 
 
 def test_bandwidths_are_not_chosen_where_no_trial_would_take_them(recipes):

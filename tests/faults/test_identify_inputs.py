@@ -210,6 +210,23 @@ def test_pressures_that_carry_no_load_are_judged_by_the_supply():
     assert taken(logged(rig().with_values(half), "lift.spool", (5.0, -4.5)))[1] == ()
 
 
+@pytest.mark.parametrize(
+    ("machine", "valve"), [(None, "lift.spool"), ("slide_servo", "press.servo")]
+)
+def test_single_positions_that_nothing_reaches_are_refused(machine, valve):
+    machine = shipped(machine or "crane_proportional")
+    record = logged(machine, valve, (3.0, -3.0))
+    name = next(n for n in record.channels if n.endswith((".x", ".q")))
+    values = record[name].copy()
+    for at in (300, 700):
+        values[at] = -9.999
+    wrong = replace(record, channels=record.channels | {name: values})
+    error = refused("preprocessing.outside_travel", lambda: taken(wrong, machine))
+    assert error.fields["time"] == record.t[300]
+    for all_of in (record[name] + 15.0, 50.0 * record[name]):  # another zero, another unit
+        taken(replace(record, channels=record.channels | {name: all_of}), machine)
+
+
 def test_a_fit_that_follows_nothing_is_no_fit():
     """A flow gain bounded far above the true one: the speed is followed worse than by its mean."""
     gain, truth = "lift.spool_pa.flow_gain", float(rig().parameters()["lift.spool_pa.flow_gain"])

@@ -27,9 +27,10 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-def made(final, text="one"):
+def made(final, text="one", on="model"):
     """A run in ``final`` that left one file and one in a folder."""
     with rundir.open_run(Path(final), "trial", Path(RECIPE), []) as run:
+        run.facts["on"] = on
         (run.path / "result.json").write_text(text)
         (run.path / "figures").mkdir()
         (run.path / "figures" / "a.svg").write_text(text)
@@ -81,6 +82,15 @@ def test_a_file_that_a_run_did_not_write_saves_its_folder(place, name):
     with pytest.raises(InputError) as caught:
         made("out", "two")
     assert (caught.value.key, caught.value.fields["name"]) == ("runs.foreign_file", name)
+    assert tree("out") == before and not list(place.glob(".*"))
+
+
+def test_what_a_machine_did_is_never_replaced(place):
+    made("out", on="udp://127.0.0.1:47000")
+    before = tree("out")
+    with pytest.raises(InputError) as caught:
+        made("out", "two")
+    assert (caught.value.key, caught.value.file) == ("runs.recorded", "out")
     assert tree("out") == before and not list(place.glob(".*"))
 
 

@@ -1,11 +1,16 @@
 """Tuning of adaptive robust control: the largest bandwidths that keep the demanded margins."""
 
 import json
+import tomllib
 from functools import cache
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from ehbench.config.recipe import ArcTuneRecipe, TrialRecipe, load_recipe
+from ehbench.report.saved import Saved
+from ehbench.report.stages.arc_tuning import REPORT
 from ehbench.runs.rundir import write_json
 from ehbench.trial import prepare
 from ehbench.tune.arc import ARC_SEARCH, CHOSEN, Search, tune_arc
@@ -53,6 +58,31 @@ def test_more_delay_costs_bandwidth_and_too_much_is_said():
     never = tuned(delay_margin="900 ms", gain_margin="1000")
     assert not never.met and never.warnings[0].key == "tune.missed_margins"
     assert len(never.candidates) == ARC_SEARCH.budgets[2]
+
+
+@pytest.mark.parametrize(
+    ("gain", "phase", "delay", "keys"),
+    [
+        (1.596, 1.402, 0.0689, 'gain_margin = "1.5"'),
+        (2.3, 0.3089, 0.00299, 'phase_margin = "17 deg"\ndelay_margin = "2.9 ms"'),
+        (0.0, 0.0, 0.0, ""),
+    ],
+)
+def test_the_next_step_asks_for_what_was_reached_of_the_margins_missed(gain, phase, delay, keys):
+    reached = {"gain_margin": gain, "phase_margin": phase, "delay_margin": delay}
+    demanded = {"gain_margin": 2.0, "phase_margin": 0.349, "delay_margin": 5e-3}
+    run = SimpleNamespace(
+        rig=rig(),
+        json=lambda name: {"met": False, "cylinder": "boom", "constraints": demanded, **reached},
+    )
+    (step,) = REPORT.findings(cast(Saved, run)).next
+    assert step.hint == keys
+    given = {"stage": "tune", "what": "arc", "rig": "x", **tomllib.loads(keys)}
+    recipe = ArcTuneRecipe.model_validate(given)
+    assert all(
+        float(getattr(recipe, line.split()[0])) <= reached[line.split()[0]]
+        for line in keys.splitlines()
+    )
 
 
 def test_motions_that_the_controller_leaves_are_left_out():

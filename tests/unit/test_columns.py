@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from ehbench.config.recipe import MappedColumn, load_columns, load_recipe, load_
 from ehbench.data import read, read_log
 from ehbench.data.flowmeter import read_flowmeter
 from ehbench.data.readers import open_source
+from ehbench.data.record import lost, recovered
 from ehbench.report import terminal
 from ehbench.signals.series import lowpass
 from ehbench.vocabulary.errors import InputError, LogError
@@ -210,6 +212,43 @@ def test_left_out_samples_are_named_counted_and_bridged_where_they_are_few(tmp_p
     at = np.searchsorted(record.t, [0.020, 0.021, 0.060]) + 0
     np.testing.assert_allclose(record["ram.p_head"][at], [50.2e5, 50.21e5, 50.6e5])
     assert record["ram.spool.command"][30] == record["ram.spool.command"][29]
+
+
+def test_a_position_beyond_the_travel_is_bridged_before_a_filter_smears_it(tmp_path):
+    (tmp_path / "a.csv").write_text(
+        "\n".join(["t,x", *(f"{k / 1000},{-9999 if k == 50 else 100 + k}" for k in range(200))])
+    )
+    (tmp_path / "a.map.toml").write_text(
+        'bad_samples = "leave out"\n[names]\nt = "t [s]"\n'
+        'x = { channel = "ram.x", unit = "mm", filter = "100 Hz" }\n'
+    )
+    columns = replace(load_columns(tmp_path / "a.map.toml"), travels={"ram.x": 0.4})
+    record = read(tmp_path / "a.csv", columns=columns)
+    assert [note.key for note in record.losses] == ["data.samples_bridged"]
+    np.testing.assert_allclose(record["ram.x"][40:60], 1e-3 * np.arange(140, 160), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("unit", "mapped", "said"),
+    [
+        ("cm", '"ram.x [mm]"', {"name": "x", "unit": "cm", "mapped": "mm"}),
+        ("mm", '"ram.x [mm]"', None),
+        ("L/min", '"ram.flow_head [l/min]"', None),
+        ("mV", '{ channel = "ram.x", unit = "V", scale = "20 mm/V" }', {"unit": "mV"}),
+        ("V", '{ channel = "ram.x", unit = "mm" }', None),
+        ("V", '"ram.x [mm]"', None),
+        ("K", '"temperature [°C]"', {"unit": "K"}),
+        ("°C", '"temperature"', None),
+    ],
+)
+def test_a_unit_that_a_map_overrules_is_said(unit, mapped, said, tmp_path):
+    lines = ["t,x", f"s,{unit}", *(f"{k / 1000},{5 + k % 3}" for k in range(200))]
+    (tmp_path / "a.csv").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "a.map.toml").write_text(f'[names]\nt = "t [s]"\nx = {mapped}\n', encoding="utf-8")
+    losses = read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml").losses
+    notes = [note for note in losses if note.key == "data.unit_overruled"]
+    assert [said.items() <= note.fields.items() for note in notes] == [True] * (said is not None)
+    assert lost(losses) == [] and recovered("a", losses) == notes
 
 
 def test_a_column_has_a_policy_of_its_own(tmp_path):

@@ -1,12 +1,14 @@
 """Files that two recorders wrote of one run, by their clocks or by a shift."""
 
+import sys
+
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_recipe
+from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.stages.dry_run import DryRun
 from ehbench.stages.notes import Notes
-from ehbench.vocabulary.errors import InputError
+from ehbench.vocabulary.errors import InputError, UnitError
 from tests.shared import ROOT
 
 RECIPE = """
@@ -52,7 +54,8 @@ def two(tmp_path):
         path = tmp_path / "validate.toml"
         path.write_text(RECIPE.replace("RIG", str(rig)) + more)
         recipe = load_recipe(path)
-        return DryRun(tmp_path).inputs(Notes(recipe, dry_run=True)).logs(recipe.data)
+        inputs = DryRun(tmp_path).inputs(Notes(recipe, dry_run=True))
+        return inputs.logs(recipe.data, load_rig(rig))
 
     return write
 
@@ -89,6 +92,13 @@ def test_files_that_nothing_puts_together_are_refused(zero, more, said, two):
     with pytest.raises(InputError, match="place.txt") as caught:
         two(f"{zero:.4f}", more)
     assert said in str(caught.value)
+
+
+def test_a_position_beyond_the_cylinder_is_a_bad_sample(two, tmp_path, monkeypatch):
+    """9999 mm, which a stroke of 400 mm cannot reach, though others can."""
+    monkeypatch.setattr(sys.modules[__name__], "place", lambda t: 9.999 if t == 1.0 else 0.1)
+    with pytest.raises(UnitError, match=r"place.txt:202: press.x = 9999 mm .* -700 to 900 mm"):
+        two("0", 'shift = "0 s"', 0.0)
 
 
 def test_what_one_file_does_not_cover_is_left_out_and_said(two):

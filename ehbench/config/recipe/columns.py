@@ -2,7 +2,10 @@
 
 A map stands in a recipe under ``[columns]`` or in a file of its own that many recipes name."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -80,6 +83,16 @@ class MappedColumn(FileModel):
         else:
             offset *= slope
         return gain, zero - gain * neutral + offset
+
+    def overrules(self, file_unit: str) -> bool:
+        """Whether its unit gives other numbers than that of the file, which would do as well."""
+        if self.unit is None or not file_unit:
+            return False
+        try:
+            other = self.model_copy(update={"unit": file_unit}).line("")
+            return not all(map(partial(math.isclose, abs_tol=1e-12), other, self.line("")))
+        except EhbenchError:
+            return False
 
 
 def _split(given: float | str) -> tuple[float, str]:
@@ -165,10 +178,13 @@ AnyColumns = Annotated[Columns | None, BeforeValidator(columns_of)]
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """A map with all its keys, and where they stand: (file, table in it), the outermost first."""
+    """A map with all its keys, and where they stand: (file, table in it), the outermost first.
+
+    ``travels`` [SI] is how far positions can move, by channel, where the rig is known."""
 
     columns: Columns
     places: tuple[tuple[Path, tuple[str | int, ...]], ...] = ()
+    travels: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, *location: str) -> dict[str, Any]:
         """``file`` and ``line`` of a key, as the errors take them."""

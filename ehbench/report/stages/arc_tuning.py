@@ -12,7 +12,16 @@ from ehbench.report.saved import Saved, Table
 from ehbench.report.stages.tuning import supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
 from ehbench.report.template import Template
-from ehbench.report.words import axis, count, measure, shown, words
+from ehbench.report.words import (
+    axis,
+    count,
+    measure,
+    rounded_down,
+    row_of,
+    shown,
+    unit_of,
+    words,
+)
 from ehbench.vocabulary.messages import message
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
@@ -87,8 +96,23 @@ def findings(run: Saved) -> Findings:
     value = measure(run.rig, "delay_margin", tuning["delay_margin"], 2)
     numbers = [Headline(OFTEN, label, value, page.text("margins", tuning=tuning))]
     against = [] if tuning["met"] else [page.text("margins_missed")]
-    steps = [message("steps.smaller_margins", reached=value)] if against else []
+    steps = [message("steps.smaller_margins", keys=_reached(run.rig, tuning))] if against else []
     return Findings(numbers, [{"kind": "margins"}], against, steps)
+
+
+def _reached(rig: Rig, tuning: Table) -> str:
+    """Lines of a recipe that ask for what was reached of the margins that were missed; '' where
+    the loop swings with any bandwidths."""
+    lines = []
+    for name, demand in tuning["constraints"].items():
+        value, row = tuning.get(name), row_of(name)
+        if value is None or value >= demand:
+            continue
+        if value <= row.lower:
+            return ""
+        unit = unit_of(rig, name).replace("dimensionless", "")
+        lines.append(f'{name} = "{rounded_down(shown(rig, name, value)):g} {unit}'.rstrip() + '"')
+    return "\n".join(lines)
 
 
 REPORT = StageReport(

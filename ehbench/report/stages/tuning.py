@@ -36,7 +36,17 @@ from ehbench.report.style import (
     tag,
 )
 from ehbench.report.template import Template
-from ehbench.report.words import axis, capital, count, load_name, measure, number, shown, words
+from ehbench.report.words import (
+    axis,
+    capital,
+    count,
+    load_name,
+    measure,
+    number,
+    rounded_down,
+    shown,
+    words,
+)
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.vocabulary.messages import message
 
@@ -387,7 +397,7 @@ def findings(run: Saved) -> Findings:
         Headline(OFTEN, "Feedback gain K_p", gain),
     ]
     against = [] if tuning["met"] else [page.text("missed")]
-    reached = number(tuning["damping_ratio"], 2)
+    reached = number(rounded_down(tuning["damping_ratio"]), 2)
     steps = [message("steps.less_damping", reached=reached)] if against else []
     share = draws["share"] if draws["draws"] else 1.0
     if share < 1.0:
