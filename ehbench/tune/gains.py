@@ -53,11 +53,11 @@ def tune_pressure_feedback(
     recipe, notes = study.recipe, list(study.notes)
     counted = [motion for motion in study.motions if motion.counts]
     report("washout and off-side gain", 0.1)
-    search = LawSearch(counted, recipe)
-    law, gains = search.law(), search.grid
-    report("gain", 0.35)
     demands = {key: float(getattr(recipe, key)) for key in ("gain_margin", "phase_margin")}
     demands["bandwidth"] = 2.0 * math.pi * float(recipe.bandwidth)
+    search = LawSearch(counted, recipe, demands)
+    law, gains = search.law(), search.grid
+    report("gain", 0.35)
     chosen = _gains_by_function(study, law, gains, demands, notes)
     report("margins", 0.5)
     results = tuple(

@@ -83,13 +83,16 @@ class LawSearch:
     Args:
         motions: that count.
         recipe: what is given and demanded.
+        demands: margins and bandwidth that a gain has to keep, by name.
 
     Attributes:
         grid: gains to try [m³/(s·Pa)], about the one that makes a chamber as fast as its load
             swings; the search for a law tries half of them.
     """
 
-    def __init__(self, motions: Sequence[SteadyMotion], recipe: TuneRecipe) -> None:
+    def __init__(
+        self, motions: Sequence[SteadyMotion], recipe: TuneRecipe, demands: dict[str, float]
+    ) -> None:
         logs = []  # ω_n V/β_e [m³/(s·Pa)]: the gain by which a chamber is as fast as its load
         for motion in motions:
             head = METERED[FUNCTIONS.index(motion.point.function)] == HEAD
@@ -99,6 +102,7 @@ class LawSearch:
         trial = np.geomspace(scale / span, scale * span, SEARCH.gain_points)
         self.grid = np.concatenate([[0.0], trial])
         self.motions, self.gains, self.delay = motions, self.grid[::2], float(recipe.delay)
+        self.demands = demands
         self.minimum = SEARCH.margin * float(recipe.damping_ratio)
         self.free = recipe.washout is None
         slowest = min(swing(motion) for motion in motions)
@@ -122,8 +126,9 @@ class LawSearch:
         """The law with washouts and off-side gain as given, or found.
 
         Two washouts of one corner, or a single one where they would be slower than ``pair`` of
-        it: the fastest with which some off-side gain and K_p reach ``margin`` of the target: the
-        faster they forget, the less a load that changes slows the motion."""
+        it: the fastest with which some off-side gain and K_p reach ``margin`` of the target and
+        keep the demands: the faster they forget, the less a load that changes slows the
+        motion."""
         law = self._fastest([(c, self.ramp) for c in self.corners]) if self.free else None
         if law is not None and not self.single:
             slowest = SEARCH.pair * law.washout
@@ -150,7 +155,9 @@ class LawSearch:
         return max(laws, key=lambda law: self.best_of(law)[0]) if len(laws) > 1 else laws[0]
 
     def _reaching(self, corner: float, ramp: float) -> Law | None:
-        """The best law with these washouts that reaches the target; None where none does."""
+        """The best law with these washouts that reaches the target and keeps the demands; None
+        where none does.
+        """
         able = []
         for law in (Law(corner, off, self.delay, ramp) for off in self.offs):
             remaining = self.gains  # that give every point so far the damping ratio
@@ -160,7 +167,9 @@ class LawSearch:
                     self._queue.insert(0, self._queue.pop(i))  # the likeliest to refuse the next
                     break
             else:
-                able.append(law)
+                loops = [motion.loop(law) for motion in self.motions]
+                if any(_keeps_demands(loops, gain, self.demands) for gain in remaining):
+                    able.append(law)
         return self._best(able) if able else None
 
     def _fastest(self, washouts: Sequence[tuple[float, float]]) -> Law | None:

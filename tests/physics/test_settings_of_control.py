@@ -491,7 +491,7 @@ def law_search():
     recipe: Any = Stub(delay=0.0, damping_ratio=0.5, washout=None, ramp_washout=None, off_gain=None)
     with answers(search, swing=lambda _: 10.0, _stiffness=lambda _: (1e8, 1e8)):
         motions: Any = [motion]
-        return search.LawSearch(motions, recipe)
+        return search.LawSearch(motions, recipe, {})
 
 
 def shares():

@@ -173,7 +173,7 @@ def test_steps_bias_and_alternatives(tuned):
 
 
 def test_alternatives_of_washouts_are_those_that_a_law_does_not_have(motions):
-    search = LawSearch(motions[:1], recipe())
+    search = LawSearch(motions[:1], recipe(), {})
     names = lambda law: {item.what for item in search.alternatives(law) if "washout" in item.what}
     none, single = Law(0.0, 4e-11, 1e-3), Law(2.0, 4e-11, 1e-3)
     assert names(none) == set()
