@@ -16,11 +16,12 @@ from ehbench.plant.foreign import model_of
 from ehbench.plant.many import Replay
 from ehbench.plant.model import Model
 from ehbench.plant.paced import AUTO
-from ehbench.plant.ties import tied_words
+from ehbench.plant.ties import supplied, tied_words
 from ehbench.preprocessing.initial_states import InitialState, best_shifts, initial_state_of
+from ehbench.preprocessing.observations import SETTINGS as OBSERVED
 from ehbench.preprocessing.observations import column, noise_of
 from ehbench.preprocessing.sensors import Term, corrected, sensed
-from ehbench.signals.series import correlation_time
+from ehbench.signals.series import correlation_time, rms
 from ehbench.vocabulary.quantities import GAUGES
 
 BLOCK = 0.005  # [s]: residuals are averaged over it
@@ -77,18 +78,27 @@ class Case:
     def _start(self) -> InitialState:
         """Where the log starts, with the uncertainty of each number of its initial state."""
         true = corrected(self.record, self.terms, self.bias)
-        return initial_state_of(self.model, true, self.cylinders, self.channels)
+        return initial_state_of(self.model, true, self.cylinders, self._of_cylinders)
 
     @cached_property
     def _shifts(self) -> np.ndarray:
         """The initial state from which the model follows the log best: the mean of a standstill is
         not the state of a chamber that leaks.
         """
-        return best_shifts(self.model, self._start, self.channels)
+        return best_shifts(self.model, self._start, self._of_cylinders)
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """Rate and pressures of each cylinder, as far as the log has them moving."""
+        """Rate and pressures of each cylinder and the pressure of the supply, as far as the log has
+        them moving and does not give them to the simulation.
+        """
+        free = self.model.rig.model is None and not supplied(self.record)
+        line = ("p_supply",) if free and self._moves("p_supply") else ()
+        return (*self._of_cylinders, *line)
+
+    @cached_property
+    def _of_cylinders(self) -> tuple[str, ...]:
+        """Those by which a log's start is told."""
         results = []
         for cylinder in self.cylinders:
             rates = [f"{cylinder}.{word}" for word in ("v", "qd")]
@@ -142,10 +152,10 @@ class Case:
     @cached_property
     def scales(self) -> dict[str, float]:
         """What an error of each channel is measured by: the noise of a block, and a share of the
-        channel's spread.
+        channel's spread; of the supply's pressure the share of its level that is told.
         """
         return {
-            channel: math.hypot(self.noise[channel], FINE * float(np.std(values)))
+            channel: math.hypot(self.noise[channel], _slight(channel, values))
             for channel, values in self.recorded.items()
         }
 
@@ -173,6 +183,13 @@ class Case:
         sizes = np.cumsum([values.size for values in self.recorded.values()])[:-1]
         parts = np.split(left, sizes)
         return sum(part.size / correlation_time(part) for part in parts if part.size)
+
+
+def _slight(channel: str, values: np.ndarray) -> float:
+    """An error of a channel that does not matter; a supply drives flows by its level."""
+    if channel == "p_supply":
+        return OBSERVED.supply_off * rms(values)
+    return FINE * float(np.std(values))
 
 
 def total(parts: Sequence[np.ndarray]) -> float:

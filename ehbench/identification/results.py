@@ -20,7 +20,7 @@ from ehbench.identification.means import compared_as
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of, seen_as
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing.observations import noise_of, supply_off
+from ehbench.preprocessing.observations import noise_of, read_off, supply_off
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
 from ehbench.vocabulary.errors import InsufficientData
@@ -29,8 +29,6 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import GAUGES, quantity
 from ehbench.vocabulary.settings import setting
 
-# channels by which each log goes in place of a parameter
-READ_OFF = {"supply.pressure": "p_supply", "supply.tank_pressure": "p_tank"}
 SHOWN = ("q", "qd", "x", "v", "p_head", "p_rod", *GAUGES)
 
 
@@ -359,19 +357,13 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     )
 
 
-def read_off(name: str, logs: Sequence[Log]) -> str | None:
-    """The channel of all logs that is taken in place of a parameter, if there is one."""
-    channel = READ_OFF.get(name)
-    given = channel is not None and all(channel in log.record for log in logs)
-    return channel if given else None
-
-
 def _statuses(fitted: Sequence[FittedParameter], simulator: Simulator) -> list[str]:
     """A warning of each parameter that is not excited or at a bound."""
     warnings, rig = [], simulator.rig
+    records = [log.record for log in simulator.logs]
     for item in fitted:
         fields = {"name": item.name, "value": rig.shown(item.name, item.value)}
-        if item.status == "not_excited" and (channel := read_off(item.name, simulator.logs)):
+        if item.status == "not_excited" and (channel := read_off(item.name, records)):
             warnings.append(message("identification.read_off", channel=channel, **fields))
         elif item.status == "not_excited":
             warnings.append(message("identification.not_excited", **fields))

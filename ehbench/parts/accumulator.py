@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ehbench.parts.fault import Fault
 from ehbench.physics.cylinder import ATMOSPHERE
 from ehbench.runtime.compiled import part_kernel
 
@@ -44,3 +45,9 @@ def gas_energy(pressure, row):
         carried = row.bulk_modulus * math.expm1(p / row.bulk_modulus)
         fixed += _WEIGHTS[i] * carried * gas_capacity(p, row) * (p + ATMOSPHERE)
     return half * fixed
+
+
+FAULTS = (
+    Fault("gas volume", ("gas_volume",), step=0.05, trials=(-0.5, 1.0), rank=4, wide=True),
+    Fault("precharge", ("precharge",), step=0.02, high=1.0, rank=5, wide=True),
+)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from ehbench.parts.accumulator import COLUMNS as ACCUMULATOR
 from ehbench.parts.accumulator import gas_capacity
-from ehbench.parts.fault import Fault
+from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 from ehbench.runtime.compiled import part_kernel, record
 
@@ -114,4 +114,25 @@ def pump_flow(p_supply, demand, set_pressure, supply):
     return min(max(required, 0.0), supply.flow_limit)
 
 
-FAULTS = (Fault("supply", ("pressure",), rank=5, wide=True),)
+FAULTS = (
+    Fault("supply", ("pressure",), rank=5, wide=True),
+    Fault("tank", ("tank_pressure",), "pressure", 0.005, -0.1, 0.1, rank=1, wide=True),
+    Fault("pump", ("flow_limit",), step=0.05, rank=5, wide=True),
+    Fault("supply line", ("volume",), step=0.1, rank=5, wide=True),
+    Fault(
+        "accumulator",
+        ("gas_volume", "precharge"),
+        "swept",
+        step=0.05,
+        low=0.0,
+        trials=(0.2, 0.6),
+        rank=4,
+        table="accumulator",
+        adds={
+            "gas_volume": Amount((0.5,), "swept", "m^3"),
+            "precharge": Amount((0.5,), "pressure", "Pa"),
+        },
+        moved=("gas_volume",),
+        wide=True,
+    ),
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,8 @@ STAND_INS = {
 }
 OF_VALVES = ("opening",)  # quantities that a cylinder has of each of its valves
 _RATE_OF = {"qd": "q", "v": "x"}
+# channels by which each log goes in place of a number of the rig
+READ_OFF = {"supply.pressure": "p_supply", "supply.tank_pressure": "p_tank"}
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,8 @@ def noise_of(record: Record, channel: str, each: int = 1) -> float:
 
 def position_of(channel: str) -> str:
     """The channel whose rate a channel is; itself, if it is no rate."""
-    head, word = channel.rsplit(".", 1)
-    return f"{head}.{_RATE_OF.get(word, word)}"
+    owner, dot, word = channel.rpartition(".")
+    return f"{owner}{dot}{_RATE_OF.get(word, word)}"
 
 
 def alternatives(channel: str) -> tuple[str, ...]:
@@ -147,6 +150,13 @@ def payload_of(record: Record) -> str | None:
         fields = {"before": before, "after": after, "time": time}
         raise InputError(message("preprocessing.payload_changes", **fields))
     return payload
+
+
+def read_off(name: str, records: Sequence[Record]) -> str | None:
+    """The channel of all records that is taken in place of a number of the rig, if there is one."""
+    channel = READ_OFF.get(name)
+    given = channel is not None and all(channel in record for record in records)
+    return channel if given else None
 
 
 def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:

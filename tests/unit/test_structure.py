@@ -21,6 +21,7 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.parts.fault import Amount
 from ehbench.parts.fault import Fault as Row
 from ehbench.plant.model import Model
+from ehbench.plant.ties import RECORDED, SUPPLY
 from ehbench.preprocessing.observations import commanded
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import correlation_time
@@ -159,6 +160,18 @@ def test_a_leakage_far_beyond_its_slope_is_found_at_its_size():
     )
 
 
+def test_a_tank_pressure_that_no_log_has_comes_before_a_preload_that_explains_the_same():
+    rig = shipped("slide_servo")
+    log = virtual_log("slide_servo", rig.with_values({"supply.tank_pressure": 4e5}), "steps", 5)
+    bare = {name: y for name, y in log.channels.items() if name != "p_tank"}
+    log = replace(log, channels=bare)
+    model = Model.of(rig)
+    first, second = ask([Case("log", log, model, commanded(model, log))]).findings[:2]
+    assert first.kind == "tank" and second.kind == "preload"
+    assert first.explains > 0.9 and first.size * 1.4e7 == pytest.approx(2e5, rel=0.02)
+    assert first.remedy.fields["quoted"] == '"supply.tank_pressure"'
+
+
 def test_remedies_of_what_was_fitted_and_of_a_late_command():
     rig = shipped("slide_servo")
     names = [name for name in rig.parameters() if name.endswith("flow_gain")]
@@ -194,6 +207,8 @@ def test_a_delay_that_the_rig_file_has_is_to_be_freed():
         ("friction law", "press.friction_static", 0.1, 0.1 * 1.4e7 * np.pi / 4 * 0.05**2),
         ("load", "carriage.mass", -0.1, 225.0),
         ("preload", "press.servo_rod_tank.cracking_pressure", 0.1, 1.4e6),
+        ("accumulator", "supply.gas_volume", 0.4, 0.4 * np.pi / 4 * 0.05**2 * 0.4),
+        ("accumulator", "supply.precharge", 0.4, 0.7e7),
     ],
 )
 def test_a_row_moves_its_number(kind, name, delta, value):
@@ -361,6 +376,38 @@ def test_what_is_asked_of_a_case_is_what_moves():
     assert asked_of(x=moves, p_head=still, p_rod=still) == ("press.v",)
     assert asked_of(x=still, p_head=still) == ()
     assert asked_of(x=moves, load_pressure=moves) == ("press.v", "press.load_pressure")
+    for meta, seen in (({}, ("press.v", "p_supply")), ({SUPPLY: RECORDED}, ("press.v",))):
+        record = Record(t, {"press.v": moves, "p_supply": moves}, meta)
+        assert Case("log", record, model, ("press",)).channels == seen
+
+
+def test_an_error_of_the_supplys_pressure_is_measured_by_its_level():
+    """A ripple of 0.1 bar on 100 bar does not matter: 3 % of it are 3 bar."""
+    t = np.arange(400) * 1e-3
+    moves = np.sin(20.0 * t)
+    record = Record(t, {"press.v": moves, "p_supply": 1e7 + 1e4 * moves})
+    case = Case("log", record, Model.of(shipped("slide_servo")), ("press",))
+    assert case.scales["p_supply"] == pytest.approx(3e5, rel=1e-3)
+    assert case.scales["press.v"] == pytest.approx(5e-3 * np.std(moves), rel=0.01)
+
+
+def test_rows_of_the_supply_are_those_that_a_replay_shows():
+    """A log gives its replay the pressures that it has, or all of the supply's line."""
+    t = np.arange(100) * 1e-3
+    channels = {"press.servo.command": np.where(t < 0.05, 0.0, 5.0)}
+
+    def kinds(meta, *more):
+        log = Record(t, channels | {name: 1e7 + 0.0 * t for name in more}, meta)
+        rows = hypotheses(shipped("slide_servo"), ["press"], ["p_supply"], [log])
+        of_supply = {row.kind for row in rows if row.about == "the supply"}
+        (offset, *_) = [row.cylinder for row in rows if row.about == "p_supply"] or ["-"]
+        return of_supply, offset
+
+    line = {"pump", "supply line", "accumulator"}
+    assert kinds({}) == ({"supply", "tank", *line}, "-")
+    assert kinds({}, "p_supply") == ({"tank", *line}, "")  # its sensor concerns all cylinders
+    assert kinds({}, "p_supply", "p_tank") == (line, "")
+    assert kinds({SUPPLY: RECORDED}, "p_supply") == (set(), "")
 
 
 def test_the_oils_spring_and_what_a_bulk_modulus_counts_on():

@@ -15,19 +15,32 @@ import numpy as np
 
 from ehbench.config.rig import Cylinder, Joint, LinkLoad, Rig, Slide
 from ehbench.config.rig.cylinder import Force
-from ehbench.config.rig.supply import Oil, Supply
+from ehbench.config.rig.supply import Accumulator, Oil, Supply
 from ehbench.config.rig.valves import Edge, FixedEdge, Valve
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults.hypothesis import Hypothesis, Number, joined
 from ehbench.diagnosis.faults.scales import Scales
-from ehbench.parts import cylinder, edge, friction, line, load, mount, oil, supply, sway, valve
+from ehbench.parts import (
+    accumulator,
+    cylinder,
+    edge,
+    friction,
+    line,
+    load,
+    mount,
+    oil,
+    supply,
+    sway,
+    valve,
+)
 from ehbench.parts.edge import edge_law
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.line import Line
 from ehbench.parts.valve import delay, first_order, second_order
 from ehbench.parts.valve.law import DynamicsTable
 from ehbench.plant.build import Maps, map_of
-from ehbench.preprocessing.observations import least_change, payload_of, position_of
+from ehbench.plant.ties import supplied
+from ehbench.preprocessing.observations import least_change, payload_of, position_of, read_off
 
 __all__ = ["TABLE", "Hypothesis", "hypotheses"]
 
@@ -47,6 +60,7 @@ DRIFT = Fault("drift", ("drift",), "unit", low=-0.6, high=1.0, rank=6)
 TABLE: dict[type, tuple[Fault, ...]] = {
     Oil: oil.FAULTS,
     Supply: supply.FAULTS,
+    Accumulator: accumulator.FAULTS,
     Joint: load.FAULTS,
     Slide: load.FAULTS,
     Force: load.FAULTS,
@@ -159,7 +173,7 @@ class _Rows:
                     yield self._reading(fault, seen, scales, seen)
 
     def _reading(self, fault: Fault, channel: str, scales: Scales, about: str) -> Hypothesis:
-        owner = channel.partition(".")[0]
+        owner = channel.rpartition(".")[0].partition(".")[0]
         reading = (channel, fault.keys[0], scales[fault.unit])
         return Hypothesis(fault, about, readings=(reading,), cylinder=owner)
 
@@ -181,11 +195,11 @@ class _Rows:
             owner = self.cylinders[0] if carried and self.cylinders else None
             return owner and Scales(self.rig, owner, None, self.records, part=part)
         name = prefix.removesuffix(".")
-        if isinstance(part, Supply) and all("p_supply" in log for log in self.records):
+        if place[:1] == ("supply",) and all(supplied(log) for log in self.records):
             return None
         for owner in self.cylinders:
             series = [item for valve in self.moved[owner.name] for item in valve.series]
-            if name in (owner.joint, *series) or place in (("oil",), ("supply",)):
+            if name in (owner.joint, *series) or place[:1] in (("oil",), ("supply",)):
                 return Scales(self.rig, owner, None, self.records, part=part)
         return None
 
@@ -194,6 +208,8 @@ class _Rows:
     ) -> Hypothesis | None:
         """A row of a part; None where it does not apply."""
         names = tuple(f"{prefix}{key}" for key in fault.keys)
+        if any(read_off(name, self.records) for name in names):
+            return None
         if not self._applies(fault, prefix, part, scales):
             return None
         adds = bool(fault.adds)
@@ -221,7 +237,7 @@ class _Rows:
 
     def _about(self, prefix: str, part: Any, fault: Fault, names: Sequence[str]) -> str:
         """What a fault is about, in words: a part, or a number of it where several are alike."""
-        if isinstance(part, Oil | Supply):
+        if isinstance(part, Oil | Supply | Accumulator):
             return f"the {type(part).__name__.lower()}"
         if isinstance(part, Valve) and fault.kind == "saturation":
             return f"the drive of {prefix.removesuffix('.')}"

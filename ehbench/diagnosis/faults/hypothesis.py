@@ -15,7 +15,7 @@ from ehbench.config.recipe.sensor import ESTIMATE, Sensor
 from ehbench.config.rig import Rig, parameter_row
 from ehbench.data.record import Record
 from ehbench.diagnosis.faults.scales import Scales
-from ehbench.parts.fault import Fault
+from ehbench.parts.fault import Amount, Fault
 from ehbench.preprocessing.sensors import Term
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import Message, message, templates
@@ -48,6 +48,7 @@ class Number:
         unit = here if fault.unit == "share" else scales[fault.unit]
         if fault.moved and key not in fault.moved:
             unit = 0.0
+            here = scales.of(added) if isinstance(added, Amount) else here
         if added is not None and not isinstance(added, str):
             starts = tuple(scales.of(added, k) for k in range(len(added.factors)))
         else:

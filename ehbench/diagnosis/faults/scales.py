@@ -29,8 +29,8 @@ class Scales:
     logs in the direction that opens an edge · ``travel``: of a saturating edge · ``pressure``: that
     an end comes to · ``force``: of that pressure · ``leakage``: of 10 mm/s at it · ``spring``: of
     the oil at mid-stroke [N/m] · ``load``: the least mass that moves · ``damper``: their impedance
-    [N·s/m] · ``friction``: where a search begins · ``coulomb``: of the rig · ``spread``: of the
-    channel.
+    [N·s/m] · ``friction``: where a search begins · ``coulomb``: of the rig · ``swept``: by the
+    piston at its head end [m³] · ``spread``: of the channel.
     """
 
     def __init__(
@@ -118,6 +118,10 @@ class Scales:
     @cached_property
     def leakage(self) -> float:
         return self.cylinder.areas()[0] * CREEP / self.pressure
+
+    @cached_property
+    def swept(self) -> float:
+        return self.cylinder.areas()[0] * float(self.cylinder.stroke)
 
     @cached_property
     def coulomb(self) -> float:
