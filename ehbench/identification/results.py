@@ -20,7 +20,7 @@ from ehbench.identification.means import compared_as
 from ehbench.identification.search import Coordinate
 from ehbench.identification.simulator import Log, Shifts, Simulator, channels_of, seen_as
 from ehbench.plant.ties import tied_words
-from ehbench.preprocessing.observations import noise_of, read_off, supply_off
+from ehbench.preprocessing.observations import noise_of, of_log, read_off, supply_off
 from ehbench.preprocessing.sensors import Term
 from ehbench.signals.series import Ringing, correlation_time, fit_percent, lowpass, rms
 from ehbench.vocabulary.errors import InsufficientData
@@ -321,7 +321,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
             fit = replace(fit, responses=followed(log, replayed))
             warnings += late_responses(log, simulated)
         off = supply_off(log.record, replayed, simulator.rig)
-        warnings += [f"{log.name}: {text}" for text in off]
+        warnings += [of_log(log.name, text) for text in off]
         logs.append(fit)
         recordings.append((log.name, _recording(log, seen_as(log, replayed))))
         for name in log.live:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from ehbench.config.rig import Cylinder, Rig, Valve
 from ehbench.data.record import Record, payloads_of
 from ehbench.plant.model import MOVED, Model
-from ehbench.plant.ties import supplied
+from ehbench.plant.ties import RECORDED, SUPPLY, supplied
 from ehbench.signals.series import lowpass, rms, white_noise
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import Message, message
@@ -39,7 +39,7 @@ class ObservationSettings:
 
     rate_cutoff: float = setting(20.0, "Hz", "low-pass of a position before its rate", "swings")
     together: float = setting(0.02, "s", "span of commands of one transient", "a few samples")
-    empty: float = setting(0.01, "", "slack of the precharge of a line without gas", "gauges")
+    slack: float = setting(0.01, "", "slack of precharge and tank, of pressures", "gauges")
     supply_off: float = setting(0.03, "", "rms error of the supply's pressure, of it", "gauges")
     clear_cycles: float = setting(1.5, "", "least cycles of a clear ringing", "else drift")
     clear_damping: float = setting(0.35, "", "largest damping of a clear ringing", "else drift")
@@ -160,14 +160,18 @@ def read_off(name: str, records: Sequence[Record]) -> str | None:
 
 
 def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
-    """Notes where the accumulator runs empty or the supply's pressure is not the model's."""
+    """Notes where pressures of supply and tank are not the rig file's, the accumulator runs empty
+    or the supply's pressure is not the model's. What speaks against the model has a ``cause``, and
+    the ``line`` to write and ``where``.
+    """
+    notes = list(_levels_off(record, simulated, rig))
     if supplied(record):
-        return []
-    notes, seen, accumulator = [], "p_supply" in record, rig.supply.accumulator
+        return notes
+    seen, accumulator = "p_supply" in record, rig.supply.accumulator
     if accumulator is not None:  # by the recording where it has the pressure, else by the model
         pressure = (record if seen else simulated)["p_supply"]
         precharge = float(accumulator.precharge)
-        low = precharge - SETTINGS.empty * abs(precharge) - 4.0 * white_noise(pressure) * seen
+        low = precharge - SETTINGS.slack * abs(precharge) - 4.0 * white_noise(pressure) * seen
         if (below := pressure < low).any():
             fields = {"time": f"{record.t[int(np.argmax(below))]:.4g} s"}
             fields |= {"precharge": rig.shown("precharge", precharge)}
@@ -181,8 +185,37 @@ def supply_off(record: Record, simulated: Record, rig: Rig) -> list[Message]:
     if rms(off) >= max(limit, 3.0 * noise):
         far, time = float(off[worst]), f"{record.t[worst]:.4g} s"
         shown, way = rig.shown("p_supply", abs(far), 3), "below" if far > 0.0 else "above"
-        notes.append(message("preprocessing.supply_off", off=shown, way=way, time=time))
+        cause = message("preprocessing.far_off", off=shown, way=way)
+        where = message("preprocessing.in_data")
+        fields = {"cause": cause, "line": f'{SUPPLY} = "{RECORDED}"', "where": where}
+        notes.append(message("preprocessing.supply_off", time=time, **fields))
     return notes
+
+
+def _levels_off(record: Record, simulated: Record, rig: Rig) -> Iterator[Message]:
+    """A note of each pressure that a log gives to its replay, and that the rig file has another
+    way: what has no log goes by the rig file.
+    """
+    for name, channel in READ_OFF.items():
+        if channel not in record or channel not in simulated:
+            continue
+        if channel == "p_supply" and rig.supply.load_sensing is not None:
+            continue  # it stands at the load's pressure
+        known, seen = float(rig.parameters()[name]), float(simulated[channel][0])
+        share = SETTINGS.slack if channel == "p_tank" else SETTINGS.supply_off
+        if abs(seen - known) > share * float(rig.supply.pressure):
+            shown = rig.shown(channel, seen, 3)
+            fields = {"name": name, "known": rig.shown(channel, known, 3), "seen": shown}
+            cause = message("preprocessing.other_level", **fields)
+            key = name.rpartition(".")[2]
+            where = message("preprocessing.in_supply", key=key)
+            written = {"line": f'{key} = "{shown}"', "where": where}
+            yield message("preprocessing.level_off", cause=cause, **written)
+
+
+def of_log(log: str, note: str) -> Message:
+    """A note with the log that it is of, and its fields."""
+    return message("preprocessing.of_log", log=log, note=note, **getattr(note, "fields", {}))
 
 
 def rings_clearly(cycles: float, damping_ratio: float) -> bool:

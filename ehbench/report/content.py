@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Part, Picture
 from ehbench.report.index import FigureIndex
@@ -93,6 +94,11 @@ def remedy_step(remedy: str) -> Message:
     if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):
         return message("steps.write", line=written[1], where=written[2])
     return message("steps.remedy", remedy=remedy)
+
+
+def written_step(fields: Mapping[str, Any]) -> Message:
+    """The step of a note that gives a line, and where to write it."""
+    return message("steps.write", line=fields["line"], where=fields["where"])
 
 
 def look_of(status: str) -> str:

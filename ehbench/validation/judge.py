@@ -30,6 +30,7 @@ from ehbench.preprocessing.observations import (
     channels_asked,
     column,
     commanded,
+    of_log,
     payload_of,
     position_of,
     stood_for,
@@ -211,7 +212,8 @@ def run_validation(
     records = [log.log.record for log in prepared.logs]
     results, black_box, better = black_boxes(results, records, prepared.training)
     reasons = tuple(_reasons(results))
-    warnings = tuple(f"{log.name}: {text}" for log in results for text in log.warnings)
+    against = _speaking_against(results)
+    warnings = tuple(of_log(log.name, text) for log in results for text in log.warnings)
     plain = required.model_dump() | {
         "max_error": {name: float(value) for name, value in required.max_error.items()},
         "response_phase_error": required.response_phase_error
@@ -223,17 +225,17 @@ def run_validation(
         prepared.rig.name,
         not reasons,
         reasons,
-        warnings,
+        tuple(text for text in warnings if text not in against),
         plain,
         tuple(results),
         reservations=(*better, *_unexplained(results)),
         black_box=black_box,
     ).with_fit(prepared.leans)
-    if not diagnose:
-        return verdict
-    if progress is not None:
-        progress("diagnosing the residuals", 1.0)
-    return verdict.with_structure(ask(prepared.cases(results)))
+    if diagnose:
+        if progress is not None:
+            progress("diagnosing the residuals", 1.0)
+        verdict = verdict.with_structure(ask(prepared.cases(results)))
+    return verdict.weighed(against, [False] * len(against))
 
 
 def prepare_log(
@@ -310,6 +312,16 @@ def _reasons(results: Sequence[LogResult]) -> Iterator[str]:
             yield message("validation.all_fitted", logs=fitted)
         else:
             yield message("validation.no_check")
+
+
+def _speaking_against(results: Sequence[LogResult]) -> list[str]:
+    """Notes that give a cause and what to write for it, the first of each kind."""
+    first: dict[str, str] = {}
+    for log in results:
+        for text in log.warnings if log.status == "held_out" else ():
+            if "cause" in getattr(text, "fields", {}):
+                first.setdefault(getattr(text, "key", ""), of_log(log.name, text))
+    return list(first.values())
 
 
 def _unexplained(results: Sequence[LogResult]) -> Iterator[Message]:

@@ -17,6 +17,7 @@ from ehbench.identification.fixed_numbers import counts_on
 from ehbench.identification.hydraulics import HydraulicsFit, identify_hydraulics
 from ehbench.plant.model import Model
 from ehbench.plant.ties import RECORDED, SUPPLY
+from ehbench.validation import validate_rig
 from tests.shared import RIGS, judged, shipped
 
 VOLUMES = ("volume_head", "volume_rod")
@@ -108,10 +109,56 @@ def test_what_a_bulk_modulus_counts_on_is_by_how_much_more_would_move_it():
 def test_a_validation_says_that_the_supply_is_another():
     found = judged(rig(), [("own", log()), ("given", log(RECORDED))])
     own, given = found.logs
-    assert any("p_supply is up to" in text for text in own.warnings)
+    assert any("own: p_supply is up to" in text for text in found.reservations)
     assert not any("p_supply is up to" in text for text in given.warnings)
     fits = [{one.channel: one.fit_percent for one in log.channels} for log in found.logs]
     assert all(fits[1][name] > fits[0][name] for name in fits[0])  # pyright: ignore[reportOperatorIssue]
+
+
+@pytest.mark.parametrize(
+    ("gas", "kind", "size"),
+    [("0.4 L", None, 0.0), ("0.5 L", "gas volume", -0.2), (None, "accumulator", None)],
+)
+def test_what_an_accumulator_has_is_told_by_the_supplys_pressure(gas, kind, size):
+    """The machine has 0.4 L at 90 bar."""
+    given = {"accumulator": {"gas_volume": gas, "precharge": "90 bar"}} if gas else {}
+    found = validate_rig(rig(flow_limit="4 L/min", **given), [("log", log())])
+    assert (found.verdict == "accepted") == (kind is None), found.reservations
+    if kind is None:
+        return
+    first = found.structure.findings[0]
+    assert first.kind == kind and first.explains > 0.9
+    assert any(first.sentence in text for text in found.reservations)
+    if size is None:
+        assert "[supply.accumulator] gas_volume" in first.remedy
+    else:
+        assert first.size == pytest.approx(size, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("channel", "key", "share"), [("p_supply", "pressure", 0.05), ("p_tank", "tank_pressure", 0.02)]
+)
+def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channel, key, share):
+    """The replay goes by the log, so that nothing else shows it."""
+    machine = rig(tank_pressure="3 bar")
+    supply = float(machine.supply.pressure)
+    known = float(getattr(machine.supply, key))
+    other = rig(**{"tank_pressure": "3 bar", key: f"{known - share * supply} Pa"})
+    volts = np.where(np.arange(601) < 200, 0.0, 4.0)
+    record = simulate(machine, {"press.servo": volts}, 0.6, posture={"press": "120 mm"})
+    assert judged(machine, [("log", record)]).reservations == ()
+    for meta in ({}, {SUPPLY: RECORDED}):
+        (told,) = judged(other, [("log", replace(record, meta=meta))] * 2).reservations
+        assert told.key == "preprocessing.of_log"  # pyright: ignore[reportAttributeAccessIssue]
+        line = told.fields["line"]  # pyright: ignore[reportAttributeAccessIssue]
+        assert line.startswith(f'{key} = "') and written(line) == pytest.approx(known, rel=5e-3)
+    fitted = identify_hydraulics(other, [("log", record)], [STIFF])
+    assert line in [getattr(text, "fields", {}).get("line") for text in fitted.warnings]
+
+
+def written(line: str) -> float:
+    """The pressure [Pa] of a line of the rig file."""
+    return float(rig(**{"pressure": line.split('"')[1]}).supply.pressure)
 
 
 def test_a_recipe_asks_for_it_and_needs_the_pressure(tmp_path):

@@ -92,9 +92,18 @@ def part_lasts(seconds, other=1.0):
 
 
 def supply_far(share):
-    y = np.full(100, 1e7)
-    log, other = (Record(np.arange(100) * 1e-3, {"p_supply": p}) for p in (y, (1.0 + share) * y))
-    return bool(observations.supply_off(log, other, SLIDE))
+    """What is noted of a supply whose pressure is off from the log's and the rig file's."""
+    y, t = np.full(100, float(SLIDE.supply.pressure)), np.arange(100) * 1e-3
+    log, other = (Record(t, {"p_supply": p}) for p in (y, (1.0 + share) * y))
+    return [note.key for note in observations.supply_off(log, other, SLIDE)]
+
+
+def tank_far(share):
+    """How often a tank's pressure is noted that is off from the rig file's by so much of the
+    supply's."""
+    off = float(SLIDE.supply.tank_pressure) + share * float(SLIDE.supply.pressure)
+    log = Record(np.arange(9) * 1e-3, {"p_tank": np.full(9, off)})
+    return len(observations.supply_off(log, log, SLIDE))
 
 
 def rate_of(position):
@@ -638,7 +647,7 @@ ROWS = [
     (time_base.SETTINGS, "rare", lambda: [gaps_kept(s) for s in (0.37, 0.43)], [True, False]),
     (time_base.SETTINGS, "shortest", lambda: [part_lasts(s) for s in (0.23, 0.27)], [1, 2]),
     (observations.SETTINGS, "supply_off", lambda: [supply_far(s) for s in (0.028, 0.032)],
-     [False, True]),
+     [[], ["preprocessing.level_off", "preprocessing.supply_off"]]),
     (observations.SETTINGS, "rate_cutoff", lambda: rate_of(0.01), 627),
     (observations.SETTINGS, "clear_cycles",
      lambda: [observations.rings_clearly(n, 0.1) for n in (1.4, 1.6)], [False, True]),
@@ -737,7 +746,8 @@ ROWS = [
     (time_base.SETTINGS, "share", lambda: [part_lasts(s, 5.0) for s in (0.48, 0.52)], [1, 2]),
     (FIRST, "difference", lambda: step_of(1e5), 30_000),
     (observations.SETTINGS, "together", lambda: [transient(n) for n in (19, 23)], [[True], []]),
-    (observations.SETTINGS, "empty", lambda: [runs_empty(s) for s in (0.009, 0.011)], [0, 1]),
+    (observations.SETTINGS, "slack", lambda: [runs_empty(s) for s in (0.009, 0.011)], [0, 1]),
+    (observations.SETTINGS, "slack", lambda: [tank_far(s) for s in (0.009, 0.011)], [0, 1]),
     (transients.SETTINGS, "quiet", lambda: [transient(9, x) for x in (1.2, 1.4)],
      [[True], [False]]),
     (timestamps.SETTINGS, "block", lambda: [follows_beats(d) for d in (0.0085, 0.0115)],

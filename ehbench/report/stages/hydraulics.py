@@ -22,6 +22,7 @@ from ehbench.report.content import (
     names,
     num,
     remedy_step,
+    written_step,
 )
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
@@ -239,8 +240,11 @@ def findings(run: Saved) -> Findings:
     # a doubtful one is explained by the number that it is sensitive to
     weak = [item for item in parameters if item["status"] not in ("estimated", DOUBTFUL)]
     against = [item["sentence"] for item in sensitive] + [residual] * bool(residual)
+    written = [note for note in fit.get("warnings", []) if "where" in getattr(note, "fields", {})]
+    against += written
     against += [page.text("weak", item=item) for item in weak]
     steps = [message(item["key"], **item["fields"]) for item in fit.get("advice", [])]
+    steps += [written_step(note.fields) for note in written]
     steps += [remedy_step(item["remedy"]) for item in sensitive]
     steps += [message("steps.suggest", **names(run))] * bool(residual)
     first = {item["status"]: item["name"] for item in reversed(weak)}

@@ -18,13 +18,14 @@ from ehbench.report.content import (
     look_of,
     names,
     remedy_step,
+    written_step,
 )
 from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import number, title_of, words
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 
 
 def draw(run: Saved, index: FigureIndex) -> None:
@@ -214,12 +215,14 @@ def findings(run: Saved) -> Findings:
         label, about = page.text("worst_fit_label", logs=logs), page.text("worst_fit", **fields)
         numbers = [Headline(FIT, label, f"{number(worst, 2)} %", about)]
         figures = [{"kind": "validation", "log": log}, *figures]
-    remedies = [doubt["remedy"] for doubt in doubts(table) if "remedy" in doubt]
-    remedies += [item["remedy"] for item in (table.get("structure") or {}).get("findings", [])]
-    first: dict[str, str] = {}  # by what each one changes
-    for remedy in filter(None, remedies):
-        first.setdefault(getattr(remedy, "fields", {}).get("names") or remedy, remedy)
-    steps = [remedy_step(remedy) for remedy in first.values()][:3]
+    first: dict[str, Message] = {}  # by what each one changes
+    for doubt in [*doubts(table), *(table.get("structure") or {}).get("findings", [])]:
+        if "where" in doubt:
+            first.setdefault(doubt["line"], written_step(doubt))
+        elif remedy := doubt.get("remedy"):
+            changes = getattr(remedy, "fields", {}).get("names") or remedy
+            first.setdefault(changes, remedy_step(remedy))
+    steps = [*first.values()][:3]
     if not table["accepted"] and not steps:
         checks = (check for log in logs for check in log.get("checks", []))
         failed = dict.fromkeys(check["what"] for check in checks if not check["passed"])
