@@ -10,7 +10,7 @@ from ehbench.config.recipe.columns import LEAVE_OUT, ColumnMap
 from ehbench.data.rates import SETTINGS, Group, Window, in_window, is_bad, lines_text, range_of
 from ehbench.data.record import resampled
 from ehbench.vocabulary.errors import LogError, UnitError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.text import listed
@@ -37,7 +37,10 @@ def clean(
     if (lost := np.flatnonzero(~timed & inside)).size:
         if general != LEAVE_OUT:
             text = message("data.row_without_time")
-            raise LogError(text, file=path, line=group.line(lost[0]))
+            odd = next(iter(group.columns.values())).odd.get(int(lost[0]))
+            line, hint = group.line(lost[0]), text.hint
+            text = odd if isinstance(odd, Message) else text  # of the whole row
+            raise LogError(text, file=path, line=line, hint=hint)
         rows, lines = plural(lost.size, "row"), lines_text(group, lost)
         losses.append(message("data.rows_without_time", rows=rows, lines=lines))
     gone = ~timed
@@ -99,5 +102,6 @@ def _bad_sample(
         return UnitError(message("data.bad_value", where=where, **fields), file=path, line=line)
     odd = column.odd.get(at)
     what = f"is {value:g}" if odd is None else f"'{odd}' is no number" if odd else "is blank"
+    what = odd if isinstance(odd, Message) else what
     text = message("data.bad_sample", channel=channel, what=what, where=where)
     return LogError(text, file=path, line=line)

@@ -227,10 +227,11 @@ def numbers(
                         values[at, place] = value
     for at, row in enumerate(rows if width else ()):
         if separator == " " or row.count(separator) >= width:
-            if any(number(cell, decimal) is not None for cell in split(row, separator)[width:]):
-                values[at] = np.nan
+            parts = split(row, separator)
+            if any(number(cell, decimal) is not None for cell in parts[width:]):
+                values[at], count = np.nan, len(parts)
                 for cells in odd:
-                    cells[at] = row[:_QUOTED]
+                    cells[at] = message("data.row_width", width=count, header=width)
     return values, odd
 
 

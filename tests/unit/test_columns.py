@@ -138,6 +138,11 @@ REFUSED = {  # the row of line 42, the map, the message's key, the line, what is
     "a word": ("0.040;abc;0", TIME + HEAD, "data.bad_sample", 42, "'abc'"),
     "NaN": ("0.040;NaN;0", TIME + HEAD, "data.bad_sample", 42, "nan"),
     "implausible": ("0.040;50000;0", TIME + HEAD, "data.bad_value", 42, "5e+06 kPa"),
+    "a cell too many": ("0.040;50;0;7", TIME + HEAD, "data.row_width", 42, "4 cells"),
+    "one more in a channel": (
+        *("0.040;50;0;7", 'rate = "1 kHz"\n[names]\n' + HEAD, "data.bad_sample", 42),
+        "4 cells, the header has 3",
+    ),
     "no time": ("0.040;50;0", HEAD, "data.no_time", None, "rate = "),
     "no column": (
         "0.040;50;0",
@@ -158,6 +163,12 @@ def test_a_file_is_refused_with_its_line_and_what_would_be_right(name, tmp_path)
         read(path, columns=columns)
     assert (caught.value.key, caught.value.line) == (key, line)
     assert quoted in str(caught.value)
+
+
+def test_a_column_without_numbers_is_named_with_what_it_holds(tmp_path):
+    path, columns = write(tmp_path, [row.replace(";5", ";5 ") for row in rows()])
+    with pytest.raises(LogError, match=r"a.csv:2: column 'A' holds no numbers: '5 0'"):
+        read(path, columns=columns)
 
 
 def test_outside_of_the_window_a_bad_sample_is_no_matter(tmp_path):

@@ -17,7 +17,7 @@ from ehbench.data.record import floats
 from ehbench.data.text import is_hole
 from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.text import listed, numbered
+from ehbench.vocabulary.text import listed, numbered, shortened
 from ehbench.vocabulary.units import absolute_unit, named_unit
 
 _PLAIN = "m?bar|psi|[kM]?Pa|[cm]m|m?V|mA|ms|[lL]/min|gpm|deg|°C?|m?m/s|rpm"
@@ -157,7 +157,7 @@ class Source:
         """(table, column) of a name, or of ``table/column``.
 
         Raises:
-            LogError: there is none; names the nearest.
+            LogError: there is none, and names the nearest; it holds no numbers.
         """
         known = self.names()
         whole = {
@@ -168,6 +168,12 @@ class Source:
         at = known.get(name, whole.get(name))
         if at is not None:
             return at
+        for table in self.tables:
+            cells = table.words.get(name, ())
+            if (row := next((row for row, cell in enumerate(cells) if cell), None)) is not None:
+                text = message("data.column_of_words", name=name, cell=shortened(cells[row], 60))
+                line = table.lines[row] if table.lines else None
+                raise LogError(text, file=file, line=line)
         if near := get_close_matches(name, known, 1, 0.6):
             raise LogError(message("data.no_column_near", name=name, near=near[0]), file=file)
         there = listed((f"'{item}'" for item in known), 12)
