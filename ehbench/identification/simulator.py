@@ -38,7 +38,7 @@ from ehbench.preprocessing.sensors import Term
 from ehbench.runtime.cores import cores
 from ehbench.signals.series import transients, white_noise
 from ehbench.vocabulary.errors import EhbenchError, InputError, InsufficientData
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.messages import Message, message, prefixed
 from ehbench.vocabulary.quantities import like_channel, quantity
 from ehbench.vocabulary.settings import setting
 
@@ -177,7 +177,7 @@ def prepare(
     """
     rig = model.rig
     record, doubts = preprocess(name, record, model)
-    warnings = [f"{name}: {text}" for text in doubts]
+    warnings: list[str] = [prefixed(name, text) for text in doubts]
     requested = [
         cylinder.name
         for cylinder in rig.cylinder

@@ -29,7 +29,7 @@ from ehbench.stages.fitted_sensors import inherited
 from ehbench.stages.inputs import Inputs, RigState, span_of
 from ehbench.stages.notes import Notes
 from ehbench.vocabulary.errors import EhbenchError
-from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.messages import message, prefixed
 from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import quantity
@@ -96,7 +96,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
                 model = models[payload_of(record) or ""]
                 log = prepare_log(name, record, model, known, scored, seen, sensors)
                 judged.append(log)
-                notes.remarks += [f"{name}: {text}" for text in log.log.notes]
+                notes.remarks += [prefixed(name, text) for text in log.log.notes]
                 if log.failure is not None:
                     notes.add_error(log.failure)
         _note_fitted(recipe, inputs)

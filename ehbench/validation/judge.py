@@ -44,7 +44,7 @@ from ehbench.validation.results import LogResult, Overlap, Validation
 from ehbench.validation.sweeps import sweeps_of
 from ehbench.validation.transients import transients_of, unjudged
 from ehbench.vocabulary.errors import EhbenchError, FmuError, InputError, LogError, placed
-from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.messages import Message, message, prefixed
 from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import GAUGES
 from ehbench.vocabulary.settings import setting
@@ -211,7 +211,7 @@ def run_validation(
     records = [log.log.record for log in prepared.logs]
     results, black_box, better = black_boxes(results, records, prepared.training)
     reasons = tuple(_reasons(results))
-    warnings = tuple(f"{log.name}: {text}" for log in results for text in log.warnings)
+    warnings = tuple(prefixed(log.name, text) for log in results for text in log.warnings)
     plain = required.model_dump() | {
         "max_error": {name: float(value) for name, value in required.max_error.items()},
         "response_phase_error": required.response_phase_error

@@ -34,6 +34,11 @@ class Message(str):
         return Message, (str(self), self.key, dict(self.fields), self.hint)
 
 
+def prefixed(about: str, note: str) -> Message:
+    """A note with what it is about before it, and its key; its numbers stand where it came from."""
+    return Message(f"{about}: {note}", getattr(note, "key", ""))
+
+
 @cache
 def templates(part: str) -> Mapping[str, Mapping[str, str]]:
     """The entries of one file of the catalogue: by name, ``text`` and ``hint``."""
