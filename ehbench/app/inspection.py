@@ -53,11 +53,12 @@ class Inspection:
                 steps.append(message("steps.run_recipe", **fields))
         state = plural(len(self.errors), "error") if self.errors else "ok"
         state += ", with losses" if self.code == 3 else ""
+        known = {} if self.notes is None else {str(note): note for note in self.notes.remarks}
         return Answer(
             f"{state}: {self.lines[0]}",
             [Grid(["", ""], [row[::2] if row[1] else ("", row[0]) for row in facts])],
             steps,
-            [row[2] for row in rows if row[0] in words],
+            [known.get(row[2], row[2]) for row in rows if row[0] in words],
             values={"code": self.code, "lines": self.lines, "errors": list(map(str, self.errors))},
         )
 

@@ -56,7 +56,10 @@ def read_mapped(
         UnitError: a unit that does not become the channel's.
     """
     source = open_source(path, dialect_of(columns))
-    columns = columns or named_channels(source, path)
+    if columns is None or not columns.columns.names:  # the file's own names
+        names, given = named_channels(source, path), columns or ColumnMap(Columns())
+        keys = given.columns.model_copy(update={"names": names.columns.names})
+        columns = replace(given, columns=keys)
     mapping = _Mapping(path, columns, source)
     groups = mapping.groups()
     losses = [*mapping.overruled(), *(note for group in groups for note in _rate_note(group))]

@@ -19,7 +19,7 @@ from ehbench.parts.cylinder import joint_of, linkage_arrays
 from ehbench.plant.model import Model
 from ehbench.plant.ties import TIED, position_channel, supplied, tied_words
 from ehbench.signals.series import white_noise
-from ehbench.vocabulary.errors import EhbenchError, InputError
+from ehbench.vocabulary.errors import EhbenchError, InputError, LogError
 from ehbench.vocabulary.messages import Message, message
 from ehbench.vocabulary.quantities import GAUGES, VOCABULARY
 from ehbench.vocabulary.settings import setting
@@ -140,6 +140,19 @@ def foreign_channels(name: str, record: Record, rig: Rig) -> list[Message]:
     return notes
 
 
+def undriven(record: Record, rig: Rig) -> Iterator[Message]:
+    """Notes on valves whose command the log of their cylinder's others does not have."""
+    known = {f"{cylinder.name}.{valve.name}.command" for cylinder, valve in rig.valves()}
+    others = [channel for channel in record.channels if channel not in known]
+    for cylinder in rig.cylinder:
+        channels = [f"{cylinder.name}.{valve.name}.command" for valve in cylinder.valve]
+        lacking = [channel for channel in channels if channel not in record]
+        for channel in lacking if len(lacking) < len(channels) else ():
+            near = "".join(get_close_matches(channel, others, 1, 0.8))
+            key = "preprocessing.no_command_near" if near else "preprocessing.no_command"
+            yield message(key, channel=channel, near=near)
+
+
 def refuse_sample_time(name: str, record: Record, rig: Rig) -> None:
     """Refuse a time that can only be in another unit than it says."""
     tick = record.sample_time
@@ -184,7 +197,7 @@ def refuse_angles(name: str, record: Record, model: Model) -> None:
             shown = {"low": float(q.min()), "high": float(q.max()), "first": low, "last": high}
             fields = {key: rig.shown("q", angle) for key, angle in shown.items()}
             fields |= {"channel": channel, "linkage": cylinder.linkage_word}
-            raise InputError(message(f"preprocessing.angle_{like}", log=name, **fields))
+            raise LogError(message(f"preprocessing.angle_{like}", log=name, **fields))
 
 
 def travels(rig: Rig) -> dict[str, float]:

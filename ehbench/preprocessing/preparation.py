@@ -28,6 +28,7 @@ from ehbench.preprocessing.plausibility import (
     refuse_pressures,
     refuse_sample_time,
     replay_notes,
+    undriven,
 )
 from ehbench.preprocessing.sensors import Term, known_taken_out, terms_of
 from ehbench.preprocessing.time_base import evened
@@ -72,7 +73,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
     payload.
 
     Raises:
-        LogError: not evenly sampled, with the worst gap.
+        LogError: not evenly sampled, with the worst gap; an angle that the stroke does not allow.
         InputError: too few or too coarse samples, a sample that is no number, no channel of the
             rig, a command, angle or position outside its range, pressures that cannot be in their
             unit.
@@ -86,7 +87,7 @@ def preprocess(name: str, record: Record, model: Model) -> tuple[Record, tuple[M
             when = record.t[int(np.argmin(np.isfinite(values)))]
             text = message("preprocessing.not_a_number", log=name, channel=channel, time=when)
             raise InputError(text)
-    notes = foreign_channels(name, record, rig)
+    notes = [*foreign_channels(name, record, rig), *undriven(record, rig)]
     refuse_sample_time(name, record, rig)
     record, jitter = evened(name, record)
     notes += jitter

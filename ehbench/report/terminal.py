@@ -26,6 +26,8 @@ from ehbench.vocabulary.text import folded
 
 GAP = "  "
 SETTLED = ("done", "partly_estimated")  # statuses that are no verdict
+# notes that are said without -v: what was taken in place of data that are missing
+LOUD = ("preprocessing.no_command", "preprocessing.no_command_near")
 MOST_STEPS, MOST_WORDS = 3, 60  # of an answer; words besides tables
 
 
@@ -63,7 +65,8 @@ class Answer:
             clauses = re.match(r".{60,}[,;](?= )", cut)
             verdict = f"{clauses[0] if clauses else cut} …"
         out = textwrap.wrap(verdict, width)
-        for note in (*self.notes, *self.details) if whole else ():
+        loud = [note for note in self.notes if getattr(note, "key", "") in LOUD]
+        for note in (*self.notes, *self.details) if whole else folded(loud):
             out += textwrap.wrap(note, width, initial_indent="- ", subsequent_indent="  ")
         for item in self.tables if whole else self.tables[:1]:
             columns = () if whole else self.columns
@@ -71,7 +74,8 @@ class Answer:
             out += ["", *table_lines(shown, columns, sys.maxsize if whole else width)]
             rest = len(item.rows) - len(shown.rows)
             out += [f"… {plural(rest, 'more row')} with -v", ""] if rest else [""]
-        last = [plural(len(self.notes), "note") + f" {self.notes_in}"] if self.notes else []
+        rest = len(self.notes) - len(loud)
+        last = [plural(rest, "note") + f" {self.notes_in}"] if rest else []
         last = [] if whole else last
         last += [] if self.place is None else [str(self.place)]
         count = len(" ".join([verdict, *last]).split())

@@ -5,6 +5,8 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
 
+from ehbench.vocabulary.messages import Message
+
 
 def quoted(text: str) -> str:
     """A text as a cell of a CSV file: in quotes where it must be."""
@@ -60,9 +62,9 @@ def folded(notes: Iterable[str]) -> list[str]:
         if any(item.startswith(f"{name}:") for item in alike.get(key, ())):
             key = note
         alike.setdefault(key, []).append(note)
-    return [
-        f"{first} (the like of {', '.join(other.partition(': ')[0] for other in others)})"
-        if others
-        else first
-        for first, *others in alike.values()
-    ]
+    results = []
+    for first, *others in alike.values():
+        names = ", ".join(other.partition(": ")[0] for other in others)
+        key = getattr(first, "key", "")
+        results.append(Message(f"{first} (the like of {names})", key) if others else first)
+    return results

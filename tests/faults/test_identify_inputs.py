@@ -15,12 +15,14 @@ from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.parts.friction.stribeck import Stribeck
 from ehbench.plant.model import Model, simulate
-from ehbench.preprocessing.plausibility import outside_stroke
+from ehbench.preprocessing.plausibility import outside_stroke, undriven
 from ehbench.preprocessing.preparation import distinct_names, preprocess
 from ehbench.preprocessing.time_base import evened
+from ehbench.report.terminal import Answer
 from ehbench.validation import prepare_validation, validate_rig
 from ehbench.vocabulary.errors import InputError, InsufficientData, LogError
 from ehbench.vocabulary.fields import Value
+from ehbench.vocabulary.messages import of_log
 from tests.shared import RIGS, identify, judged, measured, shipped
 
 NOISE = {"qd": 1e-3, "v": 1e-3, "p_head": 1e4, "p_rod": 1e4, "q": 1e-5, "x": 1e-5, "p_supply": 1e4}
@@ -144,6 +146,22 @@ def test_channels_of_nothing_on_the_rig_are_named():
         assert f"the log has '{name}'" in told and f"nearest is '{near}'" in told
     fit = identify(rig(), [("log", odd)], CRANE)
     assert sum(text.startswith("log: the log has '") for text in fit.warnings) == 2
+
+
+def test_a_command_that_the_log_lacks_is_said_without_being_asked():
+    """Where the log has those of the cylinder's other valves; a log each is one note."""
+    boom = rig("boom_four_valve")
+    log = logged(boom, "boom.sh", (4.0, 0.0))
+    others = {f"boom.{v.name}.command": 0.0 * log.t for v in boom.cylinder[0].valve}
+    whole = replace(log, channels={**others, **log.channels})
+    assert not [*undriven(whole, boom)]
+    slip = renamed(whole, "boom.rt.command", "boom.tr.command")
+    (note,) = undriven(slip, boom)
+    assert (note.fields["channel"], note.fields["near"]) == ("boom.rt.command", "boom.tr.command")
+    notes = ["a: an odd one", *(of_log(name, note) for name in ("a", "b"))]
+    first, told, *rest = Answer("done", notes=notes).lines(200)
+    assert first == "done" and "no boom.rt.command" in told and told.endswith("(the like of b)")
+    assert rest == ["1 note with -v"]
 
 
 def test_what_is_asked_to_be_compared_is_compared_or_said():
@@ -586,4 +604,4 @@ def test_a_stroke_outside_of_the_cylinder_is_told_with_what_it_lacks():
 )
 def test_angles_that_the_stroke_does_not_allow_are_refused(shift, scale, says):
     log = changed(crane(), lift_q=scale * (crane()["lift.q"] + shift))
-    refused(says, lambda: preprocess("log", log, Model.of(rig())))
+    refused(says, lambda: preprocess("log", log, Model.of(rig())), LogError)

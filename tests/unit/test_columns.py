@@ -195,6 +195,14 @@ def test_of_a_csv_with_channels_as_names_too(tmp_path):
         with pytest.raises(LogError) as error:
             read(path, window=window)
         assert (error.value.line, "ram.p_head" in error.value.message) == (line, True)
+    lines[40] = "0.040,nan"
+    path.write_text("t [s],ram.p_head [MPa]\n" + "\n".join(lines) + "\n")
+    with pytest.raises(LogError) as error:
+        read(path)
+    assert 'bad_samples = "leave out"' in str(error.value)  # which does without names
+    (tmp_path / "m.toml").write_text('bad_samples = "leave out"\n')
+    mended = read(path, columns=tmp_path / "m.toml")
+    assert len(mended.losses) == 1 and np.isfinite(mended["ram.p_head"]).all()
 
 
 def test_left_out_samples_are_named_counted_and_bridged_where_they_are_few(tmp_path):

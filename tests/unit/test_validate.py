@@ -281,12 +281,12 @@ def test_logs_that_cannot_be_judged_are_said(arm, boom):
     gap = Record(boom.t[keep], {n: v[keep] for n, v in boom.channels.items()}, boom.meta)
     result = judged(arm, [("far", far), ("gap", gap), ("boom", boom)])
     assert [log.status for log in result.logs] == ["failed", "failed", "held_out"]
-    assert "outside the stroke" in result.logs[0].failure
+    assert "the stroke allows" in result.logs[0].failure
     assert "not evenly sampled" in result.logs[1].failure
     assert "boom.q" in result.logs[0].series and not result.logs[0].passed
     reason = result.reasons[0]
     assert not result.accepted and reason.key == "validation.not_simulated"
-    assert reason.fields["log"] == "far" and "posture boom" in reason.fields["reason"]
+    assert reason.fields["log"] == "far" and "boom.q runs from" in reason.fields["reason"]
     with pytest.raises(InputError, match="no log"):
         judged(arm, [])
     with pytest.raises(InputError, match="cannot be judged on channel 'temperature'"):
