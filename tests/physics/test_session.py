@@ -206,4 +206,6 @@ def test_rows_of_a_slow_controller_are_in_the_log_while_it_runs(tmp_path, monkey
 
     run(prepared, log=tmp_path / "live.mcap", progress=told)
     assert len(seen) > 20
-    assert all(rows == pytest.approx(asked) for asked, rows in seen)
+    # a batch that comes just before its sync is due waits for the next
+    batches = zip([0.0, 0.0, *(asked for asked, _ in seen)], seen)
+    assert all(early - 0.5 <= rows <= asked + 0.5 for early, (asked, rows) in batches)

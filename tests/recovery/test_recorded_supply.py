@@ -149,7 +149,7 @@ def test_a_pressure_of_the_rig_file_that_is_not_the_logs_is_a_reservation(channe
     assert judged(machine, [("log", record)]).reservations == ()
     for meta in ({}, {SUPPLY: RECORDED}):
         (told,) = judged(other, [("log", replace(record, meta=meta))] * 2).reservations
-        assert told.key == "preprocessing.of_log"  # pyright: ignore[reportAttributeAccessIssue]
+        assert told.key == "preprocessing.level_off"  # pyright: ignore[reportAttributeAccessIssue]
         line = told.fields["line"]  # pyright: ignore[reportAttributeAccessIssue]
         assert line.startswith(f'{key} = "') and written(line) == pytest.approx(known, rel=5e-3)
     fitted = identify_hydraulics(other, [("log", record)], [STIFF])

@@ -103,7 +103,8 @@ def test_what_is_written_can_be_run_and_fits(undrawn, inside, tmp_path):
     assert done.returncode == 0, done.stderr
     told = done.stdout
     assert "sensor offset of press.p_head and delay of press.servo" in told
-    assert '[dynamics.press_servo_delay] kind = "delay"' in told and "new/fit.toml" in told
+    assert "[dynamics.press_servo_delay]" in told and 'kind = "delay"' in told
+    assert "new/fit.toml" in told
     rows = read_json(tmp_path / "new" / "suggestions.json")
     assert rows[0]["freedom"] == 2
     written = tomllib.loads((tmp_path / "new" / "fit.toml").read_text())

@@ -73,7 +73,7 @@ def test_each_channel_says_in_its_own_size_how_late_it_is():
     (note,) = results._late(log, np.column_stack([x, p]))
     sure = x + 1e-6 * rng.standard_normal(t.size)
     still: Any = Stub(**vars(log) | {"recorded": np.column_stack([sure, recorded[:, 1]])})
-    assert note.fields["word"] == "behind"  # pyright: ignore[reportAttributeAccessIssue]
+    assert getattr(note, "key", "") == "identification.late"
     assert not results._late(still, np.column_stack([x, p]))
 
 

@@ -79,7 +79,7 @@ def test_a_product_is_known_by_what_another_parameter_does_not_explain(monkeypat
     columns[20:] = 4.0 * np.array([3.0, 3.0, 1.0])
     search = [Coordinate(n, True, 1.0, 1.0, 0.1, 9.0) for n in ("a.flow_gain", "b.flow_gain")]
     search.append(Coordinate("press.friction_coulomb", False, 1.0, 0.0, -9.0, 9.0))
-    problem = SimpleNamespace(search=search, requested=3)
+    problem = SimpleNamespace(search=search, requested=3, limit_at=lambda *_: "")
     state = SimpleNamespace(live=(0, 1, 2), theta=np.zeros(3), at_bound=(), prior_weight=1.0)
     errors = SimpleNamespace(state=state, blocks=[columns.T @ columns], alone=np.zeros(3))
     monkeypatch.setattr(uncertainty, "eliminate", lambda normal, _: SimpleNamespace(normal=normal))
