@@ -207,9 +207,12 @@ def test_what_explains_most_leads_the_sentence_and_the_steps(folders, tmp_path):
 
     less, most = doubt({"share": 0.6}, "a"), doubt({"share": 0.9}, "b")
     every = [less, most, doubt({}, "c")]
-    more = {"accepted": True, "reasons": [], "reservations": every, "structure": None}
+    logs = json.loads((folders[1] / "validation.json").read_text())["logs"]
+    logs = [log | {"checks": [check | {"passed": True} for check in log["checks"]]} for log in logs]
+    more = {"accepted": True, "reasons": [], "reservations": every, "structure": None, "logs": logs}
     folder = changed(folders[1], tmp_path / "doubted", **more)
     assert [step.hint for step in findings_of(folder).next] == ['"c",', '"b",', '"a",']
+    assert ": cause c;" in terminal.answer(folder).verdict
 
 
 def test_an_accepted_model_says_the_likeliest_cause_of_what_it_leaves_over(folders, tmp_path):

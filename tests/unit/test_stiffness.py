@@ -45,15 +45,16 @@ def test_a_light_load_in_its_end_stop_is_named():
     assert stiff is not None and stiff.state == "carriage.qd"
 
 
-# no rig file may have volumes that small, and a fit goes through no rig that no file may have
-@pytest.mark.parametrize("case", [name for name in CASES if name != "small volumes"])
+@pytest.mark.parametrize("case", CASES)
 def test_a_fit_says_so_of_each_log_with_the_cause(case):
     values, state, kind = CASES[case]
+    if values is SMALL:  # no rig file may have volumes that small: oil that is as stiff
+        values = {"bulk_modulus": 1.0e12}
     model, start, record = stepped(values)
     replayed = model.replay(record, start=start)
-    prepared = prepare_fit(model.rig, [("one", replayed)], ["bulk_modulus"])
+    prepared = prepare_fit(model.rig, [("one", replayed)], ["press.friction_coulomb"])
     simulator = simulator_of(prepared, prepared.logs)
-    at = [float(model.rig.parameters()["bulk_modulus"])]
+    at = [float(model.rig.parameters()["press.friction_coulomb"])]
     told = list(simulator.short_steps(at, simulator.unshifted()))
     assert len(told) == (state is not None)
     for text in told:
