@@ -14,28 +14,34 @@ from itertools import zip_longest
 import numpy as np
 
 from ehbench.data.record import Record
-from ehbench.diagnosis.cases import Case, total
+from ehbench.diagnosis.cases import DOMINANT, QUIET, Case, counts, total
 from ehbench.diagnosis.faults import Hypothesis, hypotheses
 from ehbench.diagnosis.follows import Follows, followed
 from ehbench.diagnosis.pins import disagreements
+from ehbench.diagnosis.recordings import misread
 from ehbench.plant.many import Replay, replay_many
 from ehbench.plant.paced import AUTO
 from ehbench.vocabulary.errors import EhbenchError
 
-__all__ = ["Case", "Finding", "Follows", "Structure", "ask", "followed"]
+__all__ = [
+    "DOMINANT",
+    "Case",
+    "Finding",
+    "Follows",
+    "Structure",
+    "ask",
+    "followed",
+    "misread",
+]
 
-CERTAIN = 30.0  # log-likelihood ratio that the best of all faults hardly reaches by chance
-MATTERS = 0.1  # share of the squares beyond the noise that a fault must explain
 NEAR = 0.6  # share of what the best fault explains, from which another is told too
 BESIDE = 0.3  # share of what the best leaves, that one beside it must explain
 ALIKE = 0.97  # of two that explain this nearly alike, the plainer comes first
 TRIED = 8  # faults that are simulated at the size that the slopes tell
 REFINED = 6  # of these, the size is sought further
 HALVINGS = 5  # of the steps in which it is
-QUIET = 1.3  # mean square of residuals, in those of noise, up to which only slopes are asked
 OF_A_KIND = 2  # findings of one kind that are told
 MOST = 4  # findings told of a cylinder
-DOMINANT = 0.5  # share of the residuals' squares from which a cause speaks against the model
 
 Point = tuple[Hypothesis, float]  # a fault and its size δ
 Best = tuple[float, float, list[np.ndarray]]  # a size, sum of squares, what is left of each case
@@ -264,13 +270,7 @@ class _Search:
         return now
 
     def _counts(self, gain: float, of: float) -> bool:
-        """Whether so much less in a sum of squares is more than chance, by the noise and by what is
-        left, and more than a trifle of what exceeds the noise.
-        """
-        if gain < MATTERS * (of - self.noise):
-            return False
-        ratio = self.count * math.log(of / max(of - gain, 1.0e-12 * of))
-        return min(0.5 * gain, ratio) > CERTAIN
+        return counts(gain, of, self.noise, self.count)
 
     def _additional(
         self,

@@ -24,6 +24,10 @@ from ehbench.preprocessing.sensors import Term, corrected, sensed
 from ehbench.signals.series import correlation_time, rms
 from ehbench.vocabulary.quantities import GAUGES
 
+CERTAIN = 30.0  # log-likelihood ratio that the best of all faults hardly reaches by chance
+MATTERS = 0.1  # share of the squares beyond the noise that a fault must explain
+QUIET = 1.3  # mean square of residuals, in those of noise, up to which hardly anything is left
+DOMINANT = 0.5  # share of the residuals' squares from which a cause speaks against the model
 BLOCK = 0.005  # [s]: residuals are averaged over it
 FINE = 0.005  # share of a channel's spread below which an error does not matter, whatever the noise
 
@@ -195,3 +199,19 @@ def _slight(channel: str, values: np.ndarray) -> float:
 def total(parts: Sequence[np.ndarray]) -> float:
     """Sum of squares."""
     return float(sum(float(part @ part) for part in parts))
+
+
+def counts(gain: float, of: float, noise: float, independent: float) -> bool:
+    """Whether so much less in a sum of squares ``of`` is more than chance, by the noise and by what
+    is left, and more than a trifle of what exceeds the noise.
+
+    Args:
+        gain: by how much the sum is less.
+        of: the sum.
+        noise: what noise alone makes of it.
+        independent: numbers that the residuals are worth.
+    """
+    if gain < MATTERS * (of - noise):
+        return False
+    ratio = independent * math.log(of / max(of - gain, 1.0e-12 * of))
+    return min(0.5 * gain, ratio) > CERTAIN

@@ -4,7 +4,7 @@ is doubtful."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from ehbench.config.recipe.sensor import reading_row
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
+from ehbench.diagnosis import Case, misread
 from ehbench.identification.fixed_numbers import counts_on
 from ehbench.identification.frequency_domain import ResponseFit, followed, late_responses
 from ehbench.identification.groups import Group
@@ -296,6 +297,14 @@ def not_excited(c: Coordinate, samples: int) -> FittedParameter:
     )
 
 
+def _misread(simulator: Simulator, values: Sequence[float]) -> Iterator[Message]:
+    """Notes on logs that were recorded otherwise than they are said to be."""
+    models, maps = simulator.models(values), simulator.maps
+    for log in simulator.logs:
+        facts = log.name, log.record, models[log.payload], log.commanded, maps
+        yield from misread(Case(*facts, terms=log.start.terms))
+
+
 def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     """The result: the rig with its new values, and how each log fits at them.
 
@@ -308,7 +317,7 @@ def finish(simulator: Simulator, result: Estimate) -> HydraulicsFit:
     shifts = simulator.unshifted() if result.shifts is None else result.shifts
     values = [*(item.value for item in result.fitted), *result.shared]
     starts, replays = simulator.replay(values, shifts)
-    warnings += simulator.short_steps(values, shifts)
+    warnings += [*simulator.short_steps(values, shifts), *_misread(simulator, values)]
     moving: dict[str, list[Record]] = {}
     for k, (log, replayed) in enumerate(zip(simulator.logs, replays, strict=True)):
         simulated = channels_of(log, replayed)

@@ -93,11 +93,15 @@ def remedy_step(remedy: str) -> Message:
         return message("steps.sense", line=sensed[1].replace(", ", "\n"))
     if written := re.match(r'(\w+ = "[^"]+") (.+)', remedy):
         return message("steps.write", line=written[1], where=written[2])
+    if exchanged := re.match(r"exchange (\S+ and \S+) in the map of columns", remedy):
+        return message("steps.exchange", channels=exchanged[1])
     return message("steps.remedy", remedy=remedy)
 
 
 def written_step(fields: Mapping[str, Any]) -> Message:
-    """The step of a note that gives a line, and where to write it."""
+    """The step of a note that gives a line and where to write it, or a remedy."""
+    if "remedy" in fields:
+        return remedy_step(fields["remedy"])
     return message("steps.write", line=fields["line"], where=fields["where"])
 
 

@@ -118,14 +118,13 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         return [Validation, {"accepted": bool}]
 
     def work(self, prepared: PreparedJudgement, folder: Path, progress: Progress | None) -> Work:
-        from ehbench.validation import run_validation
+        from ehbench.validation import run_validation, speaking_against
 
         state, recipe, validation = prepared.state, prepared.recipe, prepared.validation
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
-            sensitivities = rundir.read_json(intervals).get("leans", [])
-            validation = replace(validation, leans=tuple(sensitivities))
+            validation = replace(validation, leans=speaking_against(rundir.read_json(intervals)))
         verdict = run_validation(validation, recipe.thresholds, progress, diagnose=recipe.structure)
         write_rig(folder, state.rig, state.flow_maps)
         others = [item.as_json() for item in recipe.reference]

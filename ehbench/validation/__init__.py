@@ -21,6 +21,7 @@ from ehbench.validation.results import (
     Transient,
     Validation,
     read_validation,
+    speaking_against,
 )
 
 __all__ = [
@@ -39,5 +40,6 @@ __all__ = [
     "prepare_validation",
     "read_validation",
     "run_validation",
+    "speaking_against",
     "validate_rig",
 ]

@@ -17,7 +17,7 @@ from ehbench.config.recipe import Thresholds
 from ehbench.config.recipe.sensor import Sensor
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.diagnosis import Case, ask
+from ehbench.diagnosis import Case, ask, misread
 from ehbench.plant.build import Maps
 from ehbench.plant.foreign import model_of
 from ehbench.plant.model import Model
@@ -96,7 +96,7 @@ def validate_rig(
         flow_maps: measured maps by edge name.
         fitted_on: names of those logs that the model was fitted to.
         progress: called with (log, share done).
-        leans: what the fit of the rig is sensitive to: ``fit.as_json()["leans"]``.
+        leans: what the fit of the rig found: ``speaking_against(fit.as_json())``.
 
     Raises:
         InputError: a payload or channel that the rig does not have, no logs, or one that
@@ -233,7 +233,9 @@ def run_validation(
     if diagnose:
         if progress is not None:
             progress("diagnosing the residuals", 1.0)
-        verdict = verdict.with_structure(ask(prepared.cases(results)))
+        cases = prepared.cases(results)
+        verdict = verdict.with_structure(ask(cases))
+        against += [note for case in cases for note in misread(case)]
     return verdict.weighed(against, [False] * len(against))
 
 

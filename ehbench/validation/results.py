@@ -253,9 +253,9 @@ class Validation:
         return replace(self, structure=structure).weighed(texts, reject)
 
     def with_fit(self, leans: Sequence[Mapping[str, Any]]) -> Validation:
-        """With the fixed numbers to which the fit of the rig is sensitive, as ``leans`` of its
-        ``parameters.json``: each is a reservation, and a reason to reject the model where it makes
-        most of what the fit leaves, as an estimate then leaves its interval.
+        """With what the fit of the rig found: fixed numbers to which it is sensitive, and logs that
+        were not recorded as they are said to be. Each is a reservation, and a reason to reject the
+        model where it makes most of what the fit leaves, as an estimate then leaves its interval.
         """
         reject = [item["explains"] > DOMINANT for item in leans]
         return self.weighed([item["sentence"] for item in leans], reject)
@@ -287,6 +287,18 @@ class Validation:
             for log in self.logs
             if log.series
         }
+
+
+def speaking_against(fit: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
+    """What an identification found that speaks against its numbers, as `Validation.with_fit` takes
+    it.
+
+    Args:
+        fit: ``fit.as_json()``, or its ``parameters.json``.
+    """
+    notes = [note for note in fit.get("warnings", ()) if "cause" in getattr(note, "fields", {})]
+    of_logs = ({"sentence": note, "explains": note.fields.get("share", 0.0)} for note in notes)
+    return (*fit.get("leans", ()), *of_logs)
 
 
 def read_validation(path: Path) -> Validation:

@@ -239,7 +239,7 @@ def findings(run: Saved) -> Findings:
     residual = str(fit.get("left_over") or "").partition(":")[0]  # its meaning is in the chapter
     # a doubtful one is explained by the number that it is sensitive to
     weak = [item for item in parameters if item["status"] not in ("estimated", DOUBTFUL)]
-    written = [note for note in fit.get("warnings", []) if "where" in getattr(note, "fields", {})]
+    written = [note for note in fit.get("warnings", []) if "cause" in getattr(note, "fields", {})]
     against = [*written, *(item["sentence"] for item in sensitive)] + [residual] * bool(residual)
     against += [page.text("weak", item=item) for item in weak]
     steps = [message(item["key"], **item["fields"]) for item in fit.get("advice", [])]

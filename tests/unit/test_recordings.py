@@ -1,0 +1,79 @@
+"""A log that was recorded otherwise than it is said to be: the note says how, and a sound one has
+none."""
+
+from dataclasses import replace
+
+import pytest
+
+from ehbench.diagnosis import Case, misread
+from ehbench.plant.model import Model
+from ehbench.preprocessing.observations import commanded
+from ehbench.validation import speaking_against, validate_rig
+from tests.shared import identify, shipped
+from tools.virtual_logs import virtual_log
+
+CRANE = "crane_proportional"
+MISREAD = "diagnosis.misread"
+
+
+def recorded(name, seed=3, payload=None, wave="quick steps", duration=2.0):
+    """A log of a shipped rig that carries a payload and says so."""
+    rig = shipped(name)
+    log = virtual_log(name, rig.with_payload(payload), wave, seed, duration=duration)
+    return replace(log, meta=dict(log.meta) | {"payload": payload or "none"})
+
+
+def said(log, payload):
+    return replace(log, meta=dict(log.meta) | {"payload": payload})
+
+
+def exchanged(log, first, second):
+    return replace(log, channels=log.channels | {first: log[second], second: log[first]})
+
+
+def notes(name, log):
+    payload = log.meta["payload"]
+    model = Model.of(shipped(name), payload=None if payload == "none" else payload)
+    return list(misread(Case("log", log, model, commanded(model, log))))
+
+
+@pytest.mark.parametrize(("name", "load"), [(CRANE, "200 kg"), ("slide_servo", "100 kg")])
+def test_a_payload_that_a_log_does_not_name_is_named(name, load):
+    for carried, written in ((load, "none"), (None, load)):
+        log = recorded(name, payload=carried)
+        assert notes(name, log) == []
+        (note,) = notes(name, said(log, written))
+        assert note.fields["share"] > 0.9
+        assert note.fields["remedy"].startswith(f'payload = "{carried or "none"}"')
+
+
+@pytest.mark.parametrize(
+    ("name", "pair"),
+    [
+        (CRANE, ("lift.p_head", "lift.p_rod")),
+        ("boom_four_valve", ("boom.sh.command", "boom.sr.command")),
+    ],
+)
+def test_channels_in_each_others_place_are_named(name, pair):
+    log = recorded(name)
+    assert notes(name, log) == []
+    (note,) = notes(name, exchanged(log, *pair))
+    assert note.fields["share"] > 0.6
+    assert note.fields["remedy"].fields.items() >= dict(zip(("first", "second"), pair)).items()
+
+
+def test_what_a_fit_finds_of_its_logs_weighs_on_the_verdict():
+    """The log that judges is sound; one of those that were fitted carried more than it says."""
+    rig = shipped("slide_servo")
+    first, loaded = recorded("slide_servo", 4), recorded("slide_servo", 5, "100 kg")
+    verdicts = {}
+    for written in ("100 kg", "none"):
+        fit = identify(rig, [("a", first), ("b", said(loaded, written))], ["bulk_modulus"])
+        against = speaking_against(fit.as_json())
+        verdict = validate_rig(fit.rig, [("c", recorded("slide_servo", 6))], leans=against)
+        verdicts[written] = verdict.verdict
+        named = [item for item in against if getattr(item["sentence"], "key", "") == MISREAD]
+        assert [item["sentence"].fields["remedy"].fields["log"] for item in named] == (
+            ["b"] if written == "none" else []
+        )
+    assert verdicts == {"100 kg": "accepted", "none": "rejected"}
