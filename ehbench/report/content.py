@@ -86,7 +86,9 @@ def names(run: Saved) -> dict[str, str]:
 
 
 def remedy_step(remedy: str) -> Message:
-    """The step that a remedy asks for, with the line to paste where it names one."""
+    """The step that a remedy asks for, with the lines to paste where it names some."""
+    if block := getattr(remedy, "fields", {}).get("block"):
+        return message("steps.rig", line=block)
     if freed := re.match(r'add ("[^\[\]]+") to parameters', remedy):
         return message("steps.free", line=freed[1])
     if sensed := re.match(r"add \[\[sensor\]\] (.+?)( to the recipe|$)", remedy):

@@ -298,7 +298,7 @@ def speaking_against(fit: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
     """
     notes = [note for note in fit.get("warnings", ()) if "cause" in getattr(note, "fields", {})]
     of_logs = ({"sentence": note, "explains": note.fields.get("share", 0.0)} for note in notes)
-    return (*fit.get("leans", ()), *of_logs)
+    return (*of_logs, *fit.get("leans", ()))
 
 
 def read_validation(path: Path) -> Validation:

@@ -246,8 +246,9 @@ class Hypothesis:
         if self.kind == "late command":
             return message("faults.written_late", **fields)
         if self.edits and len(self.readings) != 1:
-            lines = "; ".join(self.rig_lines(rig)).replace("# in ", "")
-            return message("faults.add_lines", lines=lines.replace("\n", " "))
+            block = self.rig_lines(rig)
+            lines = "; ".join(block).replace("# in ", "").replace("\n", " ")
+            return message("faults.add_lines", lines=lines, block="\n".join(block))
         if self.edits or not self.numbers:
             key = "turn_sensor" if self.kind.endswith("sign") else "free_sensor"
             return message(f"faults.{key}", **fields)

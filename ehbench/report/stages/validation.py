@@ -117,6 +117,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     checks = [bool(check["passed"]) for log in logs for check in log.get("checks", [])]
     fields: dict[str, Any] = {"checks": len(checks), "failed": checks.count(False)}
     fields["doubt"] = next(iter(doubts(table)), {})
+    fields["reservation"] = next(iter(table.get("reservations", [])), "")
     sentence = page.text("sentence", status=status, logs=logs, fits=fits, **fields)
     return SectionContent(status, sentence, parts)
 
@@ -240,12 +241,12 @@ def held_out(table: Table) -> list[Table]:
 
 def doubts(table: Table) -> list[Mapping[str, Any]]:
     """The fields of what speaks against a model and can be put right: what is odd about its logs,
-    then what explains more of a residual before what explains less.
+    then what explains a tenth more of a residual before what explains less.
     """
     against = [*table["reasons"], *table.get("reservations", [])]
     every = [getattr(item, "fields", {}) for item in against]
     every = [fields for fields in every if fields.keys() & {"remedy", "where"}]
-    return sorted(every, key=lambda fields: -fields.get("share", math.inf))
+    return sorted(every, key=lambda fields: -round(fields.get("share", math.inf), 1))
 
 
 def left_over(table: Table) -> list[str]:
