@@ -36,7 +36,8 @@ FINE = 0.005  # share of a channel's spread below which an error does not matter
 class Case:
     """A log and the model, with the log's payload, that is to follow it; ``cylinders`` are those
     that are commanded, ``scored`` the part [s] that counts, None for all of it, ``terms`` and
-    ``bias`` what its sensors are known to make of it.
+    ``bias`` what its sensors are known to make of it. Where not ``refined`` it starts from what its
+    standstill shows.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Case:
     scored: tuple[float, float] | None = None
     terms: tuple[Term, ...] = ()
     bias: Mapping[str, float] = field(default_factory=dict)
+    refined: bool = True
 
     def simulated(self, fault: Hypothesis | None = None, delta: float = 0.0) -> Record:
         """What the model does on the record from the estimated initial state, as its sensors show
@@ -89,6 +91,8 @@ class Case:
         """The initial state from which the model follows the log best: the mean of a standstill is
         not the state of a chamber that leaks.
         """
+        if not self.refined:
+            return np.zeros(len(self._start.uncertain))
         return best_shifts(self.model, self._start, self._of_cylinders)
 
     @cached_property

@@ -26,6 +26,7 @@ def misread(case: Case) -> Iterator[Message]:
     """
     if case.model.rig.model is not None or not case.channels:
         return
+    case = replace(case, refined=False)
     left = case.left(case.simulated())
     now, noise = total([left]), case.noise_squares
     if now < QUIET * left.size:
