@@ -477,6 +477,7 @@ def _sentence(fit: Problem, row: Hypothesis, item: Lean) -> Message:
         "halves": maximum.halves,
         "remedy": item.remedy,
         "share": item.explains,
+        "known": row.certainty > 0,
     }
     if item.name in row.parameters:
         fields["value"] = rig.shown(item.name, item.there, 4)

@@ -14,6 +14,7 @@ from ehbench.identification.descent import carried
 from ehbench.identification.hydraulics import identify_hydraulics
 from ehbench.identification.problem import Mesh, Point, State
 from ehbench.identification.simulator import Effort
+from ehbench.report.terminal import answer
 from tools.studies.held_study import FATIGUE, fitted, held_wrong, log_of, off_by, rig_of
 from tools.virtual_logs import clean_log, noisy, virtual_log
 
@@ -175,3 +176,11 @@ def test_derivatives_that_are_carried_explain_the_last_step():
     after = carried(there, here).here.columns
     assert after[0, 0] == pytest.approx(np.array([[3.0], [1.0]]))
     assert after[1, 0] == pytest.approx(slopes[1, 0])
+
+
+def test_what_the_machine_lacks_is_tried_before_a_datasheet_is_doubted(slide_runs):
+    """The virtual bench has the bore of the rig file, and much that the model lacks."""
+    (folder,) = slide_runs.glob("hydraulics_*")
+    first, second = answer(folder).steps[:2]
+    assert first.key == "steps.suggest_first" and first.fields["number"] == "press.bore"
+    assert second.key == "steps.free" and second.fields["line"] == '"press.bore"'

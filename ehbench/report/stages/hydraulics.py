@@ -244,7 +244,11 @@ def findings(run: Saved) -> Findings:
     against += [page.text("weak", item=item) for item in weak]
     steps = [message(item["key"], **item["fields"]) for item in fit.get("advice", [])]
     steps += [written_step(note.fields) for note in written]
-    steps += [remedy_step(item["remedy"]) for item in sensitive]
+    for item in sensitive:  # what somebody measured seldom is what is wrong
+        if residual and getattr(item["sentence"], "fields", {}).get("known"):
+            steps.append(message("steps.suggest_first", **names(run), number=item["name"]))
+            residual = ""
+        steps.append(remedy_step(item["remedy"]))
     steps += [message("steps.suggest", **names(run))] * bool(residual)
     first = {item["status"]: item["name"] for item in reversed(weak)}
     for status, parameter in first.items():
