@@ -14,7 +14,6 @@ from ehbench.parts.oil import OIL_COLUMNS, bulk_of
 from ehbench.physics.cylinder import (
     CAVITATION_BAND,
     chamber_rate,
-    chamber_volume,
     joint_angle,
     joint_range,
     linkage,
@@ -24,6 +23,9 @@ from ehbench.physics.cylinder import (
 from ehbench.runtime.compiled import part_kernel, record
 
 RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
+# share of a chamber's dead volume that is left at the least: far outside of the stroke, where it
+# keeps the chamber's rate finite
+VOLUME_MARGIN = 0.02
 
 # A cylinder. The number of the ``joint`` it drives; how it sits there, `ehbench.physics.cylinder`:
 # ``geometry`` DIRECT, PINS or RACK, ``l_a, l_b, retracted_length`` [m], ``side`` ±1,
@@ -80,10 +82,7 @@ def joint_range_of(row: Any) -> tuple[float, float]:
     return _range(*(row[name].item() for name in (*PINS_OF, "stroke")))
 
 
-@lru_cache(256)
-def _range(*pins: Any) -> tuple[float, float]:
-    """`joint_range` of a cylinder that is asked again and again."""
-    return joint_range(*pins)
+_range = lru_cache(256)(joint_range)  # of a cylinder that is asked again and again
 
 
 @part_kernel
@@ -112,7 +111,7 @@ def chamber_of(row, side):
 def chamber_oil(row, side, x):
     """Oil volume [m³] of a chamber at stroke x [m]."""
     _, area, dead, _ = chamber_of(row, side)
-    return chamber_volume(dead, area * x)
+    return max(dead + area * x, VOLUME_MARGIN * dead)
 
 
 @part_kernel

@@ -9,11 +9,9 @@ from typing import Annotated, Literal
 from pydantic import model_validator
 
 from ehbench.parts.fault import Fault
-from ehbench.parts.valve.law import DynamicsTable, ValveElement
+from ehbench.parts.valve.law import SETTLED, DynamicsTable, ValveElement
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value, scalars
-
-SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
 
 
 class FirstOrder(DynamicsTable):
