@@ -11,7 +11,7 @@ recipe that makes it; in the last case that recipe is run first, unless its run 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from ehbench.config.recipe import Recipe, TrialRecipe, kind_of, load_recipe, loa
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Certificates, Workers
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
-from ehbench.stages.campaign import write_report
+from ehbench.stages.campaign import write_report as report
 from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
 from ehbench.stages.notes import Notes
@@ -278,8 +278,3 @@ def expect_stage(path: Path | str, *commands: str) -> Recipe:
         text = message("stages.other_stage", stage=recipe.stage_name)
         raise InputError(text, file=path, hint=hint)
     return recipe
-
-
-def report(folders: Sequence[Path], session: Session) -> Outcome:
-    """Run folders → one self-contained ``report.html``; reads saved files only."""
-    return write_report(folders, session)

@@ -277,9 +277,8 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
     assert "-0" not in {row["driver_command [V]"] for row in rows}
     told = {plain["sign"]: plain for plain in summary(fits, rig)}
     assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.map.valve
-    grid = list(
-        csv.DictReader(table(collect([one.map for one in fits]), signs=signs(fits)).splitlines())
-    )
+    text = table(collect([one.map for one in fits]), signs(fits), "L/min", "bar")
+    grid = list(csv.DictReader(text.splitlines()))
     sent = [float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.map.valve]
     assert min(sent) == -10.0 and max(sent) == 0.0
     path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")

@@ -84,7 +84,7 @@ def test_a_played_force_acts_sample_by_sample_and_comes_back_from_its_log():
     command[-1] = 500.0
     derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
     assert dy[model.layout.state("qd")] == pytest.approx(500.0 / 250.0, rel=1e-9)
-    again = model.replay(record, rest=100)
+    again = model.replay(record, start=model.rest_start(record, 100))
     assert np.allclose(again["press.v"], record["press.v"], atol=1e-9)
     lost = type(record)(record.t, {k: v for k, v in record.channels.items() if k != "press.force"})
     with pytest.raises(LogError, match=r"press\.force"):

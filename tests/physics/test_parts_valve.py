@@ -121,7 +121,7 @@ def test_ticks_and_replays_say_the_same(series):
     for i in range(200):
         assert (machine.state == log[i, : machine.state.size]).all(), i
         machine.tick(table[i])
-    again = model.replay(record, rest=10)
+    again = model.replay(record, start=model.rest_start(record, 10))
     for name in ("press.x", "press.p_head", "press.servo.opening"):
         gap = np.abs(again[name] - record[name])
         assert gap.max() < 1e-6 * np.ptp(record[name]), name

@@ -117,12 +117,12 @@ def test_flow_rises_with_the_command_and_may_fall_with_the_drop():
 def test_outliers_are_named_by_line_and_do_not_move_the_map(law):
     data = readings(law, 5)
     bad = np.array([100, 250, 400, 401, 555])
-    clean = fit(data, rated_flow=8 * GPM)
+    clean = fit(data)
     data["flow"] = data["flow"].copy()
     data["flow"][bad] *= [3.0, 0.3, 1.4, 1.4, 0.0]
     data["flow"][bad[0]] += 0.5 * GPM
     lines = np.arange(data["flow"].size) + 11
-    found = fit(data, rated_flow=8 * GPM, file="hect.csv", line=lines)
+    found = fit(data, file="hect.csv", line=lines)
     assert [one.line for one in found.outliers] == (bad + 11).tolist()
     assert found.warnings[0].key == "flow_maps.outliers" and "hect.csv:111" in found.warnings[0]
     assert len(found.map.outliers) == 5 and found.map.samples == lines.size - 5
