@@ -93,7 +93,10 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         points = [(float(p.command), float(p.flow), p.tolerance) for p in recipe.calibration]
         options = FlowMapOptions(calibration=points)
         options = replace(options, reference_drop=None if drop is None else float(drop))
-        for edge in prepared.readings.edges:
+        edges = prepared.readings.edges
+        for index, edge in enumerate(edges):
+            if progress is not None:
+                progress(f"{edge.edge} {edge.side}", index / len(edges))
             more = {"meter_limit": float(recipe.meter_limit)}
             if recipe.method == "steps":
                 pressure, volts = recipe.pressure_error, recipe.command_error
@@ -110,9 +113,8 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
                 )
                 command = ERRORS.command * valve.largest if volts is None else float(volts)
                 more = {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
-            part, given = replace(prepared.readings, edges=(edge,)), replace(options, **more)
             try:
-                fits += readings.run_readings(part, given, progress)
+                fits.append(readings.fit_edge(rig, edge, replace(options, **more)))
             except InsufficientData as error:
                 errors[f"{edge.edge} {edge.side}"] = error
         without: list[str] = [

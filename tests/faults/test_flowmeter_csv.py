@@ -14,9 +14,9 @@ from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps.readings import FlowMapOptions
 from ehbench.flow_maps.tables import (
     PreparedReadings,
+    fit_edge,
     points_table,
     prepare_readings,
-    run_readings,
     signs,
     summary,
 )
@@ -193,7 +193,8 @@ def servo_rows(direction: str, sign: int, seed: int = 1, scale: float = 1.0) -> 
 
 
 def fitted(rig: Rig, parts, **options):
-    return run_readings(prepare_readings(rig, parts), FlowMapOptions(**options))
+    edges = prepare_readings(rig, parts).edges
+    return [fit_edge(rig, edge, FlowMapOptions(**options)) for edge in edges]
 
 
 def fit_rows(write, rows: list[str], rig: Rig | None = None):
