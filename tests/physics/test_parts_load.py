@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from closed_loop import axis_of, gains_of, run_model
-from with_parts import books, moved, point_of, recovered, ringing, slide, swing
+from with_parts import books, moved, point_of, recovered, ringing, swing
 
 from ehbench.config.rig import Force, Rig
 from ehbench.control.functions import pack_rules
@@ -16,7 +16,7 @@ from ehbench.machines.virtual import VirtualMachine
 from ehbench.plant.derivatives import derivatives
 from ehbench.plant.model import Model, simulate
 from ehbench.vocabulary.errors import InputError, LogError
-from tests.shared import shipped
+from tests.shared import shipped, slide
 
 CONSTANT = {"kind": "constant", "force": "4 kN"}
 DIRECTION = {"kind": "by_direction", "force_extending": "-900 N", "force_retracting": "500 N"}
@@ -30,8 +30,7 @@ AGAINST = {
 
 def pushed(*forces: dict) -> Rig:
     """The sliding mass with forces on its rod."""
-    named = [{"name": f"f{i}", **force} for i, force in enumerate(forces)]
-    return slide(force=tuple(Force.model_validate(force) for force in named))
+    return slide(force=[{"name": f"f{i}", **force} for i, force in enumerate(forces)])
 
 
 def carried(model: Model, y: np.ndarray) -> float:

@@ -38,12 +38,9 @@ AMPLIFIER = 2 * math.pi * 60.0
 
 def rig_with(*series: str, **more) -> Rig:
     """The sliding mass with elements in series in its valve."""
-    plain = shipped("slide_servo").as_toml()
-    (cylinder,) = plain["cylinder"]
-    (valve,) = cylinder["valve"]
-    plain["dynamics"] = KINDS | more
-    changed = [valve | {"dynamics": list(series)}]
-    return Rig.model_validate(plain | {"cylinder": [cylinder | {"valve": changed}]})
+    plain = shipped("slide_servo").as_toml() | {"dynamics": KINDS | more}
+    plain["cylinder"][0]["valve"][0]["dynamics"] = list(series)
+    return Rig.model_validate(plain)
 
 
 def step_of(rig: Rig, volts: float = 1.0, samples: int = 101) -> Record:
@@ -244,13 +241,9 @@ def test_a_slip_is_one_sentence_with_its_line(tmp_path, old, new, words):
     assert new.splitlines()[0] in path.read_text().splitlines()[caught.value.line - 1]
 
 
-def test_a_rig_with_a_series_is_written_and_read_again(tmp_path):
-    import tomli_w
-
+def test_a_rig_with_a_series_is_written_and_read_again():
     rig = rig_with("amplifier", "spool")
-    path = tmp_path / "rig.toml"
-    path.write_text(tomli_w.dumps(rig.as_toml()))
-    assert load_rig(path) == rig
+    assert Rig.model_validate(rig.as_toml()) == rig
     valve = rig.cylinder[0].valve[0]
     assert valve.with_dynamics(["spool"], "quick").series == ("amplifier", "quick")
 
@@ -285,7 +278,7 @@ def test_a_drive_gives_no_more_than_its_limit():
     assert late.size > 1  # it opens no faster than a step to its limit does
 
 
-def test_a_design_and_the_rig_file_know_the_drives_limit(tmp_path):
+def test_a_design_and_the_rig_file_know_the_drives_limit():
     """Full speed is that of the limit: with 4 V of 10, that of a driver that takes 4 V."""
     speeds = []
     for rig in (with_limit("4 V"), rig_with("spool")):
@@ -293,13 +286,10 @@ def test_a_design_and_the_rig_file_know_the_drives_limit(tmp_path):
         assert point.possible
         speeds.append(point.v)
     assert speeds[0] < 0.7 * speeds[1]
-    import tomli_w
-
     rig = with_limit("4 V", "pump_cylinder")
     assert float(rig.parameters()["lift.drive.drive_limit"]) == 4.0
     less = rig.with_values({"lift.drive.drive_limit": 3.0})
     valve = Model.of(less).plant.valves[0]
     assert (valve.lowest, valve.highest) == (-3.0, 3.0) == less.cylinder[0].valve[0].given
-    (tmp_path / "rig.toml").write_text(tomli_w.dumps(less.as_toml()))
-    assert load_rig(tmp_path / "rig.toml").cylinder[0].valve[0].given == (-3.0, 3.0)
+    assert Rig.model_validate(less.as_toml()).cylinder[0].valve[0].given == (-3.0, 3.0)
     assert "lift.drive.drive_limit" not in shipped("pump_cylinder").parameters()
