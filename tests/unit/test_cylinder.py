@@ -1,4 +1,4 @@
-"""Cylinder geometry, chambers, end stops and friction against closed forms."""
+"""Cylinder geometry, chambers and end stops against closed forms."""
 
 import math
 from typing import NamedTuple
@@ -14,9 +14,8 @@ from ehbench.parts.cylinder import (
     chamber_pressure_rate,
 )
 from ehbench.parts.end_stop import STOP_DISSIPATION, stop_force
-from ehbench.parts.friction import coulomb_viscous
 from ehbench.parts.nodes import NODE
-from ehbench.physics import cylinder, friction
+from ehbench.physics import cylinder
 from ehbench.runtime.compiled import table, table_of
 from ehbench.vocabulary.errors import InputError
 
@@ -261,35 +260,3 @@ def test_bounce_loses_what_the_dissipation_says():
     assert path[-1, 0] > 0
     # the next term of the series is of order (d v)² = 2.5e-3
     assert path[-1, 1] / -v0 == pytest.approx(1 - 2 / 3 * d * -v0, abs=2.5e-3)
-
-
-PLAIN = row(friction_viscous=800.0, friction_coulomb=150.0)
-LAWS = {
-    "coulomb_viscous": lambda v: coulomb_viscous.steady(PLAIN, v),
-    "stribeck": lambda v: friction.stribeck(v, 800.0, 150.0, 260.0, 0.02, 2e-3),
-}
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_friction_is_odd_and_dissipates(law):
-    for v in np.concatenate((np.geomspace(1e-9, 1e3, 60), [0.0])):
-        assert law(-v) == -law(v)
-        assert v * law(v) >= 0
-    assert law(0.0) == 0.0
-
-
-def test_friction_limits():
-    stribeck, plain = LAWS["stribeck"], LAWS["coulomb_viscous"]
-    assert plain(1.0) == pytest.approx(950.0, rel=1e-14)
-    assert stribeck(1.0) == pytest.approx(950.0, rel=1e-14)
-    assert plain(1e-9) == pytest.approx((800.0 + 150.0 / 2e-3) * 1e-9, rel=1e-9)
-    speeds = np.linspace(0.0, 0.1, 1001)
-    curve = np.array([stribeck(v) for v in speeds])
-    peak = curve.argmax() if curve.argmax() < 400 else curve[:400].argmax()
-    # the smoothing takes a few per cent off the peak; beyond it the curve falls before viscosity
-    # takes over
-    assert 0.9 * 260 < curve[peak] < 260 + 800 * speeds[peak]
-    assert curve[speeds > speeds[peak]].min() < curve[peak] - 50
-    assert friction.stribeck(0.05, 800.0, 150.0, 150.0, 0.02, 2e-3) == pytest.approx(
-        plain(0.05), rel=1e-14
-    )
