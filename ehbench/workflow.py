@@ -178,12 +178,16 @@ def suggest(
     Raises:
         EhbenchError: as `run`, or a recipe of another kind.
     """
+    from ehbench.guidance import suggestions
     from ehbench.stages import hydraulics
 
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     recipe, session = hydraulics.expect_hydraulics(recipe), session or Session()
     prepared = hydraulics.HydraulicsStage().prepare(recipe, session.inputs(recipe))
-    result = hydraulics.suggested(prepared, session.progress_of(recipe.name), seconds)
+    assert prepared.fit is not None  # a run has all its logs
+    limit = suggestions.SECONDS if seconds is None else seconds
+    progress = session.progress_of(recipe.name)
+    result = suggestions.suggest(prepared.fit, prepared.logs.records, progress, limit)
     if session.out is not None:
         hydraulics.write_suggested(prepared, result, session.out)
     return result

@@ -140,17 +140,6 @@ def expect_hydraulics(recipe: Recipe) -> HydraulicsRecipe:
     return recipe
 
 
-def suggested(
-    prepared: PreparedHydraulics, progress: Progress | None, seconds: float | None
-) -> Suggestions:
-    """What would improve a recipe's fit."""
-    from ehbench.guidance.suggestions import SECONDS, suggest
-
-    assert prepared.fit is not None  # a run has all its logs
-    limit = SECONDS if seconds is None else seconds
-    return suggest(prepared.fit, prepared.logs.records, progress, limit)
-
-
 def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: Path) -> Path:
     """The first of some suggestions as files: ``rig.toml``, the recipe that fits it and
     ``suggestions.json``; returns the recipe's path.

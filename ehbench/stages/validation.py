@@ -124,8 +124,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
-            sensitivities = rundir.read_json(intervals).get("leans", [])
-            validation = replace(validation, leans=tuple(sensitivities))
+        validation = replace(validation, leans=tuple(state.saved("parameters").get("leans", [])))
         verdict = run_validation(validation, recipe.thresholds, progress, diagnose=recipe.structure)
         write_rig(folder, state.rig, state.flow_maps)
         others = [item.as_json() for item in recipe.reference]
