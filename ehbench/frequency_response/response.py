@@ -50,6 +50,13 @@ class Averaging(NamedTuple):
     coherence: float = 0.8
     frequency: float = math.inf
 
+    @classmethod
+    def of(cls, table: Any) -> Averaging:
+        """As a recipe's table has it."""
+        length = None if table.segment is None else float(table.segment)
+        highest = math.inf if table.frequency_max is None else float(table.frequency_max)
+        return cls(length, table.window, table.coherence_min, highest)
+
 
 @dataclass(frozen=True)
 class Signals:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -184,11 +183,8 @@ def _prepared_fit(
     from ehbench.frequency_response.response import Averaging
     from ehbench.identification.hydraulics import FitOptions, prepare_fit
 
-    response, given = None, recipe.response
-    if given is not None:
-        maximum = math.inf if given.frequency_max is None else float(given.frequency_max)
-        length = None if given.segment is None else float(given.segment)
-        response = given.input, Averaging(length, given.window, given.coherence_min, maximum)
+    given = recipe.response
+    response = None if given is None else (given.input, Averaging.of(given))
     options = FitOptions(
         method=recipe.method,
         start=recipe.start,

@@ -108,14 +108,10 @@ class NextTest:
         }
         if trial.payload:
             recipe["payload"] = trial.payload
+        units = {"amplitude": "V", "start": "s", "stop": "s"}
         recipe["command"] = [
-            {
-                "valve": entry["valve"],
-                "kind": entry["kind"],
-                "amplitude": f"{entry['amplitude']:g} V",
-                "start": f"{entry['start']:g} s",
-                "stop": f"{entry['stop']:g} s",
-            }
+            {"valve": entry["valve"], "kind": entry["kind"]}
+            | {key: f"{entry[key]:g} {unit}" for key, unit in units.items()}
             for entry in trial.commands
         ]
         path.parent.mkdir(parents=True, exist_ok=True)
