@@ -48,7 +48,7 @@ CYLINDER = record(
     ("mobility", "f8"),
     *((name, "i8") for name in ("node_head", "node_rod")),
     *((name, "i8") for name in ("friction", "friction_state", "friction_states")),
-    *FRICTION,
+    *((name, "f8") for name in FRICTION),
     *(("mount_state", "i8"), ("mount_stiffness", "f8"), ("mount_damping", "f8")),
     *(("sway_state", "i8"), ("sway_mass", "f8")),
     *(("sway_stiffness", "f8"), ("sway_damping", "f8")),

@@ -47,7 +47,7 @@ def fastest(row, v):
 LAW = FrictionLaw(
     name="coulomb_viscous",
     table=CoulombViscous,
-    columns=(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
+    columns=("friction_viscous", "friction_coulomb"),
     steady=steady,
     slope=slope,
     fastest=fastest,

@@ -49,10 +49,7 @@ def fastest(row, v):
 LAW = FrictionLaw(
     name="directional",
     table=Directional,
-    columns=(
-        *(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
-        ("friction_retracting", "f8"),
-    ),
+    columns=("friction_viscous", "friction_coulomb", "friction_retracting"),
     steady=steady,
     slope=slope,
     fastest=fastest,

@@ -98,7 +98,7 @@ def lag(element):
 LAW = ValveElement(
     name="first_order",
     table=FirstOrder,
-    columns=(("tau", "f8"),),
+    columns=("tau",),
     states=("opening",),
     rates=rates,
     settle=settle,

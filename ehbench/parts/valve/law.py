@@ -56,7 +56,7 @@ class ValveElement:
 
     name: str
     table: type[DynamicsTable]
-    columns: tuple[tuple[str, str], ...]
+    columns: tuple[str, ...]
     states: tuple[str, ...]
     rates: Callable
     settle: Callable

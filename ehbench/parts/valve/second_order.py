@@ -169,7 +169,7 @@ def lag(element):
 LAW = ValveElement(
     name="second_order",
     table=SecondOrder,
-    columns=(("stiffness", "f8"), ("damping", "f8")),
+    columns=("stiffness", "damping"),
     states=("opening", "rate"),
     rates=rates,
     settle=settle,
