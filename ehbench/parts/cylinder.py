@@ -10,14 +10,12 @@ import numpy as np
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.nodes import node_pressure
-from ehbench.parts.oil import OIL_COLUMNS, bulk_of
+from ehbench.parts.oil import OIL_COLUMNS
 from ehbench.physics.cylinder import (
     CAVITATION_BAND,
-    chamber_rate,
     joint_angle,
     joint_range,
     linkage,
-    makeup_flow,
     relief_flow,
 )
 from ehbench.runtime.compiled import part_kernel, record
@@ -159,18 +157,6 @@ def chamber_slope(row, pressure, inflow, slope):
 def leakage_slope(row, side):
     """Bound of the slope of leakages over both pressures [m³/(s·Pa)]."""
     return 2.0 * row.leakage_internal + chamber_of(row, side)[3]
-
-
-@part_kernel
-def chamber_pressure_rate(row, pressure, volume, inflow):
-    """Rate of pressure [Pa/s] of a chamber, held above its cavitation floor."""
-    return chamber_rate(inflow, pressure, volume, bulk_of(row, pressure), row.cavitation_pressure)
-
-
-@part_kernel
-def chamber_makeup(row, pressure, inflow):
-    """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber."""
-    return makeup_flow(inflow, pressure, row.cavitation_pressure)
 
 
 FAULTS = (

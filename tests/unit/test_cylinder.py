@@ -11,7 +11,6 @@ from ehbench.parts.cylinder import (
     VOLUME_MARGIN,
     chamber_inflow,
     chamber_oil,
-    chamber_pressure_rate,
 )
 from ehbench.parts.end_stop import STOP_DISSIPATION, stop_force
 from ehbench.parts.nodes import NODE
@@ -105,11 +104,11 @@ def rates(
     row.node_head, row.node_rod = 2, 3
     row.area_head, row.area_rod = areas
     row.leakage_internal, row.leakage_head, row.leakage_rod = leaks
-    row.bulk_modulus, row.relief_pressure, row.cavitation_pressure = BULK, math.inf, FLOOR
+    row.relief_pressure = math.inf
     found = []
     for side in range(2):
         inflow = chamber_inflow(row, side, v, into[side], np.array(p), Chambers(nodes))
-        found.append(chamber_pressure_rate(row, p[side], volumes[side], inflow))
+        found.append(cylinder.chamber_rate(inflow, p[side], volumes[side], BULK, FLOOR))
     return tuple(found)
 
 

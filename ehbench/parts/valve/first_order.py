@@ -34,7 +34,6 @@ class FirstOrder(DynamicsTable):
         return float(self.lag) if self.lag is not None else 1.0 / float(self.corner)  # type: ignore[arg-type]
 
     def row(self) -> dict[str, float]:
-        """As `DynamicsTable.row`."""
         return {"tau": self.time(), "fastest": 1.0 / self.time()}
 
     def period(self) -> float:

@@ -42,11 +42,9 @@ class SecondOrder(DynamicsTable):
         return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
 
     def row(self) -> dict[str, float]:
-        """As `DynamicsTable.row`."""
         return second_order(*self.frequency_and_damping())
 
     def period(self) -> float:
-        """As `DynamicsTable.period`."""
         return 2.0 * math.pi / self.frequency_and_damping()[0]
 
     def parameters(self) -> dict[str, Value]:
