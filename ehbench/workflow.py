@@ -11,7 +11,7 @@ recipe that makes it; in the last case that recipe is run first, unless its run 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from ehbench.config.recipe import Recipe, TrialRecipe, kind_of, load_recipe, loa
 from ehbench.runtime.blas import one_thread
 from ehbench.sampling.sample import Certificates, Workers
 from ehbench.stages.base import DONE, INCOMPLETE, REJECTED, STOPPED, Host, Outcome, Stage
-from ehbench.stages.campaign import write_report
+from ehbench.stages.campaign import write_report as report
 from ehbench.stages.dry_run import CircularRecipes
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig, maps_in
 from ehbench.stages.notes import Notes
@@ -178,12 +178,16 @@ def suggest(
     Raises:
         EhbenchError: as `run`, or a recipe of another kind.
     """
+    from ehbench.guidance import suggestions
     from ehbench.stages import hydraulics
 
     recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
     recipe, session = hydraulics.expect_hydraulics(recipe), session or Session()
     prepared = hydraulics.HydraulicsStage().prepare(recipe, session.inputs(recipe))
-    result = hydraulics.suggested(prepared, session.progress_of(recipe.name), seconds)
+    assert prepared.fit is not None  # a run has all its logs
+    limit = suggestions.SECONDS if seconds is None else seconds
+    progress = session.progress_of(recipe.name)
+    result = suggestions.suggest(prepared.fit, prepared.logs.records, progress, limit)
     if session.out is not None:
         hydraulics.write_suggested(prepared, result, session.out)
     return result
@@ -278,8 +282,3 @@ def expect_stage(path: Path | str, *commands: str) -> Recipe:
         text = message("stages.other_stage", stage=recipe.stage_name)
         raise InputError(text, file=path, hint=hint)
     return recipe
-
-
-def report(folders: Sequence[Path], session: Session) -> Outcome:
-    """Run folders → one self-contained ``report.html``; reads saved files only."""
-    return write_report(folders, session)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -28,6 +28,13 @@ RIGS = RECIPES / "rigs"
 def shipped(name: str) -> Rig:
     """The rig of a file of the repository."""
     return load_rig(RIGS / f"{name}.toml")
+
+
+def slide(**cylinder: Any) -> Rig:
+    """The shipped sliding mass, its cylinder with further keys and tables of a rig file."""
+    plain = shipped("slide_servo").as_toml()
+    (own,) = plain["cylinder"]
+    return Rig.model_validate(plain | {"cylinder": [own | cylinder]})
 
 
 def refused(key: str, kind: type[EhbenchError] = EhbenchError):
@@ -64,6 +71,13 @@ def identify(rig: Rig, logs, parameters, flow_maps=None, where=None, **options):
 
     places = {} if where is None else {"where": where}
     return identify_hydraulics(rig, logs, parameters, FitOptions(**options), flow_maps, **places)
+
+
+def started_off(rig: Rig, logs, factors: Mapping[str, float], **options):
+    """(fit of a rig's parameters that start so many times off, what they are)."""
+    truth = {name: float(rig.parameters()[name]) for name in factors}
+    start = {name: factor * truth[name] for name, factor in factors.items()}
+    return identify(rig, logs, list(factors), start=start, **options), truth
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -65,10 +65,9 @@ class FlowMapOptions:
 
     Args:
         meter_limit: [m³/s] a flowmeter reading below it only says that the flow lies below it.
-        rated_flow: [m³/s]; the largest fitted flow among the cells if not given.
         calibration: (command [V], flow [m³/s], tolerance as a share of the flow) to check.
-        reference_drop: [Pa] or a range, where the calibration is checked; the upper half of the
-            drops measured at the command if not given.
+        reference_drop: [Pa] where the calibration is checked; over the upper half of the drops
+            measured at the command if not given.
         drop_std: [Pa] standard error of every drop, which all readings share: of the zeros of the
             pressure sensors.
         command_std: [V] likewise of every command: half a hysteresis that readings on the way up
@@ -78,9 +77,8 @@ class FlowMapOptions:
     """
 
     meter_limit: float = 0.0
-    rated_flow: float | None = None
     calibration: Sequence[tuple[float, float, float]] = ()
-    reference_drop: float | tuple[float, float] | None = None
+    reference_drop: float | None = None
     drop_std: float = 0.0
     command_std: float = 0.0
     nominal_drop: float = 1e7
@@ -309,12 +307,12 @@ def sort_readings(
         options.drop_std / float(drop.max()),
         options.command_std,
     )
-    return _rated(readings, options.rated_flow)
+    return _rated(readings)
 
 
-def _rated(r: Readings, rated: float | None) -> Readings:
-    """Readings scaled by the rated flow; refuses too few, and flows that do not go with the
-    command."""
+def _rated(r: Readings) -> Readings:
+    """Readings scaled by the rated flow, the largest among the cells; refuses too few, and flows
+    that do not go with the command."""
     levels, drops = r.levels.size, r.places_read.size
     if levels < 4:
         raise InsufficientData(message("flow_maps.few_commands", map=r.who, count=levels))
@@ -323,7 +321,7 @@ def _rated(r: Readings, rated: float | None) -> Readings:
     largest = np.sort(medians(r.q, r.cell))
     while largest.size > 4 and largest[-1] > 4.0 * largest[-2] > 0.0:
         largest = largest[:-1]
-    rated = float(rated or largest[-1])
+    rated = float(largest[-1])
     if not rated > 0:
         raise InsufficientData(message("flow_maps.no_flow", map=r.who))
     r = replace(r, rated=rated, y=r.q / rated)

@@ -462,17 +462,14 @@ def check_calibration(
     command: float,
     target: float,
     tolerance: float,
-    reference: float | tuple[float, float] | None,
+    reference: float | None,
 ) -> Calibration:
-    """A calibration point against the map, over the reference drops."""
+    """A calibration point against the map, at the reference drop [Pa] or over the upper half."""
     low, high = (
         float(np.interp(command, result.hull_command, side))
         for side in (result.hull_low, result.hull_high)
     )
-    if reference is None:
-        low = 0.5 * (low + high)
-    else:
-        low, high = reference if isinstance(reference, tuple) else (reference, reference)
+    low, high = (0.5 * (low + high), high) if reference is None else (reference, reference)
     drops = np.linspace(low, high, 21)
     flows = result.flow(drops, command)
     flow, std = float(np.mean(flows)), float(np.mean(result.flow_std(drops, command)))

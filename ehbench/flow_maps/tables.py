@@ -15,7 +15,6 @@ from ehbench.flow_maps.readings import FlowMapOptions, Units
 from ehbench.flow_maps.results import FlowMapFit, fit_flow_map
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import Message, message
-from ehbench.vocabulary.progress import Progress
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.settings import setting
 from ehbench.vocabulary.units import from_si
@@ -55,7 +54,6 @@ class PreparedReadings:
     """Readings by the edge they belong to, with a message on what was left out of each file, and
     ``details`` of it."""
 
-    rig: Rig
     edges: tuple[EdgeReadings, ...]
     losses: tuple[str, ...] = ()
     details: tuple[str, ...] = ()
@@ -110,37 +108,31 @@ def prepare_readings(
             items.append(message("flow_maps.flow_and_supply", **fields))
         items += _warming(rows, show, rig.unit_of("temperature"))
         edges.append(EdgeReadings(name, side, sign, rows, tuple(items)))
-    return PreparedReadings(rig, tuple(edges), tuple(losses), tuple(details))
+    return PreparedReadings(tuple(edges), tuple(losses), tuple(details))
 
 
 def _units(rig: Rig, sign: int) -> Units:
     return Units(rig.unit_of("flow"), rig.unit_of("pressure_drop"), sign)
 
 
-def run_readings(
-    prepared: PreparedReadings,
+def fit_edge(
+    rig: Rig,
+    edge: EdgeReadings,
     options: FlowMapOptions = FlowMapOptions(),  # noqa: B008
-    progress: Progress | None = None,
-) -> list[FlowMapFit]:
-    """Fit a map to the readings of each edge.
+) -> FlowMapFit:
+    """The map of the readings of an edge.
 
     Args:
         options: the nominal drop and the units of messages are the rig's.
-        progress: called with what is fitted and the share done.
 
     Raises:
         InsufficientData: too few readings for a map.
     """
-    rig, fits = prepared.rig, []
-    nominal = float(rig.supply.pressure)
-    for index, edge in enumerate(prepared.edges):
-        if progress is not None:
-            progress(f"{edge.edge} {edge.side}", index / len(prepared.edges))
-        given = replace(options, nominal_drop=nominal, show=_units(rig, edge.sign))
-        fit = fit_flow_map(edge.edge, edge.side, edge.rows, given)
-        warnings = (*edge.notes, *_warm_flow(fit, edge.rows), *fit.warnings)
-        fits.append(replace(fit, warnings=warnings, rows=edge.rows, sign=edge.sign))
-    return fits
+    show = _units(rig, edge.sign)
+    given = replace(options, nominal_drop=float(rig.supply.pressure), show=show)
+    fit = fit_flow_map(edge.edge, edge.side, edge.rows, given)
+    warnings = (*edge.notes, *_warm_flow(fit, edge.rows), *fit.warnings)
+    return replace(fit, warnings=warnings, rows=edge.rows, sign=edge.sign)
 
 
 def _file_notes(part: FlowmeterData) -> Iterator[str]:

@@ -8,9 +8,8 @@ the output's power the share 1 − γ² is not explained by the input."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,6 +49,13 @@ class Averaging(NamedTuple):
     window: str = "hann"
     coherence: float = 0.8
     frequency: float = math.inf
+
+    @classmethod
+    def of(cls, table: Any) -> Averaging:
+        """As a recipe's table has it."""
+        length = None if table.segment is None else float(table.segment)
+        highest = math.inf if table.frequency_max is None else float(table.frequency_max)
+        return cls(length, table.window, table.coherence_min, highest)
 
 
 @dataclass(frozen=True)
@@ -425,13 +431,13 @@ def _warnings(
     return warnings
 
 
-def _ranges(frequency: np.ndarray, marked: np.ndarray, maximum: int = 3) -> str:
-    """``2 … 5 Hz, 30 … 500 Hz``; the widest ones, in order."""
-    key: Callable[[int], bool] = lambda i: bool(marked[i])
-    runs = [list(run) for yes, run in groupby(range(marked.size), key) if yes]
-    widest = sorted(sorted(runs, key=len, reverse=True)[:maximum])
+def _ranges(frequency: np.ndarray, marked: np.ndarray) -> str:
+    """``2 … 5 Hz, 30 … 500 Hz``; the three widest, in order."""
+    at = np.flatnonzero(marked)
+    runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
+    widest = sorted(sorted(runs, key=len, reverse=True)[:3], key=lambda run: run[0])
     words = [
         f"{frequency[run[0]]:.4g}" + (f" … {frequency[run[-1]]:.4g}" if len(run) > 1 else "")
         for run in widest
     ]
-    return ", ".join(f"{word} Hz" for word in words) + (", …" if len(runs) > maximum else "")
+    return ", ".join(f"{word} Hz" for word in words) + (", …" if len(runs) > 3 else "")

@@ -10,7 +10,6 @@ from typing import NamedTuple
 from ehbench.parts.accumulator import gas_energy
 from ehbench.parts.cylinder import (
     chamber_inflow,
-    chamber_makeup,
     chamber_of,
     chamber_oil,
     linkage_of,
@@ -26,6 +25,7 @@ from ehbench.parts.mount import mount_loss, mount_stored, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure, node_stored
 from ehbench.parts.sway import sway_loss, sway_stored
 from ehbench.physics import arm
+from ehbench.physics.cylinder import makeup_flow
 from ehbench.runtime.compiled import kernel
 
 
@@ -161,7 +161,7 @@ def _line(i, y, flows, plant, at, out):
     _, u_end = _node(row.chamber, y, plant)
     p_tank, u_tank = _node(TANK, y, plant)
     drop, flow = line_drop(y, plant, row), line_flow(y, plant, row)
-    makeup = chamber_makeup(row, p, _net_flow(row.node, y, flows, plant))
+    makeup = makeup_flow(_net_flow(row.node, y, flows, plant), p, row.cavitation_pressure)
     out[at] = drop * flow
     out[own + OF.expansion] += (u - u_end) * flow - (u - u_tank) * makeup
     out[own + OF.makeup] += makeup * (p_tank - p)
@@ -223,7 +223,7 @@ def _cylinder(c, y, flows, plant, at, out):
         node, area, _, leakage = chamber_of(row, side)
         p, u = _node(node, y, plant)
         inflow = chamber_inflow(row, side, v, _net_flow(node, y, flows, plant), y, plant)
-        relief, makeup = relief_out(row, p), chamber_makeup(row, p, inflow)
+        relief, makeup = relief_out(row, p), makeup_flow(inflow, p, row.cavitation_pressure)
         leak = leakage * (p - p_tank)
         to_tank = relief + leak - makeup
         out[at + OF.leakage] += leak * (p - p_tank)

@@ -10,20 +10,20 @@ import numpy as np
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction import COLUMNS as FRICTION
 from ehbench.parts.nodes import node_pressure
-from ehbench.parts.oil import OIL_COLUMNS, bulk_of
+from ehbench.parts.oil import OIL_COLUMNS
 from ehbench.physics.cylinder import (
     CAVITATION_BAND,
-    chamber_rate,
-    chamber_volume,
     joint_angle,
     joint_range,
     linkage,
-    makeup_flow,
     relief_flow,
 )
 from ehbench.runtime.compiled import part_kernel, record
 
 RELIEF_GAIN = 1.0e-9  # [m³/(s·Pa)]: 30 L/min over 5 bar
+# share of a chamber's dead volume that is left at the least: far outside of the stroke, where it
+# keeps the chamber's rate finite
+VOLUME_MARGIN = 0.02
 
 # A cylinder. The number of the ``joint`` it drives; how it sits there, `ehbench.physics.cylinder`:
 # ``geometry`` DIRECT, PINS or RACK, ``l_a, l_b, retracted_length`` [m], ``side`` ±1,
@@ -46,7 +46,7 @@ CYLINDER = record(
     ("mobility", "f8"),
     *((name, "i8") for name in ("node_head", "node_rod")),
     *((name, "i8") for name in ("friction", "friction_state", "friction_states")),
-    *FRICTION,
+    *((name, "f8") for name in FRICTION),
     *(("mount_state", "i8"), ("mount_stiffness", "f8"), ("mount_damping", "f8")),
     *(("sway_state", "i8"), ("sway_mass", "f8")),
     *(("sway_stiffness", "f8"), ("sway_damping", "f8")),
@@ -80,10 +80,7 @@ def joint_range_of(row: Any) -> tuple[float, float]:
     return _range(*(row[name].item() for name in (*PINS_OF, "stroke")))
 
 
-@lru_cache(256)
-def _range(*pins: Any) -> tuple[float, float]:
-    """`joint_range` of a cylinder that is asked again and again."""
-    return joint_range(*pins)
+_range = lru_cache(256)(joint_range)  # of a cylinder that is asked again and again
 
 
 @part_kernel
@@ -112,7 +109,7 @@ def chamber_of(row, side):
 def chamber_oil(row, side, x):
     """Oil volume [m³] of a chamber at stroke x [m]."""
     _, area, dead, _ = chamber_of(row, side)
-    return chamber_volume(dead, area * x)
+    return max(dead + area * x, VOLUME_MARGIN * dead)
 
 
 @part_kernel
@@ -160,18 +157,6 @@ def chamber_slope(row, pressure, inflow, slope):
 def leakage_slope(row, side):
     """Bound of the slope of leakages over both pressures [m³/(s·Pa)]."""
     return 2.0 * row.leakage_internal + chamber_of(row, side)[3]
-
-
-@part_kernel
-def chamber_pressure_rate(row, pressure, volume, inflow):
-    """Rate of pressure [Pa/s] of a chamber, held above its cavitation floor."""
-    return chamber_rate(inflow, pressure, volume, bulk_of(row, pressure), row.cavitation_pressure)
-
-
-@part_kernel
-def chamber_makeup(row, pressure, inflow):
-    """Oil [m³/s], ≥ 0, that the cavitation floor adds to a chamber."""
-    return makeup_flow(inflow, pressure, row.cavitation_pressure)
 
 
 FAULTS = (

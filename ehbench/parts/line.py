@@ -8,11 +8,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from ehbench.parts.cylinder import chamber_pressure_rate, chamber_slope
+from ehbench.parts.cylinder import chamber_slope
 from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.fault import Fault
 from ehbench.parts.nodes import node_pressure
 from ehbench.parts.oil import OIL_COLUMNS, bulk_of
+from ehbench.physics.cylinder import chamber_rate
 from ehbench.runtime.compiled import part_kernel, record
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
@@ -94,13 +95,14 @@ def line_rates(y, plant, dy, work):
     for i in range(plant.lines.shape[0]):
         row = plant.lines[i]
         drop, p = line_drop(y, plant, row), node_pressure(y, plant, row.node)
-        slope = line_conductance(drop, row)
+        slope, bulk = line_conductance(drop, row), bulk_of(row, p)
         work[net + row.chamber] += slope * drop
         work[steep + row.chamber] += slope
         inflow = work[net + row.node] - slope * drop
-        dy[plant.nodes[row.node].state] = chamber_pressure_rate(row, p, row.volume, inflow)
+        rate = chamber_rate(inflow, p, row.volume, bulk, row.cavitation_pressure)
+        dy[plant.nodes[row.node].state] = rate
         slope = chamber_slope(row, p, inflow, work[steep + row.node] + slope)
-        fastest = max(fastest, bulk_of(row, p) / row.volume * slope)
+        fastest = max(fastest, bulk / row.volume * slope)
     return fastest
 
 

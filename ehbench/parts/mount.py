@@ -19,7 +19,7 @@ from ehbench.parts.cylinder import chamber_of
 from ehbench.parts.end_stop import stop_force
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.nodes import node_pressure
-from ehbench.runtime.compiled import Generic, kernel, part_kernel
+from ehbench.runtime.compiled import generic, kernel, part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
 
 YIELDING = 1.0e-3  # [s]: damping over stiffness where none is given
@@ -29,8 +29,7 @@ _TRIES = 60
 
 # forces of friction, which each type of plant has its own law for: ``resistance(row, v, y, plant)``
 # [N] of a cylinder at the speed v [m/s] of its piston
-_resistance = Generic("resistance", "row, v, y, plant")
-resistance_of, any_resistance = _resistance.of, _resistance.call
+any_resistance = generic("resistance", "row, v, y, plant")
 
 
 class Mount(FileModel):

@@ -243,18 +243,11 @@ def _composite(links, first, work):
 
 
 @kernel
-def bias(kind, links, gravity, q, qd, out, work):
-    """Write h(q, q̇) + c(q) + B q̇ into ``out`` (n,): the torque [N·m], or force [N] of a slide,
-    that holds q̈ = 0.
+def bias_turned(kind, links, gravity, qd, out, work):
+    """Write h(q, q̇) + c(q) + B q̇ in the posture of `turn` into ``out`` (n,): the torque [N·m], or
+    force [N] of a slide, that holds q̈ = 0.
 
     Recursive Newton–Euler; with the mass matrix D(q), ``D q̈ + h + c + B q̇ = τ`` (thesis 2.2)."""
-    turn(links, q, work)
-    bias_turned(kind, links, gravity, qd, out, work)
-
-
-@kernel
-def bias_turned(kind, links, gravity, qd, out, work):
-    """`bias` in the posture of `turn`."""
     if kind == SLIDE:
         out[0] = links[0].mass * gravity[2] * links[0].sin_alpha + links[0].damping * qd[0]
         return
@@ -406,19 +399,3 @@ def energy(kind, links, gravity, q, qd, work):
             ux, uy, uz = _outward(c, s, ca, sa, ux, uy, uz)
             wz += qd[i + 1]
     return kinetic, potential
-
-
-@kernel
-def tip(kind, links, q):
-    """Position (x, y, z) [m] of the last frame's origin in the base frame, z up.
-
-    Rows ``links[:i], q[:i]`` give the end of link i, so a picture of the chain is n calls."""
-    if kind == SLIDE:
-        return q[0] * links[0].cos_alpha, 0.0, q[0] * links[0].sin_alpha
-    x, y, z = 0.0, 0.0, 0.0
-    for i in range(links.shape[0] - 1, -1, -1):
-        x, y, z = _inward(1.0, 0.0, links[i].cos_alpha, links[i].sin_alpha, x, y, z)
-        angle = links[i].theta0 + q[i]
-        c, s, x, z = math.cos(angle), math.sin(angle), x + links[i].a, z + links[i].d
-        x, y = c * x - s * y, s * x + c * y
-    return x, y, z

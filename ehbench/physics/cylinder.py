@@ -1,5 +1,4 @@
-"""A hydraulic cylinder: where its pins put it, what its chambers do, and where its stroke ends;
-compiled.
+"""A hydraulic cylinder: where its pins put it, and what its chambers do; compiled.
 
 Scalars in, scalars out; SI, gauge pressures, extension positive. ``flow_head`` goes into the head
 end, ``flow_rod`` out of the rod end (thesis 2.4, 2.5)."""
@@ -17,7 +16,6 @@ PINS, DIRECT, RACK = 0, 1, 2
 
 ATMOSPHERE = 101325.0  # [Pa], absolute
 CAVITATION_BAND = 0.9e5  # [Pa] above the floor, over which a chamber stops yielding to outflow
-VOLUME_MARGIN = 0.02  # share of a chamber's dead volume that is left at the least
 
 
 @kernel
@@ -93,20 +91,6 @@ def joint_range(kind, l_a, l_b, sign, phase, retracted, stroke) -> tuple[float, 
 
 
 @kernel
-def chamber_volume(dead_volume, displaced):
-    """Oil volume [m³] of a chamber: ``dead_volume + displaced``, at least VOLUME_MARGIN of the dead
-    volume.
-
-    The guard only acts far outside of the stroke, and keeps a chamber's rate finite there.
-
-    Args:
-        dead_volume: volume at x = 0, hose included [m³].
-        displaced: +area·x at the head end, −area·x at the rod end [m³].
-    """
-    return max(dead_volume + displaced, VOLUME_MARGIN * dead_volume)
-
-
-@kernel
 def chamber_rate(inflow, pressure, volume, bulk_modulus, floor):
     """Rate of pressure [Pa/s] of one chamber: ``β_e/V · inflow``, held above the cavitation floor.
 
@@ -146,25 +130,3 @@ def relief_flow(pressure, relief_pressure, gain):
             bar is 1e-9. It adds a rate of gain·β_e/V [1/s] to the chamber.
     """
     return gain * (pressure - relief_pressure) if pressure > relief_pressure else 0.0
-
-
-@kernel
-def end_stop(x, v, stroke, stiffness, dissipation):
-    """Force [N] of the end stops on the rod, extension positive: ≥ 0 at x < 0, ≤ 0 at x > stroke,
-    else 0.
-
-    ``stiffness·δ·max(0, 1 + dissipation·δ̇)``, δ the depth into the stop (Hunt & Crossley 1975,
-    exponent 1): continuous at contact, never pulls, and takes energy on every bounce.
-
-    Args:
-        x, v: stroke and speed [m, m/s].
-        stroke: full stroke [m].
-        stiffness: [N/m].
-        dissipation: share of the elastic force that a closing speed of 1 m/s adds [s/m], ≥ 0; a
-            slow bounce at speed v returns with about (1 − (2/3)·dissipation·v)·v.
-    """
-    if x < 0.0:
-        return -stiffness * x * max(0.0, 1.0 - dissipation * v)
-    if x > stroke:
-        return stiffness * (stroke - x) * max(0.0, 1.0 + dissipation * v)
-    return 0.0

@@ -583,12 +583,9 @@ def dump_flow_maps(maps: FlowMaps) -> str:
     return json.dumps(content, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def save_flow_maps(maps: FlowMaps, path: str | Path) -> Path:
-    """Write ``flow_maps.json`` (into the folder, if ``path`` is one); returns the file's path."""
-    path = Path(path)
-    path = path / FILE_NAME if path.is_dir() else path
-    write_text(path, dump_flow_maps(maps))
-    return path
+def save_flow_maps(maps: FlowMaps, folder: Path) -> None:
+    """Write ``flow_maps.json`` into a folder."""
+    write_text(folder / FILE_NAME, dump_flow_maps(maps))
 
 
 def load_flow_maps(path: str | Path) -> FlowMaps:
@@ -637,30 +634,25 @@ def load_flow_maps(path: str | Path) -> FlowMaps:
 
 
 def table(
-    maps: FlowMaps,
-    *,
-    drops: int = 25,
-    flow_unit: str = "gpm",
-    pressure_unit: str = "kPa",
-    signs: Mapping[tuple[str, str], int] | None = None,
+    maps: FlowMaps, signs: Mapping[tuple[str, str], int], flow_unit: str, pressure_unit: str
 ) -> str:
     """CSV text of all maps on a grid, for spreadsheets, in the units asked for.
 
-    Columns ``valve, direction, opening [V], pressure_drop [..], flow [..], flow_std [..], inside``
-    (1 or 0); the openings are the measured ones, zero or positive, the drops run from 0 to the
-    largest measured one. ``signs`` (−1 or 1 by valve and direction) adds ``driver_command [V]``,
-    what to send for the opening: sign·opening."""
+    Columns ``valve, direction, opening [V], driver_command [V], pressure_drop [..], flow [..],
+    flow_std [..], inside`` (1 or 0); the openings are the measured ones, zero or positive, the 25
+    drops run from 0 to the largest measured one. ``driver_command`` is what to send for the
+    opening: sign·opening, with ``signs`` (−1 or 1) by valve and direction."""
     from ehbench.vocabulary.quantities import VOCABULARY
     from ehbench.vocabulary.units import from_si
 
     lines = [
-        "valve,direction,opening [V],"
-        + ("driver_command [V]," if signs else "")
-        + f"pressure_drop [{pressure_unit}],flow [{flow_unit}],flow_std [{flow_unit}],inside",
+        "valve,direction,opening [V],driver_command [V],"
+        f"pressure_drop [{pressure_unit}],flow [{flow_unit}],flow_std [{flow_unit}],inside",
     ]
     for item in maps.each():
-        drop = np.linspace(0.0, item.drop_max, drops)
+        drop = np.linspace(0.0, item.drop_max, 25)
         for command in item.hull_command:
+            driven = signs[item.valve, item.direction] * command + 0.0
             flow, std = item.flow(drop, command), item.flow_std(drop, command)
             columns: tuple[Any, ...] = (
                 from_si(drop, pressure_unit, VOCABULARY["pressure_drop"]),
@@ -668,8 +660,7 @@ def table(
                 from_si(std, flow_unit, VOCABULARY["flow"]),
                 item.inside(drop, command),
             )
-            names = f"{quoted(item.valve)},{item.direction},{command:.6g}"
-            names += f",{signs[item.valve, item.direction] * command + 0.0:.6g}" if signs else ""
+            names = f"{quoted(item.valve)},{item.direction},{command:.6g},{driven:.6g}"
             lines += [
                 f"{names},{p:.6g},{q:.6g},{e:.3g},{int(i)}"
                 for p, q, e, i in zip(*columns, strict=True)

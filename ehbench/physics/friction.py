@@ -1,7 +1,7 @@
 """Cylinder friction as a function of speed, smoothed through zero speed; compiled.
 
-Both laws return the resistance [N]: odd in v, with the sign of v, so that the rod feels its
-negative and v·F ≥ 0 is the power lost. A smoothing speed v_s replaces sticking by fast creep:
+The law gives the resistance [N]: odd in v, with the sign of v, so that the rod feels its negative
+and v·F ≥ 0 is the power lost. A smoothing speed v_s replaces sticking by fast creep:
 tanh(v/v_s) is 0.76 at v_s and 0.96 at 2 v_s, and at rest the law acts as a damper of coulomb/v_s
 [N·s/m]. Choose v_s well below the speeds that matter, and above coulomb·step/(2 mass) so that an
 explicit step of the integrator stays stable."""
@@ -11,19 +11,6 @@ from __future__ import annotations
 import math
 
 from ehbench.runtime.compiled import kernel
-
-
-@kernel
-def coulomb_viscous(v, viscous, coulomb, smoothing):
-    """Resistance [N] of the model: ``viscous·v + coulomb·tanh(v/smoothing)``.
-
-    Args:
-        v: cylinder speed, extension positive [m/s].
-        viscous: [N·s/m].
-        coulomb: [N].
-        smoothing: v_s > 0 [m/s].
-    """
-    return viscous * v + coulomb * math.tanh(v / smoothing)
 
 
 @kernel

@@ -358,11 +358,7 @@ def _edges(rig: Rig, names: Layout, maps: Maps) -> tuple[np.recarray, np.ndarray
             "pilot": -1 if edge.pilot is None else names.port(cylinder, edge.pilot),
         }
         rows.append(row | _law(edge, None, []))
-    data, offsets = (
-        pack(*map(list, zip(*packed, strict=True)))
-        if packed
-        else (np.zeros(1), np.zeros(0, dtype=np.int64))
-    )
+    data, offsets = pack([item for item, _ in packed], [factor for _, factor in packed])
     for row in rows:
         for key in ("forward", "reverse"):
             row[key] = int(offsets[row[key]]) if row[key] >= 0 else -1

@@ -17,7 +17,7 @@ from ehbench.parts.friction import friction_fastest, friction_force, friction_ra
 from ehbench.parts.friction.law import SETTLING
 from ehbench.parts.line import line_rates
 from ehbench.parts.load import force_on, force_slope
-from ehbench.parts.mount import any_resistance, mount_rate, piston_of, resistance_of
+from ehbench.parts.mount import any_resistance, mount_rate, piston_of
 from ehbench.parts.nodes import SUPPLY, TANK, ends_of, node_pressure
 from ehbench.parts.oil import bulk_of
 from ehbench.parts.supply import line_stiffness, pump_flow, sensed
@@ -27,60 +27,53 @@ from ehbench.parts.valve import limited, valve_finish, valve_rates
 from ehbench.physics.arm import forward
 from ehbench.physics.cylinder import chamber_rate
 from ehbench.plant.build import Plant
-from ehbench.runtime.compiled import Generic, kernel, part_kernel
+from ehbench.runtime.compiled import generic, kernel, part_kernel
 
 # [1/s] least flow of an edge that a load-sensing pump feels, in what brings its line up by its
 # margin: what would take a day for that is none
 LEAST_FELT = 1.0e-5
-_derivatives = Generic("derivatives", "y, command, plant, dy, work")
-_finish = Generic("finish", "y, command, plant, slope, d")
+any_derivatives = generic("derivatives", "y, command, plant, dy, work")
+any_finish = generic("finish", "y, command, plant, slope, d")
 # where a valve is to go [V], by a row of commands
-_wanted = Generic("wanted", "i, command, plant")
+any_wanted = generic("wanted", "i, command, plant")
 # whether nothing passes an edge, whatever its drop
-_shut = Generic("shut", "edge, opening, plant")
+any_shut = generic("shut", "edge, opening, plant")
 # flow [m³/s] along an edge at a drop [Pa] and an opening, and the bound of its slope [m³/(s·Pa)]
-_along = Generic("along", "drop, opening, edge, plant")
-_change = Generic("change", "drop, flow, opening, edge, plant")
+any_along = generic("along", "drop, opening, edge, plant")
+any_change = generic("change", "drop, flow, opening, edge, plant")
 # whether an edge at the supply is open, so that a load-sensing supply feels what lies behind it
-_sensing = Generic("opens", "edge, opening, plant")
+any_opens = generic("opens", "edge, opening, plant")
 # bulk modulus [Pa] of the oil in a chamber
-_stiff = Generic("stiff", "row, pressure, plant")
+any_stiff = generic("stiff", "row, pressure, plant")
 # how fast a chamber's inflow changes with its pressure [m³/(s·Pa)], for the substep guard, where
 # ``slope`` is that of its edges
-_steep = Generic("steep", "row, side, pressure, inflow, slope, plant")
+any_steep = generic("steep", "row, side, pressure, inflow, slope, plant")
 # write the rates of a friction's own states; the fastest rate [1/s] that it makes near speed v
-_rubbing = Generic("rubbing", "row, v, y, dy, plant")
+any_rubbing = generic("rubbing", "row, v, y, dy, plant")
 # slope [N·s/m] of a steady friction over the speed v of the piston
-_gripping = Generic("gripping", "row, v, plant")
-derivatives_of, finish_of, opens_of = _derivatives.of, _finish.of, _sensing.of
-wanted_of, shut_of, along_of, change_of = _wanted.of, _shut.of, _along.of, _change.of
-stiff_of, steep_of, rubbing_of, gripping_of = _stiff.of, _steep.of, _rubbing.of, _gripping.of
-any_derivatives, any_finish, any_opens = _derivatives.call, _finish.call, _sensing.call
-any_wanted, any_shut, any_along, any_change = _wanted.call, _shut.call, _along.call, _change.call
-any_stiff, any_steep, any_rubbing = _stiff.call, _steep.call, _rubbing.call
-any_gripping = _gripping.call
+any_gripping = generic("gripping", "row, v, plant")
 
 
-@wanted_of(Plant)
+@any_wanted.of(Plant)
 @part_kernel
 def _wanted_opening(i, command, plant):
     return limited(command[i], plant.valves[i])
 
 
-@shut_of(Plant)
+@any_shut.of(Plant)
 @part_kernel
 def _shut_edge(edge, opening, plant):
     closed = edge.unmetered == 0 and edge.sign * opening <= 0.0
     return closed and not edge_leaks(edge, plant.maps)
 
 
-@along_of(Plant)
+@any_along.of(Plant)
 @part_kernel
 def _along_edge(drop, opening, edge, plant):
     return edge_flow(drop, opening, edge, plant.maps)
 
 
-@change_of(Plant)
+@any_change.of(Plant)
 @part_kernel
 def _change_along(drop, flow, opening, edge, plant):
     return edge_slope(drop, flow, opening, edge)
@@ -124,7 +117,7 @@ def highest_load(y, plant, work):
     return load
 
 
-@opens_of(Plant)
+@any_opens.of(Plant)
 @part_kernel
 def _opens(edge, opening, plant):
     if edge.unmetered == 1 or edge.sign * opening <= 0.0:
@@ -157,32 +150,32 @@ def edges(y, plant, work):
         work[at.flow + e] = flow
 
 
-@resistance_of(Plant)
+@any_resistance.of(Plant)
 @part_kernel
 def _resistance(row, v, y, plant):
     return friction_force(row, v, y)
 
 
-@stiff_of(Plant)
+@any_stiff.of(Plant)
 @part_kernel
 def _stiff_oil(row, pressure, plant):
     return bulk_of(row, pressure)
 
 
-@steep_of(Plant)
+@any_steep.of(Plant)
 @part_kernel
 def _steep_inflow(row, side, pressure, inflow, slope, plant):
     return max(chamber_slope(row, pressure, inflow, slope), leakage_slope(row, side))
 
 
-@rubbing_of(Plant)
+@any_rubbing.of(Plant)
 @part_kernel
 def _rubbing_piston(row, v, y, dy, plant):
     friction_rates(row, v, y, dy)
     return friction_fastest(row, v)
 
 
-@gripping_of(Plant)
+@any_gripping.of(Plant)
 @part_kernel
 def _gripping_piston(row, v, plant):
     return friction_slope(row, v)
@@ -274,7 +267,7 @@ def _supply(y, plant, dy, work):
     return 0.0 if fixed else stiffness * work[at.slope + SUPPLY]
 
 
-@derivatives_of(Plant)
+@any_derivatives.of(Plant)
 @kernel
 def derivatives(y, command, plant, dy, work):
     """Write ẏ into ``dy``; return the fastest rate [1/s] of the pressure, valve and friction
@@ -307,7 +300,7 @@ def derivatives(y, command, plant, dy, work):
 LAST = (_supply, move, cylinders)  # what `derivatives` calls, from the end on
 
 
-@finish_of(Plant)
+@any_finish.of(Plant)
 @part_kernel
 def finish(y, command, plant, slope, d):
     """Improve the valves' states after a Runge–Kutta step of ``d`` [s]; ``slope``: rates at its

@@ -169,13 +169,7 @@ class FmuModel(Model):
             channels.setdefault(name, np.full(size, float(usual if pressure is None else pressure)))
         return channels
 
-    def replay(
-        self,
-        record: Record,
-        step: Step = STEP,
-        rest: int | None = None,
-        start: Start | None = None,
-    ) -> Record:
+    def replay(self, record: Record, step: Step = STEP, start: Start | None = None) -> Record:
         """As `Model.replay`, by the FMU; ``step`` is its own affair.
 
         Raises:
@@ -187,7 +181,7 @@ class FmuModel(Model):
             raise LogError(message("plant.fmu_uneven"))
         if tied_words(record) or supplied(record):
             raise InputError(message("plant.fmu_tied"))
-        start = start or self.rest_start(record, rest)
+        start = start or self.rest_start(record)
         table = self.commands_of(record)
         given = self.commanded(table)
         with self.binding.process() as process:

@@ -40,11 +40,11 @@ def _gauged(states, cylinder, plant):
 def gauged(
     plant: Plant, names: Layout, states: np.ndarray, required: Iterable[str]
 ) -> dict[str, np.ndarray]:
-    """The wanted channels [SI] among a model's gauges, such as ``ram.rod_force``.
+    """The required channels [SI] among a model's gauges, such as ``ram.rod_force``.
 
     Args:
         states: of the plant, shape (samples, states or more).
-        wanted: full names, of anything.
+        required: full names, of anything.
     """
     requested = [(item, *item.rpartition(".")[::2]) for item in required]
     requested = [item for item in requested if item[2] in GAUGES and item[1] in names.cylinders]

@@ -336,13 +336,7 @@ class Model:
         model = replace(self, plant=self.plant.at_pressures(supply, tank))
         return Start(model.start_of(record, rest, seen), supply, tank)
 
-    def replay(
-        self,
-        record: Record,
-        step: Step = STEP,
-        rest: int | None = None,
-        start: Start | None = None,
-    ) -> Record:
+    def replay(self, record: Record, step: Step = STEP, start: Start | None = None) -> Record:
         """Simulate what a recording's commands do, from the recording's own start.
 
         Commands of valves that the recording lacks stay at rest; each recorded command acts from
@@ -351,14 +345,13 @@ class Model:
         Args:
             record: evenly sampled.
             step: integration step [s], or ``"auto"`` as `run` takes it.
-            rest: samples at the start over which nothing moves yet, as `rest_start` takes them.
-            start: instead of `rest_start`.
+            start: `rest_start` by default.
 
         Raises:
             LogError: uneven time.
             SimulationError: the numbers left the finite range.
         """
-        start = start or self.rest_start(record, rest)
+        start = start or self.rest_start(record)
         model, table, y = self.along(record, start)
         log = model.run(y, table, record.sample_time, step)
         return self.replayed(record, table, log, start)

@@ -47,7 +47,6 @@ _IDLE = {
     "lines": tuple(set(LINE.names or ()) - {"node", "chamber", "cylinder"}),
     "supply": tuple(name for name, *_ in (*OIL_COLUMNS, *ACCUMULATOR)),
 }
-_FRICTION = tuple(name for name, *_ in FRICTION)
 _TABLES = {
     **{"links": LINK, "cylinders": CYLINDER, "nodes": NODE, "valves": VALVE, "elements": ELEMENT},
     **{"edges": EDGE, "forces": FORCE, "lines": LINE, "supply": SUPPLY_LINE},
@@ -168,7 +167,7 @@ def _needed(
     for name, layout in _TABLES.items():
         idle = {*_IDLE.get(name, ()), *(() if moves else _MOVING.get(name, ()))}
         idle = set() if name == "edges" and opens else idle
-        idle |= set(_FRICTION) if name == "cylinders" and not mounts else set()
+        idle |= set(FRICTION) if name == "cylinders" and not mounts else set()
         counted = np.zeros(layout.itemsize + 1, dtype=np.int8)
         for field, (kind, first, *_) in (layout.fields or {}).items():
             counted[first : first + kind.itemsize] = field not in idle

@@ -30,7 +30,7 @@ _MARKS = (
     b"@part_kernel",
     b"@allocating_kernel",
     b"choice(",
-    b"Generic(",
+    b"generic(",
     b"@inlined",
 )
 
@@ -214,40 +214,37 @@ def choice(name: str, laws: Sequence[Callable], arguments: str, by: str = "law")
     return space[name]
 
 
-class Generic:
+def generic(name: str, arguments: str) -> Any:
     """A function of a plant that each type of plant has a kernel of its own for.
 
-    ``of(Plant)`` decorates the kernel of that type. Kernels call ``call``; which one it is, is
-    settled by the type of the argument ``plant`` when they are compiled.
+    Kernels call it; which of its kernels that is, is settled by the type of the argument ``plant``
+    when they are compiled. ``function.of(Plant)`` decorates the kernel of that type.
 
     Args:
         name: of the function.
         arguments: as a signature has them, one of them ``plant``.
     """
+    space: dict[str, Any] = {"kernels": {}}
+    exec(f"def {name}({arguments}): return kernels[type(plant)]({arguments})\n", space)
+    call = space[name]
 
-    def __init__(self, name: str, arguments: str) -> None:
-        self.kernels: dict[type, Callable] = {}
-        self.arguments = arguments
-        space: dict[str, Any] = {"kernels": self.kernels}
-        exec(f"def {name}({arguments}): return kernels[type(plant)]({arguments})\n", space)
-        self.call: Any = space[name]
-
-    def of(self, plant: type) -> Callable[[Callable], Callable]:
-        """Decorate the kernel that serves this type of plant."""
-
+    def of(plant: type) -> Callable[[Callable], Callable]:
         def register(function: Callable) -> Callable:
-            self.kernels[plant] = function
-            space: dict[str, Any] = {"function": function, "wanted": plant}
+            space["kernels"][plant] = function
+            inner: dict[str, Any] = {"function": function, "wanted": plant}
             exec(
-                f"def chosen({self.arguments}): return function({self.arguments})\n"
-                f"def typed({self.arguments}):\n"
+                f"def chosen({arguments}): return function({arguments})\n"
+                f"def typed({arguments}):\n"
                 "    if getattr(plant, 'instance_class', None) is wanted: return chosen\n",
-                space,
+                inner,
             )
-            overload(self.call, jit_options=_CHOSEN)(space["typed"])
+            overload(call, jit_options=_CHOSEN)(inner["typed"])
             return function
 
         return register
+
+    call.of = of
+    return call
 
 
 _field, _column = np.void.__getitem__, np.ndarray.__getitem__

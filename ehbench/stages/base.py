@@ -283,7 +283,7 @@ def write_rig(folder: Path, rig: Rig, maps: FlowMaps | None) -> None:
         rig = rig.model_copy(update={"model": rig.model.model_copy(update={"fmu": place.name})})
     write_text(folder / "rig.toml", tomli_w.dumps(rig.as_toml()))
     if maps is not None:
-        save_flow_maps(maps, folder / "flow_maps.json")
+        save_flow_maps(maps, folder)
 
 
 def write_series(folder: Path, series: Mapping[str, Mapping[str, Any]]) -> None:

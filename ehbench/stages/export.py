@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from ehbench.runs import rundir
 from ehbench.runtime.disk import write_text
 from ehbench.stages.base import Host, Prepared, Stage, Work, write_rig
 from ehbench.stages.inputs import Inputs, RigState, ValidatedRig
+from ehbench.stages.relocation import relative
 from ehbench.stages.trial import prepared_case
 from ehbench.vocabulary.errors import EhbenchError, InputError, ModelRejected
 from ehbench.vocabulary.messages import message
@@ -65,9 +65,8 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
                 raise InputError(
                     message("export.played_force", channel=channel), **recipe.at("rig")
                 )
-        validated = isinstance(state, ValidatedRig)
-        if not validated and state.origin.is_dir():  # of a tuning on a validated rig
-            validated = rundir.read_json(state.origin / "run.json").get("validated", False)
+        # or of a tuning on a validated rig
+        validated = isinstance(state, ValidatedRig) or state.saved("run").get("validated", False)
         fields = {"rig": state.rig.name, "stage": state.stage}
         _refuse(inputs, not validated, "unvalidated", **fields)
         source, trial = _trial_of(recipe, inputs, state)
@@ -94,9 +93,7 @@ class ExportStage(Stage[ExportRecipe, PreparedExport]):
             rig=state.rig.name,
             formats=", ".join(recipe.formats),
         )
-        known = state.origin / "parameters.json"
-        rows = rundir.read_json(known)["parameters"] if known.is_file() else []
-        fitted = {row["name"]: row for row in rows}
+        fitted = {row["name"]: row for row in state.saved("parameters").get("parameters", [])}
         export = Export(recipe, state.rig, state.flow_maps, state.origin, prepared, fitted)
         return PreparedExport(recipe, (*state.inputs, *files), does, state, export)
 
@@ -238,18 +235,18 @@ def recipe_for(source: Path, options: Mapping[str, Any], host: Host) -> Recipe:
         return recipe
     path = host.out or host.root / f"{source.resolve().stem}_export"
     path = path.with_name(f"{path.name}.toml")
-    rig = source
+    rig, folder = source, path.resolve().parent
     if isinstance(recipe, AnyTrial):
         rig = recipe.file(recipe.rig)
         if recipe.flow_maps is not None:
-            given["flow_maps"] = _relative(recipe.file(recipe.flow_maps), path)
+            given["flow_maps"] = relative(recipe.file(recipe.flow_maps).resolve(), folder)
     if isinstance(recipe, AnyTuning) and source.is_file():
         rig = recipe.file(recipe.rig)
     if isinstance(recipe, AnyTrial | AnyTuning):
-        given["controller"] = _relative(source, path)
+        given["controller"] = relative(source.resolve(), folder)
         if isinstance(recipe, AnyTuning):
             given.setdefault("parts", "controller")
-    table = {"stage": "export", "rig": _relative(rig, path), **given}
+    table = {"stage": "export", "rig": relative(rig.resolve(), folder), **given}
     if path.exists() and not path.read_text(errors="replace").startswith(HEADER):
         raise InputError(message("stages.exists"), file=path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -266,8 +263,3 @@ def withdraw(path: Path, source: Path | None, error: EhbenchError) -> None:
     path.unlink(missing_ok=True)
     if error.file == str(path):
         error.file, error.line = source and str(source), None
-
-
-def _relative(file: Path, recipe: Path) -> str:
-    """A file as a recipe names it."""
-    return Path(os.path.relpath(file.resolve(), recipe.resolve().parent)).as_posix()

@@ -85,7 +85,7 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
     def work(self, prepared: PreparedMaps, folder: Path, progress: Progress | None) -> Work:
         from ehbench.flow_maps import tables as readings
         from ehbench.flow_maps.readings import FlowMapOptions
-        from ehbench.physics.flow_map import collect, save_flow_maps, table
+        from ehbench.physics.flow_map import collect, table
 
         recipe, rig = prepared.recipe, prepared.state.rig
         assert prepared.readings is not None  # a run has all its readings
@@ -93,7 +93,10 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         points = [(float(p.command), float(p.flow), p.tolerance) for p in recipe.calibration]
         options = FlowMapOptions(calibration=points)
         options = replace(options, reference_drop=None if drop is None else float(drop))
-        for edge in prepared.readings.edges:
+        edges = prepared.readings.edges
+        for index, edge in enumerate(edges):
+            if progress is not None:
+                progress(f"{edge.edge} {edge.side}", index / len(edges))
             more = {"meter_limit": float(recipe.meter_limit)}
             if recipe.method == "steps":
                 pressure, volts = recipe.pressure_error, recipe.command_error
@@ -110,9 +113,8 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
                 )
                 command = ERRORS.command * valve.largest if volts is None else float(volts)
                 more = {"drop_std": math.sqrt(2.0) * zero, "command_std": command}
-            part, given = replace(prepared.readings, edges=(edge,)), replace(options, **more)
             try:
-                fits += readings.run_readings(part, given, progress)
+                fits.append(readings.fit_edge(rig, edge, replace(options, **more)))
             except InsufficientData as error:
                 errors[f"{edge.edge} {edge.side}"] = error
         without: list[str] = [
@@ -124,13 +126,11 @@ class FlowMapStage(Stage[FlowMapRecipe, PreparedMaps]):
         if not fits:
             raise InsufficientData(message("stages.no_map_at_all", reasons="; ".join(without)))
         maps = collect([fit.map for fit in fits])
-        save_flow_maps(maps, folder / "flow_maps.json")
         rundir.write_json(folder / "summary.json", readings.summary(fits, rig))
         write_text(folder / "points.csv", readings.points_table(fits, rig))
         flow, drops = rig.unit_of("flow"), rig.unit_of("pressure_drop")
-        text = table(maps, flow_unit=flow, pressure_unit=drops, signs=readings.signs(fits))
-        write_text(folder / "flow_maps.csv", text)
-        write_rig(folder, rig, None)
+        write_text(folder / "flow_maps.csv", table(maps, readings.signs(fits), flow, drops))
+        write_rig(folder, rig, maps)
         warnings = [
             f"{fit.map.valve} {fit.map.direction}: {text}" for fit in fits for text in fit.warnings
         ]

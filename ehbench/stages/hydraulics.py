@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -140,17 +139,6 @@ def expect_hydraulics(recipe: Recipe) -> HydraulicsRecipe:
     return recipe
 
 
-def suggested(
-    prepared: PreparedHydraulics, progress: Progress | None, seconds: float | None
-) -> Suggestions:
-    """What would improve a recipe's fit."""
-    from ehbench.guidance.suggestions import SECONDS, suggest
-
-    assert prepared.fit is not None  # a run has all its logs
-    limit = SECONDS if seconds is None else seconds
-    return suggest(prepared.fit, prepared.logs.records, progress, limit)
-
-
 def write_suggested(prepared: PreparedHydraulics, result: Suggestions, folder: Path) -> Path:
     """The first of some suggestions as files: ``rig.toml``, the recipe that fits it and
     ``suggestions.json``; returns the recipe's path.
@@ -195,11 +183,8 @@ def _prepared_fit(
     from ehbench.frequency_response.response import Averaging
     from ehbench.identification.hydraulics import FitOptions, prepare_fit
 
-    response, given = None, recipe.response
-    if given is not None:
-        maximum = math.inf if given.frequency_max is None else float(given.frequency_max)
-        length = None if given.segment is None else float(given.segment)
-        response = given.input, Averaging(length, given.window, given.coherence_min, maximum)
+    given = recipe.response
+    response = None if given is None else (given.input, Averaging.of(given))
     options = FitOptions(
         method=recipe.method,
         start=recipe.start,

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ehbench.config.recipe import (
     ColumnMap,
@@ -52,6 +52,11 @@ class RigState:
     inputs: NamedFiles
     origin: Path
     without_maps: tuple[str, ...] = ()
+
+    def saved(self, name: str) -> dict[str, Any]:
+        """A JSON result, by its name without ending, of the run that made it; empty without."""
+        path = self.origin / f"{name}.json"
+        return rundir.read_json(path) if path.is_file() else {}
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """What preparing a recipe finds: what it reads, what a check leaves undecided, what is wrong."""
 
-import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ehbench.config.recipe import Recipe
+from ehbench.stages.relocation import relative
 from ehbench.vocabulary.errors import EhbenchError
 
 
@@ -79,7 +79,7 @@ class Notes:
         """A file as the recipe would name it; a run folder as the user would."""
         if path.is_dir():
             return str(path)
-        return Path(os.path.relpath(path, self.recipe.path.parent)).as_posix()
+        return relative(path, self.recipe.path.parent)
 
 
 def line_naming(path: Path, message: str) -> int | None:

@@ -1,6 +1,5 @@
 """The next test after a fit: what it would tell, as lines, as plain values and as a recipe."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from ehbench.runtime.disk import write_text
 from ehbench.stages.base import DONE, Host, Outcome, write_rig
 from ehbench.stages.hydraulics import HydraulicsStage, expect_hydraulics
 from ehbench.stages.inputs import Inputs
+from ehbench.stages.relocation import relative
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.progress import Progress
@@ -101,21 +101,17 @@ class NextTest:
         recipe: dict[str, Any] = {
             "stage": "trial",
             "title": f"{trial.wave.capitalize()} of {trial.cylinder}, for {self.known.name}",
-            "rig": Path(os.path.relpath(self.rig_file, path.resolve().parent)).as_posix(),
+            "rig": relative(self.rig_file, path.resolve().parent),
             "on": "bench" if load_rig(self.rig_file).model is None else "model",
             "posture": {trial.cylinder: f"{1e3 * trial.stroke:.4g} mm"},
             "duration": f"{trial.seconds:g} s",
         }
         if trial.payload:
             recipe["payload"] = trial.payload
+        units = {"amplitude": "V", "start": "s", "stop": "s"}
         recipe["command"] = [
-            {
-                "valve": entry["valve"],
-                "kind": entry["kind"],
-                "amplitude": f"{entry['amplitude']:g} V",
-                "start": f"{entry['start']:g} s",
-                "stop": f"{entry['stop']:g} s",
-            }
+            {"valve": entry["valve"], "kind": entry["kind"]}
+            | {key: f"{entry[key]:g} {unit}" for key, unit in units.items()}
             for entry in trial.commands
         ]
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -29,9 +29,14 @@ def relocated(table: Any, name_of: Callable[[str], str], key: str = "") -> Any:
     return table
 
 
+def relative(path: Path, folder: Path) -> str:
+    """A file as a recipe in a folder names it."""
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
 def name_from(folder: Path, recipe: Recipe, name: str) -> str:
     """A file of a recipe as a recipe in another folder names it; what is no file stays as it is."""
     path = recipe.file(name) if name else None
     if path is None or not path.exists():
         return name
-    return Path(os.path.relpath(path, folder.resolve())).as_posix()
+    return relative(path, folder.resolve())

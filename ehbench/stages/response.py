@@ -79,12 +79,7 @@ class ResponseStage(Stage[ResponseRecipe, PreparedResponse]):
 
         state = inputs.rig_state(recipe.rig)
         logs = inputs.logs(recipe.data, state.rig)
-        choice = Averaging(window=recipe.window, coherence=recipe.coherence_min)
-        if recipe.segment is not None:
-            choice = choice._replace(segment=float(recipe.segment))
-        if recipe.frequency_max is not None:
-            choice = choice._replace(frequency=float(recipe.frequency_max))
-        signals = None
+        signals, choice = None, Averaging.of(recipe)
         with inputs.notes.collected():
             if logs.records:
                 signals = prepare_signals(logs.records, (recipe.input, recipe.output), choice)

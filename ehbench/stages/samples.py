@@ -1,6 +1,5 @@
 """A sample of a study: its recipe, rig and bench file, run and measured."""
 
-import os
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -32,6 +31,7 @@ from ehbench.sampling.sample import LATE, STATUS, Make, Sample
 from ehbench.stages.base import Stage, stage_of
 from ehbench.stages.inputs import Inputs, RigState
 from ehbench.stages.notes import Notes
+from ehbench.stages.relocation import relative
 from ehbench.stages.trial import PreparedOne
 from ehbench.vocabulary.errors import EhbenchError, InputError
 from ehbench.vocabulary.messages import message
@@ -393,7 +393,7 @@ def write_bench(recipe: Recipe, changes: Mapping[str, Any], path: Path) -> None:
     source = trial.file(trial.bench) if trial.bench else trial.path
     table: Any = read_toml(source)[0] if trial.bench else {"stage": "bench", "rig": trial.rig}
     rig = (source.parent / str(table["rig"])).resolve()
-    table["rig"] = Path(os.path.relpath(rig, path.parent.resolve())).as_posix()
+    table["rig"] = relative(rig, path.parent.resolve())
     write_text(path, tomli_w.dumps(changed_bench(table, changes, source)))
 
 

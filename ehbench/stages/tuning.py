@@ -76,7 +76,8 @@ class _AnyTuningStage(Stage[R, PreparedTuning[R]]):
         if not validated:
             warnings.insert(0, message("stages.tuned_unvalidated"))
         facts = {"rig": state.rig.name, "validated": validated, "warnings": warnings}
-        reservations = reservations_of(state.origin)
+        # under which a validation accepted the rig
+        reservations = state.saved("validation").get("reservations", [])
         if reservations:
             warnings.insert(0, message("stages.tuned_with_reservation", reason=reservations[0]))
         return Work(facts | {"reservations": reservations})
@@ -104,8 +105,7 @@ class TuningStage(_AnyTuningStage[TuneRecipe]):
         assert prepared.study is not None  # a run without operating points is refused
         if progress is not None:
             progress("operating points", 0.0)
-        path = prepared.state.origin / "parameters.json"
-        known, correlation = rundir.read_json(path) if path.is_file() else {}, None
+        known, correlation = prepared.state.saved("parameters"), None
         if known.get("correlation"):
             correlation = known["correlated_names"], known["correlation"]
         tuning = tune_pressure_feedback(prepared.study, correlation, progress)
@@ -142,9 +142,3 @@ class ArcTuningStage(_AnyTuningStage[ArcTuneRecipe]):
 
         assert prepared.study is not None  # a run without operating points is refused
         return self._written(prepared, folder, tune_arc(prepared.study, progress))
-
-
-def reservations_of(origin: Path) -> list[str]:
-    """The reservations under which a validation accepted a rig."""
-    path = origin / "validation.json"
-    return rundir.read_json(path).get("reservations", []) if path.is_file() else []

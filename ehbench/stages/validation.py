@@ -124,7 +124,7 @@ class ValidationStage(Stage[ValidateRecipe, PreparedJudgement]):
         intervals = state.origin / "parameters.json"
         if intervals.is_file():  # they travel with the rig they belong to
             shutil.copyfile(intervals, folder / "parameters.json")
-            validation = replace(validation, leans=speaking_against(rundir.read_json(intervals)))
+        validation = replace(validation, leans=speaking_against(state.saved("parameters")))
         verdict = run_validation(validation, recipe.thresholds, progress, diagnose=recipe.structure)
         write_rig(folder, state.rig, state.flow_maps)
         others = [item.as_json() for item in recipe.reference]

@@ -14,9 +14,9 @@ from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps.readings import FlowMapOptions
 from ehbench.flow_maps.tables import (
     PreparedReadings,
+    fit_edge,
     points_table,
     prepare_readings,
-    run_readings,
     signs,
     summary,
 )
@@ -193,7 +193,8 @@ def servo_rows(direction: str, sign: int, seed: int = 1, scale: float = 1.0) -> 
 
 
 def fitted(rig: Rig, parts, **options):
-    return run_readings(prepare_readings(rig, parts), FlowMapOptions(**options))
+    edges = prepare_readings(rig, parts).edges
+    return [fit_edge(rig, edge, FlowMapOptions(**options)) for edge in edges]
 
 
 def fit_rows(write, rows: list[str], rig: Rig | None = None):
@@ -277,9 +278,8 @@ def test_volts_of_an_edge_that_opens_on_negative_commands_have_their_sign(write)
     assert "-0" not in {row["driver_command [V]"] for row in rows}
     told = {plain["sign"]: plain for plain in summary(fits, rig)}
     assert told[-1]["deadband"] > 0 and told[-1]["valve"] == opened.map.valve
-    grid = list(
-        csv.DictReader(table(collect([one.map for one in fits]), signs=signs(fits)).splitlines())
-    )
+    text = table(collect([one.map for one in fits]), signs(fits), "L/min", "bar")
+    grid = list(csv.DictReader(text.splitlines()))
     sent = [float(row["driver_command [V]"]) for row in grid if row["valve"] == opened.map.valve]
     assert min(sent) == -10.0 and max(sent) == 0.0
     path = write(SERVO_HEADER + "\n" + "\n".join(servo_rows("supply->rod", -1)) + "\n", "servo.csv")

@@ -13,7 +13,7 @@ from ehbench.control.measured import Pressures
 from ehbench.control.oil_learning import BACK, MORE
 from ehbench.control.trajectory import V, speeds_soon, with_preview
 from ehbench.data.flowmeter import read_flowmeter
-from ehbench.flow_maps.tables import prepare_readings, run_readings
+from ehbench.flow_maps.tables import fit_edge, prepare_readings
 from ehbench.physics.flow_map import collect
 from ehbench.trial import prepare, run
 from ehbench.vocabulary.codes import FUNCTIONS, SATURATED
@@ -27,7 +27,8 @@ LOW = float(ARM.supply.pressure) / 20.0
 def maps():
     """The edge from supply to head passes a tenth more at 15 bar than at 50; so shall the rod's."""
     readings = read_flowmeter(RECIPES.parent / "datasets" / "thesis_arm" / "flowmeter" / "hepc.csv")
-    (one,) = run_readings(prepare_readings(ARM, [readings]))
+    (edge,) = prepare_readings(ARM, [readings]).edges
+    one = fit_edge(ARM, edge)
     return collect([one.map, replace(one.map, valve="repc")])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ehbench.physics import arm
+from ehbench.physics.tip import Chain, tip_of
 from ehbench.runtime.compiled import table_of
 
 G = 9.81
@@ -65,13 +66,19 @@ def states(n, rng, count=20):
         yield angles, rng.normal(scale=2.0, size=n), rng.normal(scale=100.0, size=n)
 
 
+def tip(links, q, kind=arm.CHAIN):
+    """The tip with z up."""
+    return tip_of(Chain(kind, links, np.array([0.0, 0.0, G]), -np.inf, np.inf), q)
+
+
 def kernels(links):
     """The kernels as functions that return new arrays."""
     n, work = links.shape[0], np.full(arm.work_size(links.shape[0]), np.nan)
     kind = arm.CHAIN
 
     def bias(q, qd, gravity=GRAVITY):
-        arm.bias(kind, links, gravity, q, qd, out := np.empty(n), work)
+        arm.turn(links, q, work)
+        arm.bias_turned(kind, links, gravity, qd, out := np.empty(n), work)
         return out
 
     def mass(q):
@@ -109,7 +116,7 @@ def test_agrees_with_mujoco(n):
         # the acceleration may lose the digits that the condition of the mass matrix costs
         slack = (1e-15 * np.linalg.cond(full) + 1e-12) * np.abs(data.qacc).max()
         assert forward(q, qd, torque) == pytest.approx(data.qacc, rel=0, abs=slack)
-        assert arm.tip(arm.CHAIN, links, q) == pytest.approx(data.xpos[-1], rel=0, abs=1e-12)
+        assert tip(links, q) == pytest.approx(data.xpos[-1], rel=0, abs=1e-12)
         mujoco.mj_energyPos(model, data)
         mujoco.mj_energyVel(model, data)
         slack = 1e-12 * (10 + abs(data.energy).sum())
@@ -187,13 +194,11 @@ def test_pendulum_by_hand_and_a_shorter_chain():
     assert bias(q, qd, np.array([0.0, 0.0, G]))[1] == pytest.approx(torque, rel=1e-14)
     level = 2.0 * math.cos(0.4)
     end = level * math.cos(0.3), level * math.sin(0.3), 2.0 * math.sin(0.4)
-    assert arm.tip(arm.CHAIN, links, q) == pytest.approx(end, rel=1e-14)
+    assert tip(links, q) == pytest.approx(end, rel=1e-14)
     links, _ = random_chain(3, np.random.default_rng(1))
     q = np.array([0.1, 0.2, 0.3])
-    end = np.array(arm.tip(arm.CHAIN, links, q))
-    before = np.array(arm.tip(arm.CHAIN, links[:2], q[:2]))
     way = math.hypot(links[2].a, links[2].d)
-    assert np.linalg.norm(end - before) == pytest.approx(way, rel=1e-13)
+    assert np.linalg.norm(tip(links, q) - tip(links[:2], q[:2])) == pytest.approx(way, rel=1e-13)
 
 
 def test_slide_on_an_incline():
@@ -202,7 +207,7 @@ def test_slide_on_an_incline():
     q, qd, drive = np.array([0.4]), np.array([0.2]), np.array([100.0, 0.0])
     out, full, work = np.empty(1), np.empty((1, 1)), np.empty(arm.work_size(1))
     weight, pull = m * G * math.sin(incline), np.array([0.0, 0.0, G])
-    arm.bias(arm.SLIDE, links, pull, q, qd, out, work)
+    arm.bias_turned(arm.SLIDE, links, pull, qd, out, work)
     assert out[0] == pytest.approx(weight + b * 0.2, rel=1e-14)
     arm.gravity_torque(arm.SLIDE, links, pull, q, out, work)
     assert out[0] == pytest.approx(weight, rel=1e-14)
@@ -213,7 +218,7 @@ def test_slide_on_an_incline():
     held = arm.energy(arm.SLIDE, links, pull, q, qd, work)
     assert held == pytest.approx((0.5 * m * 0.2**2, weight * 0.4), rel=1e-14)
     end = 0.4 * math.cos(incline), 0.0, 0.4 * math.sin(incline)
-    assert arm.tip(arm.SLIDE, links, q) == pytest.approx(end, rel=1e-14)
+    assert tip(links, q, arm.SLIDE) == pytest.approx(end, rel=1e-14)
 
 
 def test_acceleration_may_overwrite_the_torque():

@@ -7,7 +7,7 @@ from ehbench import workflow
 from ehbench.config.recipe import TrialRecipe
 from ehbench.control.coupling import among_others, joint_motion, loads_among
 from ehbench.parts.cylinder import joint_of, joint_range_of, linkage_of
-from ehbench.physics.arm import bias, energy, mass_matrix, work_size
+from ehbench.physics.arm import bias_turned, energy, mass_matrix, turn, work_size
 from ehbench.physics.tip import FOUND, Chain, polish, reach, tip_frames, tip_jacobian, tip_of
 from ehbench.plant.model import Model
 from ehbench.report.terminal import answer
@@ -69,7 +69,8 @@ def test_what_the_others_add_is_what_the_mechanism_asks_for(tmp_path):
     now, _ = loads_among(row, q[j], 0.0, 0.0, axis, q.copy(), mass, work)
     _, lever, curve = linkage_of(axis.cylinder, q[j])
     torque, full = np.zeros(n), np.zeros((n, n))
-    bias(axis.mechanism.kind, links, gravity, q, qd, torque, work)
+    turn(links, q, work)
+    bias_turned(axis.mechanism.kind, links, gravity, qd, torque, work)
     mass_matrix(axis.mechanism.kind, links, q, full, work)
     wanted = torque[j] + full[j] @ qdd - links[j].damping * qd[j]
     a = lever * qdd[j] + curve * qd[j] ** 2

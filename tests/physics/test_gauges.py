@@ -80,6 +80,13 @@ def test_channels_of_gauges_appear_only_on_request():
     assert "press.rod_force" not in Model.of(slide()).replay(made).channels
 
 
+def near(fit, wanted: dict[str, float]) -> None:
+    """Fail unless each estimate lies within one and a half of its interval's half width."""
+    for name, truth in wanted.items():
+        low, high = fit[name].interval or (0.0, 0.0)
+        assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
+
+
 @cache
 def logged(word: str) -> list[tuple[str, Record]]:
     """Logs of a machine with a place, one gauge, and no pressure of a chamber."""
@@ -99,12 +106,10 @@ def logged(word: str) -> list[tuple[str, Record]]:
 
 @pytest.mark.parametrize("word", ["load_pressure", "rod_force"])
 def test_a_gauge_tells_the_oil_where_no_chamber_has_one(word):
-    wanted = ["bulk_modulus", "carriage.damping", "press.friction_coulomb"]
-    fit = identify_hydraulics(slide(), logged(word), wanted)
+    wanted = {"bulk_modulus": 7.5e8, "carriage.damping": DAMPING, "press.friction_coulomb": 180.0}
+    fit = identify_hydraulics(slide(), logged(word), list(wanted))
     assert f"press.{word}" in fit.logs[0].fit_percent
-    for name, truth in zip(wanted, (7.5e8, DAMPING, 180.0), strict=True):
-        low, high = fit[name].interval or (0.0, 0.0)
-        assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
+    near(fit, wanted)
     low, high = fit["bulk_modulus"].interval or (0.0, np.inf)
     assert high - low < 0.05 * 7.5e8
 
@@ -131,9 +136,8 @@ def test_a_recorded_spool_tells_its_own_dynamics_and_is_judged():
         for asked in (("v",), ("v", "opening"))
     )
     assert "press.servo.opening" in fit.logs[0].fit_percent
-    for name, truth in valve.items():
-        low, high = fit[name].interval or (0.0, 0.0)
-        assert abs(fit[name].value - truth) < 1.5 * (high - low) / 2, name
+    near(fit, valve)
+    for name in valve:
         assert fit[name].std < 0.5 * without[name].std  # pyright: ignore[reportOperatorIssue]
     limits = Thresholds(fit_percent={"v": 50.0, "opening": 90.0})
     good, bad = (

@@ -142,8 +142,9 @@ def test_equivalents_against_energy(case):
             potential.append(height)
             assert kinetic == pytest.approx(0.5 * here.mass[at] * v**2, rel=1e-12)
             with_rate, at_rest = np.empty(n), np.empty(n)
-            arm.bias(plant.kind, plant.links, plant.gravity, q, qd, with_rate, work)
-            arm.bias(plant.kind, plant.links, plant.gravity, q, np.zeros(n), at_rest, work)
+            arm.turn(plant.links, q, work)
+            arm.bias_turned(plant.kind, plant.links, plant.gravity, qd, with_rate, work)
+            arm.bias_turned(plant.kind, plant.links, plant.gravity, np.zeros(n), at_rest, work)
             # one joint alone feels no Coriolis torque of its own, so the rest is damping
             lost = (with_rate - at_rest)[joint] * qd[joint]
             assert lost == pytest.approx(here.damping[at] * v**2, rel=1e-9)

@@ -10,7 +10,6 @@ from with_parts import books, moved, noisy, point_of, recovered, steps
 from ehbench.config.rig import Edge, Rig
 from ehbench.control.valve_level import edge_order
 from ehbench.flow_maps.step_readings import step_readings
-from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.machines.virtual.machine import VirtualMachine
 from ehbench.parts.edge import edge_command, edge_flow, edge_known, edge_onset, edge_slope
 from ehbench.plant.model import Model, simulate
@@ -18,7 +17,7 @@ from ehbench.tune.loop import damping_ratio
 from ehbench.tune.operating_point import circuit_of
 from ehbench.vocabulary.codes import FAINT, REVERSED
 from ehbench.vocabulary.fields import Value
-from tests.shared import shipped
+from tests.shared import shipped, started_off
 
 DROPS = (1e2, 1e4, 3e5, 2e6, 1.9e6, 2.1e6, 1.2e7)
 
@@ -225,11 +224,11 @@ def test_an_underlap_comes_back_from_a_noisy_log():
     rig = underlapped()
     command = steps((1.0, 3.0, -2.0, 0.6, -0.6))
     made = simulate(rig, {"press.servo": command}, 1e-3 * (command.size - 1))
-    start = {"press.servo_rod_tank.underlap": 0.05, "press.servo_supply_head.flow_gain": 3e-8}
-    fit = identify_hydraulics(rig, [("log", noisy(made, 5))], list(start), FitOptions(start=start))
-    for name in start:
+    factors = {"press.servo_rod_tank.underlap": 1 / 3, "press.servo_supply_head.flow_gain": 0.6}
+    fit, known = started_off(rig, [("log", noisy(made, 5))], factors)
+    for name, truth in known.items():
         low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
-        assert low <= float(rig.parameters()[name]) <= high and fit[name].status == "estimated"
+        assert low <= truth <= high and fit[name].status == "estimated"
         assert high - low < 0.05 * high
 
 

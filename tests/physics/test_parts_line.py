@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from plant_differences import plant_model
-from with_parts import books, jacobian, moved, point_of, ringing, slide, steps, swing
+from with_parts import books, jacobian, linear_models_agree, moved, ringing, steps, swing
 
 from ehbench.config.rig import Rig
 from ehbench.control.law import DesignPoint
@@ -12,12 +11,10 @@ from ehbench.data.record import Record
 from ehbench.ledger import ledger_of_model
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge.orifice import root
-from ehbench.parts.line import LINE, Line, drop_for, line_conductance
+from ehbench.parts.line import LINE, drop_for, line_conductance
 from ehbench.plant.model import Model, simulate
 from ehbench.runtime.compiled import table_of
-from ehbench.tune.linear import development_model
-from ehbench.tune.operating_point import circuit_of, state_of
-from tests.shared import refused
+from tests.shared import refused, slide
 
 LAMINAR = {"end": "head", "volume": "0.4 L", "resistance": "0.3 bar*min/L"}
 TURBULENT = {"end": "rod", "volume": "0.25 L", "orifice_gain": "15 L/min/bar^0.5"}
@@ -26,7 +23,7 @@ HOSE = TURBULENT | {"resistance": "0.1 bar*min/L", "bulk_modulus": "500 MPa"}
 
 def lined(*lines: dict) -> Rig:
     """The sliding mass with lines at its cylinder."""
-    return slide(line=tuple(Line.model_validate(line) for line in lines))
+    return slide(line=list(lines))
 
 
 def row(**given: float) -> np.record:
@@ -136,25 +133,11 @@ def test_a_record_starts_its_lines_at_their_chambers():
     assert start[model.layout.state("p_line_head")] == start[model.layout.state("p_head")]
 
 
-@pytest.mark.parametrize("function", [1, 3])
-def test_a_linear_model_has_the_line(function):
+@pytest.mark.parametrize("way", [0, 1])
+def test_a_linear_model_has_the_line(way):
     """From the equations as from differences of the plant; the point is a steady motion."""
-    model = Model.of(lined(LAMINAR, HOSE))
-    function = int(np.flatnonzero(circuit_of(model, 0).able)[function // 2 + 1])
-    point = point_of(model, function, speed=0.1)
-    assert point.possible, point.note
-    y, command = state_of(model, point)
-    log = model.run(y, np.tile(command, (100, 1)))
-    at = [model.layout.state(name) for name in ("p_head", "p_rod", "p_line_head", "p_line_rod")]
-    assert np.abs(log[5, at] - y[at]).max() < 2e-3 * y[at].max()  # volumes move on
-    equations, differences = development_model(model, point), plant_model(model, point)
-    assert equations.states == differences.states and "press.p_line_rod" in equations.states
-    scale = np.ones(len(equations.states))
-    scale[1:5] = 1e6
-    for name in ("a", "b"):
-        mine, its = getattr(equations, name), getattr(differences, name)
-        ratio = scale / scale[:, None] if name == "a" else 1.0 / scale[:, None]
-        assert np.allclose(mine * ratio, its * ratio, rtol=2e-4, atol=1e-3), name
+    sizes = {"p_line_head": 1e6, "p_line_rod": 1e6}
+    linear_models_agree(lined(LAMINAR, HOSE), way, sizes)
 
 
 def test_the_virtual_bench_has_the_line_too():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plant_differences import plant_model
 from scipy.integrate import solve_ivp
-from with_parts import books, moved, point_of, recovered, ringing, slide
+from with_parts import books, moved, point_of, recovered, ringing
 
 from ehbench.config.recipe import BenchRecipe
 from ehbench.config.rig import Rig
@@ -14,13 +14,13 @@ from ehbench.parts.oil import ATMOSPHERE, bulk, bulk_of, compressed, stored
 from ehbench.plant.model import Model
 from ehbench.tune.linear import development_model
 from ehbench.vocabulary.fields import Value
+from tests.shared import slide
 
 
-def airy(share: float = 0.02, exponent: float | None = 1.3) -> Rig:
+def airy() -> Rig:
     """The sliding mass on oil with free air."""
     rig = slide()
-    n = None if exponent is None else Value(exponent)
-    update = {"air_fraction": Value(share), "polytropic_exponent": n}
+    update = {"air_fraction": Value(0.02), "polytropic_exponent": Value(1.3)}
     return rig.model_copy(update={"oil": rig.oil.model_copy(update=update)})
 
 

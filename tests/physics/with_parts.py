@@ -1,15 +1,15 @@
 """What the tests of a rig's parts share: a rig with a part, its linear form, noise, a fit."""
 
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import pytest
 from plant_differences import plant_model
 
+from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.ledger import Ledger, ledger_of_log, ledger_of_model
 from ehbench.ledger.loads import Loads
 from ehbench.ledger.model_account import states_of
@@ -22,17 +22,23 @@ from ehbench.plant.model import Model, simulate
 from ehbench.plant.valves import acting_commands
 from ehbench.tune.linear import development_model
 from ehbench.tune.operating_point import Aim, circuit_of, equivalent, operating_point, state_of
-from tests.shared import measured, shipped
+from ehbench.vocabulary.errors import InputError
+from tests.shared import measured, started_off
 
 LEVELS = (1.0, 2.0, 5.0, -2.0, -6.0, 3.5, -3.0)  # [V]
 NOISE = {"v": 1e-3, "qd": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "q": 1e-5, "p_supply": 6e3}
 
 
-def slide(**parts: Any) -> Rig:
-    """The sliding mass, its cylinder with further tables."""
-    rig = shipped("slide_servo")
-    cylinder = rig.cylinder[0].model_copy(update=parts)
-    return rig.model_copy(update={"cylinder": (cylinder,)})
+def slip(path: Path, text: str, old: str, new: str, words: str) -> str:
+    """The line that a rig file is refused for, by one sentence with these words, where one slip is
+    made in a text that is sound."""
+    path.write_text(text)
+    load_rig(path)
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_rig(path)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+    return path.read_text().splitlines()[(caught.value.line or 0) - 1]
 
 
 def jacobian(model: Model) -> np.ndarray:
@@ -52,8 +58,9 @@ def jacobian(model: Model) -> np.ndarray:
     return np.array(columns).T
 
 
-def linear_models_agree(rig: Rig, way: int, own: tuple[str, ...]) -> None:
-    """Fail unless equations and differences give one linear model with the states ``own``."""
+def linear_models_agree(rig: Rig, way: int, own: dict[str, float]) -> None:
+    """Fail unless equations and differences give one linear model with the states ``own``, of
+    these sizes [SI], about a steady motion."""
     model = Model.of(rig)
     circuit = circuit_of(model, 0)
     point = point_of(model, int(np.flatnonzero(circuit.able)[1 + way]), speed=0.1)
@@ -61,12 +68,13 @@ def linear_models_agree(rig: Rig, way: int, own: tuple[str, ...]) -> None:
     y, command = state_of(model, point)
     dy = np.empty_like(y)
     derivatives(y, command, model.plant, dy, np.empty(model.plant.at.work))
-    assert np.abs([dy[model.layout.state(name)] for name in ("qd", *own)]).max() < 1e-6
+    for name, size in {"qd": 1.0, **own}.items():
+        assert abs(dy[model.layout.state(name)]) < 1e-6 * max(size, 1.0), name
     equations, differences = development_model(model, point), plant_model(model, point)
     assert equations.states == differences.states
     assert equations.states[3 : 3 + len(own)] == tuple(f"press.{name}" for name in own)
     scale = np.ones(len(equations.states))
-    scale[1:3], scale[3] = 1e6, 1e-3
+    scale[1 : 3 + len(own)] = 1e6, 1e6, *own.values()
     mine, its = (one.a * scale / scale[:, None] for one in (equations, differences))
     assert (np.abs(mine - its) <= 1e-4 * np.abs(mine).max(axis=1, keepdims=True)).all()
     assert np.allclose(equations.b, differences.b, rtol=1e-5, atol=1e-3)
@@ -127,8 +135,6 @@ def steps(levels: tuple[float, ...] | np.ndarray, hold: int = 150) -> np.ndarray
 
 def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> None:
     """Fail unless parameters come back from two noisy logs, held by intervals over five draws."""
-    truth = {name: float(rig.parameters()[name]) for name in factors}
-    start = {name: factor * truth[name] for name, factor in factors.items()}
     made = []
     for sign in (0.9, 1.1):
         table = steps(sign * np.array(LEVELS))
@@ -136,7 +142,7 @@ def recovered(rig: Rig, factors: dict[str, float], accuracy: float = 0.05) -> No
     held = []
     for seed in range(5):
         logs = [(f"log {i}", noisy(log, 10 * seed + i)) for i, log in enumerate(made)]
-        fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start))
+        fit, truth = started_off(rig, logs, factors)
         for name, value in truth.items():
             low, high = fit[name].interval  # pyright: ignore[reportGeneralTypeIssues]
             assert fit[name].status == "estimated", fit[name]

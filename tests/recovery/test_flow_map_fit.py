@@ -10,7 +10,7 @@ import pytest
 from ehbench.data.flowmeter import merge_flowmeter, read_flowmeter
 from ehbench.flow_maps import shape as shapes
 from ehbench.flow_maps.readings import Cells, FlowMapOptions, Units, readings_table
-from ehbench.flow_maps.results import fit_flow_map
+from ehbench.flow_maps.results import check_calibration, fit_flow_map
 from ehbench.flow_maps.shape import Shape, gaps_of, likeliest_smoothing
 from ehbench.flow_maps.spline import Axis
 from ehbench.physics.flow_map import FlowMap, collect, dump_flow_maps
@@ -48,17 +48,6 @@ def fit(data, file="", line=None, **options):
 def fitted(law, seed):
     """The fit of ``readings(law, seed)``, which several tests look at."""
     return fit(readings(law, seed))
-
-
-@cache
-def lone_cell(volts):
-    """(readings of which one cell at a command is 15 % high, in all its trials, that cell, fit)."""
-    data = readings(compensated, 5)
-    amid = (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
-    cell = amid & (data["command"] == volts)
-    assert cell.sum() == 3
-    data["flow"] = np.where(cell, 1.15 * data["flow"], data["flow"])
-    return data, cell, fit(data)
 
 
 def keys(found):
@@ -117,12 +106,11 @@ def test_flow_rises_with_the_command_and_may_fall_with_the_drop():
 def test_outliers_are_named_by_line_and_do_not_move_the_map(law):
     data = readings(law, 5)
     bad = np.array([100, 250, 400, 401, 555])
-    clean = fit(data, rated_flow=8 * GPM)
-    data["flow"] = data["flow"].copy()
+    clean = fitted(law, 5)
     data["flow"][bad] *= [3.0, 0.3, 1.4, 1.4, 0.0]
     data["flow"][bad[0]] += 0.5 * GPM
     lines = np.arange(data["flow"].size) + 11
-    found = fit(data, rated_flow=8 * GPM, file="hect.csv", line=lines)
+    found = fit(data, file="hect.csv", line=lines)
     assert [one.line for one in found.outliers] == (bad + 11).tolist()
     assert found.warnings[0].key == "flow_maps.outliers" and "hect.csv:111" in found.warnings[0]
     assert len(found.map.outliers) == 5 and found.map.samples == lines.size - 5
@@ -271,7 +259,7 @@ def test_calibration_is_judged_and_no_flow_shown_as_zero():
     assert one.low <= true <= one.high and one.least == one.most == pytest.approx(one.flow)
     text = one.sentence(Units("L/min", "bar"))
     assert "L/min" in text and text.fields["drops"] == "50 bar"
-    wide = fit(readings(poppet, 15), calibration=points[:1]).calibration[0]
+    wide = check_calibration(found.map, *points[0], None)
     assert wide.drop_low == pytest.approx(3.3e6, rel=0.05) and wide.least < wide.flow < wide.most
     show = Units("L/min", "bar")
     assert (show.flow(1e-154), show.flow(1e-7)) == ("0 L/min", "0.006 L/min")
@@ -364,9 +352,14 @@ def test_a_kink_at_the_compensators_drop_is_followed_and_covered(case, seed):
 
 
 def test_repeats_that_agree_stay_in_however_far_from_the_map():
+    """One cell at a command is 15 % high, in all its trials."""
     clean = fitted(compensated, 5).map
     for volts in (5.0, 8.0):
-        data, cell, found = lone_cell(volts)
+        data = readings(compensated, 5)
+        amid = (data["pressure_drop"] > 1.35e6) & (data["pressure_drop"] < 1.55e6)
+        cell = amid & (data["command"] == volts)
+        found = fit({**data, "flow": np.where(cell, 1.15, 1.0) * data["flow"]})
+        assert cell.sum() == 3
         assert not found.outliers and compare(found, compensated)[0] >= 0.9
         drop = float(data["pressure_drop"][cell].mean())
         # what one cell in its neighbourhood misses the map by widens the interval there, and not
@@ -383,9 +376,9 @@ def test_repeats_that_agree_stay_in_however_far_from_the_map():
 @pytest.mark.parametrize("commands", [COMMANDS, np.arange(11.0)], ids=["fine", "volts"])
 def test_the_deadbands_interval_holds_a_kinked_and_a_soft_start(law, start, commands):
     few = {"commands": commands, "trials": 2, "drops": DROPS[::2]}
-    found = [fit(readings(law, seed, **few)) for seed in range(30, 33)]
+    found = [fit(readings(law, seed, **few)) for seed in (30, 31)]
     ends = np.array([one.deadband_interval for one in found])
-    # 95 % each: an interval that holds it every other time only fails in seven cases of eight
+    # 95 % each: an interval that holds it every other time only fails in three rows of four
     assert np.all((ends[:, 0] <= start) & (start <= ends[:, 1]))
     # and not by holding anything: below the first command that passes flow there is one that may
     # not, and one that does not
@@ -448,7 +441,7 @@ def test_a_smooth_opening_has_no_kink(law):
 @pytest.mark.slow
 def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
     held = []
-    for seed in range(4):
+    for seed in range(2):
         found = fit(swept(poppet, seed, 0.1))  # 1 % of the command
         low, high = found.hysteresis_interval
         start, end = found.deadband_interval
@@ -456,9 +449,10 @@ def test_hysteresis_is_a_number_of_its_own_and_leaves_the_deadband_right():
         assert 0.095 < low and high < 0.105 and end - start < 0.25
         assert FlowMap.from_dict(found.map.to_dict()).hysteresis == found.hysteresis
         assert "hysteresis" in keys(found)
-        assert compare(found, poppet)[0] >= 0.8 and compare(found, poppet)[1] < 0.005
-    # 95 % each: two of eight outside come by chance once in twenty times
-    assert sum(held) >= 6
+        share, rms, _ = compare(found, poppet)
+        assert share >= 0.8 and rms < 0.005
+    # 95 % each: two of four outside come by chance once in seventy times
+    assert sum(held) >= 3
 
 
 def test_a_deadband_that_shifts_with_the_drop_is_part_of_the_map():
@@ -495,7 +489,7 @@ def test_a_leak_at_rest_has_an_interval_and_leaves_the_deadband_right(seed, goes
     assert compare(found, law)[0] >= 0.9
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_command_that_passes_little_more_than_the_leak_is_open(seed):
     """1.25 V passes 1.44 of it; the leak stays beside the opening."""
 

@@ -6,42 +6,27 @@ import numpy as np
 import pytest
 
 from ehbench.config.rig import Rig
-from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
-from tests.shared import shipped
+from tests.shared import slide, started_off
 from tools.virtual_logs import noisy
 
 NOISE = {"qd": 5e-4, "v": 5e-4, "p_head": 3e3, "p_rod": 3e3, "q": 1e-5, "x": 1e-5}
 NOISE |= dict.fromkeys(("command", "p_supply", "p_tank"), 0.0)
 
 
-def slide(**cylinder: Any) -> Rig:
-    """The sliding mass with more in its cylinder."""
-    plain = shipped("slide_servo").as_toml()
-    (own,) = plain["cylinder"]
-    return Rig.model_validate(plain | {"cylinder": [own | cylinder]})
-
-
 def held(
-    rig: Rig, factors: dict[str, float], drives: list[np.ndarray], seed: int = 0, **options: Any
+    rig: Rig, factors: dict[str, float], drives: list[np.ndarray], seed: int = 0
 ) -> list[bool]:
     """Fit logs from starts ``factors`` off: whether each interval holds the truth."""
-    truth = {name: float(rig.parameters()[name]) for name in factors}
     logs = []
     for i, u in enumerate(drives, 100 * seed):
         record = simulate(rig, {"press.servo": u}, (u.size - 1) / 1000)
         logs.append((f"log {i}", noisy(record, i, noise=NOISE)))
-    start = {name: value * factors[name] for name, value in truth.items()}
-    fit = identify_hydraulics(rig, logs, list(factors), FitOptions(start=start, **options))
+    fit, truth = started_off(rig, logs, factors)
     for name, value in truth.items():
         assert fit[name].status == "estimated", fit[name]
         assert fit[name].std < 0.1 * value, fit[name]
     return [fit[n].interval[0] <= value <= fit[n].interval[1] for n, value in truth.items()]
-
-
-def recovered(*of: Any, **options: Any) -> None:
-    """Every interval holds the truth."""
-    assert all(held(*of, **options))
 
 
 def wave(volts: float, period: float, samples: int) -> np.ndarray:
@@ -71,16 +56,14 @@ VALVES = {
 
 def valve_with(dynamics: dict[str, Any]) -> Rig:
     """The sliding mass with other elements in series in its valve."""
-    plain = slide(**SEALS).as_toml()
-    (cylinder,) = plain["cylinder"]
-    (valve,) = cylinder["valve"]
     kinds = {"lag": "first_order", "delay": "delay"}
     made = {
         name: {"kind": next((kinds[key] for key in table if key in kinds), "second_order")} | table
         for name, table in dynamics.items()
     }
-    cylinder = cylinder | {"valve": [valve | {"dynamics": list(dynamics)}]}
-    return Rig.model_validate(plain | {"dynamics": made, "cylinder": [cylinder]})
+    plain = slide(**SEALS).as_toml() | {"dynamics": made}
+    plain["cylinder"][0]["valve"][0]["dynamics"] = list(dynamics)
+    return Rig.model_validate(plain)
 
 
 def jumps(volts: float, hold: int = 100, samples: int = 801) -> np.ndarray:
@@ -92,9 +75,10 @@ def jumps(volts: float, hold: int = 100, samples: int = 801) -> np.ndarray:
 @pytest.mark.parametrize("case", VALVES)
 def test_valves(case):
     dynamics, factors = VALVES[case]
-    recovered(valve_with(dynamics), factors, [jumps(3.0), -jumps(2.0, hold=61)])
+    assert all(held(valve_with(dynamics), factors, [jumps(3.0), -jumps(2.0, hold=61)]))
 
 
+SHORT = [jumps(3.0, 60, 201), -jumps(2.0, 41, 201)]
 LINES = [
     {"end": "head", "volume": "0.4 L", "resistance": "0.3 bar*min/L"},
     {"end": "rod", "volume": "0.25 L", "orifice_gain": "15 L/min/bar^0.5"},
@@ -107,16 +91,14 @@ def test_lines(seed):
     """Of pressures in the chambers alone."""
     factors = {"press.line_head.volume": 1.8, "press.line_head.resistance": 0.5}
     factors |= {"press.line_rod.orifice_gain": 1.7}
-    rig = slide(**SEALS, line=LINES)
-    recovered(rig, factors, [jumps(3.0, 60, 201), -jumps(2.0, 41, 201)], seed)
+    assert all(held(slide(**SEALS, line=LINES), factors, SHORT, seed))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_mounts(seed):
     mount = {"stiffness": "12 kN/mm", "damping": "15 kN*s/m"}
     factors = {"press.mount.stiffness": 1.7, "press.mount.damping": 0.6}
-    rig = slide(**SEALS, mount=mount)
-    recovered(rig, factors, [jumps(3.0, 60, 201), -jumps(2.0, 41, 201)], seed)
+    assert all(held(slide(**SEALS, mount=mount), factors, SHORT, seed))
 
 
 @pytest.mark.slow

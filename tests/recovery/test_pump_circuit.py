@@ -1,18 +1,16 @@
 """Numbers of a pump, its check valves and an accumulator come back from simulated, noisy logs."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.identification.hydraulics import FitOptions, identify_hydraulics
 from ehbench.plant.model import simulate
+from tests.shared import shipped, started_off
 
-RIG = load_rig(Path(__file__).parents[2] / "recipes" / "rigs" / "pump_cylinder.toml")
+RIG = shipped("pump_cylinder")
 NOISE = {"v": 1e-3, "p_head": 6e3, "p_rod": 6e3, "x": 1e-5, "p_supply": 6e2}
 
 
@@ -77,12 +75,11 @@ def test_what_a_drive_gives_at_most_comes_back():
 
 def comes_back(rig: Rig, given: list[tuple[str, Record]], factors: dict[str, float]) -> None:
     """Fail unless parameters, started that many times off, come back from some logs."""
-    known = {name: float(rig.parameters()[name]) for name in factors}
-    start = {name: known[name] * factor for name, factor in factors.items()}
-    fit = identify_hydraulics(rig, given, list(factors), FitOptions(start=start))
+    fit, known = started_off(rig, given, factors)
     for name, truth in known.items():
         found = fit[name]
-        assert found.status in ("estimated", "correlated") and found.start == start[name]
+        assert found.status in ("estimated", "correlated")
+        assert found.start == factors[name] * truth
         # four standard errors: one parameter in 16 000 fails by chance
         assert abs(found.value - truth) < 4.0 * found.std, found  # pyright: ignore[reportOperatorIssue]
         assert found.std < 0.05 * truth

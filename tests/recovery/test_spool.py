@@ -14,9 +14,8 @@ from tools.virtual_logs import virtual_log
 def slide(**spool) -> Rig:
     """The slide, its spool with these keys."""
     tables = shipped("slide_servo").as_toml()
-    press = tables["cylinder"][0]
-    valve = {**press["valve"][0], **spool}
-    return Rig.model_validate({**tables, "cylinder": [{**press, "valve": [valve]}]})
+    tables["cylinder"][0]["valve"][0].update(spool)
+    return Rig.model_validate(tables)
 
 
 @pytest.mark.parametrize(("overlap", "null"), [("0.3 V", "0.1 V"), ("-0.2 V", "-0.05 V")])

@@ -8,7 +8,7 @@ from ehbench.config.recipe import load_recipe
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.flow_maps.step_readings import step_readings
-from ehbench.flow_maps.tables import prepare_readings, run_readings
+from ehbench.flow_maps.tables import fit_edge, prepare_readings
 from ehbench.machines.virtual import VirtualMachine
 from ehbench.parts.edge import edge_flow
 from ehbench.plant.model import Model, simulate
@@ -64,7 +64,8 @@ def test_a_map_from_steps_holds_the_edge_s_law(rig, logs):
             # the speed's noise alone is 0.02 L/min; the chamber's compression is up to 3 L/min
             assert np.sqrt(np.mean(left**2)) < 0.05e-3 / 60.0
     rows = [part.select("boom.rt") for part in parts]
-    fit = run_readings(prepare_readings(rig, rows))[0].map
+    (edge,) = prepare_readings(rig, rows).edges
+    fit = fit_edge(rig, edge).map
     drop, command = np.meshgrid(np.linspace(1e6, 15e6, 30), np.linspace(1.5, 5.0, 30))
     inside = fit.inside(drop, command)
     left = (fit.flow(drop, command) - true_flow(model, "boom.rt", drop, command))[inside]

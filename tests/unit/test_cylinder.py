@@ -1,4 +1,4 @@
-"""Cylinder geometry, chambers, end stops and friction against closed forms."""
+"""Cylinder geometry, chambers and end stops against closed forms."""
 
 import math
 from typing import NamedTuple
@@ -6,10 +6,16 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ehbench.parts.cylinder import CYLINDER, chamber_inflow, chamber_pressure_rate
+from ehbench.parts.cylinder import (
+    CYLINDER,
+    VOLUME_MARGIN,
+    chamber_inflow,
+    chamber_oil,
+)
+from ehbench.parts.end_stop import STOP_DISSIPATION, stop_force
 from ehbench.parts.nodes import NODE
-from ehbench.physics import cylinder, friction
-from ehbench.runtime.compiled import table
+from ehbench.physics import cylinder
+from ehbench.runtime.compiled import table, table_of
 from ehbench.vocabulary.errors import InputError
 
 # SPEC 1: (kind, l_A, l_B, sign, phase, retracted), stroke, joint range in degrees
@@ -24,6 +30,11 @@ SLIDE = (cylinder.DIRECT, 0.0, 0.0, 1, 0.0, 0.0)
 THESIS_CASES = pytest.mark.parametrize(
     ("geometry", "stroke", "degrees"), THESIS.values(), ids=THESIS
 )
+
+
+def row(**given):
+    """The row of a cylinder."""
+    return table_of([given], CYLINDER)[0]
 
 
 def rk4(rate, state, step, count):
@@ -74,6 +85,9 @@ def test_a_stroke_out_of_reach_is_refused(x):
         cylinder.joint_angle(cylinder.PINS, 0.5, 0.3, 1, 0.0, 0.4, np.array([0.0, x]))
 
 
+PISTON = row(area_head=AREA_HEAD, area_rod=AREA_ROD, volume_head=4e-4, volume_rod=9e-4)
+
+
 class Chambers(NamedTuple):
     """One cylinder whose pressures are the whole state: head, rod; tank pressure fixed."""
 
@@ -90,11 +104,11 @@ def rates(
     row.node_head, row.node_rod = 2, 3
     row.area_head, row.area_rod = areas
     row.leakage_internal, row.leakage_head, row.leakage_rod = leaks
-    row.bulk_modulus, row.relief_pressure, row.cavitation_pressure = BULK, math.inf, FLOOR
+    row.relief_pressure = math.inf
     found = []
     for side in range(2):
         inflow = chamber_inflow(row, side, v, into[side], np.array(p), Chambers(nodes))
-        found.append(chamber_pressure_rate(row, p[side], volumes[side], inflow))
+        found.append(cylinder.chamber_rate(inflow, p[side], volumes[side], BULK, FLOOR))
     return tuple(found)
 
 
@@ -125,12 +139,10 @@ def test_chambers_conserve_oil():
 
     ``∫ dP V/β + ΔV = 0`` of each chamber gives ``P = P0 − β ln(V/V0)``.
     """
-    v, x0, dead = 0.005, 0.1, (4e-4, 9e-4)
+    v, x0 = 0.005, 0.1
 
     def volumes(x):
-        return cylinder.chamber_volume(dead[0], AREA_HEAD * x), cylinder.chamber_volume(
-            dead[1], -AREA_ROD * x
-        )
+        return chamber_oil(PISTON, 0, x), chamber_oil(PISTON, 1, x)
 
     def rate(state):
         return np.array([v, *rates(v, p=state[1:3], volumes=volumes(state[0]))])
@@ -155,8 +167,8 @@ def test_internal_leak_keeps_the_sum_of_oil_and_a_guard_the_volume():
     fade = leaks[0] * BULK * (1 / volumes[0] + 1 / volumes[1])
     # exponential decay of the difference; RK4 with λh = 0.1 is good to (λh)⁴/120 a unit of time
     assert path[-1, 0] - path[-1, 1] == pytest.approx(4e6 * math.exp(-fade * 0.5), abs=4.0)
-    assert cylinder.chamber_volume(9e-4, -AREA_ROD * 0.3) == 9e-4 - AREA_ROD * 0.3
-    assert cylinder.chamber_volume(9e-4, -AREA_ROD * 5.0) == cylinder.VOLUME_MARGIN * 9e-4
+    assert chamber_oil(PISTON, 1, 0.3) == 9e-4 - AREA_ROD * 0.3
+    assert chamber_oil(PISTON, 1, 5.0) == VOLUME_MARGIN * 9e-4
 
 
 @pytest.mark.parametrize("outflow", [1e-6, 1e-4, 5e-4])
@@ -216,11 +228,12 @@ def test_oil_balance_closes_with_makeup_and_relief_opens_one_way():
 
 def test_end_stop_never_pulls_and_is_continuous():
     rng = np.random.default_rng(0)
-    stroke, k, d = 0.254, 1e8, 5.0
+    stroke, k = 0.254, 1e8
+    stops = row(stroke=stroke, stop_stiffness=k)
     for x, v in zip(
         rng.uniform(-0.02, stroke + 0.02, 2000), rng.normal(scale=1.0, size=2000), strict=True
     ):
-        force = cylinder.end_stop(x, v, stroke, k, d)
+        force = stop_force(stops, x, v)
         if x < 0:
             assert force >= 0
         elif x > stroke:
@@ -228,52 +241,21 @@ def test_end_stop_never_pulls_and_is_continuous():
         else:
             assert force == 0
         # the other end is the mirror image; x and stroke − x differ by a rounding of the stroke
-        assert cylinder.end_stop(stroke - x, -v, stroke, k, d) == pytest.approx(
-            -force, rel=1e-9, abs=k * 1e-15
-        )
-    assert cylinder.end_stop(-1e-3, 0.0, stroke, k, d) == pytest.approx(1e5, rel=1e-14)
-    assert cylinder.end_stop(-1e-12, -3.0, stroke, k, d) == pytest.approx(0.0, abs=k * 1e-12 * 16)
+        mirrored = pytest.approx(-force, rel=1e-9, abs=k * 1e-15)
+        assert stop_force(stops, stroke - x, -v) == mirrored
+    assert stop_force(stops, -1e-3, 0.0) == pytest.approx(1e5, rel=1e-14)
+    assert stop_force(stops, -1e-12, -3.0) == pytest.approx(0.0, abs=k * 1e-12 * 16)
 
 
 def test_bounce_loses_what_the_dissipation_says():
     """Restitution 1 − (2/3) d v for small d v (Hunt & Crossley)."""
-    mass, k, d, v0 = 500.0, 1e7, 0.5, -0.1
+    mass, d, v0 = 500.0, STOP_DISSIPATION, -0.01
+    stops = row(stroke=0.3, stop_stiffness=1e7)
 
     def rate(state):
-        return np.array([state[1], cylinder.end_stop(state[0], state[1], 0.3, k, d) / mass])
+        return np.array([state[1], stop_force(stops, state[0], state[1]) / mass])
 
     path = rk4(rate, [0.0, v0], 1e-5, 3000)
     assert path[-1, 0] > 0
     # the next term of the series is of order (d v)² = 2.5e-3
     assert path[-1, 1] / -v0 == pytest.approx(1 - 2 / 3 * d * -v0, abs=2.5e-3)
-
-
-LAWS = {
-    "coulomb_viscous": lambda v: friction.coulomb_viscous(v, 800.0, 150.0, 2e-3),
-    "stribeck": lambda v: friction.stribeck(v, 800.0, 150.0, 260.0, 0.02, 2e-3),
-}
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_friction_is_odd_and_dissipates(law):
-    for v in np.concatenate((np.geomspace(1e-9, 1e3, 60), [0.0])):
-        assert law(-v) == -law(v)
-        assert v * law(v) >= 0
-    assert law(0.0) == 0.0
-
-
-def test_friction_limits():
-    stribeck, plain = LAWS["stribeck"], LAWS["coulomb_viscous"]
-    assert plain(1.0) == pytest.approx(950.0, rel=1e-14)
-    assert stribeck(1.0) == pytest.approx(950.0, rel=1e-14)
-    assert plain(1e-9) == pytest.approx((800.0 + 150.0 / 2e-3) * 1e-9, rel=1e-9)
-    speeds = np.linspace(0.0, 0.1, 1001)
-    curve = np.array([stribeck(v) for v in speeds])
-    peak = curve.argmax() if curve.argmax() < 400 else curve[:400].argmax()
-    # the smoothing takes a few per cent off the peak; beyond it the curve falls before viscosity
-    # takes over
-    assert 0.9 * 260 < curve[peak] < 260 + 800 * speeds[peak]
-    assert curve[speeds > speeds[peak]].min() < curve[peak] - 50
-    assert friction.stribeck(0.05, 800.0, 150.0, 150.0, 0.02, 2e-3) == pytest.approx(
-        plain(0.05), rel=1e-14
-    )

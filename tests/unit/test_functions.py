@@ -8,7 +8,7 @@ from closed_loop import circuit_of
 
 from ehbench.control import functions as fn
 from ehbench.control.measured import Pressures
-from ehbench.parts.edge import COMPENSATED, EDGE, ORIFICE
+from ehbench.parts.edge import BY_NAME, EDGE
 from ehbench.parts.supply import SUPPLY as SUPPLY_LINE
 from ehbench.plant.model import Model
 from ehbench.runtime.compiled import table
@@ -30,10 +30,10 @@ def shipped_circuit(rig: str, cylinder: str) -> fn.Circuit:
     return circuit_of(model, model.layout.cylinders.index(cylinder))
 
 
-def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law=COMPENSATED, gain=6.3e-5) -> fn.Circuit:
+def circuit(rows, areas=(A1, A2), ranges=(0.0, 10.0), law="compensated", gain=6.3e-5) -> fn.Circuit:
     """One cylinder with edges (from, to, valve, sign = 1, blocked = 0); 1 gpm/V or ``gain``."""
     edges = table(len(rows), EDGE)
-    edges.law, edges.forward, edges.reverse = law, -1, -1
+    edges.law, edges.forward, edges.reverse = BY_NAME[law], -1, -1
     edges.gain, edges.deadband, edges.compensation_drop = gain, 1.0, 2e5
     for edge, row in zip(edges, rows, strict=True):
         a, b, valve, sign, blocked = (*row, 1, 0)[:5] if len(row) == 3 else (*row, 0)[:5]
@@ -110,7 +110,7 @@ CIRCUITS = {
     "five": circuit(FIVE),
     "small cross-port": circuit(FIVE, gain=1.2e-5),
     "four": circuit((*FIVE[:2], *FIVE[3:])),
-    "four-way": circuit(FOUR_WAY, ranges=(-5.0, 5.0), law=ORIFICE),
+    "four-way": circuit(FOUR_WAY, ranges=(-5.0, 5.0), law="orifice"),
     "equal areas": circuit(FIVE, areas=(A1, A1)),
     "lift only": circuit(LIFT),
     "no head to tank": circuit(FIVE[1:]),

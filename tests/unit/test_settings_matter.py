@@ -1,7 +1,6 @@
 """Each number decides an outcome: as stated with it, another with a third more or less."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace as Stub
 from typing import Any
@@ -360,19 +359,13 @@ def tip_stands(speed):
     return not _direction(np.outer(speed * t, [1.0, 0.0, 0.0]), 1e-3).any()
 
 
-@dataclass(frozen=True)
-class Edges:
-    edges: tuple = (Stub(edge="sh", side="forward"),)
-
-
 def errors_of_steps():
     """The options of a map from steps whose recipe names no error of its sensors."""
     recipe = Stub(method="steps", calibration=(), calibration_drop=None, meter_limit=0.0)
     recipe.pressure_error = recipe.command_error = None
-    prepared: Any = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Edges())
-    return first_call(tables, "run_readings", lambda: FlowMapStage().work(prepared, Path(), None))[
-        1
-    ]
+    edge = Stub(edge="sh", side="forward")
+    prepared: Any = Stub(recipe=recipe, state=Stub(rig=RIG), readings=Stub(edges=[edge]))
+    return first_call(tables, "fit_edge", lambda: FlowMapStage().work(prepared, Path(), None))[2]
 
 
 # --- searches

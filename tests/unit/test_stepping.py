@@ -101,19 +101,13 @@ def test_a_copy_of_a_machine_goes_its_own_way():
     assert np.array_equal(there, here) and isinstance(machine, ehbench.Machine)
 
 
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        (lambda machine: setattr(machine, "rate", 500.0), "trial.other_machine"),
-        (lambda machine: setattr(machine, "channels", ("press.x",)), "trial.other_machine"),
-    ],
-)
-def test_a_machine_that_does_not_fit_is_refused(change, key):
+@pytest.mark.parametrize("change", [{"rate": 500.0}, {"channels": ("press.x",)}], ids=str)
+def test_a_machine_that_does_not_fit_is_refused(change):
     machine = Integrator()
-    change(machine)
-    with pytest.raises(InputError) as caught:
+    vars(machine).update(change)
+    with refused("trial.other_machine", InputError) as caught:
         ehbench.run_on(OWN, machine, allow_code=True)
-    assert caught.value.key == key and caught.value.hint
+    assert caught.value.hint
 
 
 class Half:

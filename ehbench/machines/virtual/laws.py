@@ -11,7 +11,7 @@ from ehbench.parts.edge.orifice import ORIFICE_DROP
 from ehbench.parts.edge.preload import metered
 from ehbench.parts.friction.law import SETTLING
 from ehbench.parts.line import line_rates
-from ehbench.parts.mount import resistance_of
+from ehbench.parts.mount import any_resistance
 from ehbench.parts.nodes import SUPPLY
 from ehbench.parts.oil import bulk
 from ehbench.parts.sample import OF, entry, line_entry, line_reading, reading
@@ -21,22 +21,22 @@ from ehbench.parts.valve.delay import line_acting, line_push
 from ehbench.physics.cylinder import relief_flow
 from ehbench.physics.friction import stribeck, stribeck_slope
 from ehbench.plant.derivatives import (
-    along_of,
-    change_of,
+    any_along,
+    any_change,
+    any_derivatives,
+    any_finish,
+    any_gripping,
+    any_opens,
+    any_rubbing,
+    any_shut,
+    any_steep,
+    any_stiff,
+    any_wanted,
     cylinders,
-    derivatives_of,
     edges,
-    finish_of,
-    gripping_of,
     highest_load,
     move,
-    opens_of,
-    rubbing_of,
-    shut_of,
-    steep_of,
-    stiff_of,
     valves,
-    wanted_of,
 )
 from ehbench.plant.integrate import rk4
 from ehbench.runtime.compiled import kernel, part_kernel
@@ -126,31 +126,31 @@ def play(memory, value, width):
     return min(max(memory, value - 0.5 * width), value + 0.5 * width)
 
 
-@wanted_of(VirtualPlant)
+@any_wanted.of(VirtualPlant)
 @part_kernel
 def _wanted(i, command, plant):
     return command[i]
 
 
-@shut_of(VirtualPlant)
+@any_shut.of(VirtualPlant)
 @part_kernel
 def _shut(edge, opening, plant):
     return False
 
 
-@along_of(VirtualPlant)
+@any_along.of(VirtualPlant)
 @part_kernel
 def _along(drop, opening, edge, plant):
     return edge_flow(drop, opening, edge, plant.curves)
 
 
-@change_of(VirtualPlant)
+@any_change.of(VirtualPlant)
 @part_kernel
 def _change(drop, flow, opening, edge, plant):
     return edge_slope(drop, flow, opening, edge)
 
 
-@opens_of(VirtualPlant)
+@any_opens.of(VirtualPlant)
 @part_kernel
 def _opens(edge, opening, plant):
     if edge.unmetered == 1:
@@ -159,33 +159,33 @@ def _opens(edge, opening, plant):
     return curve_flow(plant.supply.margin, edge.sign * opening, plant.curves[curve]) > 0.0
 
 
-@resistance_of(VirtualPlant)
+@any_resistance.of(VirtualPlant)
 @part_kernel
 def _resistance(row, v, y, plant):
     viscous, static = row.friction_viscous, row.friction_static
     return stribeck(v, viscous, row.friction_coulomb, static, row.stribeck_speed, CREEP)
 
 
-@stiff_of(VirtualPlant)
+@any_stiff.of(VirtualPlant)
 @part_kernel
 def _stiff(row, pressure, plant):
     return bulk(pressure, row.bulk_modulus, plant.fluid.air, plant.fluid.polytropic)
 
 
-@steep_of(VirtualPlant)
+@any_steep.of(VirtualPlant)
 @part_kernel
 def _steep(row, side, pressure, inflow, slope, plant):
     return max(slope, leakage_slope(row, side))
 
 
-@rubbing_of(VirtualPlant)
+@any_rubbing.of(VirtualPlant)
 @part_kernel
 def _rubbing(row, v, y, dy, plant):
     steep = 0.0 if abs(v) > 4.0 * CREEP else row.friction_static / CREEP
     return min(row.mobility * (steep + row.friction_viscous), 1.0 / SETTLING)
 
 
-@gripping_of(VirtualPlant)
+@any_gripping.of(VirtualPlant)
 @part_kernel
 def _gripping(row, v, plant):
     viscous, static = row.friction_viscous, row.friction_static
@@ -215,7 +215,7 @@ def _supply(y, bench, dy, work):
     return max(stiffness * work[at.slope + SUPPLY], pumping)
 
 
-@derivatives_of(VirtualPlant)
+@any_derivatives.of(VirtualPlant)
 @kernel
 def derivatives(y, target, bench, dy, work):
     """Write ẏ of the bench's continuous states into ``dy``; return the fastest rate [1/s] of the
@@ -232,7 +232,7 @@ def derivatives(y, target, bench, dy, work):
     return max(fastest, _supply(y, bench, dy, work))
 
 
-@finish_of(VirtualPlant)
+@any_finish.of(VirtualPlant)
 @part_kernel
 def _finish(y, target, bench, slope, d):
     """The bench leaves a Runge–Kutta step as it is."""

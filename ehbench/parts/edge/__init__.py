@@ -39,8 +39,7 @@ FAULTS = (
     *PRELOAD,
 )
 BY_NAME = {law.name: number for number, law in enumerate(LAWS)}
-ORIFICE, COMPENSATED, MAP = (BY_NAME[name] for name in ("orifice", "compensated", "map"))
-PUMP, CHECK = BY_NAME["pump"], BY_NAME["check"]
+MAP, PUMP, CHECK = (BY_NAME[name] for name in ("map", "pump", "check"))
 if TYPE_CHECKING:
     LawName = FixedLawName = str
 else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.law import EdgeLaw, beyond_deadband
 from ehbench.parts.fault import Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
@@ -19,25 +19,13 @@ class CompensatedFields(FileModel):
 
 
 @part_kernel
-def level(drop, reference):
-    """``Δp/√(Δp² + Δp0²)`` [1] for drop ≥ 0, which levels off above the reference drop Δp0 [Pa]."""
-    return drop / math.sqrt(drop * drop + reference * reference)
+def level(drop, edge):
+    """``Δp/√(Δp² + Δp0²)`` [1] for drop ≥ 0, of ``compensated_gain·(opening − deadband)`` [m³/s];
+    it levels off above the ``compensation_drop`` Δp0 [Pa]."""
+    return drop / math.sqrt(drop * drop + edge.compensation_drop * edge.compensation_drop)
 
 
-@part_kernel
-def flow(drop, reach, edge, maps):
-    """``compensated_gain·(opening − deadband)`` [m³/s], reached over ``compensation_drop``."""
-    wide = reach - edge.deadband
-    if wide <= 0.0:
-        return 0.0
-    return math.copysign(edge.gain * wide * level(abs(drop), edge.compensation_drop), drop)
-
-
-@part_kernel
-def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes; 0 for less than an underlap lets through."""
-    wide = abs(flow) / (edge.gain * level(abs(drop), edge.compensation_drop))
-    return max(edge.deadband + wide, 0.0)
+flow, opening = beyond_deadband(level)
 
 
 def pack(edge: Any) -> dict[str, float]:

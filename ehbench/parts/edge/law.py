@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ehbench.runtime.compiled import part_kernel
+from ehbench.runtime.compiled import inlined, part_kernel
 
 
 @part_kernel
@@ -21,6 +22,29 @@ def _everywhere(drop, edge, maps):
 def _chord(drop, flow, reach, edge):
     """Flow over drop [m³/(s·Pa)]: no metering law is steeper."""
     return flow / drop
+
+
+def beyond_deadband(level: Callable) -> tuple[Callable, Callable]:
+    """(flow, opening) of a law ``gain·(opening − deadband)·level(Δp)``, as `EdgeLaw` has them; the
+    opening is 0 for less than an underlap lets through.
+
+    Args:
+        level: kernel ``level(drop, edge)``, strictly rising up to where it stays level, 0 at none.
+    """
+
+    @inlined
+    def flow(drop, reach, edge, maps):
+        wide = reach - edge.deadband
+        if wide <= 0.0:
+            return 0.0
+        return math.copysign(edge.gain * wide * level(abs(drop), edge), drop)
+
+    @inlined
+    def opening(drop, flow, edge, maps):
+        wide = abs(flow) / (edge.gain * level(abs(drop), edge))
+        return max(edge.deadband + wide, 0.0)
+
+    return flow, opening
 
 
 @dataclass(frozen=True)

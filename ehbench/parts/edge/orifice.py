@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
-from ehbench.parts.edge.law import EdgeLaw
+from ehbench.parts.edge.law import EdgeLaw, beyond_deadband
 from ehbench.parts.fault import Amount, Fault
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import FileModel, Q, Value
@@ -27,18 +27,12 @@ def root(drop):
 
 
 @part_kernel
-def flow(drop, reach, edge, maps):
-    """``flow_gain·(opening − deadband)·√Δp`` [m³/s]."""
-    wide = reach - edge.deadband
-    if wide <= 0.0:
-        return 0.0
-    return math.copysign(edge.gain * wide * root(abs(drop)), drop)
+def level(drop, edge):
+    """`root`, of the flow ``flow_gain·(opening − deadband)·√Δp`` [m³/s]."""
+    return root(drop)
 
 
-@part_kernel
-def opening(drop, flow, edge, maps):
-    """Opening [V] at which ``flow`` passes; 0 for less than an underlap lets through."""
-    return max(edge.deadband + abs(flow) / (edge.gain * root(abs(drop))), 0.0)
+flow, opening = beyond_deadband(level)
 
 
 def pack(edge: Any) -> dict[str, float]:

@@ -5,11 +5,12 @@ coulomb/smoothing [N·s/m]."""
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
-from ehbench.physics.friction import coulomb_viscous, stribeck_slope
+from ehbench.physics.friction import stribeck_slope
 from ehbench.runtime.compiled import part_kernel
 
 COULOMB_SPEED = 2.0e-3  # [m/s]: over which Coulomb friction turns round
@@ -23,10 +24,10 @@ class CoulombViscous(FrictionTable):
 
 @part_kernel
 def steady(row, v):
-    """Resistance [N] at a steady speed v [m/s]."""
+    """Resistance [N] at a steady speed v [m/s]: ``viscous·v + coulomb·tanh(v/v_s)``."""
     if row.friction_coulomb == 0.0:
         return row.friction_viscous * v
-    return coulomb_viscous(v, row.friction_viscous, row.friction_coulomb, COULOMB_SPEED)
+    return row.friction_viscous * v + row.friction_coulomb * math.tanh(v / COULOMB_SPEED)
 
 
 @part_kernel
@@ -46,7 +47,7 @@ def fastest(row, v):
 LAW = FrictionLaw(
     name="coulomb_viscous",
     table=CoulombViscous,
-    columns=(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
+    columns=("friction_viscous", "friction_coulomb"),
     steady=steady,
     slope=slope,
     fastest=fastest,

@@ -5,12 +5,13 @@ Through zero speed both values are smoothed as in `coulomb_viscous`."""
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from ehbench.parts.fault import Fault
 from ehbench.parts.friction.coulomb_viscous import COULOMB_SPEED
 from ehbench.parts.friction.law import SETTLING, FrictionLaw, FrictionTable
-from ehbench.physics.friction import coulomb_viscous, stribeck_slope
+from ehbench.physics.friction import stribeck_slope
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
 
@@ -27,7 +28,7 @@ class Directional(FrictionTable):
 def steady(row, v):
     """Resistance [N] at a steady speed v [m/s]."""
     coulomb = row.friction_coulomb if v >= 0.0 else row.friction_retracting
-    return coulomb_viscous(v, row.friction_viscous, coulomb, COULOMB_SPEED)
+    return row.friction_viscous * v + coulomb * math.tanh(v / COULOMB_SPEED)
 
 
 @part_kernel
@@ -48,10 +49,7 @@ def fastest(row, v):
 LAW = FrictionLaw(
     name="directional",
     table=Directional,
-    columns=(
-        *(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
-        ("friction_retracting", "f8"),
-    ),
+    columns=("friction_viscous", "friction_coulomb", "friction_retracting"),
     steady=steady,
     slope=slope,
     fastest=fastest,

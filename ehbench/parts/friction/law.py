@@ -57,7 +57,7 @@ class FrictionLaw:
 
     name: str
     table: type[FrictionTable]
-    columns: tuple[tuple[str, str], ...]
+    columns: tuple[str, ...]
     steady: Callable
     slope: Callable
     fastest: Callable
@@ -72,9 +72,9 @@ class FrictionLaw:
     def pack(self, cylinder: Any) -> dict[str, float]:
         """Columns of a cylinder of the rig file: of its own table, else of the cylinder."""
         table = cylinder.friction
-        names = [name for name, _ in self.columns]
         return {
-            key: float(getattr(table if hasattr(table, key) else cylinder, key)) for key in names
+            key: float(getattr(table if hasattr(table, key) else cylinder, key))
+            for key in self.columns
         }
 
     def resistance(self) -> Callable:

@@ -9,10 +9,13 @@ that is ≥ 0 where σ1 |v| < 4 g."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from ehbench.parts.fault import Amount, Fault
 from ehbench.parts.friction.law import FrictionLaw, FrictionTable
+from ehbench.parts.friction.stribeck import BREAKING
+from ehbench.parts.friction.stribeck import LAW as STRIBECK
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value
 
@@ -123,11 +126,7 @@ def stored(row, y):
 LAW = FrictionLaw(
     name="lugre",
     table=LuGre,
-    columns=(
-        *(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
-        *(("friction_static", "f8"), ("stribeck_speed", "f8")),
-        *(("bristle_stiffness", "f8"), ("bristle_damping", "f8")),
-    ),
+    columns=(*STRIBECK.columns, "bristle_stiffness", "bristle_damping"),
     steady=steady,
     slope=slope,
     fastest=fastest,
@@ -141,26 +140,14 @@ LAW = FrictionLaw(
 )
 
 # bristles that bend by a tenth of a millimetre before the rod slides
+_BRISTLES = {"law": "lugre", "bristle_stiffness": Amount((1.0e4,), "friction", "N/m")}
 FAULTS = (
-    Fault(
-        "sticking",
-        ("friction_coulomb", "friction_static"),
-        unit="force",
-        step=0.01,
-        low=0.0,
-        high=1.0,
+    replace(
+        BREAKING,
+        kind="sticking",
+        trials=(),
         rank=4,
-        start=Amount((0.006,), "force"),
-        upper=Amount((0.3,), "force"),
-        table="friction",
-        adds={
-            "law": "lugre",
-            "friction_static": Amount((1.5,), "friction", "N"),
-            "stribeck_speed": "20 mm/s",
-            "bristle_stiffness": Amount((1.0e4,), "friction", "N/m"),
-        },
-        moved=("friction_static",),
-        neutral=Amount((1.0,), "coulomb"),
+        adds={**BREAKING.adds, **_BRISTLES},
         costly=True,
     ),
     Fault("breakaway", ("bristle_stiffness",), step=0.1, rank=5),

@@ -58,36 +58,34 @@ def fastest(row, v):
 LAW = FrictionLaw(
     name="stribeck",
     table=Stribeck,
-    columns=(
-        *(("friction_viscous", "f8"), ("friction_coulomb", "f8")),
-        *(("friction_static", "f8"), ("stribeck_speed", "f8")),
-    ),
+    columns=("friction_viscous", "friction_coulomb", "friction_static", "stribeck_speed"),
     steady=steady,
     slope=slope,
     fastest=fastest,
 )
 
 # break-away friction above the friction in motion
+BREAKING = Fault(
+    "friction law",
+    ("friction_coulomb", "friction_static"),
+    unit="force",
+    step=0.01,
+    low=0.0,
+    high=1.0,
+    trials=(0.02,),
+    start=Amount((0.006,), "force"),
+    upper=Amount((0.3,), "force"),
+    table="friction",
+    adds={
+        "law": "stribeck",
+        "friction_static": Amount((1.5,), "friction", "N"),
+        "stribeck_speed": "20 mm/s",
+    },
+    moved=("friction_static",),
+    neutral=Amount((1.0,), "coulomb"),
+)
 FAULTS = (
-    Fault(
-        "friction law",
-        ("friction_coulomb", "friction_static"),
-        unit="force",
-        step=0.01,
-        low=0.0,
-        high=1.0,
-        trials=(0.02,),
-        start=Amount((0.006,), "force"),
-        upper=Amount((0.3,), "force"),
-        table="friction",
-        adds={
-            "law": "stribeck",
-            "friction_static": Amount((1.5,), "friction", "N"),
-            "stribeck_speed": "20 mm/s",
-        },
-        moved=("friction_static",),
-        neutral=Amount((1.0,), "coulomb"),
-    ),
+    BREAKING,
     # numbers of a law that is there
     Fault("breakaway", ("friction_static",), step=0.1, rank=5),
     Fault("breakaway", ("stribeck_speed",), step=0.1, rank=5),

@@ -67,7 +67,7 @@ VALVE = record(*VALVE_COLUMNS)
 # 2 ζ ω_n [1/s].
 ELEMENT = record(
     *(("law", "i8"), ("state", "i8"), ("states", "i8"), ("fastest", "f8")),
-    *dict.fromkeys(column for law in LAWS for column in law.columns),
+    *((name, "f8") for name in dict.fromkeys(name for law in LAWS for name in law.columns)),
 )
 
 _rates = choice("rates", [law.rates for law in LAWS], "element, signal, y, dy")

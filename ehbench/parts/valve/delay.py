@@ -25,7 +25,6 @@ class Delay(DynamicsTable):
     delay: Annotated[Value, Q("delay")]
 
     def late(self) -> float:
-        """As `DynamicsTable.late`."""
         return float(self.delay)
 
 

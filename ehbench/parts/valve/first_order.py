@@ -9,11 +9,9 @@ from typing import Annotated, Literal
 from pydantic import model_validator
 
 from ehbench.parts.fault import Fault
-from ehbench.parts.valve.law import DynamicsTable, ValveElement
+from ehbench.parts.valve.law import SETTLED, DynamicsTable, ValveElement
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value, scalars
-
-SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
 
 
 class FirstOrder(DynamicsTable):
@@ -36,7 +34,6 @@ class FirstOrder(DynamicsTable):
         return float(self.lag) if self.lag is not None else 1.0 / float(self.corner)  # type: ignore[arg-type]
 
     def row(self) -> dict[str, float]:
-        """As `DynamicsTable.row`."""
         return {"tau": self.time(), "fastest": 1.0 / self.time()}
 
     def period(self) -> float:
@@ -100,7 +97,7 @@ def lag(element):
 LAW = ValveElement(
     name="first_order",
     table=FirstOrder,
-    columns=(("tau", "f8"),),
+    columns=("tau",),
     states=("opening",),
     rates=rates,
     settle=settle,

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from ehbench.vocabulary.fields import FileModel, Value, scalars
 
+SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
+
 
 class DynamicsTable(FileModel):
     """Base of the tables ``[dynamics.<name>]``, one a kind, told apart by ``kind``."""
@@ -54,7 +56,7 @@ class ValveElement:
 
     name: str
     table: type[DynamicsTable]
-    columns: tuple[tuple[str, str], ...]
+    columns: tuple[str, ...]
     states: tuple[str, ...]
     rates: Callable
     settle: Callable

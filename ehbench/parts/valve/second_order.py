@@ -9,11 +9,9 @@ from typing import Annotated, Any, Literal
 from pydantic import model_validator
 
 from ehbench.parts.fault import Fault
-from ehbench.parts.valve.law import DynamicsTable, ValveElement
+from ehbench.parts.valve.law import SETTLED, DynamicsTable, ValveElement
 from ehbench.runtime.compiled import part_kernel
 from ehbench.vocabulary.fields import Q, Value, scalars
-
-SETTLED = 1.0e-12  # [V]: a valve this near to its command has arrived
 
 
 class SecondOrder(DynamicsTable):
@@ -44,11 +42,9 @@ class SecondOrder(DynamicsTable):
         return omega, 0.5 * omega * float(self.s1)  # type: ignore[arg-type]
 
     def row(self) -> dict[str, float]:
-        """As `DynamicsTable.row`."""
         return second_order(*self.frequency_and_damping())
 
     def period(self) -> float:
-        """As `DynamicsTable.period`."""
         return 2.0 * math.pi / self.frequency_and_damping()[0]
 
     def parameters(self) -> dict[str, Value]:
@@ -171,7 +167,7 @@ def lag(element):
 LAW = ValveElement(
     name="second_order",
     table=SecondOrder,
-    columns=(("stiffness", "f8"), ("damping", "f8")),
+    columns=("stiffness", "damping"),
     states=("opening", "rate"),
     rates=rates,
     settle=settle,
