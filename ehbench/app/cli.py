@@ -367,7 +367,7 @@ def compare_runs(
 
     result = runs.compare(first, second)
     code = 3 if result.changes else 0
-    _say(runs.answer(result, runs.rig_of(first)), Says(verbose or None, as_json), code)
+    _say(runs.answer(result, first), Says(verbose or None, as_json), code)
 
 
 @app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")

@@ -78,7 +78,6 @@ class Heat:
     kind: ClassVar[str] = "heat"
     names: Sequence[str]
     values: Sequence[Sequence[float | None]]
-    caption: str = ""
     limit: float = 0.95
 
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Grid
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Series, Table
+from ehbench.report.saved import FigureIndex, Saved, Series, Table
 from ehbench.report.style import MUTED, RECORDED, SIMULATED, Look, canvas, key, legend, thin
 from ehbench.report.template import Template
 from ehbench.report.words import axis, number, pretty, shown, title_of, unit_of, words

@@ -35,7 +35,6 @@ from ehbench.report.svg import sound
 from ehbench.report.words import (
     as_fitted,
     capital,
-    count,
     number,
     plus,
     pretty,
@@ -50,6 +49,7 @@ from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary.errors import EhbenchError, InputError, nearest
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.terms import Z95
 
 
@@ -75,7 +75,7 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
             *_rigs(chapters),
             _provenance(runs),
         ]
-        rigs = [chapter.run.rig for chapter in chapters if chapter.has_rig]
+        rigs = [chapter.run.rig for chapter in chapters if chapter.run.has_rig]
         return _render(*heading(campaign, rigs), sections, looks)
     except EhbenchError:
         raise
@@ -96,7 +96,7 @@ def _run_section(chapter: Chapter, titles: Titles) -> Section:
         if drawn:  # print shows the first of them
             pieces[drawn[0]] = replace(pieces[drawn[0]], paper=True)
         if more := len(drawn[1:]):
-            text = message("report.more_figures", figures=count(more, "more figure"))
+            text = message("report.more_figures", figures=plural(more, "more figure"))
             pieces.append(Text(text, "paper note"))
         paper = part.paper and not all(isinstance(piece, Fold) for piece in part.inside)
         place = f"{anchor}-{len(parts) + 1}-{slug(part.title)}"
@@ -113,7 +113,7 @@ def _run_section(chapter: Chapter, titles: Titles) -> Section:
         text = message("report.recorded_on", machines=", the ".join(machines))
         inside.append(Text(text, "note"))
     if warnings := run.facts.get("warnings", []):
-        inside.append(Fold(count(len(warnings), "warning"), [Bullets(warnings, "warn")]))
+        inside.append(Fold(plural(len(warnings), "warning"), [Bullets(warnings, "warn")]))
     return Section(run.title, inside, anchor, chip(content.status), parts)
 
 
@@ -166,7 +166,7 @@ def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
 def _rigs(chapters: Sequence[Chapter]) -> list[Section]:
     """For each rig, the machine as last judged, else identified, else given."""
     furthest: dict[str, Chapter] = {}
-    for chapter in (chapter for chapter in chapters if chapter.has_rig):
+    for chapter in (chapter for chapter in chapters if chapter.run.has_rig):
         fixed = furthest.get(chapter.run.rig.name)
         if fixed is None or chapter.stage.standing >= fixed.stage.standing:
             furthest[chapter.run.rig.name] = chapter

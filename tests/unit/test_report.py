@@ -13,9 +13,8 @@ from ehbench.config.recipe import load_recipe, load_rig
 from ehbench.physics.flow_map import collect, save_flow_maps
 from ehbench.report import build, draw, style
 from ehbench.report.blocks import inline, prose
-from ehbench.report.compare import Shift, answer, compare, rig_of
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table, read_points, read_series
+from ehbench.report.compare import Shift, answer, compare
+from ehbench.report.saved import FigureIndex, Saved, Table, read_points, read_series
 from ehbench.report.stages import hydraulics
 from ehbench.report.stages import study as studies
 from ehbench.report.style import canvas, spread, thin
@@ -194,7 +193,6 @@ def test_a_stage_of_later_days_is_shown_with_its_files(tmp_path):
 @pytest.mark.parametrize("rig", sorted(path.stem for path in RIGS.glob("*.toml")))
 def test_every_rig_lists_all_its_parameters(tmp_path, rig):
     folder = open_loop_run(tmp_path, rig, stopped="")
-    (folder / "figures").mkdir()
     FigureIndex(folder).save()  # without any: none is looked at
     page = Page(build([folder], None)).text
     tail = page[page.index("All parameters") :]
@@ -438,13 +436,13 @@ def test_what_differs_is_told_and_by_how_many_intervals(pair):
     assert one.name == "bulk_modulus" and found.same == 2
     # the halves that point to one another: 4.8 MPa up from the first, 3 MPa down from the second
     assert one.intervals == pytest.approx(18.7 / math.hypot(4.8, 3.0))
-    told = "\n".join(answer(compare(*pair), rig_of(pair[0])).lines(200, whole=True))
+    told = "\n".join(answer(found, pair[0]).lines(200, whole=True))
     assert "271.3 ± 4.8" in told and "290.0 ± 3.0" in told
     assert re.search(r"bulk_modulus .* MPa .* 3\.3\b", told)
     assert "99999999" in told and "MPa" in told
     found = compare(pair[0], pair[0])
     assert not found.inputs and not found.parameters and not found.numbers and found.same == 3
-    assert answer(found, None).verdict.fields["inputs"] == 0
+    assert answer(found, pair[0]).verdict.fields["inputs"] == 0
 
 
 def test_what_cannot_be_compared_is_named(pair, tmp_path, monkeypatch):

@@ -17,8 +17,7 @@ from ehbench.report.comparisons import lasting
 from ehbench.report.figures import root_locus
 from ehbench.report.figures.trial import FUNCTION_SHADES, LIMIT_SHADES, stretches
 from ehbench.report.figures.trials import plot_errors, wide_panels
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Series, Table
+from ehbench.report.saved import FigureIndex, Saved, Series, Table
 from ehbench.report.stages.tuning import overshoot_of
 from ehbench.report.trial_captions import (
     ESTIMATES,
@@ -544,7 +543,6 @@ def test_gains_and_bounds_are_those_that_ran_with_their_units(tmp_path):
     rows = json.loads((folder / "table.json").read_text())["rows"]
     rows[2]["gains"] = rows[2]["gains"] | {"low_pressure": 2 * low}  # a's other payload
     write_json(folder / "table.json", {"rows": rows})
-    (folder / "figures").mkdir()
     FigureIndex(folder).save()  # tables are all that is asked for
     text = plain(build([folder]))
     gain = from_si(1e-10, "mL/min/bar", VOCABULARY["feedback_gain"])

@@ -17,6 +17,7 @@ from ehbench.config.recipe import load_rig
 from ehbench.data.logs import write_log
 from ehbench.data.record import Record
 from ehbench.report import compare, terminal
+from ehbench.report.content import Findings
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved
 from ehbench.report.terminal import Answer
@@ -349,7 +350,8 @@ def test_a_falsified_run_is_named_by_each_command(shop, inside, monkeypatch, nam
     bare = lambda _, notes=(), code=0: Answer("done", notes=notes)
     monkeypatch.setattr(terminal, "report_answer", bare)
     fit = shop / "reports" / "fit_1"
-    reported = lambda folder: (Saved(folder), SimpleNamespace(status="estimated"), ())
+    chapter = SimpleNamespace(content=SimpleNamespace(status="estimated"), findings=Findings())
+    reported = lambda folder: (SimpleNamespace(run=Saved(folder), **vars(chapter)), ())
     monkeypatch.setattr(compare, "reported", reported)
     rows = {"parameters.json": {"parameters": [ROW]}}
     inputs = [("rig", fit)]

@@ -25,8 +25,7 @@ from ehbench.report.energy_tables import Saving, saving_blocks, savings_of
 from ehbench.report.figures import channels, sankey
 from ehbench.report.figures import load_plane as plane
 from ehbench.report.figures import trial as figures
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, grouped
+from ehbench.report.saved import FigureIndex, Saved, grouped
 from ehbench.report.template import Template
 from ehbench.report.trial_captions import (
     ESTIMATES,

@@ -12,8 +12,7 @@ from ehbench.report.energy_tables import saving_blocks, supply_blocks
 from ehbench.report.figures import trials as figures
 from ehbench.report.figures.energy import bars
 from ehbench.report.figures.trials import energy_map
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved
+from ehbench.report.saved import FigureIndex, Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey, trials_findings
 from ehbench.report.trial_captions import (
     compared_caption,

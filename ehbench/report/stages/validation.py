@@ -21,8 +21,7 @@ from ehbench.report.content import (
     remedy_step,
     written_step,
 )
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import number, title_of, words
