@@ -664,7 +664,8 @@ def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says)
     if says.quiet and not says.as_json:
         for note in notes:
             print(f"note: {note}", file=sys.stderr)
-    _say(answer, says, 3 if gone else 0)
+    _say(answer, says)
+    raise typer.Exit(3 if gone else 0)
 
 
 @contextmanager

@@ -142,9 +142,9 @@ def prose(text: str) -> list[Text | Bullets]:
     return blocks
 
 
-def slug(text: str) -> str:
-    """Text as part of an id."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
+def slug(text: str, joint: str = "-") -> str:
+    """Text as part of an id or key: ``30 %`` → ``30``."""
+    return re.sub(r"[^a-z0-9]+", joint, text.lower()).strip(joint) or "x"
 
 
 _FOUR = re.compile(r"(?:-?[0-9.]+\s+){3}-?[0-9]+(?:\.[0-9]*)?")

@@ -67,10 +67,11 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
         chapters = chapters_of(runs, pictures)
         sections = [_run_section(chapter, titles) for chapter in chapters]
         titles.refuse_unused()
+        written = enumerate(campaign.section if campaign else [], 1)
         sections = [
             Section("At a glance", first_screen(chapters), "glance"),
             Section("Chapters", [overview(chapters)], "chapters"),
-            *campaign_sections(campaign),
+            *(Section(i.title, prose(i.text), f"section-{n}-{slug(i.title)}") for n, i in written),
             *sections,
             *_rigs(chapters),
             _provenance(runs),
@@ -320,12 +321,3 @@ def heading(campaign: Campaign | None, rigs: Sequence[Rig]) -> tuple[str, Sequen
     titles = dict.fromkeys(rig.title or capital(words(rig.name)) for rig in rigs)
     notes = prose(rigs[0].note) if len(titles) == 1 else []
     return ", ".join(titles) or "Report", notes[:1]
-
-
-def campaign_sections(campaign: Campaign | None) -> list[Section]:
-    """The campaign's own sections, which stand before those of the runs."""
-    written = campaign.section if campaign else []
-    return [
-        Section(item.title, prose(item.text), f"section-{i}-{slug(item.title)}")
-        for i, item in enumerate(written, 1)
-    ]
