@@ -628,9 +628,9 @@ def test_the_wall_clock_goes_along(tmp_path):
     foreign.write_tdms(tmp_path / "a.tdms")
     (tmp_path / "m.toml").write_text(foreign.map_of("a.tdms"))
     made = {
-        to: converting.convert(
-            tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml"
-        )[0]
+        to: converting.convert(tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml")[
+            0
+        ]
         for to in ("parquet", "mat")
     }
     frame = pd.read_parquet(made["parquet"])

@@ -69,12 +69,13 @@ def test_a_fit_alone_shows_its_parameters_and_asks_for_a_validation(folders):
 
 
 def test_title_verdict_and_chapters_stand_on_the_first_screen(folders):
-    assert "<title>Electrohydraulic arm of the thesis</title>" in build(folders)
-    told = words_of(section(build(folders), "glance"))
+    text = build(folders)
+    assert "<title>Electrohydraulic arm of the thesis</title>" in text
+    told = words_of(section(text, "glance"))
     table = json.loads((folders[1] / "validation.json").read_text())
     assert ("Model accepted" if table["accepted"] else "Model rejected") in told
     assert all(reason.lower().rstrip(".")[:40] in told.lower() for reason in table["reasons"][:2])
-    rows = re.findall(r"<tr>.*?</tr>", section(build(folders), "chapters"), re.DOTALL)
+    rows = re.findall(r"<tr>.*?</tr>", section(text, "chapters"), re.DOTALL)
     assert len(rows) == 3
     assert max(len(re.findall(r"\d[\d.]*", words_of(row))) for row in rows) <= 8
 
@@ -145,14 +146,12 @@ def test_the_page_suits_paper_phones_and_dark_rooms_and_runs_its_script_alone(fo
     figures = re.findall(r'<figure id="([^"]+)"( class="paper")?', text)
     on_paper = [name for name, paper in figures if paper]
     assert 1 < len(on_paper) < len(figures) and "first-figure" in on_paper
-    text = build(folders)
     margins = re.search(r"@page { size: A4; margin: (\d+)mm (\d+)mm (\d+)mm;", text)
     sheet = re.search(r"\.sheets body { width: (\d+)mm; height: (\d+)mm;.*columns: (\d+)mm", text)
     assert margins and sheet
     top, side, bottom = map(int, margins.groups())
     wide = 210 - 2 * side
     assert [int(size) for size in sheet.groups()] == [wide, 297 - top - bottom, wide]
-    text = build(folders)
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
