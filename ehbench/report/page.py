@@ -31,7 +31,6 @@ from ehbench.report.first_screen import Chapter, chapters_of, first_screen, over
 from ehbench.report.provenance import TracedRun, unsupported
 from ehbench.report.saved import Saved, Table, grouped
 from ehbench.report.stages import place_of
-from ehbench.report.svg import sound
 from ehbench.report.words import (
     as_fitted,
     capital,
@@ -137,15 +136,15 @@ class RunPictures:
             if not shows.items() <= entry["about"].plain().items():
                 continue
             path = self._run.folder / "figures" / Path(entry["file"]).name
+            given = self._titles.of(self._run, entry["key"])
+            title, named = (entry["title"], None) if given is None else given
             try:
-                svg = sound(read_bytes(path, DATA).decode("utf-8"))
+                svg = read_bytes(path, DATA).decode("utf-8")
+                drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)
             except FileNotFoundError:
                 raise InputError(message("report.no_figure"), file=path) from None
             except ValueError as error:
                 raise InputError(message("report.bad_figure", reason=error), file=path) from None
-            given = self._titles.of(self._run, entry["key"])
-            title, named = (entry["title"], None) if given is None else given
-            drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)
             anchor = f"{self._anchor}-figure-{place}"
             results.append(Picture(drawn, title, entry["caption"], anchor, named))
         return sorted(results, key=lambda item: sys.maxsize if item.named is None else item.named)

@@ -381,9 +381,12 @@ def test_figures_are_made_small_and_stay_the_same_picture(tmp_path, monkeypatch)
     assert set(links) == set(ids)
 
 
+SVG = '<svg viewBox="0 0 3 1" xmlns="http://www.w3.org/2000/svg">'
+
+
 def test_styles_of_a_page_are_said_once():
     looks: dict[str, str] = {}
-    svg = '<svg viewBox="0 0 3 1"><path style="fill:none"/><path style="fill:red"/></svg>'
+    svg = f'{SVG}<path style="fill:none"/><path style="fill:red"/></svg>'
     first, second = (inline(svg, f"f{i}-", "t", looks) for i in range(2))
     assert looks == {"fill:none": "k0", "fill:red": "k1"} and first == second
     assert first.count('class="k0"') == first.count('class="k1"') == 1 and "fill" not in first
@@ -399,8 +402,7 @@ def test_styles_of_a_page_are_said_once():
 )
 def test_only_styles_of_elements_become_rules_of_the_page(inside):
     looks: dict[str, str] = {}
-    head = '<svg viewBox="0 0 3 1" xmlns="http://www.w3.org/2000/svg">'
-    drawn = inline(f'{head}<path style="fill:none"/>{inside}</svg>', "f", "t", looks)
+    drawn = inline(f'{SVG}<path style="fill:none"/>{inside}</svg>', "f", "t", looks)
     assert looks == {"fill:none": "k0"} and drawn.count("class=") == 1
 
 
