@@ -20,7 +20,7 @@ from ehbench.report.stages import study as studies
 from ehbench.report.style import canvas, spread, thin
 from ehbench.report.svg import shrink
 from ehbench.report.template import Template
-from ehbench.report.words import interval, number, pretty, with_error
+from ehbench.report.words import estimate, interval, number, pretty, with_error
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.terms import Z95
 from tests.shared import RIGS
@@ -284,6 +284,10 @@ SPELLED = [
     (number, (float("nan"),), "–"),
     (number, (float("-inf"),), "−∞"),
     (number, (None,), "–"),
+    (estimate, (271.34, 266.5, 276.1), "271.3 ± 4.8"),  # only about the middle of an interval
+    (estimate, (2.3867, 2.2412, 2.3931), "2.387"),
+    (estimate, (513.2, 348.9, 754.9), "510"),
+    (estimate, (513.2, None, None), "513.2"),
     (interval, (266.52, 276.13), "266.5 … 276.1"),
     (interval, (None, 2.0), "–"),
     (interval, (2.0, 2.0), "2 … 2"),

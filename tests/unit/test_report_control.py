@@ -29,7 +29,7 @@ from ehbench.report.trial_captions import (
 )
 from ehbench.report.trial_tables import valves_note
 from ehbench.runs.rundir import write_json
-from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
+from ehbench.vocabulary.codes import FUNCTIONS, LIMITS, LIMITS_MEAN
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.units import from_si
@@ -85,6 +85,7 @@ def test_every_function_and_limit_has_its_own_colour_and_estimates_are_quantitie
     assert len(FUNCTION_SHADES) == len(set(FUNCTION_SHADES)) == len(FUNCTIONS)
     assert set(LIMIT_SHADES) == set(LIMITS)
     assert len(set(LIMIT_SHADES.values())) == len(LIMITS)
+    assert set(LIMITS.values()) == set(LIMITS_MEAN)
     assert set(ESTIMATES) <= set(VOCABULARY)
 
 

@@ -18,9 +18,8 @@ from ehbench.report.page import rig_table
 from ehbench.report.saved import Saved, Table
 from ehbench.report.stages import report_of
 from ehbench.report.stages.validation import silence
-from ehbench.report.words import estimate, shown
+from ehbench.report.words import shown
 from ehbench.runs.rundir import write_json
-from ehbench.vocabulary.codes import LIMITS, LIMITS_MEAN
 from ehbench.vocabulary.messages import Message
 from tests.shared import shipped
 from tests.unit.report_runs import fill_reported
@@ -109,19 +108,6 @@ def test_five_numbers_one_a_rank_the_machine_before_the_model(folders):
     assert cards[0].link == "#run-1" and cards[-1].link == "#run-2"
 
 
-@pytest.mark.parametrize(
-    ("ends", "told"),
-    [
-        ((271.34, 266.5, 276.1), "271.3 ± 4.8"),
-        ((2.3867, 2.2412, 2.3931), "2.387"),
-        ((513.2, 348.9, 754.9), "510"),
-        ((513.2, None, None), "513.2"),
-    ],
-)
-def test_plus_and_minus_only_about_the_middle_of_an_interval(ends, told):
-    assert estimate(*ends) == told
-
-
 def test_what_a_verdict_does_not_go_by_is_said(tmp_path):
     channel = {"fit_percent": 52.0, "cross_correlation": [{"of": "u", "outside_percent": 3.0}]}
     late = channel | {"channel": "boom.q", "autocorrelation": {"outside_percent": 40.0}}
@@ -133,10 +119,6 @@ def test_what_a_verdict_does_not_go_by_is_said(tmp_path):
     assert "velocity" not in text and "commands" not in text
     every = {"fit_percent": {"q": 1.0, "qd": 1.0}, "outside_percent": 15.0, "whiteness": True}
     assert silence(Table({"logs": logs, "thresholds": every}, tmp_path)) == ""
-
-
-def test_every_limit_of_a_log_is_explained():
-    assert set(LIMITS.values()) == set(LIMITS_MEAN)
 
 
 def test_the_page_suits_paper_phones_and_dark_rooms_and_runs_its_script_alone(folders):

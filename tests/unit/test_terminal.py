@@ -83,6 +83,7 @@ def test_the_path_ends_what_is_printed_and_is_all_of_it_when_quiet(
     else:
         *told, path = done.stdout.splitlines()
         assert path == str(out) and bool(told) == (option == "")
+        assert option == "" or not done.stderr
 
 
 def test_notes_of_several_logs_that_differ_in_numbers_alone_are_one():
