@@ -59,8 +59,7 @@ CHEAP = (
     *("slide_servo/hydraulics", "slide_servo/validation", "slide_servo/response"),
     *("slide_servo/tuning", "slide_servo/arc_tuning", "trials/velocity_steps"),
     *("boom_four_valve/flow_maps", "boom_four_valve/hydraulics", "boom_four_valve/validation"),
-    *("crane_proportional/hydraulics", "crane_proportional/validation"),
-    *("trials/multisine", "studies/stopping_trial", "trials/arc_slow", "robust/slide_servo_model"),
+    *("studies/stopping_trial", "trials/arc_slow"),
 )
 
 
