@@ -168,11 +168,11 @@ def init(
     from ehbench.app import starter
     from ehbench.report.terminal import Answer
 
-    built = starter.init(folder)
+    starter.init(folder)
     keys = ("steps.check_rig", "steps.identify", "steps.validate")
-    steps = [message(key, folder=built) for key in keys]
-    values = {"folder": str(built)}
-    answer = Answer(message("app.made", folder=built), steps=steps, values=values)
+    steps = [message(key, folder=folder) for key in keys]
+    values = {"folder": str(folder)}
+    answer = Answer(message("app.made", folder=folder), steps=steps, values=values)
     _say(answer, Says(None, as_json))
 
 

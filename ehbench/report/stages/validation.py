@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
-from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
+from ehbench.report.comparisons import draw_comparisons, draw_responses
 from ehbench.report.content import (
     FIT,
     Findings,
@@ -185,7 +185,8 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
     if sensors := log.get("sensors", {}):
         blocks.append(Text(page.text("sensors", sensors=sensors), "note"))
     if rings := log.get("transients", []):
-        blocks.append(ringing_table(page.rig, rings))
+        ringing = Template("comparisons", page.rig)
+        blocks.append(ringing.table("ringing", rings, with_log=False))
         if notes := [page.text("unjudged", ring=ring) for ring in rings if ring.get("note")]:
             blocks.append(Bullets(notes, "note"))
     if swept := log.get("sweeps", []):
