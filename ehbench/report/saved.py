@@ -106,15 +106,11 @@ class Series:
     recorded: dict[str, np.ndarray]
     simulated: dict[str, np.ndarray]
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """All channels, in the order of the file."""
-        return tuple(dict.fromkeys([*self.recorded, *self.simulated]))
-
     def cylinders(self) -> dict[str, list[str]]:
         """Channels by cylinder (what stands before the last dot), commands left out."""
-        channels = [channel for channel in self.channels if not channel.endswith(".command")]
-        return grouped(channels, lambda channel: channel.rpartition(".")[0])
+        channels = dict.fromkeys([*self.recorded, *self.simulated])
+        seen = (channel for channel in channels if not channel.endswith(".command"))
+        return grouped(seen, lambda channel: channel.rpartition(".")[0])
 
 
 @dataclass(frozen=True)

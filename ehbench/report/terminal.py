@@ -196,7 +196,7 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
     return [dict(zip(grid.head, row, strict=True)) for row in rows]
 
 
-def table_lines(grid: Grid, columns: Sequence[str] = (), width: int = 100) -> Iterator[str]:
+def table_lines(grid: Grid, columns: Sequence[str], width: int) -> Iterator[str]:
     """A table in columns, named ones or all, as many as fit; words may be cut to 20 letters."""
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))

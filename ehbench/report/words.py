@@ -77,9 +77,9 @@ def axis(rig: Rig, name: str, text: str = "") -> str:
     return (text or words(name)) + (f" [{unit}]" if unit else "")
 
 
-def rounded_down(value: float, digits: int = 2) -> float:
-    """The largest number of some significant digits that is not above a value."""
-    return float(Context(prec=digits, rounding=ROUND_FLOOR).create_decimal(repr(float(value))))
+def rounded_down(value: float) -> float:
+    """The largest number of two significant digits that is not above a value."""
+    return float(Context(prec=2, rounding=ROUND_FLOOR).create_decimal(repr(float(value))))
 
 
 def number(value: float | None, digits: int = 4) -> str:
