@@ -126,10 +126,9 @@ def undrawn(monkeypatch) -> None:
     """Runs leave an empty index in place of figures, for tests that look at none: to draw takes
     most of a short run.
     """
-    from ehbench.report.index import FigureIndex
+    from ehbench.report.saved import FigureIndex
 
     def draw(folder: Path) -> None:
-        (folder / "figures").mkdir(exist_ok=True)
         FigureIndex(folder).save()
 
     # by its full name: the package has a function of that name too

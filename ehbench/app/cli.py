@@ -13,7 +13,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from inspect import Parameter, Signature
 from io import TextIOWrapper
@@ -33,6 +32,7 @@ from ehbench.vocabulary.text import shortened_path
 
 if TYPE_CHECKING:
     from ehbench.report.terminal import Answer
+    from ehbench.workflow import Session
 
 
 class _Commands(TyperGroup):
@@ -128,16 +128,17 @@ _OPTIONS: dict[str, tuple[Any, Any]] = {
 
 
 class Says(NamedTuple):
-    """How much a command says."""
+    """How much a command says: ``loud`` with ``--verbose`` (True), ``--quiet`` (False) or neither,
+    and whether as JSON.
+    """
 
-    quiet: bool = False
-    verbose: bool = False
+    loud: bool | None = None
     as_json: bool = False
 
-    @classmethod
-    def of(cls, loud: bool | None, as_json: bool) -> Says:
-        """From ``--verbose`` (True), ``--quiet`` (False) or neither."""
-        return cls(loud is False, loud is True, as_json)
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing but the place of what was written."""
+        return self.loud is False
 
 
 def _version(required: bool) -> None:
@@ -167,12 +168,12 @@ def init(
     from ehbench.app import starter
     from ehbench.report.terminal import Answer
 
-    built = starter.init(folder)
+    starter.init(folder)
     keys = ("steps.check_rig", "steps.identify", "steps.validate")
-    steps = [message(key, folder=built) for key in keys]
-    values = {"folder": str(built)}
-    answer = Answer(message("app.made", folder=built), steps=steps, values=values)
-    _say(answer, Says(as_json=as_json))
+    steps = [message(key, folder=folder) for key in keys]
+    values = {"folder": str(folder)}
+    answer = Answer(message("app.made", folder=folder), steps=steps, values=values)
+    _say(answer, Says(None, as_json))
 
 
 @app.command("check", epilog="Example:  ehbench check recipes/rigs/thesis_arm.toml")
@@ -193,7 +194,7 @@ def check_file(
     if verbose:
         print("\n".join(result.lines))
     else:
-        _say(result.answer(file), Says(as_json=as_json))
+        _say(result.answer(file), Says(None, as_json))
     for error in result.errors:
         print(f"error: {error}", file=sys.stderr)
     raise typer.Exit(result.code)
@@ -205,7 +206,7 @@ def _runner(command: Command) -> Callable[..., None]:
     def run(recipe: Path, out: Path | None, loud: bool | None, as_json: bool, **more: Any) -> None:
         from ehbench import workflow
 
-        says = Says.of(loud, as_json)
+        says = Says(loud, as_json)
         if "workers" in more:
             certificates = tuple(more.pop(name) for name in ("tls_ca_file", "tls_cert", "tls_key"))
             insecure = more.pop("insecure_workers")
@@ -219,9 +220,7 @@ def _runner(command: Command) -> Callable[..., None]:
         if suggest:
             read = workflow.expect_stage(recipe, command.name)
             _say_first(says.quiet)
-            with _progress(says.quiet) as report_progress:
-                allowed = more.pop("allow_code")
-                session = workflow.Session(out=out, progress=report_progress, allow_code=allowed)
+            with _session(says.quiet, out=out, allow_code=more["allow_code"]) as session:
                 result = workflow.suggest(read, session, seconds)
             _say(result.answer(recipe, None if out is None else out / read.path.name), says)
         else:
@@ -247,18 +246,6 @@ for _command in COMMANDS:
     )(_runner(_command))
 
 
-class Parts(StrEnum):
-    """What of a rig and a controller can be exported."""
-
-    model = "model"
-    controller = "controller"
-    both = "both"
-
-
-def _valued(name: str, metavar: str, text: str) -> Any:
-    return typer.Option(name, metavar=metavar, help=text, show_default=False)
-
-
 @app.command(epilog="Example:  ehbench export recipes/rigs/slide_servo.toml --as c --unvalidated")
 def export(  # noqa: PLR0913 - the parameters are the options of the command
     source: Annotated[
@@ -269,15 +256,28 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
         ),
     ],
     parts: Annotated[
-        Parts | None, typer.Option("--what", help="Default: all there is.", show_default=False)
+        Literal["model", "controller", "both"] | None,
+        _option("--what", help="Default: all there is."),
     ] = None,
     formats: Annotated[
-        str, _valued("--as", "FORMAT,...", "c, fmu2, fmu3, matlab, urdf, mjcf. Default: c.")
+        str,
+        _option(
+            "--as",
+            metavar="FORMAT,...",
+            help="c, fmu2, fmu3, matlab, urdf, mjcf. Default: c.",
+        ),
     ] = "",
-    payload: Annotated[str, _valued("--payload", "NAME", "What the model carries.")] = "",
-    rate: Annotated[str, _valued("--rate", "HZ", "Steps a second.")] = "",
+    payload: Annotated[
+        str, _option("--payload", metavar="NAME", help="What the model carries.")
+    ] = "",
+    rate: Annotated[str, _option("--rate", metavar="HZ", help="Steps a second.")] = "",
     targets: Annotated[
-        str, _valued("--target", "TARGET,...", "Of FMUs: linux64, win64, aarch64. Default: here.")
+        str,
+        _option(
+            "--target",
+            metavar="TARGET,...",
+            help="Of FMUs: linux64, win64, aarch64. Default: here.",
+        ),
     ] = "",
     out: Out = None,
     loud: Loud = None,
@@ -293,21 +293,18 @@ def export(  # noqa: PLR0913 - the parameters are the options of the command
     from ehbench.report.terminal import answer
 
     options = {
-        "parts": parts and parts.value,
+        "parts": parts,
         "formats": formats.split(",") if formats else (),
         "payload": payload,
         "rate": f"{rate} Hz" if rate[-1:].isdecimal() else rate,
         "targets": targets.split(",") if targets else (),
     }
-    says = Says.of(loud, as_json)
+    says = Says(loud, as_json)
     _say_first(says.quiet)
-    with _progress(says.quiet) as report_progress:
-        session = workflow.Session(
-            out=out, progress=report_progress, unvalidated=unvalidated, allow_code=allow_code
-        )
+    settings = {"unvalidated": unvalidated, "allow_code": allow_code}
+    with _session(says.quiet, out=out, **settings) as session:
         built = workflow.export(source, options, session)
-    _say(answer(built.folder, built.notes, built.code), says)
-    raise typer.Exit(built.code)
+    _say(answer(built.folder, built.notes, built.code), says, built.code)
 
 
 @app.command(
@@ -324,11 +321,10 @@ def report_runs(
     from ehbench import workflow
     from ehbench.report.terminal import report_answer
 
-    says = Says.of(loud, as_json)
-    with _progress(says.quiet) as report_progress:
-        built = workflow.report(runs, workflow.Session(out=out, progress=report_progress))
-    _say(report_answer(built.folder, built.notes, built.code), says)
-    raise typer.Exit(built.code)
+    says = Says(loud, as_json)
+    with _session(says.quiet, out=out) as session:
+        built = workflow.report(runs, session)
+    _say(report_answer(built.folder, built.notes, built.code), says, built.code)
 
 
 @app.command(epilog="Example:  ehbench reproduce thesis")
@@ -348,17 +344,11 @@ def reproduce(
     from ehbench.app import starter
     from ehbench.report.terminal import report_answer
 
-    says = Says.of(loud, as_json)
+    says = Says(loud, as_json)
     recipe = workflow.expect_stage(starter.find_campaign(campaign), "reproduce")
-    with _progress(says.quiet) as report_progress:
-        built = workflow.run(
-            recipe,
-            workflow.Session(
-                root=out or workflow.ROOT, progress=report_progress, allow_code=allow_code
-            ),
-        )
-    _say(report_answer(built.folder, built.notes, built.code), says)
-    raise typer.Exit(built.code)
+    with _session(says.quiet, root=out or workflow.ROOT, allow_code=allow_code) as session:
+        built = workflow.run(recipe, session)
+    _say(report_answer(built.folder, built.notes, built.code), says, built.code)
 
 
 @app.command(
@@ -376,8 +366,8 @@ def compare_runs(
     from ehbench.report import compare as runs
 
     result = runs.compare(first, second)
-    _say(runs.answer(result, runs.rig_of(first)), Says(verbose=verbose, as_json=as_json))
-    raise typer.Exit(3 if result.changes else 0)
+    code = 3 if result.changes else 0
+    _say(runs.answer(result, first), Says(verbose or None, as_json), code)
 
 
 @app.command("next", epilog="Example:  ehbench next reports/identify_1a2b3c4d")
@@ -397,10 +387,9 @@ def next_test(
     from ehbench import workflow
 
     _say_first(quiet)
-    with _progress(quiet) as report_progress:
-        session = workflow.Session(out=out, progress=report_progress, allow_code=allow_code)
+    with _session(quiet, out=out, allow_code=allow_code) as session:
         result = workflow.next_test(run, name, session)
-    _say(result.answer(run, out), Says(quiet, as_json=as_json))
+    _say(result.answer(run, out), Says(False if quiet else None, as_json))
 
 
 @app.command(epilog="Example:  ehbench why bulk_modulus reports/identify_1a2b3c4d")
@@ -425,8 +414,8 @@ def why(
     said, values = result.headline, result.as_json()
     if len(runs) > 1:
         said = message("report.of_newest", number=said, run=run, count=len(runs))
-    _say(Answer(said, [result.table()], values=values), Says(as_json=as_json), wide=True)
-    raise typer.Exit(3 if result.changes else 0)
+    answer, code = Answer(said, [result.table()], values=values), 3 if result.changes else 0
+    _say(answer, Says(None, as_json), code, wide=True)
 
 
 @app.command(epilog="Example:  ehbench show datasets/slide_servo/steps/press_no_load.mcap")
@@ -454,7 +443,7 @@ def show(
     losses: dict[str, Sequence[str]] = {}
     write_text(path, viewer.page(files, columns, changes, losses))
     verdict = message("app.shown", names=", ".join(map(str, files)))
-    _say_losses(Answer(verdict, notes=changes, place=path), losses, Says(False, verbose, as_json))
+    _say_losses(Answer(verdict, notes=changes, place=path), losses, Says(verbose, as_json))
 
 
 @app.command("map", epilog="Example:  ehbench map recordings/run_07.tdms --rig rig.toml")
@@ -463,9 +452,8 @@ def map_columns(
     out: Annotated[Path | None, _option("--out", help="Default: <name>.map.toml here.")] = None,
     rig: Annotated[
         Path | None,
-        typer.Option(
+        _option(
             "--rig",
-            show_default=False,
             help="Whose cylinders and valves they are. Default: rig.toml here, if there is one.",
         ),
     ] = None,
@@ -481,14 +469,7 @@ def map_columns(
     if rig is None and Path("rig.toml").is_file():
         rig = Path("rig.toml")
     built = mapping.draft(file, out, None if rig is None else load_rig(rig))
-    _say(built.answer(), Says.of(loud, as_json))
-
-
-class Format(StrEnum):
-    """What a log can be written as."""
-
-    parquet = "parquet"
-    mat = "mat"
+    _say(built.answer(), Says(loud, as_json))
 
 
 @app.command(
@@ -498,7 +479,7 @@ def convert(
     log: Annotated[
         Path, typer.Argument(help="A log of any format that is read, or a trial's run.")
     ],
-    to: Annotated[Format, _option("--to", help="What to write.")],
+    to: Annotated[Literal["parquet", "mat"], _option("--to", help="What to write.")],
     out: Annotated[Path | None, _option("--out", help="Default: <name>.<to> here.")] = None,
     columns: Columns = None,
     verbose: Verbose = False,
@@ -509,9 +490,9 @@ def convert(
     from ehbench.app import converting
     from ehbench.report.terminal import Answer
 
-    path, record = converting.convert(log, to.value, out, columns)
-    answer = Answer(message("app.converted", log=log, format=to.value), place=path)
-    _say_losses(answer, {log.name: record.losses}, Says(False, verbose, as_json))
+    path, record = converting.convert(log, to, out, columns)
+    answer = Answer(message("app.converted", log=log, format=to), place=path)
+    _say_losses(answer, {log.name: record.losses}, Says(verbose, as_json))
 
 
 @app.command(epilog="Example:  ehbench quantities damping")
@@ -522,7 +503,7 @@ def quantities(
     """List the names that recipes, rig files and maps of columns use, with units and meaning."""
     from ehbench.app import lookup
 
-    _say(lookup.look_up(text), Says(as_json=as_json))
+    _say(lookup.look_up(text), Says(None, as_json))
 
 
 @app.command(epilog="Example:  ehbench wire recipes/rigs/slide_servo.toml --csv")
@@ -536,9 +517,7 @@ def wire(
     rate: Annotated[
         float, typer.Option("--rate", help="Of the target [Hz].", min=1.0, max=1e6)
     ] = 1000.0,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Folder to write to.", show_default=False)
-    ] = None,
+    out: Annotated[Path | None, _option("--out", help="Folder to write to.")] = None,
 ) -> None:
     """Write the layout of the packets of a rig, for its own computer."""
     from ehbench.app import linking
@@ -558,8 +537,7 @@ def link(
     from ehbench.app import linking
 
     answer, code = linking.measured(url, seconds)
-    _say(answer, Says(as_json=as_json))
-    raise typer.Exit(code)
+    _say(answer, Says(None, as_json), code)
 
 
 @app.command("serve", epilog="Example:  ehbench serve recipes/trials/arc_slow.toml --on bench")
@@ -569,20 +547,17 @@ def serve_machine(
         str, typer.Option("--at", metavar="URL", help="Where.")
     ] = "udp://127.0.0.1:47000",
     on: Annotated[
-        Literal["model", "bench"] | None,
-        typer.Option("--on", help="Default: as the trial.", show_default=False),
+        Literal["model", "bench"] | None, _option("--on", help="Default: as the trial.")
     ] = None,
     rate: Annotated[
-        float | None,
-        typer.Option("--rate", help="Of the target [Hz].", min=1.0, max=1e6, show_default=False),
+        float | None, _option("--rate", help="Of the target [Hz].", min=1.0, max=1e6)
     ] = None,
     watchdog: Annotated[
         float | None,
-        typer.Option(
+        _option(
             "--watchdog",
             help="Silence after which it stops, in ms. Default: 20, or four samples.",
             min=1.0,
-            show_default=False,
         ),
     ] = None,
     allow_code: AllowCode = False,
@@ -620,8 +595,7 @@ def _run_recipe(
     _say_first(says.quiet)
     # to draw a bar would hold up a machine in real time, and a live view draws itself
     timed = settings.get("live") is not None or "://" in getattr(recipe, "on", "")
-    with _progress(says.quiet or timed) as report_progress:
-        session = workflow.Session(out=out, progress=report_progress, **settings)
+    with _session(says.quiet or timed, out=out, **settings) as session:
         if recipe is None:
             built = workflow.sample(file.with_name(study), int(index), replace(session, out=None))
             recipe = workflow.expect_stage(built.path, command)
@@ -632,8 +606,7 @@ def _run_recipe(
     from ehbench.report.terminal import answer
 
     losses = built.code == workflow.INCOMPLETE
-    _say(answer(built.folder, built.notes, built.code, losses), says)
-    raise typer.Exit(built.code)
+    _say(answer(built.folder, built.notes, built.code, losses), says, built.code)
 
 
 def _typed(about: str, token: str) -> str:
@@ -665,20 +638,22 @@ def _say_first(quiet: bool) -> None:
         _WARMING.append(subprocess.Popen(ahead, stdin=null, stdout=null, stderr=null))
 
 
-def _say(answer: Answer, says: Says, wide: bool = False) -> None:
-    """Print what a command says; the place of what it wrote alone when quiet."""
+def _say(answer: Answer, says: Says, code: int = 0, wide: bool = False) -> None:
+    """Print what a command says, the place of what it wrote alone when quiet; end with the code."""
     if says.as_json:
         print(answer.as_json())
     elif not says.quiet:
         width = sys.maxsize if wide else shutil.get_terminal_size((100, 24)).columns
-        print("\n".join(answer.lines(width, says.verbose)))
+        print("\n".join(answer.lines(width, bool(says.loud))))
     elif answer.place is not None:
         print(answer.place)
+    if code:
+        raise typer.Exit(code)
 
 
 def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says) -> None:
-    """Print the place of what was written of logs and what they lost, with ``verbose`` each of it,
-    and end with the exit code: 3 where an answer has notes already, or data could not be used.
+    """Say the place of what was written of logs and what they lost, with ``--verbose`` each of it;
+    exit 3 where an answer has notes already, or data could not be used.
     """
     from ehbench.data.record import lost, noted_losses
 
@@ -686,18 +661,20 @@ def _say_losses(answer: Answer, losses: Mapping[str, Sequence[str]], says: Says)
     gone = [*answer.notes, *(note for every in losses.values() for note in lost(every))]
     notes = [*answer.notes, *(note for few, _ in each for note in few)]
     answer = replace(answer, notes=notes, details=[note for _, more in each for note in more])
-    if not says.verbose and not says.as_json:
+    if says.quiet and not says.as_json:
         for note in notes:
             print(f"note: {note}", file=sys.stderr)
-    _say(answer, says._replace(quiet=not says.verbose))
+    _say(answer, says)
     raise typer.Exit(3 if gone else 0)
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """A progress bar on stderr as a callback; nothing when quiet."""
+def _session(quiet: bool, **settings: Any) -> Iterator[Session]:
+    """A session that shows how far it is on stderr, unless quiet."""
+    from ehbench.workflow import Session
+
     if quiet:
-        yield None
+        yield Session(**settings)
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -722,7 +699,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
                     print(what, file=sys.stderr)
             bar.update(tasks[name], description=what, completed=share)
 
-        yield report_progress
+        yield Session(progress=report_progress, **settings)
 
 
 # what the system says no to is no bug of ours

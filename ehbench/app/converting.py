@@ -4,7 +4,6 @@ import json
 import re
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,15 +16,10 @@ from ehbench.vocabulary.quantities import quantity
 from ehbench.vocabulary.text import unlike
 
 
-class Converted(NamedTuple):
-    """A file that was written of a log, and the record."""
-
-    path: Path
-    record: Record
-
-
-def convert(path: Path, to: str, out: Path | None = None, columns: Path | None = None) -> Converted:
-    """Write a log as ``parquet`` or ``mat``, in SI.
+def convert(
+    path: Path, to: str, out: Path | None = None, columns: Path | None = None
+) -> tuple[Path, Record]:
+    """Write a log as ``parquet`` or ``mat``, in SI; (the file, the log's record).
 
     Args:
         path: the log, or the run folder of a trial.
@@ -48,7 +42,7 @@ def convert(path: Path, to: str, out: Path | None = None, columns: Path | None =
     except OSError as error:
         reason = error.strerror or error
         raise InputError(message("app.unwritable", reason=reason), file=out) from None
-    return Converted(out, record)
+    return out, record
 
 
 def moments(record: Record) -> np.ndarray | None:

@@ -25,7 +25,7 @@ def find_campaign(name: str) -> Path:
     raise InputError(text, hint=nearest(name, known))
 
 
-def init(folder: Path) -> Path:
+def init(folder: Path) -> None:
     """A new workspace: a commented rig file and recipes that run as they are. No file is ever
     written over.
 
@@ -47,4 +47,3 @@ def init(folder: Path) -> Path:
         reason = str(getattr(error, "strerror", None) or error)
         text = message("app.no_workspace", reason=reason)
         raise InputError(text, file=shortened_path(folder)) from None
-    return folder

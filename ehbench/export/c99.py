@@ -19,6 +19,7 @@ C_TYPES |= {f"i{bits}": f"uint{max(8, 1 << (bits - 1).bit_length())}_t" for bits
 SIZES = {"double": 8, "ptr": 8, "i1": 1, "i8": 1, "i16": 2, "i32": 4, "i64": 8}
 BINARY = {"fadd": "+", "fsub": "-", "fmul": "*", "fdiv": "/", "add": "+", "sub": "-", "mul": "*"}
 BINARY |= {"and": "&", "or": "|", "xor": "^", "shl": "<<", "lshr": ">>", "udiv": "/", "urem": "%"}
+CONVERSIONS = ("sitofp", "uitofp", "fptosi", "zext", "sext", "trunc")
 SIGNED = {"ashr": ">>", "sdiv": "/", "srem": "%"}
 # an unordered comparison is true of what is not a number: the opposite one is false of it
 COMPARED = {"eq": "==", "ne": "!=", "gt": ">", "ge": ">=", "lt": "<", "le": "<="}
@@ -170,7 +171,7 @@ class Translation:
     def __init__(self, text: str, entry: str, name: str) -> None:
         self.text = _WORDS.sub("", _WORDS.sub("", text))
         self.functions, self.globals = Names(f"{name}_f"), Names(f"{name}_g")
-        bodies = [match for match in _FUNCTION.finditer(self.text)]
+        bodies = list(_FUNCTION.finditer(self.text))
         entries = [match[2] for match in bodies if entry in match[2].partition("B")[0]]
         if len(entries) != 1:
             raise refuse(f"{len(entries)} entries")
@@ -340,6 +341,8 @@ class Function:
             else:
                 expression = f"{self.value(kind, text)} {BINARY[word]} {self.value(kind, other)}"
                 expression = expression if kind == "double" else cut(kind, expression)
+        elif word in CONVERSIONS:
+            kind, expression = self._converted(word, rest)
         elif rule is None:
             raise refuse(line)
         elif isinstance(done := rule(rest, result, block), list):
@@ -373,10 +376,8 @@ class Function:
         first, other = split(operands)
         a, b = self.value("double", typed(first)[1]), self.value("double", other)
         if how in ("uno", "ord"):
-            return (
-                "i1",
-                f"{a} != {a} || {b} != {b}" if how == "uno" else f"{a} == {a} && {b} == {b}",
-            )
+            sign, join = ("!=", "||") if how == "uno" else ("==", "&&")
+            return "i1", f"{a} {sign} {a} {join} {b} {sign} {b}"
         if how in ("one", "ueq"):
             return "i1", f"{a} < {b} || {a} > {b}" if how == "one" else f"!({a} < {b} || {a} > {b})"
         if how in ("oeq", "une") or how[0] == "o":
@@ -423,41 +424,27 @@ class Function:
         self.buffers.append(f"  char {result}_data[{size_of(split(rest)[0])}] = {{0}};")
         return "ptr", f"{result}_data"
 
-    def _converted(self, rest: str) -> tuple[str, str, str]:
-        """(type before, value, type after)."""
+    def _converted(self, word: str, rest: str) -> tuple[str, str]:
+        """(type, expression) of a number turned into another type."""
         before, after = rest.split(" to ")
-        return *typed(before), after
-
-    def _do_sitofp(self, rest: str, result: str, block: str) -> tuple[str, str]:
-        kind, text, _ = self._converted(rest)
-        return "double", f"(double){self.signed(kind, text)}"
-
-    def _do_uitofp(self, rest: str, result: str, block: str) -> tuple[str, str]:
-        kind, text, _ = self._converted(rest)
-        return "double", f"(double){self.value(kind, text)}"
-
-    def _do_fptosi(self, rest: str, result: str, block: str) -> tuple[str, str]:
-        kind, text, after = self._converted(rest)
-        x = self.value(kind, text)
-        whole = f"({C_TYPES[after]})(int64_t){x}"  # of what no whole number is, any will do
-        return after, f"{x} > -9.2e18 && {x} < 9.2e18 ? {whole} : 0"
-
-    def _do_zext(self, rest: str, result: str, block: str) -> tuple[str, str]:
-        kind, text, after = self._converted(rest)
-        return after, f"({C_TYPES[after]}){self.value(kind, text)}"
-
-    def _do_trunc(self, rest: str, result: str, block: str) -> tuple[str, str]:
-        kind, text, after = self._converted(rest)
-        return after, cut(after, self.value(kind, text))
-
-    def _do_sext(self, rest: str, result: str, block: str) -> tuple[str, str]:
-        kind, text, after = self._converted(rest)
+        kind, text = typed(before)
         value = self.value(kind, text)
-        wide = f"-(int64_t){value}" if kind == "i1" else f"(int64_t)(int{kind[1:]}_t){value}"
-        return after, f"({C_TYPES[after]})({wide})"
+        if word == "trunc":
+            return after, cut(after, value)
+        if word == "fptosi":  # of what no whole number is, any will do
+            whole = f"({C_TYPES[after]})(int64_t){value}"
+            return after, f"{value} > -9.2e18 && {value} < 9.2e18 ? {whole} : 0"
+        if word == "sitofp":
+            value = self.signed(kind, text)
+        elif word == "sext" and kind == "i1":
+            value = f"(-(int64_t){value})"
+        elif word == "sext":
+            value = f"((int64_t)(int{kind[1:]}_t){value})"
+        return after, f"({C_TYPES[after]}){value}"
 
     def _do_bitcast(self, rest: str, result: str, block: str) -> list[str]:
-        kind, text, after = self._converted(rest)
+        before, after = rest.split(" to ")
+        kind, text = typed(before)
         self.types[result] = after
         return self._stored(kind, self.value(kind, text), f"&{result}")
 

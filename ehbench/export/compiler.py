@@ -9,16 +9,28 @@ import sys
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
 from ehbench.vocabulary.errors import EhbenchError
 from ehbench.vocabulary.messages import message
 
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off")
-# what the compiler of the extra calls a target
-TRIPLES = {
-    "linux64": "x86_64-linux-gnu",
-    "win64": "x86_64-windows-gnu",
-    "aarch64": "aarch64-linux-gnu",
+
+
+class Target(NamedTuple):
+    """A kind of machine: what the extra's compiler calls it, the folders of its binary in an FMU
+    of version 2 and 3, and the binary's ending.
+    """
+
+    triple: str
+    folders: tuple[str, str]
+    ending: str = ".so"
+
+
+TARGETS = {
+    "linux64": Target("x86_64-linux-gnu", ("linux64", "x86_64-linux")),
+    "win64": Target("x86_64-windows-gnu", ("win64", "x86_64-windows"), ".dll"),
+    "aarch64": Target("aarch64-linux-gnu", ("aarch64-linux", "aarch64-linux")),
 }
 HERE = {("Linux", "x86_64"): "linux64", ("Linux", "aarch64"): "aarch64"}.get(
     (platform.system(), platform.machine()), ""
@@ -31,9 +43,9 @@ def compiler(target: str = HERE) -> list[str] | None:
         for name in ("cc", "gcc", "clang"):
             if path := shutil.which(name):
                 return [path]
-    if find_spec("ziglang") is None or target not in TRIPLES:
+    if find_spec("ziglang") is None or target not in TARGETS:
         return None
-    return [sys.executable, "-m", "ziglang", "cc", "-target", TRIPLES[target]]
+    return [sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[target].triple]
 
 
 def build(command: Sequence[str], files: Sequence[Path], out: Path, *more: str) -> Path:

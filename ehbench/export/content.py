@@ -55,11 +55,6 @@ class Export:
     fitted: Mapping[str, Mapping[str, Any]]
 
     @property
-    def carrying(self) -> Rig:
-        """The rig with its payload."""
-        return self.rig.with_payload(self.trial.recipe.payload)
-
-    @property
     def about(self) -> dict[str, str]:
         """Source and 95 % interval of each parameter, in words."""
         about = {}

@@ -9,11 +9,12 @@ import math
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from uuid import UUID
 from xml.etree import ElementTree
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 from ehbench.export.c_code import checked
-from ehbench.export.compiler import HERE, build, compiler
+from ehbench.export.compiler import HERE, TARGETS, build, compiler
 from ehbench.export.component import Component
 from ehbench.export.content import Export, Written
 from ehbench.export.kernels import Kernels
@@ -22,12 +23,6 @@ from ehbench.runtime.disk import replacing, write_text
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.units import exponents
 
-# by target: folder of its binary in version 2 and 3, and ending
-PLACES = {
-    "linux64": ("linux64", "x86_64-linux", ".so"),
-    "win64": ("win64", "x86_64-windows", ".dll"),
-    "aarch64": ("aarch64-linux", "aarch64-linux", ".so"),
-}
 SOURCES = ("fmi.c", "{name}.c")
 
 
@@ -60,15 +55,14 @@ def _content(
     check = checked(sources, name)
     (sources / "check.csv").unlink()
     (sources / "check.c").unlink()
-    digest = hashlib.sha256((sources / f"{name}.c").read_bytes()).hexdigest()[:32]
-    token = "{" + "-".join(digest[a:b] for a, b in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32)))
-    token += "}"
+    digest = hashlib.sha256((sources / f"{name}.c").read_bytes()).digest()
+    token = f"{{{UUID(bytes=digest[:16])}}}"
     head = f'#define FMI {version}\n#define TOKEN "{token}"\n'
     write_text(sources / "fmi.c", head + template("fmi.c", name))
     for target in targets:
-        command, folder = compiler(target), PLACES[target][version - 2]
+        command, of = compiler(target), TARGETS[target]
         assert command is not None  # the stage sees to it
-        library = place / "binaries" / folder / f"{name}{PLACES[target][2]}"
+        library = place / "binaries" / of.folders[version - 2] / f"{name}{of.ending}"
         library.parent.mkdir(parents=True)
         files = [sources / file.format(name=name) for file in SOURCES]
         shared = ("-shared", *(() if target == "win64" else ("-fPIC", "-fvisibility=hidden")))

@@ -30,7 +30,8 @@ def write_mechanism(
     export: Export, folder: Path, ending: str, text: Callable[[Rig], bytes]
 ) -> list[Written]:
     """Write the mechanism, as a ``text`` has it, into ``mechanism``."""
-    files = {f"{export.rig.name}.{ending}": text(export.carrying)}
+    carrying = export.rig.with_payload(export.trial.recipe.payload)
+    files = {f"{export.rig.name}.{ending}": text(carrying)}
     return _written(folder / "mechanism", files, message("export.about_mechanism"))
 
 

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from ehbench.report.index import FigureIndex
 from ehbench.report.page import build
-from ehbench.report.saved import Saved
+from ehbench.report.saved import FigureIndex, Saved
 from ehbench.report.stages import report_of
 
 __all__ = ["build", "draw"]
@@ -19,6 +18,5 @@ def draw(folder: Path) -> None:
     """
     run = Saved(folder)
     index = FigureIndex(run.folder)
-    index.folder.mkdir(exist_ok=True)
     report_of(run).draw(run, index)
     index.save()

@@ -8,6 +8,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, TypeAlias
+from xml.etree import ElementTree
+
+from ehbench.report.svg import sound
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,6 @@ class Heat:
     kind: ClassVar[str] = "heat"
     names: Sequence[str]
     values: Sequence[Sequence[float | None]]
-    caption: str = ""
     limit: float = 0.95
 
 
@@ -143,24 +145,25 @@ def prose(text: str) -> list[Text | Bullets]:
     return blocks
 
 
-def slug(text: str) -> str:
-    """Text as part of an id."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "x"
+def slug(text: str, joint: str = "-") -> str:
+    """Text as part of an id or key: ``30 %`` → ``30``."""
+    return re.sub(r"[^a-z0-9]+", joint, text.lower()).strip(joint) or "x"
 
 
 _FOUR = re.compile(r"(?:-?[0-9.]+\s+){3}-?[0-9]+(?:\.[0-9]*)?")
 
 
 def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = None) -> str:
-    """A saved SVG as part of a page: no prolog, no metadata, ids made its own by ``prefix``, sized
+    """A saved SVG as part of a page: nothing but its drawing, ids made its own by ``prefix``, sized
     by the page.
 
     With ``looks`` every style becomes a class of the page: the class by the style, grown here. Only
     attributes of the parsed elements are styles, never their texts.
-    """
-    from xml.etree import ElementTree
 
-    root = ElementTree.fromstring(svg)
+    Raises:
+        ValueError: it is no SVG.
+    """
+    root = sound(svg)
     for item in list(root.iter()):
         item.tag = item.tag.rpartition("}")[2]
         item.text, item.tail = (
@@ -176,8 +179,6 @@ def inline(svg: str, prefix: str, title: str, looks: dict[str, str] | None = Non
             elif name == "href":
                 value = re.sub("^#", f"#{prefix}", value)
             item.set(name, value.replace("url(#", f"url(#{prefix}"))
-    for item in root.findall("metadata"):
-        root.remove(item)
     shape = root.get("viewBox", "").strip()
     shape = shape if _FOUR.fullmatch(shape) else "0 0 525 300"
     width = float(shape.split()[2]) * 4 / 3  # points to CSS pixels

@@ -1,6 +1,5 @@
 """Trials under a controller as run folders hold them."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,11 +56,6 @@ class Case:
     def energy(self) -> Table | None:
         """Its energy ledger."""
         return Table(read_json(self.ledger), self.ledger) if self.ledger.is_file() else None
-
-
-def stem_of(text: str) -> str:
-    """A text as part of a key: ``30 %`` → ``30``."""
-    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_") or "x"
 
 
 def cases_of(run: Saved) -> list[Case]:

@@ -12,7 +12,6 @@ from ehbench.report.blocks import Grid
 from ehbench.report.content import num
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, Table
-from ehbench.report.stages import report_of
 from ehbench.report.terminal import Answer, reported
 from ehbench.report.words import (
     DASH,
@@ -95,7 +94,8 @@ def compare(first: Path, second: Path) -> Comparison:
     Raises:
         InputError: no run, or runs of different kinds.
     """
-    (item, content, _), (other, other_content, _) = reported(first), reported(second)
+    chapters = reported(first)[0], reported(second)[0]
+    item, other = (chapter.run for chapter in chapters)
     if item.what != other.what or item.stage != other.stage:
         kinds = {
             "first": words(item.what or item.stage),
@@ -111,12 +111,11 @@ def compare(first: Path, second: Path) -> Comparison:
     changed.sort(key=lambda shift: -(math.inf if shift.intervals is None else shift.intervals))
     numbered = item.what not in ("hydraulics", "flow_map")  # their numbers are the parameters
     heads = [
-        {n.label: n.value for n in report_of(run).findings(run).numbers if numbered}
-        for run in (item, other)
+        {n.label: n.value for n in chapter.findings.numbers if numbered} for chapter in chapters
     ]
     return Comparison(
         item.what or item.stage,
-        (content.status, other_content.status),
+        (chapters[0].content.status, chapters[1].content.status),
         tuple(_changes(_inputs(item), _inputs(other))),
         tuple(changed),
         len(shifts) - len(changed),
@@ -157,7 +156,7 @@ def _parameters(run: Saved) -> dict[str, tuple[float | None, Ends | None]]:
             )
             for row in run.rows("summary.json")
         }
-    if not (run.folder / "rig.toml").is_file():
+    if not run.has_rig:
         return {}
     known: dict[str, tuple[float | None, Ends | None]] = {}
     for name, value in run.rig.parameters().items():
@@ -171,8 +170,9 @@ def _interval(interval: Any) -> Ends | None:
     return (interval[0], interval[1]) if interval and None not in interval else None
 
 
-def answer(result: Comparison, rig: Rig | None) -> Answer:
-    """What differs, in the units of a rig: parameters first, then other numbers, inputs."""
+def answer(result: Comparison, first: Path) -> Answer:
+    """What differs, in the units of a run's rig: parameters first, then other numbers, inputs."""
+    rig = run.rig if (run := Saved(first)).has_rig else None
     head = ["parameter", "first", "second", "unit", "intervals apart"]
     inputs, numbers = (
         [[item.what, _abbreviated(item.first), _abbreviated(item.second)] for item in items]
@@ -199,11 +199,6 @@ def answer(result: Comparison, rig: Rig | None) -> Answer:
         notes=[message("report.unsupported", change=change) for change in result.changes],
         values=result.as_json(),
     )
-
-
-def rig_of(folder: Path) -> Rig | None:
-    """The rig that a run left, if it left one."""
-    return Saved(folder).rig if (folder / "rig.toml").is_file() else None
 
 
 def _abbreviated(text: str) -> str:

@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.report.blocks import Grid
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Series, Table
+from ehbench.report.saved import FigureIndex, Saved, Series, Table
 from ehbench.report.style import MUTED, RECORDED, SIMULATED, Look, canvas, key, legend, thin
 from ehbench.report.template import Template
 from ehbench.report.words import axis, number, pretty, shown, title_of, unit_of, words
@@ -77,11 +75,6 @@ def lasting(series: Series, channels: Sequence[str]) -> list[tuple[str, float]]:
         if limit > 0.0 and longest >= 0.2 * float(t[-1] - t[0]):
             lasting.append((channel, longest))
     return lasting
-
-
-def ringing_table(rig: Rig | None, matches: Sequence[Table], with_log: bool = False) -> Grid:
-    """Ringing of recorded and simulated transients, a row each, perhaps with the log's name."""
-    return Template("comparisons", rig).table("ringing", matches, with_log=with_log)
 
 
 _RECORDED: Look = {"color": RECORDED, "linewidth": 0.9}

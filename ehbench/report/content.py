@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ehbench.report.blocks import Block, Cell, Fold, Part, Picture
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved
-from ehbench.report.words import count, words
+from ehbench.report.saved import FigureIndex, Saved
+from ehbench.report.words import words
 from ehbench.vocabulary.messages import Message, message
+from ehbench.vocabulary.notebook import plural
 
 Pictures = Callable[..., list[Picture]]  # the run's figures that show something
 # how status words look as a chip; all others are plain
@@ -71,7 +71,7 @@ class StageReport:
 
     label: str
     section: Callable[[Saved, Pictures], SectionContent]
-    draw: Callable[[Saved, FigureIndex], None]
+    draw: Callable[[Saved, FigureIndex], None] = lambda run, index: None
     findings: Callable[[Saved], Findings] = lambda run: Findings()
     standing: int = 0
     shows: tuple[str, ...] = ()
@@ -124,4 +124,4 @@ def num(text: str) -> Cell:
 
 def folded(figures: Sequence[Picture], what: str) -> list[Block]:
     """Figures that open on a click, under their count; nothing where there are none."""
-    return [Fold(f"{count(len(figures), 'figure')}: {what}", figures)] if figures else []
+    return [Fold(f"{plural(len(figures), 'figure')}: {what}", figures)] if figures else []

@@ -58,11 +58,6 @@ class Chapter:
     findings: Findings
     anchor: str
 
-    @property
-    def has_rig(self) -> bool:
-        """Whether it left a rig."""
-        return (self.run.folder / "rig.toml").is_file()
-
 
 def first_screen(chapters: Sequence[Chapter]) -> list[Block]:
     """Cards, verdict, figure and next steps; at most four reasons and steps."""
@@ -111,10 +106,10 @@ def cards_of(chapters: Sequence[Chapter]) -> list[Card]:
             elif number.rank not in best or weight >= best[number.rank][0]:
                 best[number.rank] = (weight, chapter, number)
     chosen = [(chapter, item) for _, (_, chapter, item) in sorted(best.items())]
-    several = len({chapter.run.rig.name for chapter in chapters if chapter.has_rig}) > 1
+    several = len({chapter.run.rig.name for chapter in chapters if chapter.run.has_rig}) > 1
     cards = []
     for chapter, item in (chosen + others)[:5]:
-        rig = f"{words(chapter.run.rig.name)}: " if several and chapter.has_rig else ""
+        rig = f"{words(chapter.run.rig.name)}: " if several and chapter.run.has_rig else ""
         cards.append(Card(item.label, item.value, rig + item.about, f"#{chapter.anchor}"))
     return cards
 

@@ -31,11 +31,9 @@ from ehbench.report.first_screen import Chapter, chapters_of, first_screen, over
 from ehbench.report.provenance import TracedRun, unsupported
 from ehbench.report.saved import Saved, Table, grouped
 from ehbench.report.stages import place_of
-from ehbench.report.svg import sound
 from ehbench.report.words import (
     as_fitted,
     capital,
-    count,
     number,
     plus,
     pretty,
@@ -50,6 +48,7 @@ from ehbench.runtime.disk import DATA, read_bytes
 from ehbench.vocabulary.errors import EhbenchError, InputError, nearest
 from ehbench.vocabulary.fields import Value
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.terms import Z95
 
 
@@ -67,15 +66,16 @@ def build(folders: Sequence[Path], campaign: Campaign | None = None) -> str:
         chapters = chapters_of(runs, pictures)
         sections = [_run_section(chapter, titles) for chapter in chapters]
         titles.refuse_unused()
+        written = enumerate(campaign.section if campaign else [], 1)
         sections = [
             Section("At a glance", first_screen(chapters), "glance"),
             Section("Chapters", [overview(chapters)], "chapters"),
-            *campaign_sections(campaign),
+            *(Section(i.title, prose(i.text), f"section-{n}-{slug(i.title)}") for n, i in written),
             *sections,
             *_rigs(chapters),
             _provenance(runs),
         ]
-        rigs = [chapter.run.rig for chapter in chapters if chapter.has_rig]
+        rigs = [chapter.run.rig for chapter in chapters if chapter.run.has_rig]
         return _render(*heading(campaign, rigs), sections, looks)
     except EhbenchError:
         raise
@@ -96,7 +96,7 @@ def _run_section(chapter: Chapter, titles: Titles) -> Section:
         if drawn:  # print shows the first of them
             pieces[drawn[0]] = replace(pieces[drawn[0]], paper=True)
         if more := len(drawn[1:]):
-            text = message("report.more_figures", figures=count(more, "more figure"))
+            text = message("report.more_figures", figures=plural(more, "more figure"))
             pieces.append(Text(text, "paper note"))
         paper = part.paper and not all(isinstance(piece, Fold) for piece in part.inside)
         place = f"{anchor}-{len(parts) + 1}-{slug(part.title)}"
@@ -113,7 +113,7 @@ def _run_section(chapter: Chapter, titles: Titles) -> Section:
         text = message("report.recorded_on", machines=", the ".join(machines))
         inside.append(Text(text, "note"))
     if warnings := run.facts.get("warnings", []):
-        inside.append(Fold(count(len(warnings), "warning"), [Bullets(warnings, "warn")]))
+        inside.append(Fold(plural(len(warnings), "warning"), [Bullets(warnings, "warn")]))
     return Section(run.title, inside, anchor, chip(content.status), parts)
 
 
@@ -136,15 +136,15 @@ class RunPictures:
             if not shows.items() <= entry["about"].plain().items():
                 continue
             path = self._run.folder / "figures" / Path(entry["file"]).name
+            given = self._titles.of(self._run, entry["key"])
+            title, named = (entry["title"], None) if given is None else given
             try:
-                svg = sound(read_bytes(path, DATA).decode("utf-8"))
+                svg = read_bytes(path, DATA).decode("utf-8")
+                drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)
             except FileNotFoundError:
                 raise InputError(message("report.no_figure"), file=path) from None
             except ValueError as error:
                 raise InputError(message("report.bad_figure", reason=error), file=path) from None
-            given = self._titles.of(self._run, entry["key"])
-            title, named = (entry["title"], None) if given is None else given
-            drawn = inline(svg, f"{self._anchor}f{place}-", title, self._looks)
             anchor = f"{self._anchor}-figure-{place}"
             results.append(Picture(drawn, title, entry["caption"], anchor, named))
         return sorted(results, key=lambda item: sys.maxsize if item.named is None else item.named)
@@ -166,7 +166,7 @@ def _titled(inside: Sequence[Block], run: Saved, titles: Titles) -> list[Block]:
 def _rigs(chapters: Sequence[Chapter]) -> list[Section]:
     """For each rig, the machine as last judged, else identified, else given."""
     furthest: dict[str, Chapter] = {}
-    for chapter in (chapter for chapter in chapters if chapter.has_rig):
+    for chapter in (chapter for chapter in chapters if chapter.run.has_rig):
         fixed = furthest.get(chapter.run.rig.name)
         if fixed is None or chapter.stage.standing >= fixed.stage.standing:
             furthest[chapter.run.rig.name] = chapter
@@ -320,12 +320,3 @@ def heading(campaign: Campaign | None, rigs: Sequence[Rig]) -> tuple[str, Sequen
     titles = dict.fromkeys(rig.title or capital(words(rig.name)) for rig in rigs)
     notes = prose(rigs[0].note) if len(titles) == 1 else []
     return ", ".join(titles) or "Report", notes[:1]
-
-
-def campaign_sections(campaign: Campaign | None) -> list[Section]:
-    """The campaign's own sections, which stand before those of the runs."""
-    written = campaign.section if campaign else []
-    return [
-        Section(item.title, prose(item.text), f"section-{i}-{slug(item.title)}")
-        for i, item in enumerate(written, 1)
-    ]

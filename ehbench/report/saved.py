@@ -16,16 +16,15 @@ from typing_extensions import TypedDict
 from ehbench.config.recipe import load_rig
 from ehbench.config.rig import Rig
 from ehbench.data.text import text_table
-from ehbench.report.index import INDEX
-from ehbench.runs.rundir import read_json
+from ehbench.runs.rundir import read_json, write_json
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import VOCABULARY, quantity
+from ehbench.vocabulary.text import unlike
 from ehbench.vocabulary.units import to_si
 
 _HEAD = re.compile(r"\s*(.*?)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*$")
-_SIDE = re.compile(r"^(?:(recorded|simulated)\.)?(.*?)(?:[ .](recorded|simulated))?$")
-
+_INDEX = "figures/index.json"
 
 Item = TypeVar("Item")
 Key = TypeVar("Key")
@@ -107,15 +106,11 @@ class Series:
     recorded: dict[str, np.ndarray]
     simulated: dict[str, np.ndarray]
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """All channels, in the order of the file."""
-        return tuple(dict.fromkeys([*self.recorded, *self.simulated]))
-
     def cylinders(self) -> dict[str, list[str]]:
         """Channels by cylinder (what stands before the last dot), commands left out."""
-        channels = [channel for channel in self.channels if not channel.endswith(".command")]
-        return grouped(channels, lambda channel: channel.rpartition(".")[0])
+        channels = dict.fromkeys([*self.recorded, *self.simulated])
+        seen = (channel for channel in channels if not channel.endswith(".command"))
+        return grouped(seen, lambda channel: channel.rpartition(".")[0])
 
 
 @dataclass(frozen=True)
@@ -195,6 +190,11 @@ class Saved:
         """The recipe's title, or its name as prose."""
         return self.facts.get("title") or self.name.replace("_", " ").capitalize()
 
+    @property
+    def has_rig(self) -> bool:
+        """Whether the run left a rig."""
+        return (self.folder / "rig.toml").is_file()
+
     @cached_property
     def rig(self) -> Rig:
         """The rig that the run left."""
@@ -223,12 +223,39 @@ class Saved:
 
     def figures(self) -> list[Table]:
         """What the run's figures are, in order: file, key, title, caption, about."""
-        return self.json(f"figures/{INDEX}")["figures"]
+        return self.json(_INDEX)["figures"]
 
     def series(self, log: str) -> Series | None:
         """The series of a log; None where it could not be simulated."""
         path = self.folder / "series" / f"{log}.csv"
         return read_series(path) if path.is_file() else None
+
+
+class FigureIndex:
+    """The figures of a run folder as they are drawn: hands out file names that do not collide.
+
+    A figure's ``key`` is what a campaign names it by; ``about`` says what it shows: by these words
+    a section finds it again.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.figures: list[dict[str, Any]] = []
+
+    def add(self, key: str, title: str, caption: str, kind: str, **about: str) -> Path:
+        """The path to draw the figure ``key`` to."""
+        taken = {figure["file"].removesuffix(".svg") for figure in self.figures}
+        file = unlike(re.sub(r"[^A-Za-z0-9_.-]+", "_", key), taken) + ".svg"
+        shows = {"kind": kind, **about}
+        row = {"file": file, "key": key, "title": title, "caption": caption, "about": shows}
+        self.figures.append(row)
+        return self.folder / "figures" / file
+
+    def save(self) -> None:
+        """Write the index beside the figures."""
+        path = self.folder / _INDEX
+        path.parent.mkdir(exist_ok=True)
+        write_json(path, {"figures": self.figures})
 
 
 def _head(text: str) -> tuple[str, str | None]:
@@ -247,8 +274,8 @@ def read_series(path: Path) -> Series:
     columns = np.ascontiguousarray(table.floats(range(len(table.header))).T)
     t, sides = None, {"recorded": {}, "simulated": {}}
     for name, values in zip(table.header, columns, strict=True):
-        text, unit = _head(name)
-        front, channel, back = next(_SIDE.finditer(text)).groups()
+        full, unit = _head(name)
+        channel = full.removeprefix("simulated.")
         try:
             row = quantity(channel)
         except KeyError as error:
@@ -258,7 +285,7 @@ def read_series(path: Path) -> Series:
         if channel == "t":
             t = values
         else:
-            sides[front or back or "recorded"][channel] = values
+            sides["recorded" if channel == full else "simulated"][channel] = values
     if t is None:
         raise InputError(message("report.no_column", name="t [s]", columns=""), file=path, line=1)
     return Series(t, **sides)
@@ -294,9 +321,7 @@ def read_points(path: Path) -> Points:
         if name in ("valve", "direction", "method"):
             values_of[name] = np.array(table.cells(place), dtype=str)
         elif name == "outlier":
-            values_of[name] = np.array(
-                [cell.lower() in ("1", "true", "yes") for cell in table.cells(place)], dtype=bool
-            )
+            values_of[name] = np.array(table.cells(place)) == "1"
         else:
             row = VOCABULARY["flow" if name == "fitted" else name]
             values = table.floats([place])[:, 0]

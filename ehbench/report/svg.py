@@ -19,9 +19,9 @@ _IMAGE = re.compile(r"data:image/(?:png|jpeg);base64,[\w+/=\s]*")
 _FETCHES = re.compile(r"url\(\s*(?!#)|[{}<>@\\]|/\*|expression|javascript", re.I)
 
 
-def sound(svg: str) -> str:
+def sound(svg: str) -> ElementTree.Element:
     """A saved figure without anything that is no drawing: scripts, handlers of events, links out of
-    the page, styles that fetch. A figure of ours comes back as it is.
+    the page, styles that fetch.
 
     Raises:
         ValueError: it is no SVG.
@@ -36,26 +36,18 @@ def sound(svg: str) -> str:
         raise ValueError(f"is no SVG: {error}") from None
     if root.tag != f"{_SVG}svg":
         raise ValueError("is no SVG")
-    clean, waiting = "<!" not in svg and "<?" not in svg, [root]
+    waiting = [root]
     while waiting:
         item = waiting.pop()
         for name in [name for name, value in item.attrib.items() if not _harmless(name, value)]:
             del item.attrib[name]
-            clean = False
         for inner in list(item):
             tag = inner.tag if isinstance(inner.tag, str) else ""
             if tag.removeprefix(_SVG) in _ELEMENTS and tag.startswith(_SVG):
                 waiting.append(inner)
             else:
                 item.remove(inner)
-                clean = False
-    if clean:
-        return svg
-    for item in root.iter():
-        if _LINK in item.attrib:
-            item.set("href", item.attrib.pop(_LINK))
-    ElementTree.register_namespace("", _SVG[1:-1])
-    return ElementTree.tostring(root, encoding="unicode")
+    return root
 
 
 def _harmless(name: str, value: str) -> bool:

@@ -24,6 +24,7 @@ from ehbench.config.rig import Rig
 from ehbench.report import words
 from ehbench.report.blocks import Cell, Grid
 from ehbench.report.content import chip, num
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.quantities import VOCABULARY
 from ehbench.vocabulary.terms import Z95
 
@@ -38,7 +39,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 # what templates may use; the second kind takes the rig first
 _FILTERS: dict[str, Any] = {
     "number": words.number,
-    "count": words.count,
+    "count": plural,
     "words": words.words,
     "interval": lambda ends: words.interval(*(ends or (None, None))),
     "pretty": words.pretty,

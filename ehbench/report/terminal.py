@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from ehbench.report.blocks import Block, Bullets, Cell, Grid
-from ehbench.report.content import SectionContent, names
-from ehbench.report.first_screen import chapters_of, next_steps, summary
+from ehbench.report.content import names
+from ehbench.report.first_screen import Chapter, chapters_of, next_steps, summary
 from ehbench.report.provenance import TracedRun
 from ehbench.report.saved import Saved
-from ehbench.report.stages import report_of
 from ehbench.report.words import capital, words
 from ehbench.runs.rundir import plain, read_json
 from ehbench.vocabulary.messages import Message, message, ranked
@@ -102,44 +101,55 @@ class Answer:
         return json.dumps(plain({**about, **self.values}), ensure_ascii=False, indent=1)
 
 
-def reported(folder: Path) -> tuple[Saved, SectionContent, Sequence[Block]]:
-    """A run, what its section of the report says without figures, and the part that a terminal
-    shows.
+def reported(folder: Path) -> tuple[Chapter, Sequence[Block]]:
+    """A run as a chapter of the report without figures, and the part of it that a terminal shows.
 
     Raises:
         InputError: a file of the run is missing or damaged.
     """
-    run = Saved(folder)
-    stage = report_of(run)
-    content = stage.section(run, lambda **shows: [])
-    parts = {part.title: part.inside for part in content.parts}
-    return run, content, next((parts[title] for title in stage.shows if title in parts), ())
+    (chapter,) = chapters_of([Saved(folder)], [lambda **shows: []])
+    parts = {part.title: part.inside for part in chapter.content.parts}
+    shown = (parts[title] for title in chapter.stage.shows if title in parts)
+    return chapter, next(shown, ())
 
 
 def answer(folder: Path, notes: Sequence[str] = (), code: int = 0, losses: bool = False) -> Answer:
-    """What a run says: its verdict, its table, what to do next, and what speaks against it.
+    """What a run says: its verdict, its table, what to do next, and what speaks against it; for
+    scripts ``status``, ``sentence``, ``results`` (the rows of the tables by their head, as text in
+    the rig file's units), ``numbers`` [SI] and the ``files`` of the run.
 
     Raises:
         InputError: as `reported`.
     """
-    run, content, blocks = reported(folder)
+    chapter, blocks = reported(folder)
+    run, status, sentence = chapter.run, chapter.content.status, chapter.content.sentence
     bullets = [item for block in blocks if isinstance(block, Bullets) for item in block.items]
     steps = [message("steps.lost", **names(run))] if losses else []
-    steps += next_steps(chapters_of([run], [lambda **shows: []]))
-    tables = [block for block in blocks if isinstance(block, Grid) and block.rows]
-    # the sentence, a verdict before it in capitals
-    status, sentence = words(content.status), content.sentence
-    if content.status not in SETTLED:
-        begins = sentence.lower().startswith(status)
-        sentence = status.upper() + (sentence[len(status) :] if begins else f": {sentence}")
+    steps += next_steps([chapter])
+    tables = [block for block in blocks if isinstance(block, Grid)]
+    verdict = sentence
+    if status not in SETTLED:  # in capitals before the sentence
+        word = words(status)
+        begins = sentence.lower().startswith(word)
+        verdict = word.upper() + (sentence[len(word) :] if begins else f": {sentence}")
+    file, keys = chapter.stage.numbers
+    numbers: Any = read_json(run.folder / file) if file else None
+    values = {
+        "code": code,
+        "status": status,
+        "sentence": sentence,
+        "results": [row for item in tables for row in _rows(item)],
+        "numbers": {key: numbers[key] for key in keys if key in numbers} if keys else numbers,
+        "files": sorted(run.facts.get("outputs", {})),
+    }
     return Answer(
-        sentence,
-        tables,
+        verdict,
+        [table for table in tables if table.rows],
         _placed(ranked(steps), [folder]),
         list(dict.fromkeys([*bullets, *folded(notes)])),
         folder,
-        {"code": code, **values(folder)},
-        report_of(run).columns,
+        values,
+        chapter.stage.columns,
         details=[str(text) for text in run.facts.get("details", [])],
     )
 
@@ -178,26 +188,6 @@ def _placed(steps: Sequence[Message], folders: Sequence[Path]) -> list[Message]:
     ]
 
 
-def values(folder: Path) -> dict[str, Any]:
-    """A run as plain values: ``status``, ``sentence``, ``results`` (the rows of the tables by
-    their head, as text in the rig file's units), ``numbers`` [SI] and the ``files`` of the run.
-
-    Raises:
-        InputError: as `reported`.
-    """
-    run, content, blocks = reported(folder)
-    tables = [block for block in blocks if isinstance(block, Grid)]
-    file, keys = report_of(run).numbers
-    numbers: Any = read_json(run.folder / file) if file else None
-    return {
-        "status": content.status,
-        "sentence": content.sentence,
-        "results": [row for item in tables for row in _rows(item)],
-        "numbers": {key: numbers[key] for key in keys if key in numbers} if keys else numbers,
-        "files": sorted(run.facts.get("outputs", {})),
-    }
-
-
 def _rows(grid: Grid) -> list[dict[str, str]]:
     """The rows of a table by its head; one table of names and values where it has no head."""
     rows = [[_cell_text(cell) for cell in row] for row in grid.rows]
@@ -206,7 +196,7 @@ def _rows(grid: Grid) -> list[dict[str, str]]:
     return [dict(zip(grid.head, row, strict=True)) for row in rows]
 
 
-def table_lines(grid: Grid, columns: Sequence[str] = (), width: int = 100) -> Iterator[str]:
+def table_lines(grid: Grid, columns: Sequence[str], width: int) -> Iterator[str]:
     """A table in columns, named ones or all, as many as fit; words may be cut to 20 letters."""
     places = [grid.head.index(name) for name in columns if name in grid.head]
     places = places or list(range(len(grid.head)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
-from ehbench.report.cases import SLOW, Case, damping, limits_of, payloads_carried
+from ehbench.report.cases import SLOW, Case, by_controller, damping, limits_of, payloads_carried
 from ehbench.report.template import Template
 from ehbench.report.words import words
 from ehbench.vocabulary import codes
@@ -162,10 +162,10 @@ def trials_caption(cases: Sequence[Case]) -> str:
 
 def controller_captions(rig: Rig, cases: Sequence[Case]) -> Iterator[str]:
     """For each controller how it did over all payloads and motions."""
-    for name in dict.fromkeys(case.row["controller"] for case in cases):
-        rows = [case.row for case in cases if case.row["controller"] == name]
+    for name, group in by_controller(cases).items():
+        rows = [case.row for case in group]
         steps = [step for row in rows for step in row["steps"]]
-        ringing = [(ratio, doubt) for step in steps for ratio, doubt in [damping(step)]]
+        ringing = [damping(step) for step in steps]
         yield Template("trial", rig).text(
             "controller",
             name=name,

@@ -40,7 +40,7 @@ def measure_tables(rig: Rig, cases: Sequence[Case]) -> list[Block]:
             rails=any("low_rail" in case.row["energy"] for case in ordered),
             relative=relative,
             sources=list(dict.fromkeys(case.row["energy"]["source"] for case in ordered)),
-            valves=valves_note(page.rig, ordered),
+            valves=valves_note(rig, ordered),
             runs=runs,
         )
     )
@@ -85,9 +85,8 @@ def _steps_table(page: Template, cases: Sequence[Case], runs: str) -> Grid:
     return page.table("steps", rows, doubts=list(doubts), runs=runs)
 
 
-def valves_note(rig: Rig | None, cases: Sequence[Case]) -> str:
+def valves_note(rig: Rig, cases: Sequence[Case]) -> str:
     """How fast each controller's valves are, where they are not equally fast."""
-    assert rig is not None
     speeds: dict[str, list[str]] = {}
     for case in cases:
         if ends := case.row.get("valves", {}).get("natural_frequency"):

@@ -241,7 +241,7 @@ def _result(traced: TracedRun, name: str, carried: bool) -> NamedResult:
     try:
         return named_result(traced.run, name)
     except InputError as error:
-        is_known = error.key == "report.no_number" and (traced.folder / "rig.toml").is_file()
+        is_known = error.key == "report.no_number" and traced.run.has_rig
         value = traced.run.rig.parameters().get(name) if is_known and carried else None
         if value is None:
             raise
@@ -254,7 +254,7 @@ def _value_text(run: Saved, result: NamedResult) -> str:
     if isinstance(result.value, bool):
         return str(result.value).lower()
     values, unit = [result.value, *(result.interval or ())], result.unit
-    if unit and row_of(result.path).unit == unit and (run.folder / "rig.toml").is_file():
+    if unit and row_of(result.path).unit == unit and run.has_rig:
         try:
             values = [shown(run.rig, result.path, value) for value in values]
             unit = unit_of(run.rig, result.path)

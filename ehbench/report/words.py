@@ -40,9 +40,10 @@ def row_of(name: str) -> Quantity:
     )
 
 
-def unit_of(rig: Rig, name: str) -> str:
-    """The unit in which this rig's people see a channel or parameter."""
-    return rig.unit_of(name) if row_of(name).name in VOCABULARY else row_of(name).display
+def unit_of(rig: Rig | None, name: str) -> str:
+    """The unit in which people see a channel or parameter: this rig's, or any without a rig."""
+    row = row_of(name)
+    return row.display if rig is None or row.name not in VOCABULARY else rig.unit_of(name)
 
 
 def symbol_of(rig: Rig, name: str) -> str:
@@ -51,7 +52,7 @@ def symbol_of(rig: Rig, name: str) -> str:
     return symbol.replace("ω", "f") if unit_of(rig, name).endswith("Hz") else symbol
 
 
-def shown(rig: Rig, name: str, value: Any) -> Any:
+def shown(rig: Rig | None, name: str, value: Any) -> Any:
     """An SI value, array or difference of values in that unit; None stays None."""
     if value is None:
         return None
@@ -76,9 +77,9 @@ def axis(rig: Rig, name: str, text: str = "") -> str:
     return (text or words(name)) + (f" [{unit}]" if unit else "")
 
 
-def rounded_down(value: float, digits: int = 2) -> float:
-    """The largest number of some significant digits that is not above a value."""
-    return float(Context(prec=digits, rounding=ROUND_FLOOR).create_decimal(repr(float(value))))
+def rounded_down(value: float) -> float:
+    """The largest number of two significant digits that is not above a value."""
+    return float(Context(prec=2, rounding=ROUND_FLOOR).create_decimal(repr(float(value))))
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -157,11 +158,6 @@ def interval(low: float | None, high: float | None) -> str:
 def words(name: str) -> str:
     """A key or status word as prose: ``not_excited`` → ``not excited``."""
     return name.replace("_", " ")
-
-
-def count(n: int, item: str, many: str | None = None) -> str:
-    """``1 reading``, ``3 readings``."""
-    return f"{n} {item if n == 1 else many or item + 's'}"
 
 
 def title_of(channel: str) -> str:

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from ehbench.app import cli
+from ehbench.report.terminal import answer
+from tests.answers import short
 from tests.shared import ROOT
 
 COMMANDS = tuple(str(one.name or one.callback.__name__) for one in cli.app.registered_commands)
@@ -30,7 +32,8 @@ def ehbench(*words: str | Path, cwd: Path = ROOT, **options) -> subprocess.Compl
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("cli") / "my_rig"
-    assert ehbench("init", folder).returncode == 0
+    done = ehbench("init", folder)
+    assert done.returncode == 0 and len(short(done.stdout)) == 3
     return folder
 
 
@@ -87,7 +90,7 @@ def test_init_leaves_a_full_folder_alone(inside, tmp_path):
 
 @pytest.mark.slow
 def test_a_new_workspace_runs_as_it_stands(workspace, inside, unpainted):
-    """The commands of the workspace's own README, in order."""
+    """The commands of the workspace's own README, in order, in few words and without a doubt."""
     commands = re.findall(r"^    ehbench (.+)$", (workspace / "README.md").read_text(), re.M)
     assert len(commands) == 5
     for line in commands:
@@ -98,8 +101,14 @@ def test_a_new_workspace_runs_as_it_stands(workspace, inside, unpainted):
         done = inside(*words, cwd=workspace)
         assert done.returncode == 0, f"{line}: {done.stderr}"
     assert list(workspace.glob("reports/report_*/report.html"))
-    verdict = json.loads(next(workspace.glob("reports/validate_*/run.json")).read_text())
-    assert verdict["accepted"] is True
+    for command, status in (("identify", "done"), ("validate", "accepted")):
+        (run,) = workspace.glob(f"reports/{command}_*")
+        notes = json.loads((run / "run.json").read_text())["notes"]
+        assert not [note for note in notes if "counts on" not in note]
+        said = answer(run, notes)
+        assert said.values["status"] == status and short("\n".join(said.lines()))
+    fit = json.loads(next(workspace.glob("reports/identify_*/parameters.json")).read_text())
+    assert {row["status"] for row in fit["parameters"]} == {"estimated"}
 
 
 def test_every_file_of_a_workspace_checks(workspace, inside):

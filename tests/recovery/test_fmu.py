@@ -248,17 +248,19 @@ def test_a_trial_needs_no_sensor_of_speed(place, tmp_path):
 )
 def test_what_cannot_run_is_refused(fault, change, key, place, tmp_path, monkeypatch):
     if fault == "HANG":
-        monkeypatch.setattr(fmu, "FMU", replace(fmu.FMU, wait=4.0))
+        monkeypatch.setattr(fmu, "FMU", replace(fmu.FMU, wait=2.0))
     if fault == "windows":
         press_fmu(tmp_path / "press.fmu", platform="win64")
     elif fault == "broken":
         (tmp_path / "press.fmu").write_bytes(b"PK\3\4 broken")
-    elif fault != "none":
+    elif fault.isupper():
         press_fmu(tmp_path / "press.fmu", fault)
+    elif fault != "none":
+        shutil.copy(place / "press.fmu", tmp_path)
     text = RIG + (MODEL.replace(*change) if change else MODEL)
     (tmp_path / "rig.toml").write_text(text)
     for name in ("a.mcap", "b.mcap", "c.mcap", "fit.toml", "judge.toml", "trial.toml"):
-        (tmp_path / name).write_bytes((place / name).read_bytes())
+        shutil.copy(place / name, tmp_path)
     judge = (tmp_path / "judge.toml").read_text().replace('"fit"', '"rig.toml"')
     (tmp_path / "judge.toml").write_text(judge)
     before = sorted(tmp_path.rglob("*"))

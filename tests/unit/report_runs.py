@@ -16,7 +16,7 @@ from ehbench.data.record import Record
 from ehbench.physics.flow_map import FlowMap, collect, save_flow_maps
 from ehbench.plant.model import Model
 from ehbench.report import draw
-from ehbench.report.cases import stem_of
+from ehbench.report.blocks import slug
 from ehbench.runs.rundir import write_json
 from ehbench.tune.operating_point import circuit_of
 from ehbench.tune.results import functions_of
@@ -330,7 +330,7 @@ def trials_run(
     folder, rows = made(root, name), []
     (folder / "logs").mkdir()
     for payload, law in ((payload, law) for payload in payloads for law in controllers):
-        result, stem = controllers[law], stem_of(f"{payload} {law}")
+        result, stem = controllers[law], slug(f"{payload} {law}", "_")
         path = f"logs/{stem}.mcap"
         log(folder / path, gain=result["tracking"]["max_error"] / 1e-3, **more)
         row = {"case": f"{payload} 70 % {law}", "payload": payload, "controller": law, "on": on}

@@ -609,7 +609,7 @@ def test_the_commands_say_where_their_files_lie(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("to", ["parquet", "mat"])
 def test_a_log_is_written_and_comes_back(to, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    out = converting.convert(LOG, to).path
+    out = converting.convert(LOG, to)[0]
     assert out == Path(f"press_no_load.{to}")
     record, log = read(out), read(LOG)
     assert set(record.channels) == set(log.channels)
@@ -628,9 +628,9 @@ def test_the_wall_clock_goes_along(tmp_path):
     foreign.write_tdms(tmp_path / "a.tdms")
     (tmp_path / "m.toml").write_text(foreign.map_of("a.tdms"))
     made = {
-        to: converting.convert(
-            tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml"
-        ).path
+        to: converting.convert(tmp_path / "a.tdms", to, tmp_path / f"b.{to}", tmp_path / "m.toml")[
+            0
+        ]
         for to in ("parquet", "mat")
     }
     frame = pd.read_parquet(made["parquet"])

@@ -34,7 +34,7 @@ def test_a_fit_shows_each_parameter_to_people_and_scripts(fitted):
         (line,) = [line for line in told if line.startswith(one["name"] + "  ")]
         assert "…" in line and one["status"].replace("_", " ") in line
     assert max(map(len, told)) <= 100
-    found = terminal.values(fitted)
+    found = terminal.answer(fitted).values
     known = json.loads((fitted / "parameters.json").read_text())["parameters"]
     assert [row["parameter"] for row in found["results"]] == [one["name"] for one in known]
     assert found["numbers"]["parameters"] == known and "parameters.json" in found["files"]
@@ -83,6 +83,7 @@ def test_the_path_ends_what_is_printed_and_is_all_of_it_when_quiet(
     else:
         *told, path = done.stdout.splitlines()
         assert path == str(out) and bool(told) == (option == "")
+        assert option == "" or not done.stderr
 
 
 def test_notes_of_several_logs_that_differ_in_numbers_alone_are_one():

@@ -286,11 +286,10 @@ def figure(rng: Random) -> str:
 def take_figure(svg: str, _: Path) -> None:
     """It is made part of a page; no rule of its own gets into the page's style sheet."""
     from ehbench.report.blocks import inline
-    from ehbench.report.svg import sound
 
     looks: dict[str, str] = {}
     try:
-        body = inline(sound(svg), "f-", "a title", looks)
+        body = inline(svg, "f-", "a title", looks)
     except ValueError as error:
         raise LogError(str(error)) from None
     assert not re.search(r"[{}<>@\\]", "".join(looks)), "a rule in the page's style sheet"

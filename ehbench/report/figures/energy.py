@@ -73,7 +73,7 @@ def part_of(row: Mapping[str, Any]) -> str | None:
 def bars(
     path: Path,
     ledgers: Sequence[tuple[str, Ledger]],
-    bounds: Sequence[Sequence[Mapping[str, Any]]] = (),
+    bounds: Sequence[Sequence[Mapping[str, Any]]],
 ) -> None:
     """A stacked bar a trial: what its energy went into; what was given back lies left of zero.
 
@@ -93,7 +93,7 @@ def bars(
     maximum = max(sum(max(v, 0.0) for v in parts.values()) for parts in stacks)
     minimum = min(sum(min(v, 0.0) for v in parts.values()) for parts in stacks)
     limits: list[dict[str, float]] = [{} for _ in ledgers]
-    for sums, items in zip(limits, bounds or (), strict=False):
+    for sums, items in zip(limits, bounds, strict=True):
         for kind in _LIMITS:  # one that a cylinder has not is left out
             values = [value for item in items if (value := item.get(kind)) is not None]
             if values and len(values) == len(items):

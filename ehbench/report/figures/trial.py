@@ -1,4 +1,4 @@
-"""One trial under a controller in all its channels, and its estimates."""
+"""One trial in all its channels: cylinders without a controller, under one, estimates, load."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,6 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.data.record import Record
 from ehbench.report.cases import Case, payloads_carried
-from ehbench.report.figures.channels import mark_stop
 from ehbench.report.style import (
     ACCENT,
     CYCLE,
@@ -26,14 +25,76 @@ from ehbench.report.style import (
     thin,
 )
 from ehbench.report.trial_captions import ESTIMATES
-from ehbench.report.words import axis, capital, number, shown, words
+from ehbench.report.words import axis, capital, number, shown, title_of, words
 from ehbench.vocabulary.codes import FUNCTIONS, LIMITS
+from ehbench.vocabulary.quantities import GAUGES
 
 FUNCTION_SHADES = (
     *("#e5e7eb", "#1f3f66", "#5b8fb9", "#a9c8e0", "#8a4b08", "#e08214", "#f3c583", "#2e7d5b"),
     *("#b5543c", "#7fb069"),
 )
+_PLAIN = {"p_head": "head end", "p_rod": "rod end", "p_supply": "supply"}
 LIMIT_SHADES = {1: ACCENT, 2: "#8e4585", 4: "#7a6a4f", 8: "#9ca3af", 16: "#d4a017"}
+
+
+def moving(rig: Rig, record: Record) -> dict[str, list[str]]:
+    """Channels by cylinder that is commanded or travels 1 % of its stroke, else all."""
+    groups: dict[str, list[str]] = {}
+    for channel in record.channels:
+        if "." in channel:
+            groups.setdefault(channel.split(".")[0], []).append(channel)
+    strokes = {cylinder.name: float(cylinder.stroke) for cylinder in rig.cylinder}
+
+    def moves(name: str) -> bool:
+        stroke = f"{name}.x"
+        commanded = any(c.endswith(".command") and np.ptp(record[c]) > 0.0 for c in groups[name])
+        return commanded or (
+            stroke in record and np.ptp(record[stroke]) > 0.01 * strokes.get(name, 0.0)
+        )
+
+    moved = [name for name in groups if moves(name)]
+    return {name: channels for name, channels in groups.items() if name in (moved or groups)}
+
+
+def uncontrolled(
+    path: Path, rig: Rig, record: Record, cylinder: str, channels: Sequence[str]
+) -> None:
+    """Commands, motion, pressures and gauges of one cylinder over one time axis."""
+    motion = ("q", "qd") if f"{cylinder}.q" in record else ("q", "qd", "x", "v")
+    pressures = (f"{cylinder}.p_head", f"{cylinder}.p_rod", "p_supply")
+    changing = [c for c in channels if c.endswith(".command") and np.ptp(record[c]) > 0.0]
+    panels = [("Commands", changing)]
+    panels += [(title_of(word), [f"{cylinder}.{word}"]) for word in motion]
+    panels.append(("Pressures", [*pressures]))
+    panels += [(title_of(word), [f"{cylinder}.{word}"]) for word in GAUGES]
+    panels = [(text, [name for name in names if name in record]) for text, names in panels]
+    panels = [(text, names) for text, names in panels if names]
+    size = (7.4, 1.55 * len(panels) + 0.4)
+    with canvas(path, len(panels), 1, size, sharex=True, squeeze=False) as (_, axes):
+        for ax, (text, names) in zip(axes[:, 0], panels, strict=True):
+            for index, name in enumerate(names):
+                label = name.removeprefix(f"{cylinder}.").removesuffix(".command")
+                look = cycled(index, linewidth=1.2, label=_PLAIN.get(label, label))
+                if name.endswith(".command"):
+                    look["drawstyle"] = "steps-post"
+                ax.plot(*thin(record.t, shown(rig, name, record[name]), 640), **look)
+            ax.set_title(axis(rig, names[0], text))
+            ax.margins(y=0.1)
+            if len(names) > 1:
+                legend_right(ax, handlelength=2.6)
+        mark_stop(axes[:, 0], record, (3, -2), va="top")
+        axes[-1, 0].set_xlabel("time [s]")
+
+
+def mark_stop(axes: Sequence[Any], record: Record, offset: tuple[int, int], **look: Any) -> None:
+    """Mark in every panel where a trial was stopped, if its log says when."""
+    try:
+        t = float(record.meta["stopped"].rsplit("t = ", 1)[1].split()[0])
+    except (KeyError, IndexError, ValueError):
+        return
+    for ax in axes:
+        ax.axvline(t, color=ACCENT, linewidth=1.1, linestyle=(0, (2, 2)))
+    tag(axes[0], "stopped", t, 1.0, offset, "y", color=ACCENT, **look)
 
 
 def plot_channel(ax, rig: Rig, record: Record, name: str, **look: Any) -> None:
@@ -303,3 +364,26 @@ def demanded(rig: Rig, record: Record) -> np.ndarray | None:
     names = [f"{c.name}.{v.edge_name(e)}" for c, v, e in rig.edges() if e.from_ == "supply"]
     flows = [record[f"{n}.flow_desired"] for n in names if f"{n}.flow_desired" in record]
     return np.sum([np.abs(flow) for flow in flows], axis=0) if flows else None
+
+
+def load_plane(path: Path, rig: Rig, record: Record, cylinder: str) -> None:
+    """``load_force`` over ``v``, a colour for each working function; dashed what the supply's
+    pressure can push and pull with nothing against it. Force and speed of one sign: the load
+    resists; of two signs: it drives.
+    """
+    areas = next(item for item in rig.cylinder if item.name == cylinder).areas()
+    pressures = (record[f"{cylinder}.p_head"], record[f"{cylinder}.p_rod"])
+    force = areas[0] * pressures[0] - areas[1] * pressures[1]
+    v, functions = record[f"{cylinder}.v"], flags_of(record, cylinder, "function")
+    with canvas(path, 1, 1, (5.2, 4.2)) as (figure, ax):
+        used = sorted(set(functions.tolist()))
+        for function in used:
+            there = np.where(functions == function, shown(rig, "v", v), np.nan)
+            ax.plot(there, shown(rig, "load_force", force), color=FUNCTION_SHADES[function])
+        supply = float(rig.supply.pressure)
+        for limit in (areas[0] * supply, -areas[1] * supply):
+            ax.axhline(shown(rig, "load_force", limit), color=ACCENT, linestyle=(0, (5, 3)))
+        ax.axhline(0.0, color=MUTED, linewidth=0.7)
+        ax.axvline(0.0, color=MUTED, linewidth=0.7)
+        ax.set(xlabel=axis(rig, "v", "Speed"), ylabel=axis(rig, "load_force", "Load"))
+        legend(figure, [swatch(words(FUNCTIONS[item]), FUNCTION_SHADES[item]) for item in used], 3)

@@ -18,7 +18,8 @@ from ehbench.report.stages import (
     tuning,
     validation,
 )
-from ehbench.report.words import count, words
+from ehbench.report.words import words
+from ehbench.vocabulary.notebook import plural
 
 SECTIONS: dict[str, StageReport] = {
     "flow_map": flow_maps.REPORT,
@@ -37,7 +38,7 @@ SECTIONS: dict[str, StageReport] = {
 
 def report_of(run: Saved) -> StageReport:
     """How a run is drawn and reported; one of a kind this version does not know by its files."""
-    unknown = StageReport(words(run.stage), _files_section, lambda run, index: None)
+    unknown = StageReport(words(run.stage), _files_section)
     return SECTIONS.get(run.what, unknown)
 
 
@@ -50,4 +51,4 @@ def _files_section(run: Saved, pictures: Pictures) -> SectionContent:
     """Its figures and its files."""
     files = [[Cell(name, "code")] for name in run.facts.get("outputs", {})]
     parts = [Part("Results", [*pictures(), Grid(["file"], files)])]
-    return SectionContent("done", f"{count(len(files), 'file')}.", parts)
+    return SectionContent("done", f"{plural(len(files), 'file')}.", parts)

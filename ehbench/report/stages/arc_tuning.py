@@ -7,14 +7,12 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Fold, Part, Text
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.stages.tuning import supply_blocks
 from ehbench.report.style import ACCENT, CYCLE, MUTED, canvas, tag
 from ehbench.report.template import Template
 from ehbench.report.words import (
     axis,
-    count,
     measure,
     rounded_down,
     row_of,
@@ -23,6 +21,7 @@ from ehbench.report.words import (
     words,
 )
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 
 _MARGINS = ("gain_margin", "phase_margin", "delay_margin")
 
@@ -84,7 +83,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         page.table("margins", _MARGINS, tuning=tuning),
         page.table("gains", tuning["gains"].items()),
     ]
-    every = Fold(f"All {count(len(points), 'operating point')}", [page.table("points", points)])
+    every = Fold(f"All {plural(len(points), 'operating point')}", [page.table("points", points)])
     parts = [Part("The bandwidths", inside), Part("Operating points", [every])]
     sentence = page.text("sentence", tuning=tuning)
     return SectionContent("met" if met else "missed", sentence, parts)

@@ -2,13 +2,8 @@
 
 from ehbench.report.blocks import Cell, Grid, Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureIndex
 from ehbench.report.saved import Saved
-from ehbench.report.words import count
-
-
-def draw(run: Saved, index: FigureIndex) -> None:
-    """There is nothing to draw."""
+from ehbench.vocabulary.notebook import plural
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:
@@ -19,10 +14,8 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         for item in written
     ]
     table = Grid(["file", "check on this machine", "what"], rows)
-    sentence = f"{count(len(written), 'export')} written."
+    sentence = f"{plural(len(written), 'export')} written."
     return SectionContent("done", sentence, [Part("Results", [table])])
 
 
-REPORT = StageReport(
-    "export", section, draw, shows=("Results",), numbers=("export.json", ("written",))
-)
+REPORT = StageReport("export", section, shows=("Results",), numbers=("export.json", ("written",)))

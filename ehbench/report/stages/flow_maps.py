@@ -18,8 +18,7 @@ from ehbench.report.content import (
     StageReport,
     names,
 )
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Points, Saved, Table, read_points
+from ehbench.report.saved import FigureIndex, Points, Saved, Table, read_points
 from ehbench.report.style import (
     ACCENT,
     INK,
@@ -35,8 +34,9 @@ from ehbench.report.style import (
     tag,
 )
 from ehbench.report.template import Template
-from ehbench.report.words import axis, count, measure, number, shown
+from ehbench.report.words import axis, measure, number, shown
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 from ehbench.vocabulary.terms import Z95
 
 
@@ -297,7 +297,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
 
 def findings(run: Saved) -> Findings:
     maps, page = run.rows("summary.json"), Template("headlines", run.rig)
-    value, about = page.text("deadbands", maps=maps), count(len(maps), "flow map")
+    value, about = page.text("deadbands", maps=maps), plural(len(maps), "flow map")
     missing = [
         page.text("calibration", item=item, point=point)
         for item in maps

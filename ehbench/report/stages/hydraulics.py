@@ -9,7 +9,7 @@ import numpy as np
 
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Block, Bullets, Grid, Heat, Part, Text
-from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
+from ehbench.report.comparisons import draw_comparisons, draw_responses
 from ehbench.report.content import (
     OFTEN,
     PARAMETER,
@@ -24,8 +24,7 @@ from ehbench.report.content import (
     remedy_step,
     written_step,
 )
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas
 from ehbench.report.template import Template
 from ehbench.report.words import (
@@ -118,7 +117,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     names = fit.get("correlated_names", [])
     correlated = correlations(names, fit.get("correlation", [])) if len(names) > 1 else []
     groups, matches = fit.get("groups", []), fit.get("matches", [])
-    matched = [ringing_table(run.rig, matches, True)] if matches else []
+    ringing = Template("comparisons", run.rig).table("ringing", matches, with_log=True)
     rows = [
         {"log": log, "cylinder": cylinder, "errors": log.get("residual_rms", {})}
         for log in fit["logs"]
@@ -133,7 +132,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
         Part("Parameters", inside),
         Part("Correlation of the estimates", correlated),
         Part("What the logs know together", [page.table("groups", groups, z95=Z95)] * bool(groups)),
-        Part("What was matched", matched),
+        Part("What was matched", [ringing] * bool(matches)),
         Part("Frequency responses that were compared", pictures(kind="response")),
         Part("Fit to each log", fits),
         Part("Valve dynamics compared", _dynamics(page, variants) if variants else []),

@@ -7,8 +7,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Part
 from ehbench.report.content import Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, key, legend, shades
 from ehbench.report.template import Template
 from ehbench.report.words import axis, estimate, number, range_of, shown

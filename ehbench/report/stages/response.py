@@ -9,8 +9,7 @@ import numpy as np
 from ehbench.config.rig import Rig
 from ehbench.report.blocks import Bullets, Grid, Part
 from ehbench.report.content import OFTEN, Findings, Headline, Pictures, SectionContent, StageReport
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table, read_columns
+from ehbench.report.saved import FigureIndex, Saved, Table, read_columns
 from ehbench.report.style import ACCENT, MUTED, RECORDED, canvas, tag
 from ehbench.report.template import Template
 from ehbench.report.words import capital, number, pretty, shown, unit_of, with_error

@@ -16,8 +16,7 @@ from ehbench.report.content import (
     StageReport,
     names,
 )
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import ACCENT, MUTED, RECORDED, SIMULATED, canvas, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import capital, number, pretty, words

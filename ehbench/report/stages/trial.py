@@ -22,11 +22,9 @@ from ehbench.report.content import (
     names,
 )
 from ehbench.report.energy_tables import Saving, saving_blocks, savings_of
-from ehbench.report.figures import channels, sankey
-from ehbench.report.figures import load_plane as plane
+from ehbench.report.figures import sankey
 from ehbench.report.figures import trial as figures
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, grouped
+from ehbench.report.saved import FigureIndex, Saved, grouped
 from ehbench.report.template import Template
 from ehbench.report.trial_captions import (
     ESTIMATES,
@@ -57,18 +55,18 @@ def draw(run: Saved, index: FigureIndex) -> None:
     for case in cases:
         draw_case(run, index, case, record, f"{run.title}: {case.cylinder}")
     controlled = {case.cylinder for case in cases}
-    for cylinder, drawn in channels.live(run.rig, record).items():
+    for cylinder, drawn in figures.moving(run.rig, record).items():
         if cylinder not in controlled:
             key, title = f"trial_{cylinder}", f"{run.title}: {cylinder}"
             caption = Template("trial").text("channels")
             path = index.add(key, title, caption, "trial", cylinder=cylinder)
-            channels.trial(path, run.rig, record, cylinder, drawn)
+            figures.uncontrolled(path, run.rig, record, cylinder, drawn)
     for case in cases[:1]:
         draw_sankey(index, case, "sankey", run.title)
         if all(f"{case.cylinder}.{word}" in record for word in ("v", "p_head", "p_rod")):
             title, caption = f"Load and speed: {run.title}", Template("trial").text("load")
             path = index.add("load", title, caption, "load", cylinder=case.cylinder)
-            plane.load_plane(path, run.rig, record, case.cylinder)
+            figures.load_plane(path, run.rig, record, case.cylinder)
 
 
 def draw_case(run: Saved, index: FigureIndex, case: Case, record: Record, title: str) -> None:

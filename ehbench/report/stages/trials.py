@@ -5,15 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ehbench.config.rig import Rig
-from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text
-from ehbench.report.cases import Case, cases_of, groups_of, stem_of
+from ehbench.report.blocks import Block, Bullets, Fold, Part, Picture, Text, slug
+from ehbench.report.cases import Case, cases_of, groups_of
 from ehbench.report.content import Pictures, SectionContent, StageReport, folded
 from ehbench.report.energy_tables import saving_blocks, supply_blocks
 from ehbench.report.figures import trials as figures
 from ehbench.report.figures.energy import bars
-from ehbench.report.figures.trials import energy_map
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved
+from ehbench.report.saved import FigureIndex, Saved
 from ehbench.report.stages.trial import draw_case, draw_sankey, trials_findings
 from ehbench.report.trial_captions import (
     compared_caption,
@@ -40,7 +38,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
                 f"{compared_caption(rig, group)} {standstill_caption(rig, group, records)}".rstrip()
             )
             path = index.add(
-                f"compare_{stem_of(load_name(payload))}_{stem_of(motion)}",
+                f"compare_{slug(load_name(payload), '_')}_{slug(motion, '_')}",
                 f"{words(first.cylinder).capitalize()}: {words(motion)}, {first.where}",
                 caption,
                 "compare",
@@ -62,7 +60,7 @@ def draw(run: Saved, index: FigureIndex) -> None:
         of_motion = [case for case in cases if case.row["motion"] == motion]
         named = [f"{c.row['controller']}, {load_name(c.row['payload'])}" for c in of_motion]
         title = f"Energy: {words(motion)}, on the {of_motion[0].row['on']}"
-        key, caption = f"energy_{stem_of(motion)}", energy_caption(rig, of_motion)
+        key, caption = f"energy_{slug(motion, '_')}", energy_caption(rig, of_motion)
         path = index.add(key, title, caption, "energy", motion=motion)
         ledgers = [ledger for case in of_motion if (ledger := case.energy()) is not None]
         if len(ledgers) == len(of_motion):
@@ -101,7 +99,9 @@ def _draw_map(rig: Rig, index: FigureIndex, cases: Sequence[Case]) -> None:
     caption = map_caption(panels)
     path = index.add("energy_map", title, caption, "energy_map")
     unit = pretty(unit_of(rig, "energy"))
-    energy_map(path, panels, [load_name(p) for p in loads], [words(m) for m in motions], unit)
+    figures.energy_map(
+        path, panels, [load_name(p) for p in loads], [words(m) for m in motions], unit
+    )
 
 
 def section(run: Saved, pictures: Pictures) -> SectionContent:

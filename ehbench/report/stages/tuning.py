@@ -20,8 +20,7 @@ from ehbench.report.content import (
 )
 from ehbench.report.figures import root_locus
 from ehbench.report.figures.circuit import circuit, flow_words
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import (
     ACCENT,
     CYCLE,
@@ -39,7 +38,6 @@ from ehbench.report.template import Template
 from ehbench.report.words import (
     axis,
     capital,
-    count,
     load_name,
     measure,
     number,
@@ -49,6 +47,7 @@ from ehbench.report.words import (
 )
 from ehbench.vocabulary.codes import EXTEND_RESISTIVE_REGENERATION, FUNCTIONS
 from ehbench.vocabulary.messages import message
+from ehbench.vocabulary.notebook import plural
 
 # (key of the figure, key in the file, vocabulary row, title)
 _EQUIVALENTS = (
@@ -279,7 +278,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     for item in points:
         groups[item["point"]["function"], item["point"]["payload"]].append(item)
     by_load = page.table("points_by_load", filter(None, groups.values()), minimum=_minimum)
-    every = Fold(f"All {count(len(points), 'operating point')}", [page.table("points", points)])
+    every = Fold(f"All {plural(len(points), 'operating point')}", [page.table("points", points)])
     laws = tuning["alternatives"]
     others: list[Block] = []
     if laws:
@@ -291,7 +290,7 @@ def section(run: Saved, pictures: Pictures) -> SectionContent:
     if tuning["robustness"]["draws"]:
         names = [[Cell(name, "code")] for name in tuning["robustness"]["parameters"]]
         drawn = Grid(["drawn, with their covariance"], names)
-        draws = [*pictures(kind="draws"), Fold(count(len(names), "parameter"), [drawn])]
+        draws = [*pictures(kind="draws"), Fold(plural(len(names), "parameter"), [drawn])]
     parts = [
         Part("Working functions", [*_functions(page, tuning), *pictures(kind="function")]),
         Part("Equivalent mass and gravity force", pictures(kind="equivalents")),

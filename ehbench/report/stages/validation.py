@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ehbench.report.blocks import Block, Bullets, Cell, Fold, Part, Text
-from ehbench.report.comparisons import draw_comparisons, draw_responses, ringing_table
+from ehbench.report.comparisons import draw_comparisons, draw_responses
 from ehbench.report.content import (
     FIT,
     Findings,
@@ -21,8 +21,7 @@ from ehbench.report.content import (
     remedy_step,
     written_step,
 )
-from ehbench.report.index import FigureIndex
-from ehbench.report.saved import Saved, Table
+from ehbench.report.saved import FigureIndex, Saved, Table
 from ehbench.report.style import MUTED, RECORDED, canvas, cycled, key, legend
 from ehbench.report.template import Template
 from ehbench.report.words import number, title_of, words
@@ -187,7 +186,8 @@ def _log_blocks(page: Template, log: Table, pictures: Pictures) -> list[Block]:
     if sensors := log.get("sensors", {}):
         blocks.append(Text(page.text("sensors", sensors=sensors), "note"))
     if rings := log.get("transients", []):
-        blocks.append(ringing_table(page.rig, rings))
+        ringing = Template("comparisons", page.rig)
+        blocks.append(ringing.table("ringing", rings, with_log=False))
         if notes := [page.text("unjudged", ring=ring) for ring in rings if ring.get("note")]:
             blocks.append(Bullets(notes, "note"))
     if swept := log.get("sweeps", []):

@@ -21,7 +21,7 @@ from ehbench.physics.flow_map import FlowMap, load_flow_maps
 from ehbench.report.blocks import digest
 from ehbench.report.provenance import unsupported
 from ehbench.report.saved import Saved, read_points, read_series
-from ehbench.report.words import capital, number, pretty, row_of, title_of, unit_of, words
+from ehbench.report.words import capital, number, pretty, shown, title_of, unit_of, words
 from ehbench.vocabulary.errors import InputError
 from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.quantities import quantity
@@ -111,7 +111,7 @@ def page(
 def _run_sheets(folder: Path, of: int) -> Iterator[Sheet]:
     """The logs, comparisons and maps of a run folder."""
     run = Saved(folder)
-    rig = run.rig if (folder / "rig.toml").is_file() else None
+    rig = run.rig if run.has_rig else None
     if run.what == "flow_map":
         points = folder / "points.csv"
         for item in load_flow_maps(folder).each():
@@ -133,7 +133,7 @@ def _over_time(
     still: list[str] = []
     for label, values in channels.items():
         name = label.split(" ")[0]
-        unit = unit_of(rig, name) if rig else quantity(name).display
+        unit = unit_of(rig, name)
         y = np.asarray(from_si(values, unit, quantity(name)), float)
         known = y[np.isfinite(y)]
         if known.size and np.ptp(known) > 0.0:
@@ -145,24 +145,17 @@ def _over_time(
 
 def _map(item: FlowMap, rig: Rig | None, of: int, readings: Path | None = None) -> Sheet:
     """Flow over pressure drop, a curve a measured command, and the readings."""
-
-    def seen(name: str, values: np.ndarray) -> np.ndarray:
-        unit = unit_of(rig, name) if rig else row_of(name).display
-        return np.asarray(from_si(values, unit, row_of(name)), float)
-
-    flow, drops = (
-        pretty(unit_of(rig, name) if rig else row_of(name).display)
-        for name in ("flow", "pressure_drop")
-    )
+    flow, drops = (pretty(unit_of(rig, name)) for name in ("flow", "pressure_drop"))
     drop = np.linspace(0.0, 1.0, 121) ** 2 * max(item.drop_max, float(item.hull_high.max()))
     curves = []
     for u in item.hull_command[item.hull_command > item.deadband]:
-        x, y = seen("pressure_drop", drop), seen("flow", np.asarray(item.flow(drop, u)))
+        x, y = shown(rig, "pressure_drop", drop), shown(rig, "flow", np.asarray(item.flow(drop, u)))
         curves.append(Curve(f"{number(u, 3)} V", flow, x, y, of, what="flow"))
     if readings is not None:
         points = read_points(readings).of(item.valve, item.direction)
         order = np.argsort(points.pressure_drop)
-        x, y = seen("pressure_drop", points.pressure_drop)[order], seen("flow", points.flow)[order]
+        x = shown(rig, "pressure_drop", points.pressure_drop[order])
+        y = shown(rig, "flow", points.flow[order])
         curves.append(Curve("readings", flow, x, y, of, dots=True, what="flow"))
     title, across = f"{item.valve}, {item.direction}", f"pressure drop [{drops}]"
     return Sheet(title, across, tuple(curves))
