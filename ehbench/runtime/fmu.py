@@ -107,7 +107,8 @@ class Fmu:
 
     def variable(self, name: str, unit: str | None, use: str) -> Variable:
         """A variable by name, in the SI unit of what it stands for; without one as the FMU has it.
-        What its ``use`` is: it is a key of `process`, or ``settable`` before the start.
+        What its ``use`` is: a key of the references of a `FmuProcess`, or ``settable`` before the
+        start.
 
         Raises:
             InputError: there is none, it is no single real number, not of that dimension, or cannot
@@ -148,12 +149,6 @@ class Fmu:
         fields = {"name": name, "unit": declared, "problem": problem}
         raise InputError(message("runtime.fmu_unit", **fields), file=self.file)
 
-    def process(self, references: Mapping[str, Sequence[int]]) -> FmuProcess:
-        """A child that runs it, by the value references of ``start``, ``commands`` and
-        ``channels``.
-        """
-        return FmuProcess(self, references)
-
 
 @lru_cache(maxsize=8)
 def _unpacked(file: Path, stamp: int, size: int) -> Fmu:
@@ -175,7 +170,8 @@ def fmu_of(file: Path) -> Fmu:
 
 
 class FmuProcess:
-    """An FMU at work in a child.
+    """An FMU at work in a child, by the value references of ``start``, ``commands`` and
+    ``channels``.
 
     Every method raises FmuError where the binary crashes, hangs or reports an error."""
 

@@ -106,6 +106,14 @@ def first_of(y: np.ndarray, count: int) -> float:
     return float(np.polynomial.polynomial.polyfit(z, y[:count], 1)[0])
 
 
+def block_averages(y: np.ndarray, each: int) -> np.ndarray:
+    """Means of ``each`` successive samples along the first axis; what fills no mean at the end is
+    left out.
+    """
+    count = len(y) // each
+    return y[: count * each].reshape(count, each, *y.shape[1:]).mean(axis=1)
+
+
 def lowpass(y: np.ndarray, sample_time: float, cutoff: float, order: int = 2) -> np.ndarray:
     """``y`` through a Butterworth low-pass of an order, run forwards and backwards: no phase, −6 dB
     at ``cutoff`` [Hz].
@@ -282,8 +290,8 @@ def ringing(
         omega, zeta, used = _search(s, y[:, weight > 0.0] * weight[weight > 0.0])
     begun, block = (omega, zeta), _block(s, omega)
     s, y, used = (
-        _block_means(s, block),
-        _block_means(y, block),
+        block_averages(s, block),
+        block_averages(y, block),
         max(SETTINGS.samples, used // block),
     )
     first, s = s[0], s - s[0]
@@ -337,7 +345,7 @@ def ringing_like(
         ]
     )
     block = _block(t - t[0], like.natural_frequency)
-    s, y, weight = _block_means(t - t[0], block), _block_means(y, block), np.array(like.weights)
+    s, y, weight = block_averages(t - t[0], block), block_averages(y, block), np.array(like.weights)
     used = int(np.searchsorted(t[0] + s, like.stop + 1e-9))
     if used < SETTINGS.samples:
         return Ringing(reason=message("signals.not_covered"))
@@ -361,12 +369,6 @@ def _block(s: np.ndarray, omega: float) -> int:
     )
 
 
-def _block_means(y: np.ndarray, size: int) -> np.ndarray:
-    """Means over blocks of ``size`` samples; what does not fill a block at the end is left out."""
-    count = len(y) // size
-    return y[: count * size].reshape(count, size, *y.shape[1:]).mean(axis=1)
-
-
 def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
     """(ω, ζ, samples) of the best fit on a grid, over the window and its halves."""
     best = (-math.inf, 2 * math.pi / s[-1], 0.1, len(s))
@@ -376,7 +378,7 @@ def _search(s: np.ndarray, y: np.ndarray) -> tuple[float, float, int]:
             break
         block = max(1, used // SETTINGS.grid)
         count = used // block
-        z, w = _block_means(s[:used], block), _block_means(y[:used], block)
+        z, w = block_averages(s[:used], block), block_averages(y[:used], block)
         frequencies, columns = oscillation.waves(count, _GRID_DAMPING)
         _, rest = project(drift(z - z[0], 0.0), w)
         explained = np.sum((columns @ rest) ** 2, axis=(2, 3)).ravel()
