@@ -275,7 +275,8 @@ class _Mapping:
         if good.size and (moment := since_1970(float(good[0]), days)) is not None:
             began, t = moment, t - good[0]
         daytime = table.daytime if began is None else None
-        return Group(table, t, began, daytime, stamped=stamped, resolution=step)
+        about = {"stamped": stamped, "resolution": step}
+        return Group(table.name, t, table.lines, began, daytime, **about)
 
 
 def _rate_note(group: Group) -> list[str]:
@@ -308,7 +309,7 @@ def _without_repeats(group: Group, losses: list[str]) -> Group:
 def _check_time(group: Group, path: Path, window: Window | None) -> None:
     """Refuse a time that stands still or goes back inside of the window."""
     inside = np.flatnonzero(in_window(group.t, window))
-    lines = None if group.table.lines is None else [group.table.lines[int(at)] for at in inside]
+    lines = None if group.lines is None else [group.lines[int(at)] for at in inside]
     try:
         check_time(group.t[inside], file=path, lines=lines)
     except LogError as error:

@@ -473,14 +473,10 @@ def rate_of_few(count):
 
 def held(hole):
     """Whether rows are left out where another table has a hole of so many of its samples."""
-    table: Any = Stub(name="", lines=None)
     t = np.concatenate([np.arange(20.0), 19.0 + hole + np.arange(20.0)])
     fast = np.arange(0.0, t[-1], 0.1)
-    groups = [
-        rates.Group(table, time, None, None, {name: time})
-        for time, name in ((fast, "press.v"), (t, "press.x"))
-    ]
-    losses = []
+    each = ((fast, "press.v"), (t, "press.x"))
+    groups, losses = [rates.Group("", time, channels={name: time}) for time, name in each], []
     rates.joined(groups, losses)
     return bool(losses)
 
