@@ -375,5 +375,5 @@ def test_oil_that_warms_with_drop_or_command_is_told(write, kelvin, key, fields)
     assert all(about[0].fields[name] == value for name, value in fields.items())
     if key == "warm_flow":  # 0.4 % for each kelvin
         assert abs(about[0].fields["share"] - 4.0) < about[0].fields["half"] < 1.0
-    bare = replace(data, temperature=np.full(len(data), np.nan))
-    assert not [text for text in fitted(rig, [bare])[0].warnings if "oil" in text]
+        bare = replace(data, temperature=np.full(len(data), np.nan))
+        assert not [text for text in fitted(rig, [bare])[0].warnings if "oil" in text]

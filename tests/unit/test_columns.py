@@ -726,7 +726,7 @@ def test_flowmeter_readings_take_a_map_too(valves, tmp_path):
     assert back.line[0] == 5
 
 
-def test_a_bad_reading_is_refused_or_left_out(tmp_path):
+def test_a_bad_reading_is_refused_or_left_out(undrawn, tmp_path):
     raw_readings(tmp_path / "sh.csv")
     text = (tmp_path / "sh.csv").read_text().split("\n")
     text[9] = "sh;;;;"
