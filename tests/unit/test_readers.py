@@ -30,7 +30,6 @@ from ehbench.data.readers import (
 )
 from ehbench.data.readers.clock import clock
 from ehbench.data.record import lost
-from ehbench.data.text import split
 from ehbench.vocabulary.errors import InputError, LogError
 from tests.shared import ROOT, refused
 from tools.fuzz import foreign
@@ -326,8 +325,11 @@ def test_the_dialect_of_a_text_is_found(text, tmp_path):
     assert again.dialect == source.dialect
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32", "cp1252"])
+@pytest.mark.parametrize(
+    "encoding", "utf-8 utf-8-sig utf-16 utf-16-le utf-16-be utf-32 cp1252".split()
+)
 def test_encodings(encoding, tmp_path):
+    """Of UTF-16 with its mark and without."""
     (tmp_path / "a.csv").write_bytes("t;Öl °C\n0;1,5\n1;2,5\n2;3,5\n".encode(encoding))
     (table,) = open_source(tmp_path / "a.csv").tables
     assert [column.name for column in table.columns] == ["t", "Öl °C"]
@@ -352,11 +354,6 @@ def test_clock_goes_on_over_midnight_and_knows_zones():
     assert clock(["2026-03-01T13:00:00.25+01:00"])[1] == foreign.BEGAN + 0.25
     assert clock(["3/1/2026 12:00:00 PM"])[1] == foreign.BEGAN
     assert clock(["31.02.2026 12:00:00"])[1] is None
-
-
-def test_split_keeps_what_stands_in_quotes():
-    assert split('1;"a;b";3', ";") == ["1", "a;b", "3"]
-    assert split("1  2\t3", " ") == ["1", "2", "3"]
 
 
 def test_an_archive_is_known_by_what_is_in_it(files, tmp_path, monkeypatch):

@@ -81,13 +81,6 @@ def test_columns_without_numbers_are_listed_with_their_first_cell(tmp_path):
         assert cell in found and line in found and "undecided" in found
 
 
-def test_a_current_range_is_the_drivers(tmp_path):
-    rows = "".join(f"{0.01 * n:.2f},{40 * (-1) ** (n // 20)}\n" for n in range(200))
-    (tmp_path / "a.csv").write_text("t [s],Solenoid current [mA]\n" + rows)
-    guess = mapping.guessed(open_source(tmp_path / "a.csv"), rig_of(False))
-    assert guess["Solenoid current [mA]"].ends == ("-40 mA", "40 mA", "-10 V", "10 V")
-
-
 ODD = {  # what happens to a slow sine: (kind, count, first row)
     "a sentinel": (lambda y: np.put(y, [100, 101, 102], -999.25), ("sentinel", 3, 100)),
     "one within the range of a sensor": (
