@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -160,16 +161,16 @@ def si_of(
 
 @dataclass(frozen=True)
 class _Mapping:
-    """A file under its map; ``places`` are the (table, column) of each name of the map."""
+    """A file under its map."""
 
     path: Path
     columns: ColumnMap
     source: Source
-    places: dict[str, tuple[int, int]] = field(init=False)
 
-    def __post_init__(self) -> None:
-        places = {name: self.source.place(name, self.path) for name in self.columns.columns.names}
-        object.__setattr__(self, "places", places)
+    @cached_property
+    def places(self) -> dict[str, tuple[int, int]]:
+        """(table, column) of each name of the map."""
+        return {name: self.source.place(name, self.path) for name in self.columns.columns.names}
 
     def groups(self) -> list[Group]:
         """The mapped channels in SI, those of one table and one rate together: by the rows in which

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -82,10 +82,10 @@ class Group:
         """The same group with some of its rows, by number, and channels."""
         names = list(self.channels) if channels is None else channels
         lines = None if self.lines is None else [self.lines[int(row)] for row in rows]
-        channels = {name: self.channels[name][rows] for name in names}
+        values = {name: self.channels[name][rows] for name in names}
         columns = {name: self.columns[name].taken(rows) for name in names}
-        parts = {"t": self.t[rows], "lines": lines, "channels": channels, "columns": columns}
-        return replace(self, **parts, stamped=None)
+        about = self.name, self.t[rows], lines, self.began, self.daytime
+        return Group(*about, values, columns, resolution=self.resolution)
 
 
 def in_window(t: np.ndarray, window: Window | None) -> np.ndarray:
