@@ -65,10 +65,8 @@ def read_mapped(
     groups = mapping.groups()
     losses = [*mapping.overruled(), *(note for group in groups for note in _rate_note(group))]
     of_text = source.dialect.separator is not None  # tables below one another
-    used = (
-        {index for index, _ in mapping.places.values()} if of_text else {*range(len(source.tables))}
-    )
-    for index, table in enumerate(source.tables):
+    used = {index for index, _ in mapping.places.values()}
+    for index, table in enumerate(source.tables if of_text else ()):
         if index not in used:
             fields = {"table": table.name, "line": (table.lines or [0])[0]}
             losses.append(message("data.unused_table", **fields))
@@ -196,14 +194,11 @@ class _Mapping:
                 group = group.taken(np.flatnonzero(np.any(filled, axis=0)))
             names = list(group.channels)
             parts = apart([group.columns[name] for name in names])
-            results += (
-                [group]
-                if len(parts) == 1
-                else [
-                    group.taken(np.flatnonzero(rows), [names[at] for at in places])
-                    for places, rows in parts
-                ]
-            )
+            if len(parts) == 1:
+                results.append(group)
+                continue
+            for places, rows in parts:
+                results.append(group.taken(np.flatnonzero(rows), [names[at] for at in places]))
         return results
 
     def _time_of(self, name: str) -> str:

@@ -167,9 +167,8 @@ class LeftOut:
         notes = []
         for name, errors in files.items():
             first = "; ".join(f"line {error.line}: {error.message}" for error in errors[:4])
-            more = (
-                f"; lines {others}" if (others := listed((e.line for e in errors[4:]), 12)) else ""
-            )
+            others = listed((error.line for error in errors[4:]), 12)
+            more = f"; lines {others}" if others else ""
             fields = {"readings": plural(len(errors), "reading"), "first": first, "more": more}
             notes.append(message("data.readings_left_out", name=name, **fields))
         return tuple(notes)

@@ -90,11 +90,8 @@ class Fmu:
             reason = f"modelDescription.xml: {self.plain(error)}"
             reason = "no zip archive" if isinstance(error, BadZipFile) else reason
             raise InputError(message("runtime.fmu_unreadable", reason=reason), file=file) from None
-        if (
-            self.description.coSimulation is None
-            or str(self.description.fmiVersion)[:1] not in "23"
-        ):
-            version = self.description.fmiVersion
+        version = self.description.fmiVersion
+        if self.description.coSimulation is None or str(version)[:1] not in "23":
             raise InputError(message("runtime.fmu_kind", version=version), file=file)
         if fmpy.platform not in platforms:
             there = ", ".join(platforms) or "none"
@@ -118,9 +115,8 @@ class Fmu:
         item = known.get(name)
         if item is None:
             near = ", ".join(sorted(known, key=lambda other: (abs(len(other) - len(name)), other)))
-            raise InputError(
-                message("runtime.fmu_variable", name=name, known=near[:200]), file=self.file
-            )
+            text = message("runtime.fmu_variable", name=name, known=near[:200])
+            raise InputError(text, file=self.file)
         if item.type not in ("Real", "Float64") or item.dimensions:
             raise InputError(message("runtime.fmu_not_real", name=name), file=self.file)
         able = item.causality in ("input", "parameter", "structuralParameter")
@@ -222,12 +218,8 @@ class FmuProcess:
                 raise self._hung() from None
             raise FmuError(message("runtime.fmu_crashed", end=name), file=self.fmu.file) from None
         if status != DONE:
-            raise FmuError(
-                message(
-                    "runtime.fmu_failed", problem=self.fmu.plain(answer.decode(errors="replace"))
-                ),
-                file=self.fmu.file,
-            )
+            problem = self.fmu.plain(answer.decode(errors="replace"))
+            raise FmuError(message("runtime.fmu_failed", problem=problem), file=self.fmu.file)
         return np.frombuffer(bytes(answer)).reshape(-1, self.width)
 
     def _read(self, size: int, until: float) -> bytearray:

@@ -235,9 +235,8 @@ def _heads(
         rows = {n: split(bare(lines[n]), separator)[:width] for n in (names, *block)}
         own = {n: [cell for cell in row if cell and cell != row[0]] for n, row in rows.items()}
         # one name comes again: another row tells the columns apart
-        return next(
-            (n for n, row in own.items() if row and len(set(row)) == len(row)), names
-        ), units
+        tells = (n for n, row in own.items() if row and len(set(row)) == len(row))
+        return next(tells, names), units
     wide: list[list[str]] = []
     at: list[int] = []
     below = False  # whether remarks stand below the header, which is none itself then
