@@ -143,10 +143,8 @@ def test_an_answer_of_any_kind_is_a_sentence(tmp_path, answer):
     ],
 )
 def test_a_class_of_any_shape_is_a_sentence(tmp_path, body):
-    start, step = (
-        part * (name not in body) for part, name in ((START, "start ="), (STEP, "step ="))
-    )
-    code = f"{EVIL}class C:\n{start}{step}{body}"
+    rest = START * ("start =" not in body) + STEP * ("step =" not in body)
+    code = f"{EVIL}class C:\n{rest}{body}"
     with pytest.raises(InputError) as error:
         run_trial(RIG, recipe(tmp_path, code), allow_code=True)
     assert error.value.file.endswith("mine.py") and "\n" not in error.value.message

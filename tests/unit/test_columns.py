@@ -303,9 +303,8 @@ def test_what_was_written_late_is_put_back(tmp_path):
         assert np.allclose(record[name], values[kept], atol=1e-9), name
     later = (tmp_path / "a.map.toml").read_text().replace("12 ms", "12 s")
     (tmp_path / "a.map.toml").write_text(later)
-    with pytest.raises(
-        LogError, match=r"nothing is left of 0\.198 s .*ram\.a\.command by 12000 ms"
-    ):
+    says = r"nothing is left of 0\.198 s .*ram\.a\.command by 12000 ms"
+    with pytest.raises(LogError, match=says):
         read(tmp_path / "a.csv", columns=tmp_path / "a.map.toml")
 
 

@@ -410,11 +410,8 @@ def test_an_integer_that_no_float_is_is_refused_and_never_rounded(name, tmp_path
         doubtful = columns["rounded"].doubt
         assert doubtful is not None
         row, doubt = doubtful
-        assert (row, doubt.key, doubt.fields["number"]) == (
-            0,
-            "data.integer_rounded",
-            str(2**53 + 1),
-        )
+        assert (row, doubt.key) == (0, "data.integer_rounded")
+        assert doubt.fields["number"] == str(2**53 + 1)
     else:
         assert any("rounded" in loss and str(2**53 + 1) in loss for loss in source.losses)
     if "stamps" in columns:
@@ -498,18 +495,8 @@ def test_a_formula_is_worked_out(text, result):
 @pytest.mark.parametrize(
     "text",
     [
-        *(
-            "",
-            "log(X)",
-            "if(X > 2, 1, 0)",
-            "X(1)",
-            "sin(X, X)",
-            "lambda: X",
-            "X if X else X",
-            "X; X",
-            "X, X",
-            "X > 2",
-        ),
+        *("", "log(X)", "if(X > 2, 1, 0)", "X(1)", "sin(X, X)", "lambda: X", "X if X else X"),
+        *("X; X", "X, X", "X > 2"),
         *"Y X.real X[0] sin 'X' 1_0*X 0x1*X 25,5*X X1*( True*X 1j*X X=1 sin(*X) exp(x=X)".split(),
         *("__import__('os')", "X" * 9, "X+" * 300 + "X", "(" * 150 + "X"),
         *("X\n*2", "X\uff11", "9" * 400),

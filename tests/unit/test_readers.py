@@ -364,11 +364,9 @@ def test_an_archive_is_known_by_what_is_in_it(files, tmp_path, monkeypatch):
 
     def read_lists(path: Path, dialect: Dialect) -> Source:
         with zipfile.ZipFile(path) as archive:
-            columns = (
-                SourceColumn(name.removesuffix(".list"), np.array(json.loads(archive.read(name))))
-                for name in archive.namelist()
-            )
-            return Source((SourceTable("", tuple(columns)),))
+            lists = {name: json.loads(archive.read(name)) for name in archive.namelist()}
+        columns = (SourceColumn(n.removesuffix(".list"), np.array(x)) for n, x in lists.items())
+        return Source((SourceTable("", tuple(columns)),))
 
     module.read = read_lists
     monkeypatch.setitem(sys.modules, module.__name__, module)
