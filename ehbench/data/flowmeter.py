@@ -476,10 +476,6 @@ def merge_flowmeter(parts: Sequence[FlowmeterData]) -> FlowmeterData:
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS
     }
-    return FlowmeterData(
-        warnings=tuple(text for part in parts for text in part.warnings),
-        losses=tuple(text for part in parts for text in part.losses),
-        details=tuple(text for part in parts for text in part.details),
-        units=parts[0].units,
-        **arrays,
-    )
+    for name in ("warnings", "losses", "details"):
+        arrays[name] = tuple(text for part in parts for text in getattr(part, name))
+    return FlowmeterData(**arrays, units=parts[0].units)

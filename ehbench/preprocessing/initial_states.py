@@ -212,11 +212,12 @@ class InitialState:
 
     def moved(self, shifts: np.ndarray) -> dict[str, float]:
         """By how much the shifts move each number of the start [SI]."""
-        return {
-            number.name: number.std * float(shift)
-            for number, shift in zip(self.uncertain, shifts, strict=True)
-            if not number.bias
-        }
+        return self._moved(shifts, bias=False)
+
+    def _moved(self, shifts: np.ndarray, bias: bool) -> dict[str, float]:
+        """The same of numbers that are a ``bias`` of a sensor, or of all others."""
+        pairs = zip(self.uncertain, shifts, strict=True)
+        return {item.name: item.std * float(x) for item, x in pairs if item.bias == bias}
 
     def numbers(self, start: Start) -> dict[str, float]:
         """Each number of a start [SI] that is uncertain."""
@@ -229,12 +230,7 @@ class InitialState:
 
     def bias(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> dict[str, float]:
         """The bias of the sensors, by term."""
-        mine = {
-            number.name: number.std * float(shift)
-            for number, shift in zip(self.uncertain, shifts, strict=True)
-            if number.bias
-        }
-        return {**shared, **mine}
+        return {**shared, **self._moved(shifts, bias=True)}
 
     def true(self, shifts: np.ndarray, shared: Bias = NO_BIAS) -> Record:
         """The recording as sound sensors would have given it, commands as the valves get them."""

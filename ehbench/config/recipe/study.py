@@ -39,11 +39,8 @@ class Spread(FileModel):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        given = {
-            name
-            for name in ("low", "high", "mean", "std", "median", "spread")
-            if getattr(self, name) is not None
-        }
+        numbers = {name for names in LAWS.values() for name in names}
+        given = {name for name in numbers if getattr(self, name) is not None}
         fitting = [law for law, names in LAWS.items() if given == set(names)]
         if not fitting or (self.law is not None and self.law not in fitting):
             required = "low and high, mean and std, or median and spread"

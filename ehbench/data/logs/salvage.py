@@ -80,16 +80,9 @@ class Salvage:
         from mcap.exceptions import McapError
 
         # what the libraries below raise on bytes that are not what they claim to be
-        self.broken = (
-            struct.error,
-            ValueError,
-            LookupError,
-            OverflowError,
-            MemoryError,
-            RecursionError,
-            McapError,
-            zstandard.ZstdError,
-        )
+        too_large = (OverflowError, MemoryError, RecursionError)
+        libraries = (struct.error, McapError, zstandard.ZstdError)
+        self.broken = (ValueError, LookupError, *too_large, *libraries)
         self.zstd, self.unpacker = zstandard, zstandard.ZstdDecompressor()
         self.data = data
         self.streams: dict[int, Stream] = {}
