@@ -182,11 +182,8 @@ def test_two_logs_of_one_name_are_both_kept(tmp_path, gone):
         write_log(left / "logs" / "case.mcap", Record(x, {"press.x": x / 10}))
         (said,) = rundir.clear_left(tmp_path)
         assert "run of 'a' was not finished" in said and not left.exists()
-    sizes = [
-        read(tmp_path / "salvaged" / name / "logs" / "case.mcap").t.size
-        for name in (f"a_{gone}", f"a_{gone}_2")
-    ]
-    assert sizes == [3, 4]
+    for name, size in ((f"a_{gone}", 3), (f"a_{gone}_2", 4)):
+        assert read(tmp_path / "salvaged" / name / "logs" / "case.mcap").t.size == size
 
 
 def test_what_holds_no_samples_is_cleared_without_a_word(tmp_path, gone):

@@ -215,12 +215,8 @@ def by_others(path: Path, rows: list[tuple[float, float]], kind: str = "float64"
         )
         id = writer.register_channel("/arm", "cdr", id)
         for row in rows:
-            writer.add_message(
-                id,
-                0,
-                b"\x00\x01\x00\x00" + struct.pack("<dq" if kind == "int64" else "<2d", *row),
-                0,
-            )
+            packed = struct.pack("<dq" if kind == "int64" else "<2d", *row)
+            writer.add_message(id, 0, b"\x00\x01\x00\x00" + packed, 0)
         writer.finish()
     return path
 

@@ -141,14 +141,9 @@ def test_a_formula_in_an_mdf_file_is_never_evaluated(version, kind, text, tmp_pa
     marker, path, t = tmp_path / "ran", tmp_path / "a.mdf", np.linspace(0.0, 1.0, 40)
     text = text.format(marker=str(marker))
     with asammdf.MDF(version=version) as file:
-        file.append(
-            [
-                asammdf.Signal(t, t, unit="bar", name="Supply"),
-                asammdf.Signal(
-                    t, t, unit="bar", name="Head", conversion=from_dict(_formula(kind, text))
-                ),
-            ]
-        )
+        conversion = from_dict(_formula(kind, text))
+        supply = asammdf.Signal(t, t, unit="bar", name="Supply")
+        file.append([supply, asammdf.Signal(t, t, unit="bar", name="Head", conversion=conversion)])
         path = Path(file.save(path, overwrite=True))
     source = open_source(path, Dialect())
     (table,) = source.tables

@@ -64,12 +64,8 @@ def test_channels_share_one_oscillation():
     t, wave = oscillation(25.0, 0.1, 1.0)
     _, other = oscillation(25.0, 0.1, 1.0, phase=2.0)
     rng = np.random.default_rng(2)
-    both = np.column_stack(
-        [
-            1e5 * (wave + 0.3 * rng.standard_normal(t.size)) + 2e6,
-            0.01 * (other + 0.3 * rng.standard_normal(t.size)),
-        ]
-    )
+    noisy = [each + 0.3 * rng.standard_normal(t.size) for each in (wave, other)]
+    both = np.column_stack([1e5 * noisy[0] + 2e6, 0.01 * noisy[1]])
     alone, joint = series.ringing(t, both[:, 0]), series.ringing(t, both)
     assert joint.ok and abs(joint.natural_frequency - 25.0) < 4 * joint.natural_frequency_std
     assert joint.natural_frequency_std < alone.natural_frequency_std
@@ -94,14 +90,10 @@ def test_ringing_says_why_there_is_none():
 
 def test_noise_seldom_passes_for_ringing():
     t = np.arange(0.0, 1.0, 1.0 / RATE)
-    white = sum(
-        series.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
-        for seed in range(30)
-    )
-    slow = sum(
-        series.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
-        for seed in range(30)
-    )
+    white = slow = 0
+    for seed in range(30):
+        white += series.ringing(t, np.random.default_rng(seed).standard_normal(t.size)).ok
+        slow += series.ringing(t, coloured(np.random.default_rng(seed), t.size, 0.95)).ok
     assert white == 0
     assert slow <= 5  # measured 5 %; a slow random walk does look like a decaying wave now and then
 
