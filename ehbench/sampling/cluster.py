@@ -141,7 +141,7 @@ class Cluster:
         self._seconds = self._count = 0.0
 
     def run(self, tasks: Iterable[Task]) -> Iterator[list[Sample]]:
-        """As `Pool.run`.
+        """The samples of tasks, some at a time, in any order.
 
         Raises:
             InputError: a worker has another version of the package.
