@@ -58,13 +58,9 @@ def lateness(record: Record, path: Path, result: Record, other: AdditionalFile) 
 def with_additional(
     record: Record, path: Path, others: Sequence[tuple[AdditionalFile, Record, float]]
 ) -> Record:
-    """A log with the channels of additional files, its time counting on as in ``path``, its own
-    file. The fastest file gives the time base, as the fastest table of a file does.
-
-    Args:
-        record: the log.
-        path: its file.
-        others: file, record and lateness [s] of each additional one.
+    """A log with the channels of ``others``: file, record and lateness [s] of each additional one.
+    Its time counts on as in ``path``, its own file. The fastest file gives the time base, as the
+    fastest table of a file does.
 
     Raises:
         InputError: a file has a channel that is there already, or no sample at the log's time.

@@ -43,14 +43,9 @@ DAYS = ("d", "day", "days")  # units of a time that spreadsheets count
 def read_mapped(
     path: Path, columns: ColumnMap | None, check: bool = True, window: Window | None = None
 ) -> Record:
-    """A log of any format that is read, by a map of its columns; without one, of the columns that
-    are named as channels.
-
-    Args:
-        path: the file.
-        columns: which column is which channel.
-        check: refuse bad samples, or leave them out, as the map says.
-        window: [s] only what lies inside is checked.
+    """A log of any format that is read, by a map of its columns, which says whether bad samples are
+    refused or left out; without one, of the columns that are named as channels. Other arguments as
+    in `ehbench.data.read`.
 
     Raises:
         LogError: no such column, no time, a bad sample inside of the window.

@@ -146,10 +146,8 @@ class LeftOut:
         return tuple(f"{at}: {error.message}" for at, (_, error) in zip(places, self.errors))
 
     def sentences(self, retained: Sequence[str]) -> tuple[str, ...]:
-        """A note for each file on the readings of it that are left out.
-
-        Args:
-            retained: the valve of each reading that is not.
+        """A note for each file on the readings of it that are left out; ``retained`` has the valve
+        of each reading that is not.
 
         Raises:
             InputError: they are too many of a valve's readings to be slips.

@@ -119,10 +119,8 @@ class Record:
         return name == "t" or name in self.channels
 
     def table(self, columns: Sequence[tuple[str, float | None]]) -> np.ndarray:
-        """Channels side by side, shape (samples, columns).
-
-        Args:
-            columns: channels, each with the value [SI] of one that there is not.
+        """Channels side by side, shape (samples, columns), each with the value [SI] of one that
+        there is not.
 
         Raises:
             LogError: no such channel, where there is no value for it.

@@ -85,13 +85,8 @@ def make_chunk(data: bytes, chunk: list[Task]) -> list[Sample]:
 
 
 class Cluster:
-    """The workers of a Dask scheduler.
-
-    Args:
-        workers: which scheduler, and how to reach it.
-        bundle: of the study.
-        measures: of a sample.
-        limit: time [s] that a sample may take; a worker that hangs beyond it is restarted.
+    """The workers of a Dask scheduler for a study whose samples have so many ``measures``; one that
+    hangs over a sample beyond the ``limit`` [s] is restarted.
 
     Raises:
         InputError: no such extra is installed, or no scheduler answers.

@@ -137,11 +137,7 @@ class Fitted:
 
 
 class Design:
-    """The samples of a study.
-
-    Args:
-        recipe: of the study.
-        fitted: what its ``identified`` names.
+    """The samples of a study; ``fitted`` is what its ``identified`` names.
 
     Raises:
         InputError: numbers without a common unit, a correlation that cannot be, …

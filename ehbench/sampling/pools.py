@@ -39,13 +39,8 @@ def in_threads(
     make: Make, tasks: Iterable[Task], workers: int, stop: Callable[[], None] = lambda: None
 ) -> Iterator[list[Sample]]:
     """Samples by threads of this process, as they come: for those whose time goes into compiled
-    loops, which release the interpreter's lock.
-
-    Args:
-        make: makes each.
-        tasks: of the samples.
-        workers: threads.
-        stop: ends those under way when nobody wants more.
+    loops, which release the interpreter's lock. ``stop`` ends those under way when nobody wants
+    more.
     """
     done: SimpleQueue[Future[Sample]] = SimpleQueue()
     tasks, waiting = iter(tasks), 0
@@ -95,14 +90,9 @@ class _Worker:
 
 
 class Processes:
-    """Processes of this machine. One that dies, or works on a sample beyond ``limit`` [s], is
-    replaced; a sample that ends several of them is given up.
-
-    Args:
-        open: can be pickled.
-        workers: processes.
-        measures: of a sample.
-        limit: None for none.
+    """Processes of this machine, to which ``open`` goes pickled, for samples of so many
+    ``measures``. One that dies, or works on a sample beyond ``limit`` [s], is replaced; a sample
+    that ends several of them is given up.
     """
 
     def __init__(self, open: Open, workers: int, measures: int, limit: float | None = None) -> None:

@@ -39,12 +39,7 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
 
 
 def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "X1")) -> np.ndarray:
-    """What a formula makes of readings, NaN where that is no finite number.
-
-    Args:
-        text: such as ``25*(X1-0.4)``.
-        values: the readings.
-        variables: what it may call them.
+    """What a formula such as ``25*(X1-0.4)`` makes of readings, NaN where that is no finite number.
 
     Raises:
         LogError: the formula has anything else in it than numbers, operators and functions.

@@ -299,12 +299,7 @@ def sections_of(
 ) -> list[tuple[int, list[str]]]:
     """(line before it, lines) of each table. A table begins with rows of words that name its
     columns, behind a blank line or amid numbers; under the head of the one before it goes on, and
-    that head is blank.
-
-    Args:
-        lines: of the file.
-        marks: as of `marks_of`.
-        dialect: of the first table.
+    that head is blank. ``dialect`` is that of the first table.
     """
 
     def layout(first: int, end: int, dialect: Dialect) -> TextLayout | None:
