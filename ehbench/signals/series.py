@@ -20,6 +20,7 @@ from ehbench.vocabulary.messages import message
 from ehbench.vocabulary.settings import setting
 
 LEAST_LINE = 8  # samples that show a slope
+_SETTLE = 0.02  # [s] that a window between two changes of a command lasts at least
 _GRID_DAMPING = (0.02, 0.06, 0.12, 0.22, 0.4)
 
 
@@ -143,18 +144,17 @@ def _butterworth(order: int, cutoff: float, sample_time: float) -> tuple[np.ndar
 
 
 def transients(
-    t: np.ndarray, commands: np.ndarray, settle: float = 0.02, minimum: float | np.ndarray = 0.0
+    t: np.ndarray, commands: np.ndarray, minimum: float | np.ndarray = 0.0
 ) -> list[slice]:
     """Windows between command changes: each begins where a command has just changed and ends before
     the next change.
 
-    Windows shorter than ``settle`` [s] are passed over, so changes that follow each other closely
+    Windows shorter than 20 ms are passed over, so changes that follow each other closely
     are one, and a ramp has none before its end; what precedes the first change is no transient.
 
     Args:
         t: time [s], shape (samples,).
         commands: [V], shape (samples,) or (samples, valves).
-        settle: [s].
         minimum: [V], one number or one a valve: a command has changed when it is off its last level
             by more.
     """
@@ -169,7 +169,7 @@ def transients(
     return [
         slice(first, stop)
         for first, stop in pairwise(edges)
-        if stop - first > 1 and t[stop - 1] - t[first] >= settle
+        if stop - first > 1 and t[stop - 1] - t[first] >= _SETTLE
     ]
 
 

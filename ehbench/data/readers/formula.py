@@ -17,6 +17,7 @@ from ehbench.vocabulary.errors import LogError
 from ehbench.vocabulary.messages import message
 
 _FORMULA_LIMIT = 400  # characters; every step of a formula costs a pass over all samples
+_VARIABLES = ("X", "X1")  # the readings
 _TOKEN = re.compile(r"[A-Za-z]\w*|(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(?!\w)|[-+*/^(), ]", re.ASCII)
 _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -38,7 +39,7 @@ _FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
 }
 
 
-def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "X1")) -> np.ndarray:
+def evaluate(text: str, values: np.ndarray) -> np.ndarray:
     """What a formula such as ``25*(X1-0.4)`` makes of readings, NaN where that is no finite number.
 
     Raises:
@@ -55,7 +56,7 @@ def evaluate(text: str, values: np.ndarray, variables: tuple[str, ...] = ("X", "
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return np.float64(number)
-            case ast.Name() if node.id in variables:
+            case ast.Name() if node.id in _VARIABLES:
                 return readings
             case ast.UnaryOp() if type(node.op) in _OPERATORS:
                 return _OPERATORS[type(node.op)](value_of(node.operand))
