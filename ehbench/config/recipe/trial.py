@@ -236,26 +236,20 @@ class Motion(CylinderMotion):
     release: Literal["continue", "end"] = "continue"
 
     @model_validator(mode="after")
-    def _a_path(self) -> Motion:
-        if self.kind != "path":
-            if self.points or self.cylinders:
-                raise ValueError(message("config.points_of_path"))
+    def _of_its_kind(self) -> Motion:
+        if self.kind == "path":
+            if len(self.points) < 2:
+                raise ValueError(message("config.path_needs_points_two"))
+            if self.speed is None:
+                raise ValueError(message("config.path_needs_speed"))
+            if self.cylinder is not None or self.also:
+                raise ValueError(message("config.path_names_cylinders"))
             return self
-        if len(self.points) < 2:
-            raise ValueError(message("config.path_needs_points_two"))
-        if self.speed is None:
-            raise ValueError(message("config.path_needs_speed"))
-        if self.cylinder is not None or self.also:
-            raise ValueError(message("config.path_names_cylinders"))
-        return self
-
-    @model_validator(mode="after")
-    def _single_motion_of_each(self) -> Motion:
-        if not self.also:
-            return self
+        if self.points or self.cylinders:
+            raise ValueError(message("config.points_of_path"))
         if any(item.kind == "path" for item in self.also):
             raise ValueError(message("config.path_under_also"))
-        names = [item.cylinder or "" for item in (self, *self.also)]
+        names = [item.cylinder or "" for item in self.each] if self.also else []
         if "" in names:
             raise ValueError(message("config.also_needs_cylinder"))
         if (at := second(names)) is not None:
